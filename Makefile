@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+PYTHON ?= python3
+ROS ?=
+DURATION ?=
+SOIL ?=
+VENV := .venv/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint bench fuzz figures clean
+
+help:
+	@sed -n 's/^\([a-z]*\):.*## /make \1|/p' $(MAKEFILE_LIST) | column -t -s '|'
+
+setup: ## make .venv and build ros2_ws; nothing where nothing changed (ROS=kilted|jazzy, PYTHON=python3)
+	@$(PYTHON) scripts/setup_workspace.py --ros '$(ROS)'
+
+demo: setup ## drive the emulated excavator, record, replay, score; results in out/demo (DURATION=40 SOIL=sand)
+	@exec $(VENV)/python -m trackslip_sim.demo.main $(if $(DURATION),--duration $(DURATION)) $(if $(SOIL),--soil $(SOIL))
+
+test: setup ## all tests but the slow ones
+	@exec timeout --kill-after=10 900 $(VENV)/pytest -n 2 --dist loadgroup -m 'not slow and not soak'
+
+lint: setup ## ruff and mypy
+	$(VENV)/ruff check .
+	$(VENV)/ruff format --check .
+	$(VENV)/mypy
+
+bench: setup ## speed of filters and drivers on this machine
+	@exec $(VENV)/python scripts/bench.py
+
+fuzz: setup ## random bytes into every decoder and reader
+	@exec $(VENV)/python scripts/fuzz.py
+
+figures: setup ## the pictures of docs/figures
+	@exec $(VENV)/python scripts/figures.py
+
+clean: ## remove all that was made: .venv, the build, results, caches
+	rm -rf .venv ros2_ws/build ros2_ws/install ros2_ws/log ros2_ws/setup.log out .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws the model figures of the thesis, from this project's code, into docs/figures (``make figures``)."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from trackslip_estimation.soils import Soil, load_soils
+from trackslip_estimation.terramechanics.domain import FloatArray
+from trackslip_estimation.terramechanics.resistance import longitudinal_resistance
+from trackslip_estimation.terramechanics.strength import thrust_limit
+from trackslip_estimation.terramechanics.traction import slip_of_thrust, slip_of_thrust_approximate, thrust
+from trackslip_estimation.terramechanics.turning import (
+    centre_point,
+    centre_point_approximate,
+    moment_with_centrifugal_force,
+    triangular_moment,
+)
+from trackslip_estimation.vehicle import Vehicle
+from trackslip_sim.scenarios import load_scenario
+from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.settings import load_vehicle
+from trackslip_sim.truth.simulate import simulate
+
+OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
+TABLE_6_1 = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
+COLOURS = ("#c2862d", "#6b4a2f", "#3b6ea5", "#b2483f", "#5f8f4e")
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+FAST_TURN = 1.37  # rad/s, one track braked
+NORMAL_MU_L = (0.5, 1.3)
+STYLE: dict[str, Any] = {
+    "figure.dpi": 150,
+    "figure.constrained_layout.use": True,
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#777777",
+    "axes.grid": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.5,
+    "legend.frameon": False,
+}
+
+
+def panels(columns: int) -> tuple[Figure, list[Axes]]:
+    """A row of equal panels."""
+    figure = Figure(figsize=(5.2 * columns, 3.6))
+    return figure, list(figure.subplots(1, columns, squeeze=False)[0])
+
+
+def label(axes: Axes, title: str, x: str, y: str) -> None:
+    """Title and axis labels with units; a thin line at zero."""
+    axes.set(title=title, xlabel=x, ylabel=y)
+    axes.axhline(0.0, color="#777777", linewidth=0.6)
+
+
+def figure_3_7(vehicle: Vehicle) -> Figure:
+    """Moment of turning resistance without the centrifugal force, (3.8), against (3.7)."""
+    mu = np.linspace(0.1, 1.5, 281)
+    full = moment_with_centrifugal_force(vehicle.weight, vehicle.contact_length, mu, lateral(vehicle))
+    simple = triangular_moment(vehicle.weight, vehicle.contact_length, mu)
+    return error_over_mu_l(
+        mu,
+        100.0 * (full - simple) / full,
+        "% of (3.7)",
+        "Fig. 3.7: moment of turning resistance, (3.8) against (3.7)",
+    )
+
+
+def figure_3_8(vehicle: Vehicle) -> Figure:
+    """Instantaneous centre to first order against all of (3.6)."""
+    mu = np.linspace(0.1, 1.5, 281)
+    full = centre_point(vehicle.contact_length, mu, lateral(vehicle))
+    simple = centre_point_approximate(vehicle.contact_length, mu, lateral(vehicle))
+    return error_over_mu_l(
+        mu,
+        100.0 * (full - simple) / full,
+        "% of (3.6)",
+        "Fig. 3.8: instantaneous centre $x_s$, first order against (3.6)",
+    )
+
+
+def lateral(vehicle: Vehicle) -> float:
+    """Lateral acceleration φ̇² B/2 of the fastest turn, m/s²."""
+    return FAST_TURN**2 * vehicle.tread / 2.0
+
+
+def error_over_mu_l(mu: FloatArray, error: FloatArray, unit: str, title: str) -> Figure:
+    """One error curve, with the normal soils marked."""
+    figure, (axes,) = panels(1)
+    axes.axvspan(*NORMAL_MU_L, color="#f0ede4", zorder=0)
+    axes.text(sum(NORMAL_MU_L) / 2.0, 0.06, "normal soils", transform=axes.get_xaxis_transform(), ha="center")
+    axes.plot(mu, error, color=COLOURS[2])
+    label(axes, title, "coefficient of lateral resistance $\\mu_l$", f"error ({unit})")
+    axes.set_xlim(0.0, 1.5)
+    return figure
+
+
+def figure_3_9(vehicle: Vehicle) -> Figure:
+    """Errors of the approximate thrust-slip relation (3.12) against (3.3), in slip and in thrust."""
+    figure, (in_slip, in_thrust) = panels(2)
+    length = vehicle.contact_length
+    slip = np.geomspace(0.001, 1.0, 2000)
+    for modulus, colour, dash in zip((0.006, 0.01, 0.025, 0.05), COLOURS, DASHES, strict=False):
+        exact = thrust(slip, 1.0, modulus, length)
+        found = slip_of_thrust_approximate(exact, 1.0, modulus, length)
+        line: dict[str, Any] = {"color": colour, "linestyle": dash, "label": f"K = {100 * modulus:g} cm"}
+        in_slip.plot(100.0 * slip, 100.0 * (slip - found) / found, **line)
+        # The thrust that (3.12) gives this slip is exp(−K/(i l)) of the limit.
+        approximate = np.exp(-modulus / (slip * length))
+        in_thrust.plot(100.0 * slip, 100.0 * (approximate - exact) / exact, **line)
+    label(in_slip, "Fig. 3.9: slip, (3.3) against (3.12)", "slip (%)", "error of slip (% of (3.12))")
+    label(in_thrust, "The same for thrust at given slip", "slip (%)", "error of thrust (% of (3.3))")
+    for axes in (in_slip, in_thrust):
+        axes.axvline(4.0, color="#777777", linewidth=0.6)
+        axes.axhspan(-10.0, 10.0, color="#f0ede4", zorder=0)
+        axes.set(xscale="log", xlim=(0.1, 100.0), ylim=(-80.0, 20.0))
+        axes.xaxis.set_major_formatter("{x:g}")
+    in_slip.text(4.4, -75.0, "4 %")
+    in_slip.legend(loc="lower right")
+    return figure
+
+
+def thrust_slip_curves(vehicle: Vehicle) -> Figure:
+    """(3.3) for one PC05 track on the soils of all tables that give K; dots: straight, level driving."""
+    figure, (table_6, table_2) = panels(2)
+    slip = np.linspace(-0.2, 0.6, 1601)
+    soils = [soil for soil in load_soils().values() if soil.shear_modulus is not None]
+    for axes, chosen in (
+        (table_6, [soil for soil in soils if soil.name in TABLE_6_1]),
+        (table_2, [soil for soil in soils if soil.name not in TABLE_6_1]),
+    ):
+        for soil, colour, dash in zip(chosen, COLOURS, DASHES, strict=False):
+            draw_thrust(axes, vehicle, soil, slip, (colour, dash))
+        axes.axvline(0.0, color="#777777", linewidth=0.6)
+        axes.legend(loc="lower right")
+        axes.set_xlim(-20.0, 60.0)
+    label(table_6, "Thrust of one PC05 track, Table 6.1", "slip (%)", "thrust (kN)")
+    label(table_2, "Thrust of one PC05 track, Table 2.1", "slip (%)", "thrust (kN)")
+    return figure
+
+
+def draw_thrust(axes: Axes, vehicle: Vehicle, soil: Soil, slip: FloatArray, line: tuple[str, Any]) -> None:
+    """One thrust-slip curve, and its point of straight motion where μ_r is known."""
+    modulus, length = soil.value("shear_modulus"), vehicle.contact_length
+    area = 2.0 * vehicle.track_width * length
+    limit = thrust_limit(soil.cohesion, soil.friction_angle, area, vehicle.weight)
+    colour, dash = line
+    name = soil.name.replace("_", " ")
+    axes.plot(
+        100.0 * slip, thrust(slip, limit, modulus, length) / 1e3, color=colour, linestyle=dash, label=name
+    )
+    if soil.mu_r is not None:
+        resistance = longitudinal_resistance(1.0, soil.mu_r, vehicle.weight)
+        straight = slip_of_thrust(resistance, limit, modulus, length)
+        axes.plot(100.0 * straight, resistance / 1e3, "o", color=colour, markersize=4)
+
+
+def figure_6_1(vehicle: Vehicle) -> Figure:
+    """Path and slip angle of the thesis' manoeuvre on the soils of Table 6.1."""
+    figure, (path, angle) = panels(2)
+    for run, line in thesis_runs(vehicle):
+        path.plot(run.x, run.y, **line)
+        angle.plot(run.t, run.slip_angle, **line)
+    label(path, "Fig. 6.1: path", "x (m)", "y (m)")
+    label(angle, "Slip angle α", "time (s)", "slip angle (rad)")
+    path.set_aspect("equal", adjustable="datalim")
+    path.legend(loc="lower left")
+    return figure
+
+
+def figure_6_2(vehicle: Vehicle) -> Figure:
+    """Slips of both tracks in the thesis' manoeuvre on the soils of Table 6.1."""
+    figure, (left, right) = panels(2)
+    for run, line in thesis_runs(vehicle):
+        left.plot(run.t, 100.0 * run.left_slip, **line)
+        right.plot(run.t, 100.0 * run.right_slip, **line)
+    label(left, "Fig. 6.2: slip of the left track", "time (s)", "slip (%)")
+    label(right, "Slip of the right track", "time (s)", "slip (%)")
+    left.legend(loc="upper left")
+    return figure
+
+
+def thesis_runs(vehicle: Vehicle) -> Iterator[tuple[Truth, dict[str, Any]]]:
+    """The forward simulation of §6.2.1 on each soil, and how to draw it."""
+    scenario = load_scenario("thesis")
+    for name, colour, dash in zip(TABLE_6_1, COLOURS, DASHES, strict=False):
+        run = simulate(scenario, soil=name, mode="thesis", vehicle=vehicle)
+        yield run, {"color": colour, "linestyle": dash, "label": name.replace("_", " ")}
+
+
+FIGURES: Mapping[str, Callable[[Vehicle], Figure]] = {
+    "fig_3_7": figure_3_7,
+    "fig_3_8": figure_3_8,
+    "fig_3_9": figure_3_9,
+    "fig_6_1": figure_6_1,
+    "fig_6_2": figure_6_2,
+    "thrust_slip": thrust_slip_curves,
+}
+
+
+def main() -> None:
+    """Draw all figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, default=OUTPUT, help="folder of the PNG files")
+    output: Path = parser.parse_args().output
+    output.mkdir(parents=True, exist_ok=True)
+    vehicle = load_vehicle()
+    with style.context(STYLE):
+        for name, draw in FIGURES.items():
+            draw(vehicle).savefig(output / f"{name}.png", metadata={"Software": None})
+            print(output / f"{name}.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every Trackslip package shares: validated parameters, errors, counts, and the base of the nodes."""

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds and reads the YAML files of ``config/``: the one place where defaults live."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import flatten
+
+_SHARE = Path("share/trackslip_common/config")
+
+
+def config_directory() -> Path:
+    """The installed ``config/``, or the checkout's when the code runs from its source tree.
+
+    Raises:
+        InputError: neither is there.
+    """
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    installed = [Path(prefix) / _SHARE for prefix in prefixes if prefix]
+    checkout = [parent / "config" for parent in Path(__file__).resolve().parents]
+    for directory in installed + checkout:
+        if (directory / "pc05.yaml").is_file():
+            return directory
+    raise InputError(f"config directory not found; looked for {_SHARE} on AMENT_PREFIX_PATH")
+
+
+def config_file(name: str) -> Path:
+    """A file given by its name in ``config/``, or by a path of the user's own.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    for candidate in (Path(name), config_directory() / name):
+        if candidate.is_file():
+            return candidate
+    raise InputError(f"file '{name}' not found, here or in {config_directory()}")
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """A YAML file whose top level is a mapping.
+
+    Raises:
+        InputError: the file is missing, is not YAML, or holds no mapping.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not YAML ({reason})") from error
+    if not isinstance(tree, Mapping):
+        raise InputError(f"{path}: expected names and values (a YAML mapping) at the top level")
+    return dict(tree)
+
+
+def node_parameters(tree: Mapping[str, Any], node: str, where: str) -> dict[str, Any]:
+    """What a ROS parameter file gives one node, as dotted names: its own section over ``/**``.
+
+    Raises:
+        InputError: the file is not in the form ``<node>: {ros__parameters: {…}}``.
+    """
+    values: dict[str, Any] = {}
+    for section in ("/**", node):
+        if section not in tree:
+            continue
+        body = tree[section]
+        if not isinstance(body, Mapping) or not isinstance(body.get("ros__parameters"), Mapping):
+            raise InputError(f"{where}: section '{section}' has no 'ros__parameters' mapping")
+        values |= flatten(body["ros__parameters"])
+    return values
+
+
+def node_defaults(node: str, *files: str) -> dict[str, Any]:
+    """What these files of ``config/`` give one node together, as dotted names."""
+    values: dict[str, Any] = {}
+    for name in files:
+        path = config_file(name)
+        values |= node_parameters(read_yaml(path), node, str(path))
+    return values

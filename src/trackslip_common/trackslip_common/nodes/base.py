@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all nodes are: a lifecycle node that starts by itself, refuses bad parameters, and reports at 1 Hz."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.errors import InputError
+from trackslip_common.nodes.qos import qos_of
+from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, to_flat
+from trackslip_common.tally import Tally
+
+P = TypeVar("P", bound=Parameters)
+
+_ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+_AUTOSTART = "autostart"
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+
+
+@dataclass(frozen=True)
+class Health:
+    """One line of /diagnostics."""
+
+    level: bytes
+    message: str
+    values: dict[str, Any] = field(default_factory=dict)
+    part: str = ""  # of the node; empty for the node itself
+
+
+class TrackslipNode(LifecycleNode, Generic[P]):
+    """Base of all nodes.
+
+    Subclasses override ``configure`` (make publishers, subscriptions, the core), ``activate`` and
+    ``deactivate`` (open and close devices), and ``health``.
+
+    Raises:
+        InputError: a parameter is unknown, of a wrong type or out of range.
+    """
+
+    def __init__(self, name: str, parameters: type[P], *default_files: str) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        self.settings: P = self._declare(parameters, default_files)
+        self.tally = Tally()
+        self.active = False
+        self._refusal: InputError | None = None
+        self._announced: list[Any] = []
+        self._status = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(1.0, self._publish_health, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def configure(self) -> None:
+        """Make what the node needs; devices stay closed."""
+
+    def activate(self) -> None:
+        """Begin to work."""
+
+    def deactivate(self) -> None:
+        """Stop, so that ``activate`` can begin again; also called at the end."""
+
+    def health(self) -> list[Health]:
+        """What /diagnostics shall say now."""
+        return [Health(OK, "running" if self.active else "inactive")]
+
+    def listen(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
+        """Subscribe; messages that come while the node is inactive are not for it."""
+
+        def when_active(message: Any) -> None:
+            if self.active:
+                callback(message)
+
+        self.create_subscription(message_type, topic, when_active, qos_of(topic))
+
+    def announce(self, message_type: type, topic: str) -> Any:
+        """A lifecycle publisher with the topic's own quality of service."""
+        publisher = self.create_lifecycle_publisher(message_type, topic, qos_of(topic))
+        self._announced.append(publisher)
+        return publisher
+
+    def start(self) -> None:
+        """Configure and activate, unless ``autostart`` is false.
+
+        Raises:
+            InputError: ``configure`` refused something that the user gave.
+        """
+        if not self.get_parameter(_AUTOSTART).value:
+            return
+        self.trigger_configure()
+        if self._refusal is not None:
+            raise self._refusal
+        self.trigger_activate()
+
+    def stop(self) -> None:
+        """Leave the active state; safe to call twice."""
+        if self.active:
+            self.active = False
+            self.deactivate()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle transition; a refusal is kept, for rclpy would swallow it."""
+        try:
+            self.configure()
+        except InputError as error:
+            self._refusal = error
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle transition."""
+        outcome = super().on_activate(state)
+        self.active = True
+        self.activate()
+        return outcome
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle transition."""
+        self.stop()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle transition: back to before ``configure``."""
+        for subscription in list(self.subscriptions):
+            if subscription.topic_name != "/clock":
+                self.destroy_subscription(subscription)
+        while self._announced:
+            self.destroy_lifecycle_publisher(self._announced.pop())
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle transition."""
+        self.stop()
+        return super().on_shutdown(state)
+
+    def _declare(self, parameters: type[P], default_files: tuple[str, ...]) -> P:
+        """Defaults of ``config/``, what the user gave on top, checked, then declared to ROS."""
+        name = self.get_name()
+        given = {
+            key: entry.value
+            for key, entry in self.get_parameters_by_prefix("").items()
+            if not key.startswith(_ROS_OWN)
+        }
+        for key in given:
+            self.undeclare_parameter(key)
+        autostart = given.pop(_AUTOSTART, True)
+        if type(autostart) is not bool:
+            raise InputError(f"{name}: {_AUTOSTART}: {autostart!r} is not true or false")
+        about = ParameterDescriptor(description="configure and activate without being asked", read_only=True)
+        self.declare_parameter(_AUTOSTART, autostart, about, ignore_override=True)
+        record = from_flat(parameters, node_defaults(name, *default_files) | given, name)
+        values = to_flat(record)
+        for key, kind, spec in flat_fields(parameters):
+            self.declare_parameter(key, values[key], _descriptor(kind, spec), ignore_override=True)
+        return record
+
+    def _publish_health(self) -> None:
+        array = DiagnosticArray()
+        array.header.stamp = self.get_clock().now().to_msg()
+        for entry in self.health():
+            status = DiagnosticStatus(level=entry.level, message=entry.message, hardware_id=self.get_name())
+            status.name = f"{self.get_name()}: {entry.part}" if entry.part else self.get_name()
+            status.values = [KeyValue(key=k, value=str(v)) for k, v in entry.values.items()]
+            array.status.append(status)
+        self._status.publish(array)
+
+
+def _descriptor(kind: Any, spec: Spec) -> ParameterDescriptor:
+    """What ``ros2 param describe`` shows."""
+    unit = f" [{spec.unit}]" if spec.unit else ""
+    descriptor = ParameterDescriptor(description=spec.description + unit, read_only=spec.read_only)
+    descriptor.additional_constraints = spec.accepted()
+    low = spec.ge if spec.ge is not None else spec.gt
+    high = spec.le if spec.le is not None else spec.lt
+    if kind is float and (low is not None or high is not None):
+        low, high = (-1e300 if low is None else low), (1e300 if high is None else high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+    if kind is int and (low is not None or high is not None):
+        first, last = (-(2**62) if low is None else int(low)), (2**62 if high is None else int(high))
+        descriptor.integer_range = [IntegerRange(from_value=first, to_value=last)]
+    return descriptor

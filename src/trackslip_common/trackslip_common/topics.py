@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every topic of the project: its type and how it travels. The one place for these facts."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Flow(Enum):
+    """How messages of a topic are delivered."""
+
+    SENSOR = "sensor"  # best effort: a late reading is worth less than the next one
+    RELIABLE = "reliable"  # every message, in order
+    LATCHED = "latched"  # reliable, and the last one is kept for who comes later
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic's message type and flow."""
+
+    type_name: str
+    flow: Flow
+
+
+TOPICS = {
+    "sprockets": Topic("sensor_msgs/msg/JointState", Flow.SENSOR),
+    "hydraulics": Topic("trackslip_msgs/msg/TrackHydraulics", Flow.SENSOR),
+    "imu/data_raw": Topic("sensor_msgs/msg/Imu", Flow.SENSOR),
+    "imu/mag": Topic("sensor_msgs/msg/MagneticField", Flow.SENSOR),
+    "scan": Topic("sensor_msgs/msg/LaserScan", Flow.SENSOR),
+    "box_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
+    "odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
+    "track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
+    "track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),
+    "soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),
+    "measurement_reports": Topic("trackslip_msgs/msg/MeasurementReport", Flow.RELIABLE),
+    "slip_estimator/parameters": Topic("std_msgs/msg/String", Flow.LATCHED),
+    "truth/odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
+    "truth/track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
+    "truth/soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),
+    "diagnostics": Topic("diagnostic_msgs/msg/DiagnosticArray", Flow.RELIABLE),
+    "tf": Topic("tf2_msgs/msg/TFMessage", Flow.RELIABLE),
+}
+
+SENSOR_TOPICS = tuple(name for name, topic in TOPICS.items() if topic.flow is Flow.SENSOR)
+LEFT_SPROCKET, RIGHT_SPROCKET = "left_sprocket", "right_sprocket"

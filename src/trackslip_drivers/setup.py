@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "trackslip_drivers"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="Trackslip maintainers",
+    maintainer_email="maintainers@trackslip.invalid",
+    description="Drivers of the excavator's sensors: CAN (sprockets, hydraulics), Watson IMU, SICK PLS",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "can_driver = trackslip_drivers.nodes.can_driver:main",
+            "watson_imu = trackslip_drivers.nodes.watson_imu:main",
+            "sick_pls = trackslip_drivers.nodes.sick_pls:main",
+        ]
+    },
+)

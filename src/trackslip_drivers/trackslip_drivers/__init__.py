@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From sensor bytes to messages: protocols, transports, nodes."""

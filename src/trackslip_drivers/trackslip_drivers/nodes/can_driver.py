@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``can_driver``: sprocket encoders and hydraulics from the CAN bus."""
+
+import sys
+
+from trackslip_common.config_files import config_file
+from trackslip_common.nodes.messages import topic_class
+from trackslip_common.nodes.run import run
+from trackslip_drivers import conversions
+from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.protocols.can_frames import FrameSet
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan
+from trackslip_drivers.records import SprocketSample
+from trackslip_drivers.transports.can_bus import CanBus, CanFrame
+from trackslip_drivers.transports.link import Link
+
+_FRAME_ID = "base_link"
+_SILENCE = 2.0  # s without a frame after which the bus is opened anew
+
+
+class CanDriverNode(DriverNode[CanDriverParameters]):
+    """Frames in, ``sprockets`` and ``hydraulics`` out."""
+
+    period = 0.01
+
+    def __init__(self) -> None:
+        super().__init__("can_driver", CanDriverParameters, "can_driver.yaml")
+
+    def configure(self) -> None:
+        """Read the contract of the frames."""
+        super().configure()
+        self._frames = FrameSet(config_file(self.settings.dbc_file))
+        self._sprockets = self.announce(topic_class("sprockets"), "sprockets")
+        self._hydraulics = self.announce(topic_class("hydraulics"), "hydraulics")
+        self._forget()
+
+    def make_link(self) -> Link[CanFrame]:
+        """One bus."""
+        p = self.settings
+        return Link(
+            "can",
+            lambda: CanBus(p.can_interface, p.can_channel, p.can_port),
+            self._on_frame,
+            self._forget,
+            _SILENCE,
+        )
+
+    def _forget(self) -> None:
+        """What was said before the bus was opened is not continued."""
+        self._can = ExcavatorCan(self.settings, self._frames, self.tally)
+
+    def _on_frame(self, frame: CanFrame, arrival_ns: int) -> None:
+        sample = self._can.receive(*frame, arrival_ns)
+        if isinstance(sample, SprocketSample):
+            self._sprockets.publish(conversions.joint_state(sample, _FRAME_ID))
+            self.count()
+        elif sample is not None:
+            self._hydraulics.publish(conversions.track_hydraulics(sample, _FRAME_ID))
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run(CanDriverNode))

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``sick_pls``: the SICK PLS laser scanner on a serial line."""
+
+import sys
+import threading
+import time
+
+from rclpy.clock import Clock, ClockType
+
+from trackslip_common.nodes.base import WARN, Health
+from trackslip_common.nodes.messages import topic_class
+from trackslip_common.nodes.run import run
+from trackslip_drivers import conversions
+from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.protocols.sick_session import Phase, SickSession
+from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_drivers.transports.link import Link
+from trackslip_drivers.transports.serial_port import SerialPort
+
+_STEP = 0.01  # s between looks at the dialogue's time-outs
+_STOP = 0.3  # s that the scanner is given to stop streaming
+
+
+class SickNode(DriverNode[SickParameters]):
+    """Bytes in, ``scan`` out; the dialogue with the scanner is the session's."""
+
+    period = 0.24  # 361 values at 38400 baud, every sixth turn of the mirror
+
+    def __init__(self) -> None:
+        super().__init__("sick_pls", SickParameters, "sick_pls.yaml")
+
+    def configure(self) -> None:
+        """Prepare the dialogue."""
+        super().configure()
+        self._lock = threading.Lock()  # the session is fed by the link's thread and stepped by a timer
+        self._session = SickSession(self.settings, self.tally)
+        self._scans = self.announce(topic_class("scan"), "scan")
+        self._polluted = False
+        self.create_timer(_STEP, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def make_link(self) -> Link[bytes]:
+        """One serial port, silent while the scanner boots: the session does the worrying."""
+        p = self.settings
+        return Link(
+            "sick",
+            lambda: SerialPort(p.serial_port, p.serial_baud, p.parity),
+            self._on_bytes,
+            self._begin,
+            float("inf"),
+        )
+
+    def deactivate(self) -> None:
+        """Have the scanner stop streaming, then close the port."""
+        self._session.stop()
+        give_up_s = time.monotonic() + _STOP
+        while self._session.phase is not Phase.STOPPED and time.monotonic() < give_up_s:
+            self._talk()
+            time.sleep(_STEP)
+        super().deactivate()
+
+    def health(self) -> list[Health]:
+        """The link's health, with the phase of the dialogue and a dirty front."""
+        entries = super().health()
+        if self.active:
+            entries[0].values["phase"] = self._session.phase.value
+            if self._polluted:
+                entries.append(Health(WARN, "front window is dirty", part="pollution"))
+        return entries
+
+    def _begin(self) -> None:
+        """A port was opened: the dialogue starts from nothing."""
+        with self._lock:
+            self._session = SickSession(self.settings, self.tally)
+
+    def _step(self) -> None:
+        if self.active:
+            self._talk()
+
+    def _talk(self) -> None:
+        """Tell the session the time, and do what it asks of the port."""
+        now_ns = time.time_ns()
+        with self._lock:
+            self._session.receive(b"", now_ns)  # so that it gives up on a telegram cut short
+            action = self._session.step(now_ns)
+        link = self._link
+        if link is None:
+            return
+        if action.baud is not None:
+            baud = action.baud
+            link.use(lambda port: port.set_baud(baud))
+        if action.write:
+            link.write(action.write)
+
+    def _on_bytes(self, data: bytes, arrival_ns: int) -> None:
+        with self._lock:
+            scans = self._session.receive(data, arrival_ns)
+        for scan in scans:
+            self._polluted = scan.status.pollution
+            self._scans.publish(conversions.laser_scan(scan.sample, self.settings.frame_id))
+            self.count()
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run(SickNode))

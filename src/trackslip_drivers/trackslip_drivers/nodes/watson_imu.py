@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``watson_imu``: the Watson inertial unit on a serial line."""
+
+import sys
+
+from trackslip_common.nodes.messages import topic_class
+from trackslip_common.nodes.run import run
+from trackslip_drivers import conversions
+from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.protocols.watson import Layout
+from trackslip_drivers.protocols.watson_stream import WatsonStream
+from trackslip_drivers.transports.link import Link
+from trackslip_drivers.transports.serial_port import SerialPort
+from trackslip_drivers.watson_parameters import WatsonParameters
+
+_SILENCE = 2.0  # s without a byte after which the port is opened anew
+
+
+class WatsonNode(DriverNode[WatsonParameters]):
+    """Bytes in, ``imu/data_raw`` and ``imu/mag`` out."""
+
+    period = 1.0 / 11.85
+
+    def __init__(self) -> None:
+        super().__init__("watson_imu", WatsonParameters, "watson_imu.yaml")
+
+    def configure(self) -> None:
+        """Lay out the unit's channels."""
+        super().configure()
+        p = self.settings
+        layout = Layout(p.channels, p.formats, p.full_scales)
+        self._stream = WatsonStream(layout, p.serial_baud, round(p.time_offset * 1e9), self.tally)
+        self._imu = self.announce(topic_class("imu/data_raw"), "imu/data_raw")
+        self._mag = self.announce(topic_class("imu/mag"), "imu/mag")
+
+    def make_link(self) -> Link[bytes]:
+        """One serial port."""
+        p = self.settings
+        return Link(
+            "watson",
+            lambda: SerialPort(p.serial_port, p.serial_baud, p.parity),
+            self._on_bytes,
+            self._stream.reset,
+            _SILENCE,
+        )
+
+    def _on_bytes(self, data: bytes, arrival_ns: int) -> None:
+        p = self.settings
+        for sample in self._stream.feed(data, arrival_ns):
+            self._imu.publish(
+                conversions.imu(
+                    sample, p.frame_id, p.linear_acceleration_stddev, p.angular_velocity_stddev
+                )
+            )
+            field = conversions.magnetic_field(sample, p.frame_id, p.magnetic_field_stddev)
+            if field is not None:
+                self._mag.publish(field)
+            self.count()
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run(WatsonNode))

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of ``config/excavator.dbc``: decode whole, check, then commit; and the encode half.
+
+The DBC is the contract: ids, lengths, scaling, ranges, cycle time. Two checks that a DBC cannot express
+are here: the checksum (its last payload byte) and the alive counter.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import cantools
+from cantools.database import Database, Message
+from cantools.database.errors import Error as CantoolsError
+
+from trackslip_common.errors import InputError
+from trackslip_common.tally import Tally
+
+ENCODERS = "encoders"
+SPOOLS = "spools"
+PRESSURES = "pressures"
+SIGNALS: Mapping[str, tuple[str, ...]] = {
+    ENCODERS: ("left_count", "right_count"),
+    SPOOLS: ("left_spool", "right_spool"),
+    PRESSURES: ("left_pressure", "right_pressure", "supply_pressure"),
+}
+
+ERROR_FLAG = 1 << 29  # set beside the 29-bit id by the transport for error frames
+BUS = "can"  # what a rejection is counted under when the frame cannot be named
+
+_ALIVE = "alive_counter"
+_CHECKSUM = "checksum"
+_MODULUS = 16
+# A silence may hide whole turns of the counter; one more turn is assumed from this share of it on. A sender
+# that stalls and catches up looks the same, hence above one half.
+_TURN_SHARE = 0.75
+
+
+class Rejection(Enum):
+    """Why a frame was not used; LOST counts frames that never came."""
+
+    ERROR_FRAME = "error frame"
+    UNKNOWN_ID = "unknown id"
+    WRONG_LENGTH = "wrong length"
+    CHECKSUM = "checksum"
+    OUT_OF_RANGE = "out of range"
+    ALIVE_REPEATED = "alive counter repeated"
+    LOST = "lost"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One accepted frame."""
+
+    name: str
+    stamp_ns: int
+    cycles: int  # sender's cycles since the previous accepted frame of this name; 0 for the first
+    values: Mapping[str, float]  # signal name → value in the DBC's unit (SI, or raw counts)
+
+
+def crc8_j1850(data: bytes) -> int:
+    """CRC-8 SAE J1850: polynomial 0x1D, start 0xFF, inverted at the end."""
+    crc = 0xFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x1D if crc & 0x80 else crc << 1
+            crc &= 0xFF
+    return crc ^ 0xFF
+
+
+class FrameSet:
+    """The frames as the DBC describes them.
+
+    Raises:
+        InputError: the file cannot be read, is no DBC, or lacks a frame or signal.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            database = cantools.database.load_file(path, strict=True)
+        except (OSError, UnicodeDecodeError, CantoolsError) as error:
+            raise InputError(f"dbc_file {path}: not a usable DBC ({' '.join(str(error).split())})") from error
+        if not isinstance(database, Database):
+            raise InputError(f"dbc_file {path}: not a DBC of CAN frames")
+        self.by_name = {name: _find(database, name, path) for name in SIGNALS}
+        self.by_id = {message.frame_id: message for message in self.by_name.values()}
+        cycles_ms = {message.cycle_time for message in self.by_name.values()}
+        cycle_ms = cycles_ms.pop()
+        if cycles_ms or not cycle_ms:
+            raise InputError(f"dbc_file {path}: GenMsgCycleTime must be set, the same for all frames")
+        self.cycle_ns = cycle_ms * 1_000_000
+
+    def encode(self, name: str, values: Mapping[str, float], alive_counter: int) -> tuple[int, bytes]:
+        """(arbitration id, payload) of one frame.
+
+        Raises:
+            cantools.database.errors.EncodeError: a value lies outside the range that the DBC gives.
+        """
+        message = self.by_name[name]
+        payload = message.encode({**values, _ALIVE: alive_counter % _MODULUS, _CHECKSUM: 0})
+        return message.frame_id, payload[:-1] + bytes([_checksum(message.frame_id, payload)])
+
+
+class FrameDecoder:
+    """Accepts frames that pass every check, and knows what was lost between them."""
+
+    def __init__(self, frames: FrameSet, tally: Tally) -> None:
+        self._frames = frames
+        self._tally = tally
+        self._alive = {name: _AliveCounter(frames.cycle_ns) for name in frames.by_name}
+
+    def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> Frame | Rejection:
+        """One received frame; a rejection has been counted and has changed nothing else."""
+        message = self._frames.by_id.get(arbitration_id)
+        if message is None:
+            is_error = bool(arbitration_id & ERROR_FLAG)
+            return self._reject(BUS, Rejection.ERROR_FRAME if is_error else Rejection.UNKNOWN_ID)
+        if len(data) != message.length:
+            return self._reject(message.name, Rejection.WRONG_LENGTH)
+        if data[-1] != _checksum(arbitration_id, data):
+            return self._reject(message.name, Rejection.CHECKSUM)
+        signals = message.decode_simple(data, decode_choices=False)
+        values = {name: float(signals[name]) for name in SIGNALS[message.name]}  # type: ignore[arg-type]
+        if not _in_range(message, values):
+            return self._reject(message.name, Rejection.OUT_OF_RANGE)
+        cycles = self._alive[message.name].advance(data[-2] & (_MODULUS - 1), stamp_ns)
+        if cycles is None:
+            return self._reject(message.name, Rejection.ALIVE_REPEATED)
+        if cycles > 1:
+            self._tally.add(message.name, Rejection.LOST, cycles - 1)
+        return Frame(message.name, stamp_ns, cycles, values)
+
+    def _reject(self, source: str, reason: Rejection) -> Rejection:
+        self._tally.add(source, reason)
+        return reason
+
+
+class _AliveCounter:
+    """How many cycles passed between accepted frames, from the 4-bit counter and the stamps."""
+
+    def __init__(self, cycle_ns: int) -> None:
+        self._cycle_ns = cycle_ns
+        self._count: int | None = None
+        self._accepted_ns = 0
+        self._seen_ns = 0
+
+    def advance(self, count: int, stamp_ns: int) -> int | None:
+        """Cycles since the last accepted frame (0: this is the first); None: the counter stands still."""
+        if self._count is None:
+            cycles = 0
+        else:
+            cycles = (count - self._count) % _MODULUS
+            # A sender stuck at one count keeps being seen, so its silence never grows to a turn.
+            since_ns = self._seen_ns if cycles == 0 else self._accepted_ns
+            excess = (stamp_ns - since_ns) / self._cycle_ns - cycles
+            cycles += _MODULUS * max(0, int(excess / _MODULUS + (1.0 - _TURN_SHARE)))
+            self._seen_ns = stamp_ns
+            if cycles == 0:
+                return None
+        self._count = count
+        self._accepted_ns = self._seen_ns = stamp_ns
+        return cycles
+
+
+def _find(database: Database, name: str, path: Path) -> Message:
+    """The frame called ``name``, once it is sure to have what the code relies on."""
+    try:
+        message = database.get_message_by_name(name)
+    except KeyError as error:
+        raise InputError(f"dbc_file {path}: frame '{name}' is missing") from error
+    starts = {signal.name: signal.start for signal in message.signals}
+    for signal in SIGNALS[name]:
+        if signal not in starts:
+            raise InputError(f"dbc_file {path}: signal '{signal}' of frame '{name}' is missing")
+    end = 8 * message.length
+    if (starts.get(_ALIVE), starts.get(_CHECKSUM)) != (end - 16, end - 8):
+        raise InputError(f"dbc_file {path}: frame '{name}' must end in alive_counter and checksum bytes")
+    return message
+
+
+def _checksum(frame_id: int, payload: bytes) -> int:
+    return crc8_j1850(frame_id.to_bytes(4, "big") + payload[:-1])
+
+
+def _in_range(message: Message, values: Mapping[str, float]) -> bool:
+    """Whether each value lies in the DBC's range (cantools checks it only when encoding)."""
+    for name, value in values.items():
+        signal = message.get_signal_by_name(name)
+        low, high = signal.minimum, signal.maximum
+        if (low is not None and value < low) or (high is not None and value > high):
+            return False
+    return True

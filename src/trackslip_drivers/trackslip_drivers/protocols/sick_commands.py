@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the host may say to a SICK scanner, and what the scanner's short replies mean.
+
+Payloads only; ``sick_telegram.frame`` wraps them. A reply's code is its command's plus 0x80, and its
+last byte is the scanner's status. Scans (B0) are decoded in ``sick_scan``.
+"""
+
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+# Commands, host to scanner. 0x20 changes the mode of operation.
+STREAM_ALL = b"\x20\x24"  # all values, without end
+STREAM_MINIMA = b"\x20\x20"  # the nearest value of each degree, without end
+STOP = b"\x20\x25"  # values on request only
+REQUEST_VALUES_LMS = b"\x30\x01"
+REQUEST_VALUES_PLS = b"\x30\x05\xb4"
+STATUS = b"\x31"
+ERRORS = b"\x32"
+RESET = b"\x10"
+
+BAUD_CODES = {38400: 0x40, 19200: 0x41, 9600: 0x42, 500000: 0x48}
+PASSWORDS = {"pls": b"SICK_PLS", "lms": b"SICK_LMS"}
+_MODE = 0x20
+_INSTALLATION = 0x00
+
+
+class ReplyCode(IntEnum):
+    """First byte of a scanner's telegram."""
+
+    POWER_ON = 0x90
+    RESET = 0x91
+    REFUSED = 0x92
+    MODE = 0xA0
+    SCAN = 0xB0
+    STATUS = 0xB1
+    ERRORS = 0xB2
+
+
+class ModeResult(IntEnum):
+    """What came of a change of mode."""
+
+    OK = 0
+    WRONG_PASSWORD = 1
+    FAULT = 2
+
+
+class Severity(IntEnum):
+    """Kind of an entry in the scanner's list of errors."""
+
+    NONE = 0
+    INFO = 1
+    WARNING = 2
+    ERROR = 3
+    FATAL = 4
+
+
+class ReplyFault(Enum):
+    """Why a whole telegram of the scanner was not understood."""
+
+    UNKNOWN_CODE = "unknown reply"
+    BAD_STRUCTURE = "reply with the wrong structure"
+
+
+@dataclass(frozen=True)
+class PowerOn:
+    """The scanner has started; it now runs at its own rate and in no measuring mode."""
+
+    identity: str
+
+
+@dataclass(frozen=True)
+class ResetDone:
+    """The scanner is about to start anew."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The scanner did not accept a command."""
+
+
+@dataclass(frozen=True)
+class ModeChanged:
+    """Answer to a change of mode, of rate included."""
+
+    result: ModeResult
+
+
+@dataclass(frozen=True)
+class StatusReport:
+    """The scanner's own description; its layout differs from model to model, so it stays bytes."""
+
+    content: bytes
+
+
+@dataclass(frozen=True)
+class ErrorReport:
+    """The scanner's list of errors: (severity, number)."""
+
+    entries: tuple[tuple[Severity, int], ...]
+
+
+Reply = PowerOn | ResetDone | Refused | ModeChanged | StatusReport | ErrorReport
+
+
+def installation_mode(password: bytes) -> bytes:
+    """Open the scanner's settings; every other change of mode closes them."""
+    return bytes((_MODE, _INSTALLATION)) + password
+
+
+def set_baud(baud: int) -> bytes:
+    """Change the scanner's rate.
+
+    Raises:
+        KeyError: the scanner has no such rate.
+    """
+    return bytes((_MODE, BAUD_CODES[baud]))
+
+
+def parse_reply(payload: bytes) -> Reply | ReplyFault:
+    """Understand any telegram of the scanner but a scan. ``payload`` is not empty."""
+    code, content = payload[0], payload[1:-1]
+    if code == ReplyCode.POWER_ON:
+        return PowerOn(content.decode("ascii", errors="replace").strip())
+    if code == ReplyCode.RESET:
+        return ResetDone()
+    if code == ReplyCode.REFUSED:
+        return Refused()
+    if code == ReplyCode.STATUS:
+        return StatusReport(content)
+    if code == ReplyCode.MODE:
+        known = len(content) == 1 and content[0] in set(ModeResult)
+        return ModeChanged(ModeResult(content[0])) if known else ReplyFault.BAD_STRUCTURE
+    if code == ReplyCode.ERRORS:
+        pairs = [(content[i], content[i + 1]) for i in range(0, len(content) - 1, 2)]
+        if len(content) % 2 or any(kind not in set(Severity) for kind, _ in pairs):
+            return ReplyFault.BAD_STRUCTURE
+        return ErrorReport(tuple((Severity(kind), number) for kind, number in pairs))
+    return ReplyFault.UNKNOWN_CODE

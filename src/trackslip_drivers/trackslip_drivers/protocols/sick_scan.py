@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scans of SICK scanners: ``B0 | count LE16 | count values LE16 | status``, and what they measure.
+
+    count   bits 0-8 number of values, 11-12 quarter of a degree that an interlaced scan starts at,
+            14-15 unit (LMS: 0 cm, 1 mm, 2 or 3 dm; the PLS measures in cm whatever they say)
+    value   bits 0-12 distance, 13 glare, 14 warning field, 15 safety field
+    status  bits 0-2 severity, 5 restart, 6 implausible, 7 pollution (the listing is the LMS')
+
+The first value is the ray at -90 degrees, the others follow counter-clockwise.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_drivers.protocols.sick_commands import ReplyCode
+from trackslip_drivers.protocols.sick_telegram import Telegram
+from trackslip_drivers.records import FloatArray, ScanSample
+from trackslip_drivers.sick_parameters import SickParameters
+
+UintArray = NDArray[np.uint16]
+
+ANGLE_MIN = -math.pi / 2
+_HALF_DEGREE = math.pi / 360
+_INCREMENTS = {361: _HALF_DEGREE, 360: _HALF_DEGREE, 181: 2 * _HALF_DEGREE, 180: 2 * _HALF_DEGREE}
+
+_COUNT_MASK = 0x01FF
+_PARTIAL_SHIFT, _UNIT_SHIFT, _TWO_BITS = 11, 14, 0x3
+_DISTANCE_MASK = 0x1FFF
+_GLARE = 0x2000
+_LMS_UNITS = (0.01, 0.001, 0.1, 0.1)  # m
+_PLS_UNIT = 0.01  # m
+
+# The LMS keeps its highest distances to say why there is none; all but one mean 'invalid'.
+_LMS_FIRST_RESERVED = 8183
+_LMS_BEYOND_RANGE = 8183
+_LMS_DAZZLED = 8190
+_PLS_BEYOND_RANGE = 8191  # what our encoder writes: anything above the PLS' range would do
+
+_SEVERITY_MASK, _RESTART, _IMPLAUSIBLE, _POLLUTION = 0x07, 0x20, 0x40, 0x80
+_NS_PER_S = 1_000_000_000
+
+
+class ScanFault(Enum):
+    """Why a whole scan telegram was thrown away."""
+
+    BAD_STRUCTURE = "scan with the wrong length"
+    UNKNOWN_COUNT = "scan with an unknown number of rays"
+    NOT_STREAMING = "scan before streaming was asked for"
+
+
+@dataclass(frozen=True)
+class DeviceStatus:
+    """The status byte, taken apart."""
+
+    severity: int  # as ``sick_commands.Severity``
+    restart: bool
+    implausible: bool
+    pollution: bool
+
+    @staticmethod
+    def from_byte(byte: int) -> "DeviceStatus":
+        """Read the flags."""
+        return DeviceStatus(
+            byte & _SEVERITY_MASK, bool(byte & _RESTART), bool(byte & _IMPLAUSIBLE), bool(byte & _POLLUTION)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class RawScan:
+    """A scan telegram's content, numbers as sent."""
+
+    values: UintArray  # (n,) with their flags
+    status: int
+    unit: int = 0
+    partial: int = 0
+
+    @property
+    def distances(self) -> UintArray:
+        """(n,) in the scanner's unit, without flags."""
+        return self.values & np.uint16(_DISTANCE_MASK)
+
+    @property
+    def glare(self) -> NDArray[np.bool_]:
+        """(n,) whether a ray was dazzled."""
+        return np.bitwise_and(self.values, np.uint16(_GLARE)).astype(np.bool_)
+
+    def payload(self) -> bytes:
+        """The telegram's payload."""
+        count = len(self.values) | self.partial << _PARTIAL_SHIFT | self.unit << _UNIT_SHIFT
+        head = bytes((ReplyCode.SCAN,)) + count.to_bytes(2, "little")
+        return head + self.values.astype("<u2").tobytes() + bytes((self.status,))
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A decoded scan, and how the scanner felt."""
+
+    sample: ScanSample
+    status: DeviceStatus
+
+
+def parse_scan(payload: bytes) -> RawScan | ScanFault:
+    """Take a B0 payload apart."""
+    if len(payload) < 4 or payload[0] != ReplyCode.SCAN:
+        return ScanFault.BAD_STRUCTURE
+    word = int.from_bytes(payload[1:3], "little")
+    count = word & _COUNT_MASK
+    if len(payload) != 4 + 2 * count:
+        return ScanFault.BAD_STRUCTURE
+    values = np.frombuffer(payload, dtype="<u2", count=count, offset=3).astype(np.uint16)
+    return RawScan(values, payload[-1], word >> _UNIT_SHIFT & _TWO_BITS, word >> _PARTIAL_SHIFT & _TWO_BITS)
+
+
+def ranges_of(raw: RawScan, parameters: SickParameters) -> FloatArray:
+    """(n,) m; +inf no return, -inf too close, nan invalid (REP-117)."""
+    is_lms = parameters.model == "lms"
+    ranges = raw.distances.astype(np.float64) * (_LMS_UNITS[raw.unit] if is_lms else _PLS_UNIT)
+    ranges[ranges < parameters.range_min] = -np.inf
+    ranges[ranges > parameters.range_max] = np.inf
+    if is_lms:
+        ranges[raw.distances >= _LMS_FIRST_RESERVED] = np.nan
+        ranges[raw.distances == _LMS_BEYOND_RANGE] = np.inf
+    if parameters.glare_is_nan:
+        ranges[raw.glare] = np.nan
+    return ranges
+
+
+def values_of(ranges: FloatArray, parameters: SickParameters) -> UintArray:
+    """What a scanner measuring in cm would send for these ranges (m); the inverse of ``ranges_of``."""
+    is_lms = parameters.model == "lms"
+    beyond = _LMS_BEYOND_RANGE if is_lms else _PLS_BEYOND_RANGE
+    invalid = _LMS_DAZZLED if is_lms else _GLARE
+    distances = np.clip(np.rint(ranges / _PLS_UNIT), 0, beyond)
+    return np.where(np.isnan(ranges), invalid, distances).astype(np.uint16)
+
+
+def decode_scan(telegram: Telegram, parameters: SickParameters) -> Scan | ScanFault:
+    """The scan in a telegram, stamped with the time of its first ray.
+
+    The scanner sends a scan when the mirror has completed its turn: the turn began one scan time before
+    the telegram did.
+    """
+    raw = parse_scan(telegram.payload)
+    if isinstance(raw, ScanFault):
+        return raw
+    increment = _INCREMENTS.get(len(raw.values))
+    if increment is None:
+        return ScanFault.UNKNOWN_COUNT
+    sample = ScanSample(
+        stamp_ns=telegram.start_ns + round((parameters.time_offset - parameters.scan_time) * _NS_PER_S),
+        angle_min=ANGLE_MIN + raw.partial * _HALF_DEGREE / 2,
+        angle_increment=increment,
+        time_increment=parameters.scan_time * increment / (2 * math.pi),
+        scan_time=parameters.scan_time,
+        range_min=parameters.range_min,
+        range_max=parameters.range_max,
+        ranges=ranges_of(raw, parameters),
+    )
+    return Scan(sample, DeviceStatus.from_byte(raw.status))
+
+
+def encode_scan(sample: ScanSample, parameters: SickParameters, status: int = 0) -> bytes:
+    """The payload that decodes to this sample, in cm; its stamp is not part of it."""
+    partial = round((sample.angle_min - ANGLE_MIN) / (_HALF_DEGREE / 2))
+    return RawScan(values_of(sample.ranges, parameters), status, partial=partial).payload()

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The host's side of the talk with a SICK scanner, from any state it may be in to streaming scans.
+
+    stop (0x25) at each rate until it answers → installation mode → set the rate → switch the host
+    → pause → stop → stream all values (0x24); from the start again when the scanner falls silent.
+
+The owner has the port and the clock. It gives what it read to ``receive``, then calls ``step`` and does
+what that says, at least every 20 ms:
+
+    scans = session.receive(port.read(), now_ns)
+    action = session.step(now_ns)
+    if action.baud is not None: set the port's rate
+    write action.write
+"""
+
+from collections import deque
+from collections.abc import Generator
+from dataclasses import dataclass
+from enum import Enum
+from typing import TypeVar
+
+from trackslip_common.tally import Tally
+from trackslip_drivers.protocols import sick_commands as commands
+from trackslip_drivers.protocols.sick_commands import (
+    ModeChanged,
+    ModeResult,
+    PowerOn,
+    Refused,
+    Reply,
+    ReplyCode,
+    ReplyFault,
+    ResetDone,
+)
+from trackslip_drivers.protocols.sick_scan import Scan, ScanFault, decode_scan
+from trackslip_drivers.protocols.sick_telegram import (
+    FROM_SENSOR,
+    MAX_TELEGRAM,
+    TO_SENSOR,
+    Control,
+    Telegram,
+    TelegramParser,
+    frame,
+)
+from trackslip_drivers.sick_parameters import SickParameters
+
+T = TypeVar("T")
+Script = Generator[None, None, T]  # resumed by each step; returns what came of it
+Answer = Reply | Control | None  # ACK: acknowledged, but no reply came; None: nothing came
+
+_SOURCE = "scan"
+_OK = ModeChanged(ModeResult.OK)
+_INBOX = 16
+_NS_PER_S = 1_000_000_000
+
+
+class Phase(Enum):
+    """Where the talk has got to."""
+
+    PROBING = "looking for the scanner's rate"
+    INSTALLING = "entering installation mode"
+    CHANGING_RATE = "changing the rate"
+    STARTING = "starting to stream"
+    STREAMING = "streaming"
+    STOPPING = "stopping"
+    STOPPED = "stopped"
+    FAILED = "password refused"
+
+
+class SessionFault(Enum):
+    """Why the start-up had to begin again."""
+
+    NO_ANSWER = "no answer at any rate"
+    REFUSED = "start-up refused or not answered"
+    SILENT = "scans stopped coming"
+    RESTARTED = "scanner restarted"
+
+
+@dataclass(frozen=True)
+class Action:
+    """What the port must do now: first change its rate, where one is given, then write."""
+
+    baud: int | None
+    write: bytes
+
+
+class SickSession:
+    """Brings a scanner to streaming and keeps it there.
+
+    ``baud`` is the rate the port must have; open it at that. Nothing more happens once ``phase`` is
+    STOPPED or FAILED. ``tally`` counts what was rejected, and each new start.
+    """
+
+    def __init__(self, parameters: SickParameters, tally: Tally) -> None:
+        self.tally = tally
+        self.phase = Phase.PROBING
+        self.baud = parameters.serial_baud
+        self._parameters = parameters
+        self._parser = TelegramParser(FROM_SENSOR, self.baud, parameters.bits_per_char, self.tally, _SOURCE)
+        self._inbox: deque[Reply | Control] = deque(maxlen=_INBOX)
+        self._now_ns = 0
+        self._last_byte_ns = 0
+        self._last_scan_ns = 0
+        self._new_baud: int | None = None
+        self._write = b""
+        self._script: Script[None] = self._run()
+
+    def receive(self, data: bytes, arrival_ns: int) -> list[Scan]:
+        """Take what one read returned (also nothing) and when; gives the scans that are now complete."""
+        if data:
+            self._last_byte_ns = arrival_ns
+        scans: list[Scan] = []
+        for event in self._parser.feed(data, arrival_ns):
+            result = event if isinstance(event, Control) else self._understand(event)
+            if isinstance(result, Scan):
+                scans.append(result)
+            elif isinstance(result, (ScanFault, ReplyFault)):
+                self.tally.add(_SOURCE, result)
+            else:
+                self._inbox.append(result)
+        return scans
+
+    def step(self, now_ns: int) -> Action:
+        """Go on with the talk, as far as it gets by now."""
+        self._now_ns = now_ns
+        next(self._script, None)
+        action = Action(self._new_baud, self._write)
+        self._new_baud, self._write = None, b""
+        return action
+
+    def stop(self) -> None:
+        """Have the scanner stop streaming; go on stepping until ``phase`` is STOPPED, then close the port."""
+        self._script = self._shut_down()
+
+    def _understand(self, telegram: Telegram) -> Scan | ScanFault | Reply | ReplyFault:
+        if telegram.payload[0] != ReplyCode.SCAN:
+            return commands.parse_reply(telegram.payload)
+        if self.phase is not Phase.STREAMING:
+            return ScanFault.NOT_STREAMING
+        self._last_scan_ns = telegram.end_ns
+        return decode_scan(telegram, self._parameters)
+
+    def _run(self) -> Script[None]:
+        while self.phase is not Phase.FAILED:
+            fault = yield from self._start_up()
+            if fault is None:
+                fault = yield from self._stream()
+            self.tally.add(_SOURCE, fault)
+
+    def _start_up(self) -> Script[SessionFault | None]:
+        """From anything to streaming; gives why that did not work, None when it did."""
+        self.phase = Phase.PROBING
+        if not (yield from self._find_baud()):
+            return SessionFault.NO_ANSWER
+        if self.baud != self._parameters.serial_baud and not (yield from self._change_baud()):
+            return SessionFault.REFUSED
+        self.phase = Phase.STARTING
+        if (yield from self._request(commands.STREAM_ALL)) != _OK:
+            return SessionFault.REFUSED
+        self.phase = Phase.STREAMING
+        return None
+
+    def _find_baud(self) -> Script[bool]:
+        """Say stop at each rate, the present one first, until one is answered."""
+        for baud in dict.fromkeys((self.baud, self._parameters.serial_baud, *sorted(commands.BAUD_CODES))):
+            self._switch_host(baud)
+            answer = yield from self._request(commands.STOP)
+            if isinstance(answer, PowerOn):
+                answer = yield from self._request(commands.STOP)
+            if answer == _OK:
+                return True
+        return False
+
+    def _change_baud(self) -> Script[bool]:
+        """Bring scanner and host to the rate wanted; the scanner still acknowledges at the old one."""
+        if self._parameters.model == "pls":
+            self.phase = Phase.INSTALLING
+            password = commands.PASSWORDS[self._parameters.model]
+            answer = yield from self._request(commands.installation_mode(password))
+            if answer == ModeChanged(ModeResult.WRONG_PASSWORD):
+                self.phase = Phase.FAILED
+            if answer != _OK:
+                return False
+        self.phase = Phase.CHANGING_RATE
+        command = commands.set_baud(self._parameters.serial_baud)
+        # Whether its reply, too, comes at the old rate is not certain: wait for it no longer than the pause.
+        answer = yield from self._request(command, self._parameters.baud_pause)
+        if answer not in (_OK, Control.ACK):
+            return False
+        self._switch_host(self._parameters.serial_baud)
+        yield from self._pause(self._parameters.baud_pause)
+        return (yield from self._request(commands.STOP)) == _OK
+
+    def _stream(self) -> Script[SessionFault]:
+        """Stay while scans come; gives why they do no more."""
+        self._last_scan_ns = self._now_ns
+        while self._now_ns - self._last_scan_ns < self._parameters.telegram_timeout * _NS_PER_S:
+            yield
+            while self._inbox:
+                if isinstance(self._inbox.popleft(), (PowerOn, ResetDone)):
+                    return SessionFault.RESTARTED
+        return SessionFault.SILENT
+
+    def _shut_down(self) -> Script[None]:
+        self.phase = Phase.STOPPING
+        yield from self._request(commands.STOP)
+        self.phase = Phase.STOPPED
+
+    def _request(self, command: bytes, reply_timeout: float | None = None) -> Script[Answer]:
+        """Send a command; wait for its acknowledgement, then for its reply."""
+        self._inbox.clear()
+        self._write = frame(command, TO_SENSOR)
+        ack_ns = round(self._parameters.ack_timeout * _NS_PER_S)
+        reply_ns = round((reply_timeout or self._parameters.mode_timeout) * _NS_PER_S)
+        answer: Answer = None
+        deadline_ns = self._now_ns + self._transfer_ns(len(self._write)) + ack_ns
+        # A scanner that is sending acknowledges when it has finished its telegram.
+        latest_ns = deadline_ns + self._transfer_ns(MAX_TELEGRAM)
+        while True:
+            yield
+            while self._inbox:
+                event = self._inbox.popleft()
+                if event is Control.ACK:
+                    answer, deadline_ns = event, self._now_ns + reply_ns
+                elif event is Control.NAK or isinstance(event, (ModeChanged, Refused, PowerOn)):
+                    return event
+            busy_until_ns = 0 if answer else min(self._last_byte_ns + ack_ns, latest_ns)
+            if self._now_ns >= max(deadline_ns, busy_until_ns):
+                return answer
+
+    def _pause(self, duration: float) -> Script[None]:
+        end_ns = self._now_ns + round(duration * _NS_PER_S)
+        while self._now_ns < end_ns:
+            yield
+
+    def _switch_host(self, baud: int) -> None:
+        if baud != self.baud:
+            self.baud = self._new_baud = baud
+            self._parser.set_baud(baud)
+
+    def _transfer_ns(self, count: int) -> int:
+        return count * self._parameters.bits_per_char * _NS_PER_S // self.baud

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cuts the byte stream of a Watson unit into lines or frames, stamps and decodes them."""
+
+from trackslip_common.tally import Tally
+from trackslip_drivers.protocols.watson import (
+    BITS_PER_CHAR,
+    TERMINATOR,
+    Layout,
+    Reading,
+    Rejection,
+    decode_frame,
+    decode_line,
+    to_sample,
+)
+from trackslip_drivers.records import ImuSample
+
+IMU = "imu/data_raw"
+FIELD = "imu/mag"
+
+_NS_PER_S = 1_000_000_000
+_BIT_7 = 0x80
+
+
+class WatsonStream:
+    """Bytes in, samples out; everything else is counted.
+
+    Holds at most one line's worth of bytes (``limit``), so no stream can make it grow.
+
+    Args:
+        layout: channels of the unit.
+        baud: line rate; a line was measured when its first character left, so its transfer time is taken
+            off the arrival of its last.
+        time_offset_ns: added to each stamp.
+        tally: counts what was rejected.
+    """
+
+    def __init__(self, layout: Layout, baud: int, time_offset_ns: int, tally: Tally) -> None:
+        self.tally = tally
+        self.limit = 4 * layout.line_length  # a banner's line may be longer than a line of data
+        self._layout = layout
+        self._baud = baud
+        self._time_offset_ns = time_offset_ns
+        self._pending = bytearray()
+        self._overlong = False
+
+    def feed(self, data: bytes, arrival_ns: int) -> list[ImuSample]:
+        """What one read returned; ``arrival_ns`` is when its last byte was there."""
+        samples = []
+        *ended, rest = data.split(TERMINATOR)
+        left = len(data)
+        for part in ended:
+            left -= len(part) + 1
+            self._hold(part)
+            sample = self._finish(arrival_ns - self._transfer_ns(left))
+            if sample is not None:
+                samples.append(sample)
+        self._hold(rest)
+        return samples
+
+    def reset(self) -> None:
+        """Forget a half-received line: the port was reopened."""
+        self._pending.clear()
+        self._overlong = False
+
+    def _hold(self, part: bytes) -> None:
+        """Keep bytes of an unfinished line, unless it has grown past any line's length."""
+        if self._overlong or len(self._pending) + len(part) > self.limit:
+            self._overlong = True
+            self._pending.clear()
+        else:
+            self._pending += part
+
+    def _finish(self, ended_ns: int) -> ImuSample | None:
+        """A CR has arrived: decode what it ends."""
+        line, overlong = bytes(self._pending), self._overlong
+        self.reset()
+        if overlong:
+            self.tally.add(IMU, Rejection.OVERLONG)
+            return None
+        stamp_ns = ended_ns - self._transfer_ns(len(line) + 1) + self._time_offset_ns
+        if not line.strip():
+            return None
+        reading = self._decode(line)
+        result = reading if isinstance(reading, Rejection) else to_sample(reading, stamp_ns)
+        if isinstance(result, Rejection):
+            self.tally.add(IMU, result)
+            return None
+        if result.magnetic_field is None and self._layout.has_field:
+            self.tally.add(FIELD, Rejection.INVALID)
+        return result
+
+    def _decode(self, line: bytes) -> Reading | Rejection:
+        """By the format that the bytes show."""
+        marked = sum(byte >= _BIT_7 for byte in line)
+        if marked == 0:
+            return decode_line(line, self._layout)
+        return decode_frame(line, self._layout) if marked == len(line) else Rejection.GARBLED
+
+    def _transfer_ns(self, count: int) -> int:
+        """How long ``count`` characters occupy the line."""
+        return count * BITS_PER_CHAR * _NS_PER_S // self._baud

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the sensors say, once their bytes are decoded: SI units, FLU axes, stamped in integer ns.
+
+A stamp is the time of the measurement on the host's clock, not of the arrival of its bytes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SprocketSample:
+    """Both sprockets; positive drives forward. Positions are continuous (unwrapped)."""
+
+    stamp_ns: int
+    left_position: float  # rad
+    right_position: float  # rad
+    left_velocity: float  # rad/s
+    right_velocity: float  # rad/s
+
+
+@dataclass(frozen=True)
+class HydraulicsSample:
+    """Travel motors: differential pressures, spool positions, supply."""
+
+    stamp_ns: int
+    left_pressure: float  # Pa, positive drives forward
+    right_pressure: float  # Pa
+    left_spool: float  # -1 … 1
+    right_spool: float  # -1 … 1
+    supply_pressure: float  # Pa
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """One line of the inertial unit, in FLU axes."""
+
+    stamp_ns: int
+    acceleration: Vector  # m/s², specific force: level rest reads +g on z
+    angular_velocity: Vector  # rad/s
+    magnetic_field: Vector | None  # T; None where the unit sends none
+    over_range: bool  # a channel was at its limit
+
+
+@dataclass(frozen=True, eq=False)
+class ScanSample:
+    """One sweep of the laser scanner; the stamp is that of its first ray."""
+
+    stamp_ns: int
+    angle_min: float  # rad
+    angle_increment: float  # rad, counter-clockwise
+    time_increment: float  # s between neighbouring rays
+    scan_time: float  # s between sweeps
+    range_min: float  # m
+    range_max: float  # m
+    ranges: FloatArray  # (n,) m; +inf no return, -inf too close, nan invalid (REP-117)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of the laser scanner; their values are in ``config/sick_pls.yaml``."""
+
+from dataclasses import dataclass
+
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_drivers.protocols.sick_commands import BAUD_CODES
+
+
+@dataclass(frozen=True, kw_only=True)
+class SickParameters(Parameters):
+    """What the driver needs to know of one scanner, and of the line to it."""
+
+    serial_port: str = parameter("device path or pyserial URL of the scanner")
+    serial_baud: int = parameter("rate that the scanner is switched to", unit="Bd", gt=0)
+    parity: str = parameter("parity of the line: N none, E even, O odd", choices=("N", "E", "O"))
+    frame_id: str = parameter("frame that the scan is given in")
+    time_offset: float = parameter("added to every stamp", unit="s")
+    model: str = parameter("kind of scanner", choices=("pls", "lms"))
+    range_min: float = parameter("nearer is 'too close' (-inf)", unit="m", ge=0.0)
+    range_max: float = parameter("farther is 'no return' (+inf)", unit="m", gt=0.0)
+    glare_is_nan: bool = parameter("whether a ray with the glare flag is invalid (NaN)")
+    scan_time: float = parameter("one turn of the mirror", unit="s", gt=0.0)
+    ack_timeout: float = parameter("longest wait for the scanner to acknowledge", unit="s", gt=0.0)
+    mode_timeout: float = parameter("longest wait for a change of mode", unit="s", gt=0.0)
+    baud_pause: float = parameter("silence after a change of rate", unit="s", ge=0.0)
+    telegram_timeout: float = parameter("silence after which the start-up is repeated", unit="s", gt=0.0)
+
+    def __post_init__(self) -> None:
+        """Check what concerns one field, then what concerns several.
+
+        Raises:
+            InputError: a value is out of range, or the scanner has no such rate.
+        """
+        super().__post_init__()
+        if self.serial_baud not in BAUD_CODES:
+            rates = ", ".join(str(rate) for rate in sorted(BAUD_CODES))
+            raise InputError(f"SickParameters.serial_baud: {self.serial_baud} is not one of {rates}")
+        if self.range_min >= self.range_max:
+            accepted = f"accepted: below range_max = {self.range_max:g} m"
+            raise InputError(f"SickParameters.range_min: {self.range_min:g} m; {accepted}")
+
+    @property
+    def bits_per_char(self) -> int:
+        """Start, eight data, parity where there is one, stop."""
+        return 10 if self.parity == "N" else 11

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ports and buses: the part of the drivers that blocks, fails, and owns clocks."""

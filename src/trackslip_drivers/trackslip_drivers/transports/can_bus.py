@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A CAN bus behind python-can: SocketCAN on the vehicle, UDP multicast between processes, virtual in one."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import can
+
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG
+from trackslip_drivers.transports.link import READ_TIMEOUT_S
+
+CanFrame = tuple[int, bytes]  # (arbitration id, payload); ERROR_FLAG is set in the id of error frames
+
+REMOTE_FLAG = 1 << 30
+STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
+
+_NS_PER_S = 1_000_000_000
+_MOST_FRAMES = 64  # handed on at once
+_SEND_TIMEOUT_S = 0.1
+
+
+class CanBus:
+    """An open bus (a ``link.Port`` of frames).
+
+    Args:
+        interface: python-can's name of it.
+        channel: device, or multicast address.
+        port: UDP port, used by ``udp_multicast`` alone.
+
+    Raises:
+        can.CanError, OSError, ImportError: it cannot be opened.
+    """
+
+    def __init__(self, interface: str, channel: str, port: int) -> None:
+        self.note = ""
+        options: dict[str, Any] = {"port": port} if interface == "udp_multicast" else {}
+        self._bus = can.Bus(channel=channel, interface=interface, **options)
+
+    def read(self) -> Sequence[tuple[CanFrame, int]]:
+        """The frames that are there, once there is one, each with its time of reception."""
+        frames: list[tuple[CanFrame, int]] = []
+        message = self._bus.recv(READ_TIMEOUT_S)
+        while message is not None:
+            frames.append(((_flagged_id(message), bytes(message.data)), _stamp_ns(message)))
+            message = self._bus.recv(0.0) if len(frames) < _MOST_FRAMES else None
+        return frames
+
+    def write(self, data: CanFrame) -> None:
+        """Send one data frame with a 29-bit id.
+
+        Raises:
+            can.CanError: the bus did not take it.
+        """
+        message = can.Message(arbitration_id=data[0], data=data[1], is_extended_id=True)
+        self._bus.send(message, timeout=_SEND_TIMEOUT_S)
+
+    def close(self) -> None:
+        """Release the bus."""
+        self._bus.shutdown()
+
+
+def _flagged_id(message: can.Message) -> int:
+    """The id, with a flag for every kind of frame that is not an extended data frame."""
+    if message.is_error_frame:
+        return message.arbitration_id | ERROR_FLAG
+    flags = REMOTE_FLAG if message.is_remote_frame else 0
+    return message.arbitration_id | flags | (0 if message.is_extended_id else STANDARD_FLAG)
+
+
+def _stamp_ns(message: can.Message) -> int:
+    """The kernel's time stamp where there is one: it does not suffer from a busy host."""
+    return round(message.timestamp * _NS_PER_S) if message.timestamp > 0.0 else time.time_ns()

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The connect–read–back-off loop of every sensor, in a thread of its own.
+
+Whatever goes wrong with a sensor ends here: the port is closed, the error is counted and kept as text for
+diagnostics, and the port is opened again after a pause. The process goes on.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+T = TypeVar("T")
+
+READ_TIMEOUT_S = 0.1  # longest wait of a port: how soon ``stop`` is noticed
+FIRST_PAUSE_S = 0.1
+LONGEST_PAUSE_S = 2.0
+_STOP_S = 0.4
+
+
+class Port(Protocol[T]):
+    """An open transport. Any exception from it means that it is to be closed and opened again."""
+
+    note: str  # what differs from what was asked for; empty when nothing does
+
+    def read(self) -> Sequence[tuple[T, int]]:
+        """What has arrived, each with its arrival in ns of system time; empty after READ_TIMEOUT_S."""
+
+    def write(self, data: T) -> None:
+        """Send, or raise."""
+
+    def close(self) -> None:
+        """Release the device; never called twice."""
+
+
+@dataclass(frozen=True)
+class LinkState:
+    """A look at a link, for diagnostics."""
+
+    connected: bool
+    since_s: float  # for how long connected or disconnected
+    openings: int  # times the port was opened; reconnections are one less
+    errors: int
+    last_error: str
+    note: str
+
+
+class Link(Generic[T]):
+    """Keeps one port open and hands on what it receives.
+
+    Args:
+        name: of the thread.
+        open_port: opens the port, or raises.
+        on_data: called in the link's thread with what arrived and its arrival in ns.
+        on_open: called in the link's thread after each opening, before any data: the moment to forget
+            half-received messages and to start a dialogue.
+        silence_s: a port that stays silent for longer is closed and opened again, as a line that hangs
+            half-open reports no error; infinite to wait for ever.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_port: Callable[[], Port[T]],
+        on_data: Callable[[T, int], None],
+        on_open: Callable[[], None],
+        silence_s: float,
+    ) -> None:
+        self._open_port = open_port
+        self._on_data = on_data
+        self._on_open = on_open
+        self._silence_s = silence_s
+        self._lock = threading.Lock()  # guards what follows
+        self._port: Port[T] | None = None
+        self._changed_s = time.monotonic()
+        self._openings = 0
+        self._errors = 0
+        self._last_error = ""
+        self._note = ""
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin connecting."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread and close the port; returns within half a second even if an opening hangs."""
+        self._stopping.set()
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join(_STOP_S)
+
+    def write(self, data: T) -> bool:
+        """Send, from any thread; False when there is no port or it refused."""
+        return self.use(lambda port: port.write(data))
+
+    def use(self, action: Callable[[Any], None]) -> bool:
+        """Do something with the open port, from any thread; False when there is none or it failed.
+
+        A failure is counted; a port that is truly gone fails in the loop as well, which then sees to it.
+        """
+        with self._lock:
+            port = self._port
+        if port is None:
+            return False
+        try:
+            action(port)
+        except Exception as error:  # noqa: BLE001 (whatever a library raises, the sensor is what failed)
+            self._note_error(error)
+            return False
+        return True
+
+    def state(self) -> LinkState:
+        """How the link is doing."""
+        with self._lock:
+            return LinkState(
+                connected=self._port is not None,
+                since_s=time.monotonic() - self._changed_s,
+                openings=self._openings,
+                errors=self._errors,
+                last_error=self._last_error,
+                note=self._note,
+            )
+
+    def _run(self) -> None:
+        """The loop; leaves only when stopped."""
+        pause_s = FIRST_PAUSE_S
+        while not self._stopping.is_set():
+            received = False
+            try:
+                port = self._open_port()
+                try:
+                    self._set_port(port)
+                    self._on_open()
+                    for data, arrival_ns in self._arrivals(port):
+                        received = True
+                        self._on_data(data, arrival_ns)
+                finally:
+                    self._set_port(None)
+                    port.close()
+            except Exception as error:  # noqa: BLE001 (whatever a library raises, the sensor is what failed)
+                self._note_error(error)
+            if received:  # a port that opens but never delivers is no reason to hurry
+                pause_s = FIRST_PAUSE_S
+            self._stopping.wait(pause_s)
+            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+
+    def _arrivals(self, port: Port[T]) -> Iterator[tuple[T, int]]:
+        """Everything that arrives until the link is stopped.
+
+        Raises:
+            TimeoutError: nothing came for too long.
+        """
+        heard_s = time.monotonic()
+        while not self._stopping.is_set():
+            arrived = port.read()
+            if arrived:
+                heard_s = time.monotonic()
+                yield from arrived
+            elif time.monotonic() - heard_s > self._silence_s:
+                raise TimeoutError(f"nothing received for {self._silence_s:g} s")
+
+    def _set_port(self, port: Port[T] | None) -> None:
+        with self._lock:
+            self._port = port
+            self._changed_s = time.monotonic()
+            if port is not None:
+                self._openings += 1
+                self._note = port.note
+
+    def _note_error(self, error: Exception) -> None:
+        with self._lock:
+            self._errors += 1
+            self._last_error = f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A serial port behind any pyserial URL: a device path, a pty, ``socket://``, ``rfc2217://``."""
+
+import termios
+import time
+from collections.abc import Sequence
+
+import serial
+
+from trackslip_drivers.transports.link import READ_TIMEOUT_S
+
+_MOST_BYTES = 4096  # handed on at once
+_WRITE_TIMEOUT_S = 0.5
+
+
+class SerialPort:
+    """An open port (a ``link.Port`` of bytes).
+
+    A pty carries no parity bit: the kernel refuses or ignores the setting. Then the port works without, and
+    ``note`` says so.
+
+    Args:
+        url: device path or pyserial URL.
+        baud: line rate.
+        parity: N, E or O.
+
+    Raises:
+        serial.SerialException, OSError, termios.error: it cannot be opened.
+    """
+
+    def __init__(self, url: str, baud: int, parity: str) -> None:
+        self.note = ""
+        try:
+            self._serial = self._open(url, baud, parity)
+        except termios.error:
+            if parity == serial.PARITY_NONE:
+                raise
+            self._serial = self._open(url, baud, serial.PARITY_NONE)
+            self._tell_parity(url, parity)
+        if parity != serial.PARITY_NONE and self._parity_was_ignored():
+            self._serial.parity = serial.PARITY_NONE  # or the next change of baud would fail
+            self._tell_parity(url, parity)
+
+    def read(self) -> Sequence[tuple[bytes, int]]:
+        """All that is there, once there is something; the time is that of its last byte."""
+        data = self._serial.read(1)
+        while data and len(data) < _MOST_BYTES and (waiting := self._serial.in_waiting):
+            data += self._serial.read(min(waiting, _MOST_BYTES))
+        return [(data, time.time_ns())] if data else []
+
+    def write(self, data: bytes) -> None:
+        """Send.
+
+        Raises:
+            serial.SerialException: the port is gone, or did not take the bytes in time.
+        """
+        self._serial.write(data)
+
+    def set_baud(self, baud: int) -> None:
+        """Change the rate of the open port, once what was written has left."""
+        self._serial.flush()
+        self._serial.baudrate = baud
+
+    def close(self) -> None:
+        """Release the device."""
+        self._serial.close()
+
+    @staticmethod
+    def _open(url: str, baud: int, parity: str) -> serial.Serial:
+        return serial.serial_for_url(
+            url, baud, parity=parity, timeout=READ_TIMEOUT_S, write_timeout=_WRITE_TIMEOUT_S
+        )
+
+    def _parity_was_ignored(self) -> bool:
+        """Whether the kernel left the parity off without a word; false where there is no terminal."""
+        try:
+            attributes = termios.tcgetattr(self._serial.fileno())
+        except (termios.error, OSError):  # a socket; pyserial's UnsupportedOperation is an OSError
+            return False
+        return not attributes[2] & termios.PARENB
+
+    def _tell_parity(self, url: str, parity: str) -> None:
+        self.note = f"{url} has no parity bit: opened without parity {parity}"

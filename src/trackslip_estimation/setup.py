@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "trackslip_estimation"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="Trackslip maintainers",
+    maintainer_email="maintainers@trackslip.invalid",
+    description="Pose and track slip of a tracked vehicle; recording, replay and study of bags",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "box_localizer = trackslip_estimation.nodes.box_localizer:main",
+            "slip_estimator = trackslip_estimation.nodes.slip_estimator:main",
+            "record = trackslip_estimation.nodes.record:main",
+            "trackslip = trackslip_estimation.cli.main:main",
+        ]
+    },
+)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the tracked machine is, how much each track slips, and what the ground is like."""

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator's parameters inside a bag: one std_msgs/String holding a ROS parameter file.
+
+A bag then replays with the vehicle it was recorded on, wherever its files have gone.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import flatten
+from trackslip_estimation.bags.reader import Bag
+
+PARAMETERS_TOPIC = "slip_estimator/parameters"
+PARAMETERS_TYPE = "std_msgs/msg/String"
+_NODE = "slip_estimator"
+
+
+def parameters_text(parameters: Mapping[str, Any]) -> str:
+    """The YAML text to put on ``PARAMETERS_TOPIC``; nested or dotted names, as a parameter file has them."""
+    text: str = yaml.safe_dump({_NODE: {"ros__parameters": dict(parameters)}}, sort_keys=False)
+    return text
+
+
+def bag_parameters(bag: Bag) -> dict[str, Any]:
+    """Dotted name → value of the parameters in a bag; empty where it holds none. The latest message counts.
+
+    Raises:
+        InputError: what is on the topic is no parameter file.
+    """
+    text = None
+    for message in bag.messages([PARAMETERS_TOPIC]):
+        text = bag.deserialize(message.raw, message.type_name).data
+    if text is None:
+        return {}
+    try:
+        return flatten(yaml.safe_load(text)[_NODE]["ros__parameters"])
+    except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"bag '{bag.path}': {PARAMETERS_TOPIC} holds no parameters of {_NODE}") from error

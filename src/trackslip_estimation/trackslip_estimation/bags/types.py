@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Message types without ROS: their definitions, hashes and a store that (de)serializes them.
+
+The standard types are those of rosbags for the ROS distribution in use. Every other type, the project's
+own among them, comes from its ``.msg`` file: installed (``AMENT_PREFIX_PATH``), or in the checkout.
+"""
+
+import os
+import re
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodetype
+from rosbags.interfaces.typing import FieldDesc, Typesdict
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from trackslip_common.errors import InputError
+
+DEFAULT_DISTRO = "kilted"
+
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*")
+_CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
+_CDR_SLACK = 64  # bytes accepted behind a message
+_IDL_SEPARATOR = "=" * 80 + "\n"
+
+
+def ros_distro() -> str:
+    """The ROS distribution whose messages are in use: the sourced one, or ``DEFAULT_DISTRO``."""
+    return os.environ.get("ROS_DISTRO") or DEFAULT_DISTRO
+
+
+@lru_cache(maxsize=1)
+def typestore() -> Typestore:
+    """The process' store of types; ``ensure`` adds to it."""
+    name = f"ros2_{ros_distro()}"
+    known = name in {store.value for store in Stores}
+    return get_typestore(Stores(name if known else f"ros2_{DEFAULT_DISTRO}"))
+
+
+def ensure(type_name: str) -> Typestore:
+    """The store, after adding ``type_name`` and the types inside it where they were unknown.
+
+    Raises:
+        InputError: the type or one inside it has no ``.msg`` file here, or the file cannot be parsed.
+    """
+    store = typestore()
+    if type_name not in store.fielddefs:
+        found: Typesdict = {}
+        _collect(type_name, store, found)
+        store.register(found)
+    return store
+
+
+def schema_text(type_name: str) -> str:
+    """The definition with those of all inner types, in the ``ros2msg`` form of MCAP schemas.
+
+    Raises:
+        InputError: the type is unknown.
+    """
+    text, _ = ensure(type_name).generate_msgdef(type_name, ros_version=2)
+    return text
+
+
+def type_hash(type_name: str) -> str:
+    """The RIHS01 hash of REP-2016 by which ROS tells versions of a type apart.
+
+    Raises:
+        InputError: the type is unknown.
+    """
+    return ensure(type_name).hash_rihs01(type_name)
+
+
+def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
+    """The store that reads ``type_name`` as a bag defines it.
+
+    It is the shared store where the bag's definition agrees with it, else one of the bag's own, so that
+    bags recorded with another version of a message still open.
+
+    Raises:
+        InputError: the bag holds no definition of the type and the type is unknown here.
+        TypesysError: the bag's definition cannot be parsed.
+    """
+    if definition.format == MessageDefinitionFormat.NONE:
+        return ensure(type_name)
+    defined = _parse(type_name, definition)
+    with suppress(InputError):  # where the type is known to the bag alone
+        shared = ensure(type_name)
+        if all(_fields(shared.fielddefs, name) == _fields(defined, name) for name in defined):
+            return shared
+    own = get_typestore(Stores.EMPTY)
+    own.register(defined)
+    return own
+
+
+def decode(store: Typestore, raw: bytes | memoryview, type_name: str) -> Any:
+    """CDR bytes → message, by the definitions in ``store``.
+
+    A few bytes behind the message are accepted, which rosbags' own ``deserialize_cdr`` refuses: rclpy's
+    ``serialize_message`` leaves four, unset, for each empty list of float64, and bags made by Python
+    scripts hold such messages. Those received from the network end where they should.
+
+    Raises:
+        ValueError: the bytes are not CDR, or far too many. Too few raise whatever rosbags does.
+    """
+    if len(raw) < _CDR_HEADER or raw[0] != 0 or raw[1] > 1:
+        raise ValueError("no CDR header")
+    definition = store.get_msgdef(type_name)
+    read = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
+    message, end = read(raw[_CDR_HEADER:], 0, definition.cls, store)
+    if len(raw) - _CDR_HEADER - end > _CDR_SLACK:
+        raise ValueError("more bytes than the message has")
+    return message
+
+
+def _parse(type_name: str, definition: MessageDefinition) -> Typesdict:
+    """A bag's schema → field definitions of the type and those inside it."""
+    if definition.format == MessageDefinitionFormat.MSG:
+        return get_types_from_msg(definition.data, type_name)
+    parts = definition.data.split(_IDL_SEPARATOR)
+    texts = [part.split("\n", 1)[-1] for part in parts[1:]] or parts
+    types: Typesdict = {}
+    for text in texts:
+        types |= get_types_from_idl(text)
+    return types
+
+
+def _fields(types: Typesdict, name: str) -> object:
+    return types[name][1] if name in types else None
+
+
+def _collect(type_name: str, store: Typestore, found: Typesdict) -> None:
+    """Add to ``found`` the type and those inside it that ``store`` does not know."""
+    path = _msg_file(type_name)
+    try:
+        found |= get_types_from_msg(path.read_text(encoding="utf-8"), type_name)
+    except (OSError, UnicodeDecodeError, TypesysError) as error:
+        raise InputError(f"{path}: not a message definition ({' '.join(str(error).split())})") from error
+    for inner in _inner_types(found, type_name):
+        if inner not in store.fielddefs and inner not in found:
+            _collect(inner, store, found)
+
+
+def _inner_types(types: Typesdict, name: str) -> list[str]:
+    """The message types that the fields of ``name`` are made of."""
+    names = []
+    for _, description in types[name][1]:
+        kind, detail = field_parts(description)
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            kind, detail = detail[0]
+        if kind == Nodetype.NAME:
+            names.append(str(detail))
+    return names
+
+
+def field_parts(description: FieldDesc) -> tuple[Nodetype, Any]:
+    """(kind, detail) of a field: (BASE, (name, size)), (NAME, type) or (ARRAY | SEQUENCE, (item, size)).
+
+    It exists for the type checker, to which rosbags' union of these tuples is opaque.
+    """
+    return Nodetype(description[0]), description[1]
+
+
+def _msg_file(type_name: str) -> Path:
+    """Where the type is defined.
+
+    Raises:
+        InputError: nowhere.
+    """
+    if _TYPE_NAME.fullmatch(type_name):
+        package, _, name = type_name.split("/")
+        prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        installed = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
+        checkout = [parent / "src" / package for parent in Path(__file__).resolve().parents]
+        for directory in installed + checkout:
+            path = directory / "msg" / f"{name}.msg"
+            if path.is_file():
+                return path
+    raise InputError(
+        f"unknown message type '{type_name}'; accepted: package/msg/Name "
+        "with share/package/msg/Name.msg on AMENT_PREFIX_PATH"
+    )

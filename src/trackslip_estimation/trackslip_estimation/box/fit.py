@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rectangle fitted to the beams on it: pose of its centre in the laser frame, with its covariance.
+
+    q = (x, y, ψ)  centre and heading of the rectangle     m, m, rad
+    a, b           half sides along and across the heading m
+    ρ_i(q)         range of beam i on the rectangle        m
+    θ_R(q), θ_L(q) angles of its outline, right and left   rad
+    σ              noise of one range, rounding included   m
+    s              standard deviation of an end            rad
+
+The measurement model is the ray cast itself: of the sides that face the laser a beam meets the last entered,
+so ρ_i is the larger of the distances to their lines. What the ends say stands beside the ranges: the last
+beam on the box hits and the next one passes, so θ_L is uniform between their angles (s = width/√12).
+
+The most likely q is found by Gauss–Newton with Huber's weights. Near the view onto one side the outline has
+a cusp (ψ and −ψ look alike) and the second side has no beam or one, so the curvature at the optimum misleads.
+Therefore mean and covariance are those of the posterior itself: the likelihood is summed over a fixed
+set of points spread about the optimum (importance sampling without chance: the same scan gives the same fix).
+There the ends are uniform as they are; for the optimum alone they stand in as Gaussian of the same variance.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, ndtri
+from scipy.stats import chi2, qmc
+
+from trackslip_estimation.box.clusters import Beams
+
+FloatArray = NDArray[np.float64]
+
+HUBER = 2.5  # standard deviations up to which a residual counts in full
+STEP = 1e-6  # m and rad, of the numerical derivatives
+FAINT = 1e-6  # information in 1/m² and 1/rad² where the beams give none
+EDGE_SOFTNESS = 0.05  # of the beam spacing: a beam is not infinitely thin
+POINTS = 512  # a power of two, as Sobol's sequence wants
+TAILS = 5.0  # degrees of freedom of the Student distribution the points are spread by
+COOLING = (16.0, 4.0, 1.0, 1.0)  # temperature of each round
+WIDENING = 1.3  # of the spread found in the round before
+BLUR = 0.2  # of the beam spacing: least first spread
+FEWEST_POINTS = 4.0  # effective number below which a round says nothing
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Sides of the box: along and across its heading, m."""
+
+    length: float
+    width: float
+
+    @property
+    def diagonal(self) -> float:
+        """Longest extent, m."""
+        return float(np.hypot(self.length, self.width))
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The most likely pose (3,) of the box in the laser frame.
+
+    information: (3, 3), the inverse covariance to first order. chi2: sum of squared normalised residuals,
+    linear beyond HUBER, with ``freedom`` degrees of freedom.
+    """
+
+    pose: FloatArray
+    information: FloatArray
+    chi2: float
+    freedom: int
+
+
+def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What the laser would see of rectangles at ``poses`` (M, 3).
+
+    Returns:
+        ranges (M, N), m, for beams at ``angles`` (N,); a beam that passes by gets the range of the corner
+        nearest to it, so that ranges stay continuous in the pose. Outline (M, 2): right and left angle, rad.
+    """
+    x, y, heading = poses[:, :1], poses[:, 1:2], poses[:, 2:]
+    cos, sin = np.cos(heading), np.sin(heading)
+    along = box.length / 2.0 * np.array([1.0, 1.0, -1.0, -1.0])
+    across = box.width / 2.0 * np.array([1.0, -1.0, 1.0, -1.0])
+    corner_x, corner_y = x + cos * along - sin * across, y + sin * along + cos * across
+    corner_angle = np.arctan2(x * corner_y - y * corner_x, x * corner_x + y * corner_y)
+    bearing = np.arctan2(y, x)
+    right = bearing + corner_angle.min(axis=1, keepdims=True)
+    left = bearing + corner_angle.max(axis=1, keepdims=True)
+    seen = np.clip(angles, right, left) - heading
+    ahead = _distance(-(cos * x + sin * y), box.length / 2.0, np.cos(seen))
+    beside = _distance(sin * x - cos * y, box.width / 2.0, np.sin(seen))
+    return np.maximum(np.maximum(ahead, beside), 0.0), np.hstack([right, left])
+
+
+def _distance(laser: FloatArray, half: float, direction: FloatArray) -> FloatArray:
+    """Along beams to the line of the side that faces the laser; −∞ where neither of the two sides does."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (np.copysign(half, laser) - laser) / direction
+    return np.where(np.abs(laser) > half, distance, -np.inf)
+
+
+def residuals(poses: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:
+    """Normalised residuals (M, N + 2): one per beam, then the right and the left end."""
+    ranges, outline = ray_cast(poses, box, beams.angles)
+    intervals = np.array([beams.right, beams.left])
+    ends = (outline - intervals.mean(axis=1)) / (np.diff(intervals, axis=1)[:, 0] / np.sqrt(12.0))
+    return np.hstack([(ranges - beams.ranges) / range_stddev, ends])
+
+
+def starts(headings: FloatArray, box: Rectangle, beams: Beams) -> FloatArray:
+    """Poses (M, 3) with these headings, moved so that outline and mean range match the beams."""
+    middle = 0.25 * (sum(beams.right) + sum(beams.left))
+    distance = np.full(headings.shape, float(beams.ranges.mean()) + 0.25 * (box.length + box.width))
+    bearing = np.full(headings.shape, middle)
+    for _ in range(2):
+        poses = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing), headings])
+        ranges, outline = ray_cast(poses, box, beams.angles)
+        distance = distance + (beams.ranges - ranges).mean(axis=1)
+        bearing = bearing + middle - outline.mean(axis=1)
+    return np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing), headings])
+
+
+def likely_starts(headings: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:
+    """Those of ``starts`` (M, 3) that fit better than both their neighbours, best first."""
+    poses = starts(headings, box, beams)
+    cost = _huber(residuals(poses, box, beams, range_stddev)).sum(axis=1)
+    beside = np.concatenate([[np.inf], cost, [np.inf]])
+    lowest = np.flatnonzero((cost <= beside[:-2]) & (cost <= beside[2:]))
+    return poses[lowest[np.argsort(cost[lowest], kind="stable")]]
+
+
+def _huber(residual: FloatArray) -> FloatArray:
+    """Squared residual, growing linearly beyond HUBER."""
+    size = np.abs(residual)
+    return np.where(size <= HUBER, size**2, 2.0 * HUBER * size - HUBER**2)
+
+
+def most_likely(start: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> Optimum:
+    """Damped Gauss–Newton from a pose (3,) near the box."""
+    stencil = np.vstack([np.zeros(3), STEP * np.eye(3), -STEP * np.eye(3)])
+
+    def look(at: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        values = residuals(at + stencil, box, beams, range_stddev)
+        jacobian = (values[1:4] - values[4:7]).T / (2.0 * STEP)
+        weighted = jacobian.T * np.minimum(1.0, HUBER / np.maximum(np.abs(values[0]), HUBER))
+        return float(_huber(values[0]).sum()), weighted @ jacobian, weighted @ values[0]
+
+    pose, damping = start, 1e-3
+    cost, information, gradient = look(pose)
+    for _ in range(20):
+        damped = information + damping * np.diag(np.diag(information)) + FAINT * np.eye(3)
+        move = np.linalg.solve(damped, -gradient)
+        trial_cost, trial_information, trial_gradient = look(pose + move)
+        if not trial_cost < cost:
+            damping *= 10.0
+            continue
+        gain, pose = cost - trial_cost, pose + move
+        cost, information, gradient = trial_cost, trial_information, trial_gradient
+        damping *= 0.1
+        if gain < 1e-4:
+            break
+    return Optimum(pose, information + FAINT * np.eye(3), cost, len(beams.ranges) + 2 - 3)
+
+
+def posterior(
+    optimum: Optimum, box: Rectangle, beams: Beams, range_stddev: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (3,) and covariance (3, 3) of the pose in the laser frame, within ±π/4 of the optimum's heading.
+
+    Points spread by the widened first-order covariance are weighed by the likelihood to the power
+    1/temperature; their moments spread the next round's. Cooling lets them find modes that the curvature
+    does not show.
+    """
+    points, log_density = _spread_points()
+    pose, covariance = optimum.pose, 4.0 * np.linalg.inv(optimum.information)
+    blur = BLUR * beams.spacing * float(beams.ranges.mean())
+    covariance = covariance + blur**2 * np.diag([1.0, 1.0, 4.0 / (box.length * box.width)])
+    for temperature in COOLING:
+        poses = pose + WIDENING * points @ np.linalg.cholesky(covariance).T
+        log_weight = _log_likelihood(poses, box, beams, range_stddev) / temperature - log_density
+        log_weight[np.abs(poses[:, 2] - optimum.pose[2]) > np.pi / 4.0] = -np.inf
+        weight = np.exp(log_weight - log_weight.max())
+        weight /= weight.sum()
+        if weight @ weight > 1.0 / FEWEST_POINTS:
+            continue
+        pose = weight @ poses
+        offset = poses - pose
+        covariance = (weight[:, np.newaxis] * offset).T @ offset
+    return pose, covariance
+
+
+def seen_through(
+    pose: FloatArray, box: Rectangle, ranges: FloatArray, angles: FloatArray, margin: float
+) -> int:
+    """How many beams of the whole scan pass well inside the outline of a box at ``pose`` (3,) and end behind.
+
+    ``margin``: range beyond the box's side that noise does not explain, m. One beam spacing within the
+    outline is left out.
+    """
+    expected, outline = ray_cast(pose[np.newaxis], box, angles)
+    spacing = angles[1] - angles[0]
+    inside = (angles > outline[0, 0] + spacing) & (angles < outline[0, 1] - spacing)
+    return int(np.count_nonzero(inside & (ranges > expected[0] + 0.5 * box.width + margin)))
+
+
+def _log_likelihood(poses: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:
+    """Of the beams at poses (M, 3), up to a constant: ranges with Huber's tails, uniform ends."""
+    ranges, outline = ray_cast(poses, box, beams.angles)
+    intervals = np.array([beams.right, beams.left])
+    soft = EDGE_SOFTNESS * beams.spacing
+    inside = log_ndtr((outline - intervals[:, 0]) / soft) + log_ndtr((intervals[:, 1] - outline) / soft)
+    squares = _huber((ranges - beams.ranges) / range_stddev)
+    total: FloatArray = inside.sum(axis=1) - 0.5 * squares.sum(axis=1)
+    return total
+
+
+@cache
+def _spread_points() -> tuple[FloatArray, FloatArray]:
+    """Points (M, 3) of a normalised Student distribution, their log density (M,) up to a constant."""
+    uniform = qmc.Sobol(4, scramble=True, seed=1).random(POINTS)
+    radius2 = chi2.ppf(uniform[:, 3], TAILS) / TAILS
+    points = ndtri(uniform[:, :3]) / np.sqrt(radius2)[:, np.newaxis]
+    log_density = -0.5 * (TAILS + 3.0) * np.log1p((points**2).sum(axis=1) / TAILS)
+    return points, log_density

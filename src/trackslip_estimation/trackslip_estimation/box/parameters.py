@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the box localizer must be told (``config/box_localizer.yaml`` holds the values)."""
+
+from dataclasses import dataclass
+
+from trackslip_common.parameters import Parameters, parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxLocalizerParameters(Parameters):
+    """The laser's place and noise, where the vehicle starts, and what is refused."""
+
+    laser_x: float = parameter("laser in the frame odom, x", unit="m")
+    laser_y: float = parameter("laser in the frame odom, y", unit="m")
+    laser_yaw: float = parameter("direction of the laser's middle beam in odom", unit="rad")
+    range_stddev: float = parameter("noise of one range before rounding", unit="m", gt=0.0)
+    range_resolution: float = parameter("step to which the laser rounds ranges", unit="m", ge=0.0)
+    initial_x: float = parameter("base_link in odom at the start, x", unit="m")
+    initial_y: float = parameter("base_link in odom at the start, y", unit="m")
+    initial_yaw: float = parameter("heading at the start; decides which side is the front", unit="rad")
+    initial_reach: float = parameter("distance about the initial place that is searched", unit="m", gt=0.0)
+    minimum_beams: int = parameter("beams that must hit the box", ge=3)
+    grazing_angle: float = parameter(
+        "flattest view of a side that still makes one cluster", unit="rad", gt=0.0, lt=1.57
+    )
+    fit_probability: float = parameter("χ² probability above which a fit is refused", gt=0.5, lt=1.0)
+    gate_distance: float = parameter("distance from the prediction allowed at once", unit="m", gt=0.0)
+    gate_yaw: float = parameter("heading difference allowed at once", unit="rad", gt=0.0, lt=0.785)
+    top_speed: float = parameter("widens gate_distance while no fix comes", unit="m/s", gt=0.0)
+    top_yaw_rate: float = parameter("widens gate_yaw while no fix comes", unit="rad/s", gt=0.0)
+    velocity_gain: float = parameter("share of a fix's surprise that corrects the velocity", gt=0.0, le=1.0)
+    coast_time: float = parameter("longest extrapolation at constant velocity", unit="s", gt=0.0)

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Doubt about which sides of the box are seen, after a loss in which it could have turned by a quarter.
+
+    Λ  χ² of the fit believed less that of the fit a quarter turn away, summed over scans
+    p  probability of the other, 1/(1 + e^{−Λ/2})
+
+The sides differ by little: one scan decides seldom, the sum does. Until then the heading's variance shows it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+DECISIVE = 16.0  # |Λ| that ends the doubt: odds of 1 to 3000
+LARGEST_STEP = 9.0  # of Λ in one scan: no single scan decides
+
+
+@dataclass(frozen=True)
+class SideDoubt:
+    """turn: from the heading believed to the other, ±π/2 rad; evidence: Λ, positive against the belief."""
+
+    turn: float
+    evidence: float
+
+    def after(self, difference: float) -> "SideDoubt | None":
+        """With one more scan's Λ: turned over where the belief is refuted, None where it is confirmed."""
+        evidence = self.evidence + float(np.clip(difference, -LARGEST_STEP, LARGEST_STEP))
+        if evidence <= -DECISIVE:
+            return None
+        if evidence > 0.0:
+            return SideDoubt(-self.turn, -evidence)
+        return SideDoubt(self.turn, evidence)
+
+    def yaw_variance(self) -> float:
+        """Second moment of the other heading about the one believed, rad²."""
+        return float(self.turn**2 / (1.0 + np.exp(-0.5 * self.evidence)))

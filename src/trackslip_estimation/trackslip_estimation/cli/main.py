@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip``: the workbench around bags."""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from trackslip_common.errors import ExitCode, InputError
+
+# name → module with DESCRIPTION, EXAMPLE, add_arguments and run; those of the simulator where it is installed
+_COMMANDS = {
+    "import": "trackslip_estimation.cli.import_command",
+    "info": "trackslip_estimation.cli.info_command",
+    "replay": "trackslip_estimation.cli.replay_command",
+    "simulate": "trackslip_sim.cli",
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse, with one line on stderr for bad input."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the command line."""
+        raise InputError(f"{self.prog}: {message} (see {self.prog} --help)")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    try:
+        args = _parser().parse_args(argv)
+        code: int = args.run(args)
+        return code
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    except KeyboardInterrupt:
+        return ExitCode.INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has left
+        sys.stdout = None
+        return ExitCode.DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="trackslip", description=__doc__)
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for name, module_name in _COMMANDS.items():
+        try:
+            module = importlib.import_module(module_name)
+        except ModuleNotFoundError as error:
+            if error.name is None or error.name not in module_name:
+                raise
+            continue
+        command = commands.add_parser(
+            name,
+            help=module.DESCRIPTION,
+            description=module.DESCRIPTION,
+            epilog=f"example: {module.EXAMPLE}",
+        )
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between messages and the estimator's records. Knows both sides; holds no logic.
+
+Reading works on any object with the fields of the message, rclpy's or a bag's. Writing goes through
+``make``, which builds a message from its type name and fields, so that live node and replay share it.
+"""
+
+import math
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+from trackslip_estimation.measurements import PoseFix, Report, Sprockets, YawRate
+from trackslip_estimation.slip_estimator import Estimate
+
+FloatArray = NDArray[np.float64]
+
+_POSE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
+_UNOBSERVED = 1e6  # variance of what a planar estimate says nothing of
+
+
+class Make(Protocol):
+    """Builds a message: ``make("std_msgs/msg/Header", stamp=…, frame_id=…)``."""
+
+    def __call__(self, type_name: str, **fields: Any) -> Any:
+        """The message."""
+
+
+def stamp_ns_of(message: Any) -> int:
+    """Stamp of a message with a header."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def sprockets(message: Any, source: str) -> Sprockets:
+    """From sensor_msgs/JointState. A joint or a speed that is missing reads nan, and is refused."""
+    names = list(message.name)
+
+    def value(of: Any, joint: str) -> float:
+        at = names.index(joint) if joint in names else len(of)
+        return float(of[at]) if at < len(of) else math.nan
+
+    left, right = value(message.position, LEFT_SPROCKET), value(message.position, RIGHT_SPROCKET)
+    has_positions = len(message.position) > 0
+    return Sprockets(
+        source,
+        stamp_ns_of(message),
+        value(message.velocity, LEFT_SPROCKET),
+        value(message.velocity, RIGHT_SPROCKET),
+        left if has_positions else None,
+        right if has_positions else None,
+    )
+
+
+def yaw_rate(message: Any, source: str, default_variance: float) -> YawRate:
+    """From sensor_msgs/Imu; a variance of zero means unknown (REP-145)."""
+    variance = float(message.angular_velocity_covariance[8])
+    if variance == 0.0:
+        variance = default_variance
+    return YawRate(source, stamp_ns_of(message), float(message.angular_velocity.z), variance)
+
+
+def pose_fix(message: Any, source: str) -> PoseFix:
+    """From geometry_msgs/PoseWithCovarianceStamped, the planar part."""
+    pose = planar_pose(message.pose.pose)
+    covariance = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[_POSE_IN_6]
+    return PoseFix(source, stamp_ns_of(message), pose, covariance)
+
+
+def planar_pose(pose: Any) -> FloatArray:
+    """(3,) x, y, heading of a geometry_msgs/Pose."""
+    q = pose.orientation
+    heading = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return np.array((pose.position.x, pose.position.y, heading))
+
+
+def odometry(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:
+    """nav_msgs/Odometry of an estimate."""
+    v_x, v_y, rate = (float(v) for v in estimate.twist)
+    linear, angular = _vector(make, v_x, v_y, 0.0), _vector(make, 0.0, 0.0, rate)
+    twist = make("geometry_msgs/msg/Twist", linear=linear, angular=angular)
+    return make(
+        "nav_msgs/msg/Odometry",
+        header=header(make, estimate.stamp_ns, odom_frame),
+        child_frame_id=base_frame,
+        pose=make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=planar_pose_message(make, estimate.pose),
+            covariance=in_six(estimate.pose_covariance),
+        ),
+        twist=make(
+            "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=in_six(estimate.twist_covariance)
+        ),
+    )
+
+
+def track_slip(make: Make, estimate: Estimate, base_frame: str) -> Any:
+    """trackslip_msgs/TrackSlip of an estimate."""
+    left, right, angle = (float(v) for v in estimate.slips)
+    return make(
+        "trackslip_msgs/msg/TrackSlip",
+        header=header(make, estimate.stamp_ns, base_frame),
+        left_slip=left,
+        right_slip=right,
+        slip_angle=angle,
+        covariance=estimate.slip_covariance.flatten(),
+        motion_state=int(estimate.motion),
+    )
+
+
+def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:
+    """geometry_msgs/PoseWithCovarianceStamped of a fix."""
+    return make(
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        header=header(make, fix.stamp_ns, frame),
+        pose=make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=planar_pose_message(make, fix.pose),
+            covariance=in_six(fix.covariance),
+        ),
+    )
+
+
+def measurement_report(make: Make, report: Report, sequence: int) -> Any:
+    """trackslip_msgs/MeasurementReport."""
+    return make(
+        "trackslip_msgs/msg/MeasurementReport",
+        header=header(make, report.stamp_ns, ""),
+        source=report.source,
+        sequence=sequence,
+        outcome=int(report.outcome),
+        nis=report.nis,
+        gate=report.gate,
+        dof=report.dof,
+    )
+
+
+def header(make: Make, stamp_ns: int, frame: str) -> Any:
+    """std_msgs/Header."""
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+    return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+
+def planar_pose_message(make: Make, pose: FloatArray) -> Any:
+    """geometry_msgs/Pose of (3,) x, y, heading."""
+    x, y, heading = (float(v) for v in pose)
+    orientation = make(
+        "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(heading / 2.0), w=math.cos(heading / 2.0)
+    )
+    position = make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
+    return make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
+
+
+def in_six(covariance: FloatArray) -> FloatArray:
+    """(36,) row-major 6×6 with the planar (3, 3) in its place, the rest marked as not observed."""
+    six = np.diag(np.full(6, _UNOBSERVED))
+    six[_POSE_IN_6] = covariance
+    return six.flatten()
+
+
+def _vector(make: Make, x: float, y: float, z: float) -> Any:
+    return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+

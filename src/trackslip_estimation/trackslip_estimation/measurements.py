@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the slip estimator takes in, and what it says it did with each piece."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sprockets:
+    """Both sprockets; positive drives forward.
+
+    Positions (rad, continuous) are preferred: their differences do not accumulate quantisation.
+    They are None in logs that hold speeds only.
+    """
+
+    source: str
+    stamp_ns: int
+    left_speed: float  # rad/s
+    right_speed: float  # rad/s
+    left_position: float | None = None
+    right_position: float | None = None
+
+    def is_finite(self) -> bool:
+        """Whether every number given is a number."""
+        given = [self.left_speed, self.right_speed, self.left_position, self.right_position]
+        return all(np.isfinite(value) for value in given if value is not None)
+
+
+@dataclass(frozen=True)
+class YawRate:
+    """Rate of turn of the machine about the vertical."""
+
+    source: str
+    stamp_ns: int
+    rate: float  # rad/s
+    variance: float  # (rad/s)²
+
+    def is_finite(self) -> bool:
+        """Whether the rate is a number and its variance a positive one."""
+        return bool(np.isfinite(self.rate) and np.isfinite(self.variance) and self.variance > 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFix:
+    """Pose of base_link in the site frame."""
+
+    source: str
+    stamp_ns: int
+    pose: FloatArray  # (3,) x m, y m, heading rad
+    covariance: FloatArray  # (3, 3)
+
+    def is_finite(self) -> bool:
+        """Whether pose and covariance are numbers, and the variances positive."""
+        numbers = np.isfinite(self.pose).all() and np.isfinite(self.covariance).all()
+        return bool(numbers and (np.diag(self.covariance) > 0.0).all())
+
+
+Measurement: TypeAlias = Sprockets | YawRate | PoseFix
+
+
+class Outcome(IntEnum):
+    """What became of a measurement; the numbers are those of ``trackslip_msgs/MeasurementReport``."""
+
+    ACCEPTED = 0
+    GATED = 1  # its innovation lies outside the gate
+    TOO_LATE = 2  # older than the history, or than the start of the estimate
+    DUPLICATE = 3  # same source and stamp as one taken before
+    INVALID = 4  # holds nan or infinity, or a variance that is not positive
+    WAITING = 5  # no estimate yet: it starts with the first fix
+
+
+@dataclass(frozen=True)
+class Report:
+    """What the estimator did with one measurement when it took it."""
+
+    source: str
+    stamp_ns: int
+    outcome: Outcome
+    nis: float = float("nan")  # normalised innovation squared
+    gate: float = float("nan")  # its limit
+    dof: int = 0

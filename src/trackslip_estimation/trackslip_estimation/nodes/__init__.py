@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS nodes: thin shells around the estimators and the bags."""

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``box_localizer``: laser scans in, pose of the machine by the box on its cab out."""
+
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.nodes.base import OK, WARN, Health, TrackslipNode
+from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.run import run
+from trackslip_common.parameters import parameter
+from trackslip_estimation import conversions
+from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
+from trackslip_estimation.box.parameters import BoxLocalizerParameters
+from trackslip_estimation.measurements import PoseFix
+from trackslip_estimation.vehicle import Vehicle
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxNodeParameters(BoxLocalizerParameters):
+    """The localizer's, with the vehicle that carries the box and the frame of its poses."""
+
+    vehicle: Vehicle
+    odom_frame: str = parameter("site frame, in which the laser's place is given")
+
+
+class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
+    """Converts, calls the localizer, publishes."""
+
+    def __init__(self) -> None:
+        super().__init__("box_localizer", BoxNodeParameters, "pc05.yaml", "box_localizer.yaml")
+
+    def configure(self) -> None:
+        """Make the localizer."""
+        self._localizer = BoxLocalizer(self.settings, self.settings.vehicle)
+        self._fixes = 0
+        self._scans = 0
+        self._news = (0, 0)
+        self._poses = self.announce(topic_class("box_pose"), "box_pose")
+        self.listen(topic_class("scan"), "scan", self._on_scan)
+
+    def health(self) -> list[Health]:
+        """Fixes per scan, and why scans gave none."""
+        if not self.active:
+            return [Health(OK, "inactive")]
+        (fixes, scans), self._news = self._news, (self._fixes, self._scans)
+        refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
+        values = {"scans": self._scans, "fixes": self._fixes, **refused}
+        if self._scans == scans:
+            return [Health(WARN, "no scans", values)]
+        if self._fixes == fixes:
+            return [Health(WARN, "box not found", values)]
+        return [Health(OK, "running", values)]
+
+    def _on_scan(self, message: Any) -> None:
+        self._scans += 1
+        ranges = np.asarray(message.ranges, dtype=np.float64)
+        geometry = (message.angle_min, message.angle_increment, message.time_increment)
+        fix = self._localizer.locate(conversions.stamp_ns_of(message), ranges, *geometry)
+        if isinstance(fix, BoxFix):
+            self._fixes += 1
+            pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
+            self._poses.publish(conversions.pose_with_covariance(make, pose, self.settings.odom_frame))
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run(BoxLocalizerNode))

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the estimator over a bag, in process and without a network, exactly as it ran live."""

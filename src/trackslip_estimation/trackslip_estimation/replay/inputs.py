@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads from a bag what the estimator takes, and the order in which it took it live."""
+
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation import conversions
+from trackslip_estimation.bags.reader import Bag, require_topics
+from trackslip_estimation.measurements import Measurement
+from trackslip_estimation.replay.edits import Arrival, Edits, relative
+from trackslip_estimation.slip_parameters import SlipEstimatorParameters
+
+FloatArray = NDArray[np.float64]
+
+SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
+
+
+class Taken(NamedTuple):
+    """One line of the live estimator's journal: which measurement it took next."""
+
+    log_time_ns: int
+    sequence: int
+    source: str
+    stamp_ns: int
+
+
+class Series(NamedTuple):
+    """Numbers over time, from one topic."""
+
+    stamps_ns: NDArray[np.int64]  # (n,)
+    values: FloatArray  # (n, k)
+
+
+@dataclass
+class Inputs:
+    """What one replay needs of a bag."""
+
+    origin_ns: int  # log time of the bag's first message
+    arrivals: list[Arrival] = field(default_factory=list)  # in log order
+    journal: list[Taken] = field(default_factory=list)
+    series: dict[str, Series] = field(default_factory=dict)  # by topic
+    messages: Counter[str] = field(default_factory=Counter)  # by topic, all that was read
+
+
+def read_inputs(bag: Bag, p: SlipEstimatorParameters, edits: Edits, series: tuple[str, ...]) -> Inputs:
+    """Read the estimator's topics, its journal, and the numbers of the topics named in ``series``.
+
+    Raises:
+        InputError: the bag lacks the sprockets or is damaged.
+    """
+    backwards = {after: before for before, after in edits.remap.items()}
+    require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
+    readers = _readers(p)
+    inputs = Inputs(bag.start_ns)
+    collected: dict[str, list[tuple[int, FloatArray]]] = defaultdict(list)
+    names = {topic: edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+    wanted = {topic for topic, name in names.items() if name in readers or name in (REPORTS, *series)}
+    start_ns, stop_ns = (_absolute(bag, t) for t in (edits.start_s, edits.stop_s))
+    for message in bag.messages(wanted, start_ns, stop_ns):
+        name = names[message.topic]
+        content = bag.deserialize(message.raw, message.type_name)
+        inputs.messages[name] += 1
+        if name in readers:
+            inputs.arrivals.append(Arrival(message.log_time_ns, readers[name](content)))
+        if name == REPORTS:
+            stamp_ns = conversions.stamp_ns_of(content)
+            inputs.journal.append(Taken(message.log_time_ns, content.sequence, content.source, stamp_ns))
+        if name in series:
+            collected[name].append((conversions.stamp_ns_of(content), numbers_of(content)))
+    inputs.series = {name: _series(rows) for name, rows in collected.items()}
+    return inputs
+
+
+def in_live_order(arrivals: list[Arrival], journal: list[Taken]) -> Iterator[Measurement]:
+    """The order in which the live estimator took its measurements.
+
+    Its journal tells it exactly. A source that the journal does not know (another bag's, a remapped one)
+    is merged in by log time; without a journal, log time orders everything.
+    """
+    journaled = {taken.source for taken in journal}
+    shelf: dict[tuple[str, int], deque[Measurement]] = defaultdict(deque)
+    others: deque[Arrival] = deque()
+    for arrival in arrivals:
+        m = arrival.measurement
+        if m.source in journaled:
+            shelf[m.source, m.stamp_ns].append(m)
+        else:
+            others.append(arrival)
+    for taken in journal:
+        while others and others[0].log_time_ns <= taken.log_time_ns:
+            yield others.popleft().measurement
+        waiting = shelf[taken.source, taken.stamp_ns]
+        if waiting:
+            yield waiting.popleft()
+    yield from (arrival.measurement for arrival in others)
+
+
+def journal_gaps(journal: list[Taken]) -> int:
+    """How many lines of the journal the bag lacks, those before its first line included."""
+    lost = 0
+    expected = 0
+    for taken in journal:
+        lost += max(taken.sequence - expected, 0)
+        expected = taken.sequence + 1
+    return lost
+
+
+def numbers_of(message: Any) -> FloatArray:
+    """The numbers to compare or to score of an odometry, pose or slip message.
+
+    Pose: x, y, heading. Odometry: also v_x, v_y, yaw rate, then both covariances. Slip: left, right,
+    angle, then the covariance.
+    """
+    if hasattr(message, "left_slip"):
+        slips = (message.left_slip, message.right_slip, message.slip_angle)
+        return np.concatenate((slips, message.covariance))
+    pose = conversions.planar_pose(message.pose.pose)
+    if not hasattr(message, "twist"):
+        return pose
+    twist = message.twist.twist
+    velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
+    return np.concatenate((pose, velocity, message.pose.covariance, message.twist.covariance))
+
+
+def _readers(p: SlipEstimatorParameters) -> dict[str, Callable[[Any], Measurement]]:
+    readers: dict[str, Callable[[Any], Measurement]] = {
+        SPROCKETS: partial(conversions.sprockets, source=SPROCKETS)
+    }
+    for source in filter(None, p.yaw_rate_sources):
+        readers[source] = partial(
+            conversions.yaw_rate, source=source, default_variance=p.yaw_rate_stddev**2
+        )
+    for source in filter(None, p.pose_sources):
+        readers[source] = partial(conversions.pose_fix, source=source)
+    return readers
+
+
+def _series(rows: list[tuple[int, FloatArray]]) -> Series:
+    """Rows in the order of their stamps, one of each stamp."""
+    by_stamp = dict(rows)
+    stamps = sorted(by_stamp)
+    return Series(np.array(stamps, dtype=np.int64), np.array([by_stamp[stamp] for stamp in stamps]))
+
+
+def _absolute(bag: Bag, seconds: float) -> int | None:
+    """Log time of a time from the bag's first message; None for no limit."""
+    return bag.start_ns + round(seconds * 1e9) if np.isfinite(seconds) else None

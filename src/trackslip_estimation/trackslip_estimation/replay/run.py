@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One replay: inputs in live order through the estimator, then the comparison and the scores."""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.tally import Tally
+from trackslip_estimation import conversions
+from trackslip_estimation.bags.messages import make
+from trackslip_estimation.bags.reader import Bag
+from trackslip_estimation.dead_reckoning import Path, dead_reckon
+from trackslip_estimation.measurements import Measurement, Outcome, Report, Sprockets, YawRate
+from trackslip_estimation.replay import edits as editing
+from trackslip_estimation.replay.edits import Edits
+from trackslip_estimation.replay.inputs import (
+    ODOMETRY,
+    TRACK_SLIP,
+    Inputs,
+    Series,
+    in_live_order,
+    journal_gaps,
+    numbers_of,
+    read_inputs,
+)
+from trackslip_estimation.replay.scoring import Score, mean_nees, path_of, score, slip_rmse
+from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip_parameters import SlipEstimatorParameters
+
+REFERENCES = ("reference_pose", "truth/odometry")  # used where none is named, if the bag has one
+TRUE_SLIP = "truth/track_slip"
+TOLERANCE = 1e-9  # between a live and a replayed number
+
+
+@dataclass(frozen=True)
+class LiveComparison:
+    """The live estimates in the bag against the replayed ones."""
+
+    live: int  # estimates in the bag
+    replayed: int  # estimates of the replay between the first and the last of those
+    common: int  # stamps that both have
+    largest_difference: float
+    lost_reports: int  # lines of the live journal that the bag lacks
+
+    @property
+    def matches(self) -> bool:
+        """Same stamps, same numbers."""
+        same_stamps = self.common == self.live == self.replayed > 0
+        return same_stamps and self.largest_difference <= TOLERANCE
+
+
+@dataclass
+class Replay:
+    """All that a replay found out."""
+
+    duration_s: float
+    elapsed_s: float
+    inputs: Inputs
+    steps: list[tuple[Report, Estimate | None]]
+    rejected: Tally
+    reference: str | None = None
+    scores: dict[str, Score | None] = field(default_factory=dict)
+    nees: float | None = None
+    slip_rmse: float | None = None
+    live: LiveComparison | None = None
+    paths: dict[str, Path] = field(default_factory=dict)
+
+    @property
+    def estimates(self) -> list[Estimate]:
+        """What the estimator published."""
+        return [estimate for _, estimate in self.steps if estimate is not None]
+
+
+def replay(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None) -> Replay:
+    """Run the estimator over a bag.
+
+    Raises:
+        InputError: the bag lacks what is needed.
+    """
+    began = time.monotonic()
+    reference = reference or next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
+    wanted = (ODOMETRY, TRACK_SLIP, TRUE_SLIP, *((reference,) if reference else ()))
+    inputs = read_inputs(bag, p, edits, wanted)
+    arrivals = editing.apply(edits, inputs.arrivals, inputs.origin_ns)
+    measurements = list(in_live_order(arrivals, inputs.journal))
+    estimator = SlipEstimator(p)
+    rejected = Tally()
+    steps = []
+    for measurement in measurements:
+        report, estimate = estimator.advance(measurement)
+        steps.append((report, estimate))
+        if report.outcome is not Outcome.ACCEPTED:
+            rejected.add(report.source, report.outcome)
+    duration = _duration(inputs)
+    result = Replay(duration, time.monotonic() - began, inputs, steps, rejected, reference)
+    _score(result, p, measurements)
+    if ODOMETRY in inputs.series and not edits.changes_inputs:
+        result.live = _compare(result, p)
+    return result
+
+
+def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Measurement]) -> None:
+    """Paths of filter and dead reckoning, and their errors against the reference."""
+    estimates = result.estimates
+    if estimates:
+        result.paths["filter"] = path_of(estimates)
+    truth = result.inputs.series.get(TRUE_SLIP)
+    if truth is not None and estimates:
+        result.slip_rmse = slip_rmse(estimates, truth.stamps_ns, truth.values[:, :2])
+    series = result.inputs.series.get(result.reference or "")
+    if series is None:
+        return
+    by_stamp = sorted(measurements, key=lambda m: m.stamp_ns)
+    sprockets = [m for m in by_stamp if isinstance(m, Sprockets) and m.is_finite()]
+    gyro = [m for m in by_stamp if isinstance(m, YawRate) and m.is_finite()]
+    reference = _reference_path(series, sprockets[0].stamp_ns if sprockets else 0)
+    if sprockets and len(reference.stamps_ns):
+        start = (reference.stamps_ns[0], reference.poses[0])
+        result.paths["dead_reckoning"] = dead_reckon(p.vehicle, sprockets, *start)
+        if gyro:
+            result.paths["encoder_gyro"] = dead_reckon(p.vehicle, sprockets, *start, gyro)
+    result.paths["reference"] = reference
+    for name in ("dead_reckoning", "encoder_gyro", "filter"):
+        result.scores[name] = score(result.paths[name], reference) if name in result.paths else None
+    if estimates:
+        result.nees = mean_nees(estimates, reference)
+
+
+def _reference_path(series: Series, from_ns: int) -> Path:
+    """The reference from the first sprocket sample on, its heading continuous."""
+    covered = series.stamps_ns >= from_ns
+    poses = series.values[covered, :3].copy()
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Path(series.stamps_ns[covered], poses)
+
+
+def _compare(result: Replay, p: SlipEstimatorParameters) -> LiveComparison:
+    """Every live number against the replayed one of the same stamp, as messages carry them."""
+    live = result.inputs.series[ODOMETRY]
+    first, last = int(live.stamps_ns[0]), int(live.stamps_ns[-1])
+    replayed = [e for e in result.estimates if first <= e.stamp_ns <= last]
+    common, largest = len(live.stamps_ns), 0.0
+    for topic in (ODOMETRY, TRACK_SLIP):
+        recorded = result.inputs.series.get(topic)
+        if recorded is None:
+            continue
+        mine = {e.stamp_ns: numbers_of(message_of(topic, e, p)) for e in replayed}
+        both = [i for i, stamp in enumerate(recorded.stamps_ns) if int(stamp) in mine]
+        for i in both:
+            difference = np.abs(recorded.values[i] - mine[int(recorded.stamps_ns[i])])
+            largest = max(largest, float(np.max(difference)))
+        common = min(common, len(both))
+    lost = journal_gaps(result.inputs.journal)
+    return LiveComparison(len(live.stamps_ns), len(replayed), common, largest, lost)
+
+
+def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:
+    """The message that the live node publishes for an estimate on ``odometry`` or ``track_slip``."""
+    if topic == ODOMETRY:
+        return conversions.odometry(make, estimate, p.odom_frame, p.base_frame)
+    return conversions.track_slip(make, estimate, p.base_frame)
+
+
+def _duration(inputs: Inputs) -> float:
+    """Seconds from the first to the last measurement, by stamp."""
+    stamps = [arrival.measurement.stamp_ns for arrival in inputs.arrivals]
+    return (max(stamps) - min(stamps)) * 1e-9 if stamps else 0.0

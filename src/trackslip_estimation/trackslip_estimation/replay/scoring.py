@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors against a reference: every sample of it, at its own stamp, with no re-alignment.
+
+    e      error of x, y, heading        m, m, rad
+    P      covariance that was claimed   (3, 3)
+    NEES   eᵀ P⁻¹ e, on average 3 if P is honest
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.dead_reckoning import Path
+from trackslip_estimation.slip_estimator import Estimate
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Score:
+    """Root mean square errors of one path, over the samples that it covers."""
+
+    samples: int
+    position: float  # m
+    heading: float  # rad
+
+
+def path_of(estimates: Sequence[Estimate]) -> Path:
+    """The published poses as a path with continuous heading."""
+    poses = np.array([e.pose for e in estimates])
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Path(np.array([e.stamp_ns for e in estimates], dtype=np.int64), poses)
+
+
+def score(path: Path, reference: Path) -> Score | None:
+    """Errors at the stamps of the reference; None where the path covers none of them."""
+    errors = _errors(path, reference)
+    if not len(errors):
+        return None
+    position, heading = np.hypot(errors[:, 0], errors[:, 1]), errors[:, 2]
+    return Score(len(errors), _rms(position), _rms(heading))
+
+
+def mean_nees(estimates: Sequence[Estimate], reference: Path) -> float | None:
+    """Mean NEES of (x, y, heading), each sample with the covariance of the estimate nearest in time."""
+    path = path_of(estimates)
+    inside = _inside(path, reference)
+    errors = _errors(path, reference)
+    if not len(errors):
+        return None
+    midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
+    nearest = np.searchsorted(midpoints, reference.stamps_ns[inside])
+    covariances = np.array([estimates[i].pose_covariance for i in nearest])
+    weighed = np.linalg.solve(covariances, errors[:, :, np.newaxis])[:, :, 0]
+    return float(np.mean(np.sum(errors * weighed, axis=1)))
+
+
+def slip_rmse(estimates: Sequence[Estimate], stamps_ns: NDArray[np.int64], slips: FloatArray) -> float | None:
+    """RMS error of left and right slip together, ``slips`` (n, 2) being the truth at ``stamps_ns``."""
+    own = np.array([e.stamp_ns for e in estimates], dtype=np.int64)
+    inside = (stamps_ns >= own[0]) & (stamps_ns <= own[-1])
+    if not inside.any():
+        return None
+    t, wanted = (own - own[0]) * 1e-9, (stamps_ns[inside] - own[0]) * 1e-9
+    columns = np.array([e.slips[:2] for e in estimates]).T
+    estimated = np.stack([np.interp(wanted, t, column) for column in columns], axis=-1)
+    return _rms(estimated - slips[inside])
+
+
+def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:
+    return (reference.stamps_ns >= path.stamps_ns[0]) & (reference.stamps_ns <= path.stamps_ns[-1])
+
+
+def _errors(path: Path, reference: Path) -> FloatArray:
+    """(k, 3) at the samples of the reference that the path covers, heading in (−π, π]."""
+    inside = _inside(path, reference)
+    errors = path.at(reference.stamps_ns[inside]) - reference.poses[inside]
+    errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
+    return errors
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measurements in the order of their stamps, each with the state of the filter after it.
+
+Late data are put in their place and what comes after them is done again, so that the state is a
+function of the *set* of measurements, whatever the order in which they came. A state is *settled*
+once it is older than the window: nothing that may still come can change it.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from typing import Generic, NamedTuple, TypeVar
+
+from trackslip_estimation.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+
+State = TypeVar("State")
+Key = tuple[int, int, str]
+
+_RANK = {Sprockets: 0, YawRate: 1, PoseFix: 2}
+
+
+def key_of(measurement: Measurement) -> Key:
+    """The one order of all measurements: stamp, then kind, then source."""
+    return measurement.stamp_ns, _RANK[type(measurement)], measurement.source
+
+
+class Speeds(NamedTuple):
+    """Mean sprocket speeds over a stretch of time."""
+
+    left: float  # rad/s
+    right: float  # rad/s
+    interval: float  # s between the positions they were differenced from; 0 where they were measured
+
+
+class SprocketTrack:
+    """The sprocket samples in stamp order, to be asked for the mean speed over a stretch."""
+
+    def __init__(self) -> None:
+        self._stamps: list[int] = []
+        self._samples: list[Sprockets] = []
+
+    def add(self, sample: Sprockets) -> None:
+        """Put a sample in its place."""
+        at = bisect_left(self._stamps, sample.stamp_ns)
+        self._stamps.insert(at, sample.stamp_ns)
+        self._samples.insert(at, sample)
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Drop what lies before the last sample at or before ``stamp_ns``."""
+        keep = max(bisect_right(self._stamps, stamp_ns) - 1, 0)
+        del self._stamps[:keep], self._samples[:keep]
+
+    def last_before(self, stamp_ns: int) -> int | None:
+        """Stamp of the last sample strictly before ``stamp_ns``."""
+        at = bisect_left(self._stamps, stamp_ns)
+        return self._stamps[at - 1] if at else None
+
+    def speeds(self, end_ns: int) -> Speeds:
+        """Mean speeds over the stretch between two samples in which ``end_ns`` lies.
+
+        From the difference of positions where there are positions; else the speed of the sample that
+        closes the stretch. Beyond the newest sample the newest stretch is taken to go on.
+        """
+        after = min(bisect_left(self._stamps, end_ns), len(self._stamps) - 1)
+        if after < 0:
+            return Speeds(0.0, 0.0, 0.0)
+        b = self._samples[after]
+        a = self._samples[after - 1] if after else b
+        dt = (b.stamp_ns - a.stamp_ns) * 1e-9
+        if dt > 0.0 and a.left_position is not None and b.left_position is not None:
+            assert a.right_position is not None and b.right_position is not None
+            return Speeds(
+                (b.left_position - a.left_position) / dt, (b.right_position - a.right_position) / dt, dt
+            )
+        return Speeds(b.left_speed, b.right_speed, 0.0)
+
+
+class Timeline(Generic[State]):
+    """A window of measurements and states; ``step`` computes the state after one more measurement."""
+
+    def __init__(
+        self, window_ns: int, start: State, start_ns: int, step: Callable[[State, Measurement], State]
+    ) -> None:
+        self._window_ns = window_ns
+        self._step = step
+        self._keys: list[Key] = [(start_ns, -1, "")]
+        self._measurements: list[Measurement | None] = [None]
+        self._states: list[State] = [start]
+
+    @property
+    def newest(self) -> State:
+        """The state after the measurement with the newest stamp."""
+        return self._states[-1]
+
+    @property
+    def oldest_ns(self) -> int:
+        """Measurements before this stamp come too late: the start, or what is settled."""
+        return max(self._keys[0][0], self._keys[-1][0] - self._window_ns)
+
+    def refusal(self, measurement: Measurement) -> Outcome | None:
+        """Why the measurement has no place here, or None."""
+        key = key_of(measurement)
+        if key < self._keys[0] or measurement.stamp_ns < self.oldest_ns:
+            return Outcome.TOO_LATE
+        at = bisect_left(self._keys, key)
+        known = at < len(self._keys) and self._keys[at] == key
+        return Outcome.DUPLICATE if known else None
+
+    def insert(self, measurement: Measurement, redo_from_ns: int | None = None) -> State:
+        """Put it in its place, do again what follows, and return the state right after it.
+
+        ``redo_from_ns``: do again also what has a later stamp than this (an input that was
+        extrapolated there is now known).
+        """
+        key = key_of(measurement)
+        at = bisect_left(self._keys, key)
+        self._keys.insert(at, key)
+        self._measurements.insert(at, measurement)
+        self._states.insert(at, self._states[at - 1])
+        first = at
+        if redo_from_ns is not None:
+            first = min(at, max(bisect_right(self._keys, (redo_from_ns, len(_RANK), "")), 1))
+        for index in range(first, len(self._keys)):
+            entry = self._measurements[index]
+            assert entry is not None
+            self._states[index] = self._step(self._states[index - 1], entry)
+        state = self._states[at]
+        self._trim()
+        return state
+
+    def _trim(self) -> None:
+        """Let settled states go, but for the one that the window stands on."""
+        horizon = self._keys[-1][0] - self._window_ns
+        settled = bisect_left(self._keys, (horizon, -1, "")) - 1
+        if settled > 0:
+            del self._keys[:settled], self._measurements[:settled], self._states[:settled]

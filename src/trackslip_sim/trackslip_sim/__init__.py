@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An excavator to run without one: truth models, sensor models, and devices that talk real bytes."""

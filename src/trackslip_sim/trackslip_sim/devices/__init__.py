@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Devices that talk the bytes of the real ones: time is an argument, no ports."""

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The excavator's valve controller on the CAN bus: three frames a cycle, as ``config/excavator.dbc`` says."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+from trackslip_drivers.protocols.can_frames import ENCODERS, PRESSURES, SPOOLS, FrameSet
+from trackslip_drivers.protocols.encoder import COUNTS
+from trackslip_drivers.records import HydraulicsSample, SprocketSample
+
+
+class CanDevice:
+    """Samples and sends every cycle; readings beyond a signal's range saturate, as transducers do.
+
+    Args:
+        frames: the contract.
+        belt_ratio: encoder turns per sprocket turn.
+        sprockets: true sprockets at a stamp; their positions are what the encoders see.
+        hydraulics: true pressures and spools at a stamp.
+        start_ns: time of the first cycle.
+    """
+
+    def __init__(
+        self,
+        frames: FrameSet,
+        belt_ratio: float,
+        sprockets: Callable[[int], SprocketSample],
+        hydraulics: Callable[[int], HydraulicsSample],
+        start_ns: int,
+    ) -> None:
+        self.frames_emitted: Counter[str] = Counter()
+        self._frames = frames
+        self._counts_per_rad = COUNTS * belt_ratio / (2.0 * math.pi)
+        self._sprockets = sprockets
+        self._hydraulics = hydraulics
+        self._next_ns = start_ns
+        self._alive_counter = 0
+
+    def step(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """(arbitration id, payload) of every frame due by now and not yet sent."""
+        sent: list[tuple[int, bytes]] = []
+        while self._next_ns <= now_ns:
+            for name, values in self._readings(self._next_ns).items():
+                sent.append(self._frames.encode(name, values, self._alive_counter))
+                self.frames_emitted[name] += 1
+            self._alive_counter += 1
+            self._next_ns += self._frames.cycle_ns
+        return sent
+
+    def _readings(self, stamp_ns: int) -> dict[str, Mapping[str, float]]:
+        """Signals of the three frames, in the order sent."""
+        sprockets, hydraulics = self._sprockets(stamp_ns), self._hydraulics(stamp_ns)
+        return {
+            ENCODERS: {
+                "left_count": self._count(sprockets.left_position),
+                "right_count": self._count(sprockets.right_position),
+            },
+            SPOOLS: self._saturated(
+                SPOOLS, {"left_spool": hydraulics.left_spool, "right_spool": hydraulics.right_spool}
+            ),
+            PRESSURES: self._saturated(
+                PRESSURES,
+                {
+                    "left_pressure": hydraulics.left_pressure,
+                    "right_pressure": hydraulics.right_pressure,
+                    "supply_pressure": hydraulics.supply_pressure,
+                },
+            ),
+        }
+
+    def _count(self, position: float) -> int:
+        """Raw count of an encoder whose sprocket stands at ``position``, rad."""
+        return math.floor(position * self._counts_per_rad) % COUNTS
+
+    def _saturated(self, name: str, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Values limited to the ranges of the DBC."""
+        limited = {}
+        for signal_name, value in values.items():
+            signal = self._frames.by_name[name].get_signal_by_name(signal_name)
+            low = -math.inf if signal.minimum is None else signal.minimum
+            high = math.inf if signal.maximum is None else signal.maximum
+            limited[signal_name] = min(max(value, low), high)
+        return limited

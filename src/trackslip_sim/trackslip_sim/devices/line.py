@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A serial line: characters leave one after the other, no faster than the baud rate lets them."""
+
+from collections import deque
+from dataclasses import dataclass
+
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass
+class _Burst:
+    """Characters sent back to back at one rate, the first starting at ``start_ns``."""
+
+    data: bytes
+    start_ns: int
+    baud: int
+    taken: int = 0
+
+
+class BaudLine:
+    """One direction of a serial line, from the transmitter's queue to the receiver.
+
+    Args:
+        baud: bits per second; assign to ``baud`` to change it for what is sent from then on.
+        bits_per_char: start, data, parity and stop bits together (10 for 8N1, 11 for 8E1).
+    """
+
+    def __init__(self, baud: int, bits_per_char: int) -> None:
+        self.baud = baud
+        self.bits_per_char = bits_per_char
+        self.busy_until_ns = 0
+        self._bursts: deque[_Burst] = deque()
+
+    def transfer_ns(self, count: int) -> int:
+        """How long ``count`` characters occupy the line at the present rate, rounded up."""
+        return -(-count * self.bits_per_char * _NS_PER_S // self.baud)
+
+    def send(self, data: bytes, now_ns: int) -> None:
+        """Queue characters; they start now, or when those already queued have left."""
+        if not data:
+            return
+        start_ns = max(now_ns, self.busy_until_ns)
+        self._bursts.append(_Burst(data, start_ns, self.baud))
+        self.busy_until_ns = start_ns + self.transfer_ns(len(data))
+
+    def take(self, now_ns: int) -> bytes:
+        """The characters whose last bit has arrived by now and that were not taken before."""
+        arrived = bytearray()
+        while self._bursts:
+            burst = self._bursts[0]
+            bits = (now_ns - burst.start_ns) * burst.baud // _NS_PER_S
+            complete = min(len(burst.data), max(0, bits // self.bits_per_char))
+            arrived += burst.data[burst.taken : complete]
+            burst.taken = max(burst.taken, complete)
+            if complete < len(burst.data):
+                break
+            self._bursts.popleft()
+        return bytes(arrived)

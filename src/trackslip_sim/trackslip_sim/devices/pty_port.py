@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A pty that a driver opens as if it were a serial device."""
+
+import os
+import pty
+import termios
+import tty
+from pathlib import Path
+
+_MOST_BYTES = 65536
+_BAUD_OF_CODE = {
+    getattr(termios, name): int(name[1:])
+    for name in dir(termios)
+    if name.startswith("B") and name[1:].isdecimal()
+}
+
+
+class PtyPort:
+    """The device's end; the client opens ``link``, a symbolic link to the other end.
+
+    The slave is raw from the start and stays open here, so that nothing is echoed and a client may come and
+    go. What a client does not read in time is refused by the kernel once its buffer is full, as a UART
+    overruns: those bytes are lost and counted.
+    """
+
+    def __init__(self, link: Path) -> None:
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.link = link
+        self.bytes_lost = 0
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.unlink(missing_ok=True)
+        link.symlink_to(os.ttyname(self._slave))
+
+    @property
+    def baud(self) -> int:
+        """The rate that the client has set."""
+        return _BAUD_OF_CODE[termios.tcgetattr(self._master)[5]]
+
+    def read(self) -> bytes:
+        """What the client has written; empty when nothing."""
+        try:
+            return os.read(self._master, _MOST_BYTES)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> int:
+        """Hand to the client; the number of bytes that it, or the kernel for it, could take."""
+        taken = 0
+        while taken < len(data):
+            try:
+                taken += os.write(self._master, data[taken:])
+            except BlockingIOError:
+                self.bytes_lost += len(data) - taken
+                break
+        return taken
+
+    def close(self) -> None:
+        """Unplug: the client sees the device disappear."""
+        self.link.unlink(missing_ok=True)
+        os.close(self._slave)
+        os.close(self._master)

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A SICK scanner as its serial line shows it: boots, answers commands, turns its mirror, streams scans.
+
+The mirror turns on from the end of the boot, one scan a turn, and a scan is sent when its turn is
+complete and the line is free: at 38400 Bd a telegram takes 210 ms, so every sixth scan is.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.tally import Tally
+from trackslip_drivers.protocols import sick_commands as commands
+from trackslip_drivers.protocols.sick_commands import ModeResult, ReplyCode, Severity
+from trackslip_drivers.protocols.sick_scan import RawScan, values_of
+from trackslip_drivers.protocols.sick_telegram import (
+    FROM_SENSOR,
+    TO_SENSOR,
+    Control,
+    Telegram,
+    TelegramFault,
+    TelegramParser,
+    frame,
+)
+from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_sim.devices.line import BaudLine
+
+FloatArray = NDArray[np.float64]
+Measure = Callable[[int], FloatArray]  # stamp of the first ray → (361,) m
+
+_ACK_DELAY_NS = 5_000_000
+_REPLY_DELAY_NS = 20_000_000
+_RATE_SETTLES_NS = 200_000_000  # deaf for so long after a change of rate: hosts are told to pause 250 ms
+_STAMPS_KEPT = 10_000
+_NS_PER_S = 1_000_000_000
+_IDENTITY = {"pls": b"PLS101-312", "lms": b"LMS200;30106"}
+_SOURCE = "host"
+_BAUDS = {code: baud for baud, code in commands.BAUD_CODES.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SickDeviceParameters(Parameters):
+    """How the emulated scanner starts."""
+
+    boot_delay: float = parameter("from power-on to the first answer; 15 to 35 s in truth", unit="s", ge=0.0)
+    power_on_baud: int = parameter("rate after power-on", unit="Bd", gt=0)
+
+
+class Mode(Enum):
+    """What the scanner sends of its own accord; the values are the mode codes."""
+
+    ALL = commands.STREAM_ALL[1]
+    MINIMA = commands.STREAM_MINIMA[1]
+    NOTHING = commands.STOP[1]
+
+
+class SickDevice:
+    """The scanner at the other end of the line.
+
+    Attributes:
+        baud: its present rate; what it sends reads as noise at any other.
+        status: the status byte of its telegrams, to be set by tests of faults.
+        scans_emitted: scans whose last byte has left.
+        stamps: the true stamps (ns) of the latest of those.
+        bytes_ignored: came while it booted or carried out a command, or at another rate.
+    """
+
+    def __init__(
+        self, parameters: SickParameters, start: SickDeviceParameters, measure: Measure, now_ns: int
+    ) -> None:
+        self.status = 0
+        self.scans_emitted = 0
+        self.stamps: deque[int] = deque(maxlen=_STAMPS_KEPT)
+        self.bytes_ignored = 0
+        self._parameters = parameters
+        self._start = start
+        self._measure = measure
+        self._turn_ns = round(parameters.scan_time * _NS_PER_S)
+        self.power_cycle(now_ns)
+
+    def power_cycle(self, now_ns: int) -> None:
+        """Lose and regain power: what is on the line is lost, and the rate is that of power-on."""
+        self.baud = self._start.power_on_baud
+        bits = self._parameters.bits_per_char
+        self._line = BaudLine(self.baud, bits)
+        self._tally = Tally()
+        self._parser = TelegramParser(TO_SENSOR, self.baud, bits, self._tally, _SOURCE)
+        self._leaving: deque[tuple[int, int]] = deque()  # (last byte gone, stamp), ns
+        self._boot(now_ns)
+
+    def receive(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
+        """Take what the host wrote; ``host_baud`` None: its rate is not known, taken to be right."""
+        self._advance(now_ns)
+        if not self._awake or now_ns < self._occupied_until_ns or host_baud not in (None, self.baud):
+            self.bytes_ignored += len(data)
+            return
+        bad_crc = (_SOURCE, TelegramFault.BAD_CRC.value)
+        bad_before = self._tally.total[bad_crc]
+        for event in self._parser.feed(data, now_ns):
+            if isinstance(event, Telegram):
+                self._obey(event.payload, now_ns)
+        if self._tally.total[bad_crc] > bad_before:
+            self._line.send(bytes((Control.NAK.value,)), now_ns + _ACK_DELAY_NS)
+
+    def step(self, now_ns: int) -> bytes:
+        """Live until now; gives the bytes that have arrived at the host since the last step."""
+        self._advance(now_ns)
+        arrived = self._line.take(now_ns)
+        while self._leaving and self._leaving[0][0] <= now_ns:
+            self.stamps.append(self._leaving.popleft()[1])
+            self.scans_emitted += 1
+        return arrived
+
+    def _boot(self, at_ns: int) -> None:
+        self._ready_ns = at_ns + round(self._start.boot_delay * _NS_PER_S)
+        self._awake = False
+        self._mode = Mode.NOTHING
+        self._scan_requested = False
+        self._in_installation = False
+        self._occupied_until_ns = at_ns
+        self._next_baud = (at_ns, self._start.power_on_baud)
+
+    def _advance(self, now_ns: int) -> None:
+        change_ns, baud = self._next_baud
+        if now_ns >= change_ns and baud != self.baud:
+            self.baud = self._line.baud = baud
+            self._parser.set_baud(baud)
+        if not self._awake and now_ns >= self._ready_ns:
+            self._awake = True
+            self._say(bytes((ReplyCode.POWER_ON,)) + _IDENTITY[self._parameters.model], self._ready_ns)
+        while self._mode is not Mode.NOTHING or self._scan_requested:
+            free_ns = self._line.busy_until_ns
+            turns = max(1, -((self._ready_ns - free_ns) // self._turn_ns))
+            complete_ns = self._ready_ns + turns * self._turn_ns
+            if complete_ns > now_ns:
+                return
+            self._send_scan(complete_ns)
+
+    def _send_scan(self, complete_ns: int) -> None:
+        stamp_ns = complete_ns - self._turn_ns
+        ranges = self._measure(stamp_ns)
+        if self._mode is Mode.MINIMA:
+            ranges = np.fmin(ranges[0:-1:2], ranges[1::2])
+        scan = RawScan(values_of(ranges, self._parameters), self.status)
+        self._line.send(frame(scan.payload(), FROM_SENSOR), complete_ns)
+        self._leaving.append((self._line.busy_until_ns, stamp_ns))
+        self._scan_requested = False
+
+    def _obey(self, command: bytes, now_ns: int) -> None:
+        """Acknowledge a command, carry it out, reply."""
+        self._line.send(bytes((Control.ACK.value,)), now_ns + _ACK_DELAY_NS)
+        if command in (commands.REQUEST_VALUES_LMS, commands.REQUEST_VALUES_PLS):
+            self._scan_requested = True
+            return
+        self._say(self._reply(command), now_ns + _REPLY_DELAY_NS)
+        self._occupied_until_ns = self._line.busy_until_ns
+        if command == commands.RESET:
+            self._boot(self._occupied_until_ns)
+        elif self._sets_rate(command) and self._may_set_rate():
+            self._next_baud = (self._occupied_until_ns, _BAUDS[command[1]])
+            self._occupied_until_ns += _RATE_SETTLES_NS
+
+    def _reply(self, command: bytes) -> bytes:
+        """Carry out a command, all but what must wait until its reply, which this gives, has left."""
+        if command == commands.RESET:
+            return bytes((ReplyCode.RESET,))
+        if command == commands.STATUS:
+            return bytes((ReplyCode.STATUS, self._mode.value))
+        if command == commands.ERRORS:
+            return bytes((ReplyCode.ERRORS, Severity.NONE, 0))
+        if len(command) >= 2 and command[0] == commands.STOP[0]:
+            return bytes((ReplyCode.MODE, self._change_mode(command)))
+        return bytes((ReplyCode.REFUSED,))
+
+    def _change_mode(self, command: bytes) -> ModeResult:
+        password = commands.PASSWORDS[self._parameters.model]
+        if self._sets_rate(command):
+            return ModeResult.OK if self._may_set_rate() else ModeResult.FAULT
+        if command[1] == commands.installation_mode(b"")[1]:
+            if command != commands.installation_mode(password):
+                return ModeResult.WRONG_PASSWORD
+            self._in_installation = True
+            self._mode = Mode.NOTHING
+            return ModeResult.OK
+        if command not in (commands.STREAM_ALL, commands.STREAM_MINIMA, commands.STOP):
+            return ModeResult.FAULT
+        self._in_installation = False
+        self._mode = Mode(command[1])
+        return ModeResult.OK
+
+    def _sets_rate(self, command: bytes) -> bool:
+        return len(command) == 2 and command[0] == commands.STOP[0] and command[1] in _BAUDS
+
+    def _may_set_rate(self) -> bool:
+        return self._in_installation or self._parameters.model == "lms"
+
+    def _say(self, payload: bytes, at_ns: int) -> None:
+        self._line.send(frame(payload + bytes((self.status,)), FROM_SENSOR), at_ns)

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A Watson inertial unit on a serial line: banner, then decimal lines or binary frames at its own rate.
+
+The unit works in ticks of 1/71.11 s. A decimal line comes every sixth tick (11.85 lines/s), a binary frame
+every tick, or as often as the line can carry it. A line holds what was measured as its first character left.
+"""
+
+from collections.abc import Callable
+
+from trackslip_drivers.protocols.watson import (
+    BINARY,
+    COMMAND_MODE,
+    DECIMAL,
+    REFERENCE,
+    REINITIALISE,
+    Layout,
+    encode_frame,
+    encode_line,
+    from_sample,
+)
+from trackslip_drivers.records import ImuSample
+from trackslip_sim.devices.line import BaudLine
+
+TICK_NS = 14_062_500  # 71.11 Hz
+INITIALISATION_NS = 5_000_000_000
+BANNER = (b"WATSON INDUSTRIES, INC.\r", b"ATTITUDE AND HEADING REFERENCE SYSTEM (EMULATED)\r")
+
+_TICKS_PER_LINE = 6
+_SPACE_WINDOW_NS = 2_500_000_000  # after a reinitialise command
+_NORTH = ord("N")
+_INERTIAL_LABEL = "I"
+_REFERENCE_LABEL = "R"
+
+
+class WatsonDevice:
+    """The unit from power-on.
+
+    Args:
+        layout: what it sends.
+        line: its transmitter.
+        measure: the true motion at a stamp, in records' axes; ``over_range`` makes the label lower case.
+        reference: whether its memory holds the reference mode, as in the thesis.
+        start_ns: power-on.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        line: BaudLine,
+        measure: Callable[[int], ImuSample],
+        reference: bool,
+        start_ns: int,
+    ) -> None:
+        self.lines_emitted = 0
+        self.north_offset_stored = False  # the accident that no driver may cause
+        self._layout = layout
+        self._line = line
+        self._measure = measure
+        self._stored_label = _REFERENCE_LABEL if reference else _INERTIAL_LABEL
+        self._boot(start_ns, INITIALISATION_NS)
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Bytes from the host: commands, one character each."""
+        for byte in data:
+            self._command(byte, now_ns)
+
+    def step(self, now_ns: int) -> bytes:
+        """What has left the line by now."""
+        while self._next_ns <= now_ns:
+            sent = self._output(self._next_ns)
+            self._line.send(sent, self._next_ns)
+            self.lines_emitted += 1
+            ticks = 1 if self._binary else _TICKS_PER_LINE
+            self._next_ns += TICK_NS * max(ticks, -(-self._line.transfer_ns(len(sent)) // TICK_NS))
+        return self._line.take(now_ns)
+
+    def _boot(self, now_ns: int, space_window_ns: int) -> None:
+        """Send the banner and listen for the two spaces."""
+        self._label = self._stored_label
+        self._binary = False
+        self._next_ns = now_ns + INITIALISATION_NS
+        self._spaces_until_ns = now_ns + space_window_ns
+        self._spaces = 0
+        self._north_armed = False
+        for text in BANNER:
+            self._line.send(text, now_ns)
+
+    def _output(self, stamp_ns: int) -> bytes:
+        """The line or frame measured at ``stamp_ns``."""
+        sample = self._measure(stamp_ns)
+        values = from_sample(sample)
+        if self._binary:
+            return encode_frame(values, self._layout)
+        beyond = any(abs(values[c.name]) > c.largest for c in self._layout.channels if c.name in values)
+        label = self._label.lower() if sample.over_range or beyond else self._label
+        return encode_line(label, values, self._layout)
+
+    def _command(self, byte: int, now_ns: int) -> None:
+        """One character; all but the reinitialise command need the two spaces first."""
+        command = bytes([byte])
+        if command == REINITIALISE:
+            self._boot(now_ns, _SPACE_WINDOW_NS)
+        elif self._spaces < len(COMMAND_MODE):
+            in_time = now_ns <= self._spaces_until_ns
+            self._spaces = self._spaces + 1 if command in COMMAND_MODE and in_time else 0
+        else:
+            self._change(command)
+            self.north_offset_stored |= self._north_armed and byte == _NORTH
+            self._north_armed = command == REFERENCE
+
+    def _change(self, command: bytes) -> None:
+        """Output format or mode."""
+        if command in (DECIMAL, BINARY):
+            self._binary = command == BINARY
+        elif command == REFERENCE:
+            self._label = _REFERENCE_LABEL

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the emulator (``config/emulator.yaml``, with the site and the vehicle)."""
+
+from dataclasses import dataclass
+
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.vehicle import Vehicle
+from trackslip_sim.devices.sick_device import SickDeviceParameters
+from trackslip_sim.scan_model import SiteParameters
+from trackslip_sim.sensors import SensorNoise
+
+NODE = "emulator"
+DEFAULT_FILES = ("pc05.yaml", "emulator_site.yaml", "emulator.yaml")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmulatorParameters(Parameters):
+    """One emulated drive."""
+
+    vehicle: Vehicle
+    site: SiteParameters
+    noise: SensorNoise
+    sick_start: SickDeviceParameters
+    scenario: str = parameter("name in config/scenarios, or a file")
+    soil: str = parameter("name in config/soils.yaml; empty: the scenario's own")
+    mode: str = parameter("truth model", choices=("shear", "thesis"))
+    duration: float = parameter("driving, the scenario cut or repeated; 0: as it is", unit="s", ge=0.0, le=3600.0)
+    seed: int = parameter("of all noise", ge=0)
+    lead_in: float = parameter("standing after power-on", unit="s", ge=0.0)
+    can_delay: float = parameter("from power-on to the first CAN frame", unit="s", ge=0.0)
+    device_directory: str = parameter("where the serial ports appear")
+    can_interface: str = parameter("python-can interface")
+    can_channel: str = parameter("device or multicast address")
+    can_port: int = parameter("UDP port, for udp_multicast only", ge=1024, le=65535)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The true motion of a run, uniformly sampled: what estimators are scored against, never given."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Truth:
+    """Arrays (n,) over time; SI units, site frame ``odom`` and body frame base_link (C, x forward).
+
+    Angles are continuous. A slip is 0 while its track runs slower than the settings' ``slip_floor``,
+    where 1 - v/(r ω) means nothing; the slip angle is 0 while |v_x| is below the same speed.
+    """
+
+    t: FloatArray  # s, from 0
+    x: FloatArray  # m
+    y: FloatArray  # m
+    yaw: FloatArray  # rad
+    v_x: FloatArray  # m/s, at C in the body frame
+    v_y: FloatArray  # m/s
+    yaw_rate: FloatArray  # rad/s
+    left_angle: FloatArray  # rad, sprocket
+    right_angle: FloatArray
+    left_speed: FloatArray  # rad/s, sprocket
+    right_speed: FloatArray
+    left_slip: FloatArray  # 1
+    right_slip: FloatArray
+    slip_angle: FloatArray  # rad, atan(v_y / v_x)
+    left_thrust: FloatArray  # N, of the soil on the track
+    right_thrust: FloatArray
+    left_resistance: FloatArray  # N, opposite to motion: signed as v_j
+    right_resistance: FloatArray
+    turning_moment: FloatArray  # N m, of lateral shear; positive opposes the yaw rate (M_r)
+    left_pressure: FloatArray  # Pa, differential, positive drives forward
+    right_pressure: FloatArray
+    left_spool: FloatArray  # -1 … 1
+    right_spool: FloatArray
+    supply_pressure: FloatArray  # Pa
+    soil_index: IntArray  # of the soil under C, into ``soil_names``
+    soil_names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample, s."""
+        return float(self.t[-1])
+
+    def soil_name(self, index: int = -1) -> str:
+        """Name of the soil under C at one sample."""
+        return self.soil_names[self.soil_index[index]]
+
+    def interpolate(self, times: ArrayLike) -> Truth:
+        """The truth at the given times (m,), s: linear between samples, held beyond the ends.
+
+        The soil is that of the sample before.
+        """
+        t = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        before = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
+        columns = {name: np.interp(t, self.t, getattr(self, name)) for name in COLUMNS}
+        columns["t"] = t
+        return Truth(**columns, soil_index=self.soil_index[before], soil_names=self.soil_names)
+
+    def at(self, t: float) -> Truth:
+        """The truth at one time, as a record of one sample."""
+        return self.interpolate(t)
+
+
+COLUMNS = tuple(
+    field.name for field in dataclasses.fields(Truth) if field.name not in ("soil_index", "soil_names")
+)

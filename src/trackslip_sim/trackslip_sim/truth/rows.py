@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every truth mode computes, as rows of numbers, and the record made of them."""
+
+from enum import IntEnum
+
+import numpy as np
+from trackslip_estimation.terramechanics.hydraulics import pressure_of_thrust
+from trackslip_estimation.vehicle import Vehicle
+
+from trackslip_sim.truth.record import FloatArray, Truth
+from trackslip_sim.truth.settings import TruthSettings
+
+
+class Column(IntEnum):
+    """Columns of the rows; where two follow each other, left before right."""
+
+    X = 0
+    Y = 1
+    YAW = 2
+    V_X = 3
+    V_Y = 4
+    YAW_RATE = 5
+    TRACK_SPEED = 6  # r ω, m/s
+    ANGLE = 8  # of the sprockets, rad
+    THRUST = 10  # N
+    RESISTANCE = 12  # N, signed as v_j
+    MOMENT = 14  # of lateral shear about C, N m, positive clockwise
+    SPOOL = 15
+    SOIL = 17  # index under C
+    POWER = 18  # the tracks give to hull and soil, W
+    LOSS = 19  # of shear and rolling, W
+    ITERATIONS = 20  # of the step's solver
+    DRIVE = 21  # thrust of the motors, N: of the soil, and what speeds the track itself up
+
+
+WIDTH = 23
+
+
+def to_truth(
+    rows: FloatArray,
+    soil_names: tuple[str, ...],
+    vehicle: Vehicle,
+    settings: TruthSettings,
+    relief_pressure: float,
+) -> Truth:
+    """The record of rows (n, WIDTH), ``settings.sample_period`` apart.
+
+    Pressures are those of the motors' thrust, with the efficiency against the flow of power; the supply
+    stands by above the higher of them, as far as the relief valve lets it.
+    """
+    c = Column
+    v_x, yaw_rate = rows[:, c.V_X], rows[:, c.YAW_RATE]
+    left, right = rows[:, c.TRACK_SPEED], rows[:, c.TRACK_SPEED + 1]
+    floor, half = settings.slip_floor, 0.5 * vehicle.tread
+    left_pressure = pressure_of_thrust(rows[:, c.DRIVE], left, vehicle)
+    right_pressure = pressure_of_thrust(rows[:, c.DRIVE + 1], right, vehicle)
+    higher = np.maximum(np.abs(left_pressure), np.abs(right_pressure))
+    return Truth(
+        t=np.arange(len(rows)) * settings.sample_period,
+        x=rows[:, c.X],
+        y=rows[:, c.Y],
+        yaw=rows[:, c.YAW],
+        v_x=v_x,
+        v_y=rows[:, c.V_Y],
+        yaw_rate=yaw_rate,
+        left_angle=rows[:, c.ANGLE],
+        right_angle=rows[:, c.ANGLE + 1],
+        left_speed=left / vehicle.rolling_radius,
+        right_speed=right / vehicle.rolling_radius,
+        left_slip=_slip(v_x - half * yaw_rate, left, floor),
+        right_slip=_slip(v_x + half * yaw_rate, right, floor),
+        slip_angle=np.arctan(_ratio(rows[:, c.V_Y], v_x, floor)),
+        left_thrust=rows[:, c.THRUST],
+        right_thrust=rows[:, c.THRUST + 1],
+        left_resistance=rows[:, c.RESISTANCE],
+        right_resistance=rows[:, c.RESISTANCE + 1],
+        turning_moment=rows[:, c.MOMENT] * np.sign(yaw_rate),
+        left_pressure=left_pressure,
+        right_pressure=right_pressure,
+        left_spool=rows[:, c.SPOOL],
+        right_spool=rows[:, c.SPOOL + 1],
+        supply_pressure=np.minimum(higher + settings.standby_pressure, relief_pressure),
+        soil_index=rows[:, c.SOIL].astype(np.int64),
+        soil_names=soil_names,
+    )
+
+
+def _slip(ground_speed: FloatArray, track_speed: FloatArray, floor: float) -> FloatArray:
+    """i = 1 - v/(r ω), 0 below ``floor``."""
+    return _ratio(track_speed - ground_speed, track_speed, floor)
+
+
+def _ratio(above: FloatArray, below: FloatArray, floor: float) -> FloatArray:
+    """Quotient, 0 where |below| < floor."""
+    defined = np.abs(below) >= floor
+    quotient: FloatArray = np.divide(above, below, out=np.zeros_like(above), where=defined)
+    return quotient

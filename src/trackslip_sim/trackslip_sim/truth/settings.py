@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the truth simulator (``config/truth.yaml``) and the readers of its parameter files."""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+from trackslip_common.config_files import config_file, read_yaml
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, flatten, from_flat, parameter
+from trackslip_estimation.vehicle import Vehicle
+
+T = TypeVar("T", bound=Parameters)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TruthSettings(Parameters):
+    """How the truth is computed; SI units. ``load_x``, ``load_y`` move weight, not inertia."""
+
+    step: float = parameter("integration step", unit="s", gt=0.0, le=0.01)
+    sample_period: float = parameter("time between recorded samples", unit="s", gt=0.0)
+    elements: int = parameter("pieces of each track's contact", ge=2)
+    valve_time_constant: float = parameter("lag of the spool behind its command", unit="s", gt=0.0)
+    drive_sag: float = parameter("track speed lost at relief pressure", unit="m/s", gt=0.0)
+    track_mass: float = parameter("belt and motor, felt at the track", unit="kg", gt=0.0)
+    standby_pressure: float = parameter("supply above the higher load", unit="Pa", ge=0.0)
+    sliding_floor: float = parameter("sliding speed at which shear fades", unit="m/s", gt=0.0)
+    rolling_floor: float = parameter("speed at which rolling resistance fades", unit="m/s", gt=0.0)
+    slip_floor: float = parameter("track speed below which slip is undefined", unit="m/s", gt=0.0)
+    load_x: float = parameter("centre of gravity ahead of the contact centre", unit="m")
+    load_y: float = parameter("centre of gravity left of the contact centre", unit="m")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ratio = self.sample_period / self.step
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
+            raise InputError(
+                f"TruthSettings.sample_period: {self.sample_period!r} s is refused;"
+                f" accepted: a multiple of the step, {self.step!r} s"
+            )
+
+    @property
+    def steps_per_sample(self) -> int:
+        """Integration steps between two samples."""
+        return round(self.sample_period / self.step)
+
+
+def load_settings(file: str = "truth.yaml") -> TruthSettings:
+    """The settings in a file of ``config/`` or of the user's own.
+
+    Raises:
+        InputError: the file or a value in it is refused.
+    """
+    return _load(TruthSettings, file, "truth")
+
+
+def load_vehicle(file: str = "pc05.yaml") -> Vehicle:
+    """The vehicle in a file of ``config/`` or of the user's own.
+
+    Raises:
+        InputError: the file or a value in it is refused.
+    """
+    return _load(Vehicle, file, "vehicle")
+
+
+def _load(cls: type[T], file: str, group: str) -> T:
+    tree = read_yaml(config_file(file))
+    for level in ("/**", "ros__parameters", group):
+        tree = tree.get(level, {})
+        if not isinstance(tree, dict):
+            raise InputError(f"{file}: '{level}' holds {tree!r}; accepted: names and values")
+    return from_flat(cls, flatten(tree), file)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The built workspace: what the packages declare is installed where ROS 2 and users look for it."""
+
+import configparser
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+INSTALL = ROOT / "ros2_ws" / "install"
+PACKAGES = sorted(path.parent for path in ROOT.glob("src/*/package.xml"))
+PYTHON_PACKAGES = [package.name for package in PACKAGES if (package / "setup.py").is_file()]
+EXECUTABLES = {
+    "trackslip_drivers": {"can_driver", "watson_imu", "sick_pls"},
+    "trackslip_estimation": {"box_localizer", "slip_estimator", "record", "trackslip"},
+    "trackslip_sim": {"emulator", "demo"},
+}
+MESSAGES = ["MeasurementReport", "SoilEstimate", "TrackForces", "TrackHydraulics", "TrackSlip"]
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_message_survives_serialization(name: str) -> None:
+    import trackslip_msgs.msg
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    kind = getattr(trackslip_msgs.msg, name)
+    message = kind()
+    message.header.stamp.sec = 17
+    assert deserialize_message(serialize_message(message), kind) == message
+
+
+def test_slip_message_holds_its_covariance() -> None:
+    from rclpy.serialization import deserialize_message, serialize_message
+    from trackslip_msgs.msg import TrackSlip
+
+    message = TrackSlip(covariance=np.arange(9.0), motion_state=TrackSlip.TURNING)
+    received = deserialize_message(serialize_message(message), TrackSlip)
+    assert received.motion_state == 3
+    np.testing.assert_array_equal(received.covariance, np.arange(9.0))
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_package_is_described_and_indexed(package: Path) -> None:
+    description = ElementTree.parse(package / "package.xml").getroot()
+    assert description.get("format") == "3"
+    assert description.findtext("name") == package.name
+    assert description.findtext("license") == "Apache-2.0"
+    share = INSTALL / package.name / "share"
+    assert (share / "ament_index" / "resource_index" / "packages" / package.name).exists()
+    assert (share / package.name / "package.xml").is_file()
+
+
+@pytest.mark.parametrize("package", EXECUTABLES)
+def test_executables_are_where_ros2_run_looks(package: str) -> None:
+    folder = INSTALL / package / "lib" / package
+    runnable = {path.name for path in folder.iterdir() if os.access(path, os.X_OK)}
+    assert runnable == EXECUTABLES[package]
+    options = configparser.ConfigParser()
+    options.read(ROOT / "src" / package / "setup.cfg")
+    assert options["install"]["install_scripts"] == f"$base/lib/{package}"
+
+
+@pytest.mark.parametrize("package", EXECUTABLES)
+def test_executables_have_code_behind_them(package: str) -> None:
+    declared = [e for e in entry_points(group="console_scripts") if e.value.startswith(f"{package}.")]
+    assert {entry.name for entry in declared} == EXECUTABLES[package]
+    assert [entry.value for entry in declared if find_spec(entry.module) is None] == []
+
+
+def test_all_configuration_and_launch_files_are_installed() -> None:
+    files = {path.relative_to(ROOT / "config") for path in (ROOT / "config").rglob("*") if path.is_file()}
+    installed = INSTALL / "trackslip_common" / "share" / "trackslip_common" / "config"
+    assert {path.relative_to(installed) for path in installed.rglob("*") if path.is_file()} == files
+    for launch in ROOT.glob("src/*/launch/*.launch.py"):
+        package = launch.parents[1].name
+        assert (INSTALL / package / "share" / package / "launch" / launch.name).is_file()
+
+
+def test_python_needs_nothing_sourced() -> None:
+    """A python of ``.venv`` started from an empty environment finds ROS, the messages and our packages."""
+    if Path(sys.prefix) != ROOT / ".venv":
+        pytest.skip("not the python of make setup")
+    program = f"import sys, rclpy, trackslip_msgs.msg, {', '.join(PYTHON_PACKAGES)}; print(sys.argv[1:])"
+    result = subprocess.run(
+        [sys.executable, "-c", program, "one", "two words"],
+        env={},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (result.returncode, result.stdout, result.stderr) == (0, "['one', 'two words']\n", "")

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CAN frames: round trips within the resolution, and nothing that arrives breaks the decoder."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackslip_common.config_files import config_file, read_yaml
+from trackslip_common.parameters import from_flat
+from trackslip_common.tally import Tally
+from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers.protocols.can_frames import ENCODERS, PRESSURES, SPOOLS, Frame, FrameDecoder, FrameSet
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan
+
+FRAMES = FrameSet(config_file("excavator.dbc"))
+PARAMETERS = from_flat(
+    CanDriverParameters,
+    read_yaml(config_file("can_driver.yaml"))["can_driver"]["ros__parameters"],
+    "can_driver.yaml",
+)
+PRESSURE = st.floats(-25e6, 25e6)
+READINGS = st.one_of(
+    st.tuples(
+        st.just(ENCODERS),
+        st.fixed_dictionaries({"left_count": st.integers(0, 4095), "right_count": st.integers(0, 4095)}),
+        st.just(0.0),
+    ),
+    st.tuples(
+        st.just(SPOOLS),
+        st.fixed_dictionaries({"left_spool": st.floats(-1, 1), "right_spool": st.floats(-1, 1)}),
+        st.just(0.5e-4),
+    ),
+    st.tuples(
+        st.just(PRESSURES),
+        st.fixed_dictionaries(
+            {"left_pressure": PRESSURE, "right_pressure": PRESSURE, "supply_pressure": st.floats(0, 25e6)}
+        ),
+        st.just(500.0),
+    ),
+)
+seeded = settings(derandomize=True, max_examples=200, deadline=None)
+
+
+@seeded
+@given(READINGS, st.integers(0, 1000))
+def test_round_trip_within_half_the_resolution(reading, alive):
+    name, values, half_step = reading
+    frame = FrameDecoder(FRAMES, Tally()).decode(*FRAMES.encode(name, values, alive), 0)
+    assert isinstance(frame, Frame)
+    assert frame.values == pytest.approx(values, abs=half_step * 1.000001)
+
+
+@seeded
+@given(
+    st.lists(
+        st.tuples(
+            st.one_of(st.sampled_from(sorted(FRAMES.by_id)), st.integers(0, 2**32 - 1)),
+            st.binary(max_size=64),
+            st.integers(-(2**62), 2**62),
+        ),
+        max_size=50,
+    )
+)
+def test_no_bus_breaks_the_decoder(received):
+    excavator = ExcavatorCan(PARAMETERS, FRAMES, Tally())
+    for arbitration_id, data, stamp_ns in received:
+        excavator.receive(arbitration_id, data, stamp_ns)
+    counted = sum(excavator.tally.total.values())
+    assert counted >= len([1 for identifier, _, _ in received if identifier not in FRAMES.by_id])
+
+
+@seeded
+@given(st.lists(st.tuples(READINGS, st.integers(0, 15), st.integers(-(2**62), 2**62)), max_size=40))
+def test_no_order_of_good_frames_breaks_the_records(received):
+    excavator = ExcavatorCan(PARAMETERS, FRAMES, Tally())
+    for (name, values, _), alive, stamp_ns in received:
+        excavator.receive(*FRAMES.encode(name, values, alive), stamp_ns)

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever comes down the line: no exception, bounded memory, every byte accounted for, no wrong scan."""
+
+import itertools
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackslip_common.config_files import config_file, read_yaml
+from trackslip_common.parameters import flatten, from_flat
+from trackslip_common.tally import Tally
+from trackslip_drivers.protocols.sick_commands import parse_reply
+from trackslip_drivers.protocols.sick_crc import sick_crc
+from trackslip_drivers.protocols.sick_scan import RawScan, Scan, decode_scan, encode_scan, parse_scan
+from trackslip_drivers.protocols.sick_session import SickSession
+from trackslip_drivers.protocols.sick_telegram import (
+    FROM_SENSOR,
+    MAX_TELEGRAM,
+    SILENCE_NS,
+    Telegram,
+    TelegramFault,
+    TelegramParser,
+    frame,
+)
+from trackslip_drivers.sick_parameters import SickParameters
+
+MS = 1_000_000
+PLS = from_flat(
+    SickParameters,
+    flatten(read_yaml(config_file("sick_pls.yaml"))["sick_pls"]["ros__parameters"]),
+    "config/sick_pls.yaml",
+)
+LMS = replace(PLS, model="lms", range_max=80.0)
+
+seeded = settings(derandomize=True, max_examples=100, deadline=None)
+words = st.lists(st.integers(0, 0xFFFF), min_size=361, max_size=361)
+# Noise that often looks like the start of a telegram.
+noise = st.lists(
+    st.one_of(
+        st.binary(max_size=40),
+        st.sampled_from([b"\x02", b"\x02\x80", b"\x02\x80\xd6\x02\xb0\x69\x01", b"\x06", b"\x15"]),
+        st.integers(0, 0xFFFF).map(lambda n: b"\x02\x80" + n.to_bytes(2, "little")),
+    ),
+    max_size=60,
+).map(b"".join)
+
+
+def scan_frame(seed: int) -> bytes:
+    values = np.random.default_rng(seed).integers(0, 0x10000, 361).astype(np.uint16)
+    return frame(RawScan(values, status=0).payload(), FROM_SENSOR)
+
+
+class Listener:
+    """A parser that is told the time."""
+
+    def __init__(self) -> None:
+        self.tally = Tally()
+        self.parser = TelegramParser(FROM_SENSOR, 38_400, 11, self.tally, "scan")
+        self.now_ns = 0
+        self.heard = 0
+        self.payloads: list[bytes] = []
+
+    def hear(self, data: bytes) -> None:
+        self.now_ns += MS
+        for event in self.parser.feed(data, self.now_ns):
+            if isinstance(event, Telegram):
+                assert event.end_ns <= self.now_ns
+                self.payloads.append(event.payload)
+                self.heard += len(frame(event.payload, FROM_SENSOR))
+            else:
+                self.heard += 1
+        assert self.parser.bytes_held < MAX_TELEGRAM
+
+    def wait(self) -> None:
+        self.now_ns += SILENCE_NS
+        self.hear(b"")
+
+    def garbage(self) -> int:
+        return self.tally.total["scan", TelegramFault.GARBAGE_BYTE.value]
+
+
+@seeded
+@given(values=words, status=st.integers(0, 255), unit=st.integers(0, 3), partial=st.integers(0, 3))
+def test_raw_scans_survive_a_round_trip(values: list[int], status: int, unit: int, partial: int) -> None:
+    scan = RawScan(np.array(values, dtype=np.uint16), status, unit, partial)
+    parsed = parse_scan(scan.payload())
+    assert isinstance(parsed, RawScan)
+    np.testing.assert_array_equal(parsed.values, scan.values)
+    assert (parsed.status, parsed.unit, parsed.partial) == (status, unit, partial)
+
+
+@pytest.mark.parametrize("parameters", [PLS, LMS])
+@seeded
+@given(
+    count=st.sampled_from([180, 181, 360, 361]),
+    seed=st.integers(0, 2**32 - 1),
+    partial=st.integers(0, 3),
+    status=st.integers(0, 255),
+)
+def test_samples_survive_a_round_trip(
+    parameters: SickParameters, count: int, seed: int, partial: int, status: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    raw = RawScan(rng.integers(0, 0x4000, count).astype(np.uint16), status, partial=partial)
+    first = decode_scan(Telegram(raw.payload(), 10**18, 10**18), parameters)
+    assert isinstance(first, Scan)
+    payload = encode_scan(first.sample, parameters, status)
+    second = decode_scan(Telegram(payload, 10**18, 10**18), parameters)
+    assert isinstance(second, Scan)
+    np.testing.assert_array_equal(second.sample.ranges, first.sample.ranges)
+    assert replace(second.sample, ranges=first.sample.ranges).__dict__ == first.sample.__dict__
+    assert second.status == first.status
+
+
+@seeded
+@given(data=noise, cuts=st.lists(st.integers(0, 400), max_size=20))
+def test_noise_is_counted_to_the_last_byte(data: bytes, cuts: list[int]) -> None:
+    listener = Listener()
+    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    for start, end in itertools.pairwise(edges):
+        listener.hear(data[start:end])
+        assert listener.heard + listener.garbage() + listener.parser.bytes_held == end
+    listener.wait()
+    assert listener.parser.bytes_held == 0
+    assert listener.heard + listener.garbage() == len(data)
+
+
+@seeded
+@given(before=noise, seed=st.integers(0, 1000))
+def test_every_scan_after_noise_is_heard(before: bytes, seed: int) -> None:
+    listener = Listener()
+    scans = [scan_frame(seed + i) for i in range(3)]
+    listener.hear(before)
+    for scan in scans:
+        listener.hear(scan)
+    # A false start holds back less than two scans; it loses none.
+    assert listener.payloads[:1] == [scans[0][4:-2]]
+    listener.wait()
+    assert listener.payloads == [scan[4:-2] for scan in scans]
+
+
+def test_a_telegram_may_be_split_anywhere() -> None:
+    whole = scan_frame(3)
+    for cut in range(len(whole) + 1):
+        listener = Listener()
+        listener.hear(whole[:cut])
+        listener.hear(whole[cut:])
+        assert listener.payloads == [whole[4:-2]]
+        assert not listener.tally.total
+
+
+@seeded
+@given(position=st.integers(0, 731), flip=st.integers(1, 255), seed=st.integers(0, 1000))
+def test_a_byte_changed_is_a_scan_rejected(position: int, flip: int, seed: int) -> None:
+    whole, following = bytearray(scan_frame(seed)), [scan_frame(seed + 1), scan_frame(seed + 2)]
+    whole[position] ^= flip
+    listener = Listener()
+    listener.hear(bytes(whole))
+    for scan in following:
+        listener.hear(scan)
+    listener.wait()
+    assert listener.payloads == [scan[4:-2] for scan in following]
+    assert listener.garbage() == len(whole)
+
+
+@seeded
+@given(position=st.integers(0, 731), lost=st.integers(1, 100), seed=st.integers(0, 1000))
+def test_bytes_lost_are_a_scan_rejected(position: int, lost: int, seed: int) -> None:
+    whole, following = scan_frame(seed), [scan_frame(seed + 1), scan_frame(seed + 2)]
+    listener = Listener()
+    listener.hear(whole[:position] + whole[position + lost :])
+    for scan in following:
+        listener.hear(scan)
+    listener.wait()
+    assert listener.payloads == [scan[4:-2] for scan in following]
+
+
+@seeded
+@given(data=st.binary(min_size=1, max_size=60), position=st.integers(0, 59), flip=st.integers(1, 255))
+def test_the_checksum_finds_every_error_within_a_byte(data: bytes, position: int, flip: int) -> None:
+    changed = bytearray(data)
+    changed[position % len(data)] ^= flip
+    assert sick_crc(bytes(changed)) != sick_crc(data)
+
+
+@seeded
+@given(payload=st.binary(min_size=1, max_size=30))
+def test_any_payload_is_understood_or_refused(payload: bytes) -> None:
+    parse_reply(payload)
+    parse_scan(payload)
+    decode_scan(Telegram(payload, 0, 0), PLS)
+
+
+def test_a_session_outlives_noise() -> None:
+    rng = random.Random(5)
+    session = SickSession(PLS, Tally())
+    now_ns = 0
+    for _ in range(3000):
+        now_ns += rng.randrange(1, 20) * MS
+        kind = rng.randrange(4)
+        data = [b"", rng.randbytes(rng.randrange(50)), b"\x06", frame(rng.randbytes(3), FROM_SENSOR)][kind]
+        assert session.receive(data, now_ns) == []
+        session.step(now_ns)

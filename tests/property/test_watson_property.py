@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Watson units: round trips, any cutting of the stream, any bytes at all."""
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackslip_common.config_files import config_file, read_yaml
+from trackslip_common.tally import Tally
+from trackslip_drivers.protocols.watson import (
+    Layout,
+    Reading,
+    decode_frame,
+    decode_line,
+    encode_frame,
+    encode_line,
+)
+from trackslip_drivers.protocols.watson_stream import WatsonStream
+
+CONFIG = read_yaml(config_file("watson_imu.yaml"))["watson_imu"]["ros__parameters"]
+LAYOUT = Layout(CONFIG["channels"], CONFIG["formats"], CONFIG["full_scales"])
+VALUES = st.fixed_dictionaries(
+    {channel.name: st.floats(-channel.full_scale, channel.full_scale) for channel in LAYOUT.channels}
+)
+LABEL = st.sampled_from("IRGTirgt")
+seeded = settings(derandomize=True, max_examples=200, deadline=None)
+
+
+def cut(data, places):
+    edges = [0, *sorted(min(place, len(data)) for place in places), len(data)]
+    return [data[a:b] for a, b in pairwise(edges)]
+
+
+@seeded
+@given(LABEL, VALUES)
+def test_line_round_trip(label, values):
+    reading = decode_line(encode_line(label, values, LAYOUT)[:-1], LAYOUT)
+    assert isinstance(reading, Reading)
+    for channel in LAYOUT.channels:
+        error = abs(reading.values[channel.name] - values[channel.name])
+        assert error <= 0.5000001 * 10.0**-channel.decimals
+    assert reading.over_range >= label.islower()
+
+
+@seeded
+@given(VALUES)
+def test_frame_round_trip(values):
+    reading = decode_frame(encode_frame(values, LAYOUT)[:-1], LAYOUT)
+    assert isinstance(reading, Reading)
+    for channel in LAYOUT.channels:
+        error = abs(reading.values[channel.name] - values[channel.name])
+        assert error <= 1.000001 * channel.full_scale / 8192
+
+
+@seeded
+@given(
+    st.lists(st.tuples(st.booleans(), VALUES), max_size=8),
+    st.lists(st.integers(0, 600), max_size=20),
+)
+def test_cutting_of_the_stream_changes_nothing(lines, places):
+    data = b"".join(
+        encode_frame(values, LAYOUT) if binary else encode_line("R", values, LAYOUT)
+        for binary, values in lines
+    )
+    whole = WatsonStream(LAYOUT, 9600, 0, Tally()).feed(data, 10**18)
+    parser = WatsonStream(LAYOUT, 9600, 0, Tally())
+    left = len(data)
+    pieces = []
+    for piece in cut(data, places):
+        left -= len(piece)
+        pieces += parser.feed(piece, 10**18 - left * 10**10 // 9600)
+    assert len(pieces) == len(lines)
+    for piece, sample in zip(pieces, whole, strict=True):
+        assert piece.stamp_ns == pytest.approx(sample.stamp_ns, abs=3)
+        assert (piece.acceleration, piece.magnetic_field) == (sample.acceleration, sample.magnetic_field)
+    assert not parser.tally.total
+
+
+@seeded
+@given(st.lists(st.binary(max_size=700), max_size=8), st.integers(-(2**62), 2**62))
+def test_any_bytes_are_survived_in_bounded_memory_and_the_next_line_is_read(chunks, arrival_ns):
+    parser = WatsonStream(LAYOUT, 9600, 0, Tally())
+    for chunk in chunks:
+        parser.feed(chunk, arrival_ns)
+        assert len(parser._pending) <= parser.limit
+    assert len(parser.feed(b"\r" + encode_line("R", {}, LAYOUT), arrival_ns)) >= 1
+
+
+@seeded
+@given(VALUES, st.integers(0, LAYOUT.line_length - 2), st.integers(1, 20))
+def test_lost_characters_never_pass_for_a_reading(values, start, count):
+    """Nothing but a loss that leaves every field's width right could, and then a space must go with it."""
+    line = encode_line("R", values, LAYOUT)[:-1]
+    damaged = line[:start] + line[start + count :]
+    assert not isinstance(decode_line(damaged, LAYOUT), Reading)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A serial line delivers whole characters at its rate, in order, none twice."""
+
+import random
+
+from trackslip_sim.devices.line import BaudLine
+
+CHAR_NS = 1_000_000  # at 11 kBd and 11 bits a character
+
+
+def line() -> BaudLine:
+    return BaudLine(11_000, 11)
+
+
+def test_a_character_arrives_when_its_last_bit_has() -> None:
+    wire = line()
+    wire.send(b"ab", 5_000_000)
+    assert wire.take(5_000_000 + CHAR_NS - 1) == b""
+    assert wire.take(5_000_000 + CHAR_NS) == b"a"
+    assert wire.take(5_000_000 + CHAR_NS) == b""
+    assert wire.busy_until_ns == 5_000_000 + 2 * CHAR_NS
+    assert wire.take(wire.busy_until_ns) == b"b"
+
+
+def test_bytes_wait_for_those_before_them() -> None:
+    wire = line()
+    wire.send(b"abc", 0)
+    wire.send(b"d", CHAR_NS)
+    assert wire.take(3 * CHAR_NS) == b"abc"
+    assert wire.take(4 * CHAR_NS) == b"d"
+
+
+def test_an_idle_line_does_not_save_up() -> None:
+    wire = line()
+    wire.send(b"a", 0)
+    wire.send(b"b", 10 * CHAR_NS)
+    assert wire.take(10 * CHAR_NS) == b"a"
+    assert wire.take(11 * CHAR_NS) == b"b"
+
+
+def test_a_new_rate_holds_for_what_is_sent_from_then_on() -> None:
+    wire = line()
+    wire.send(b"a", 0)
+    wire.baud = 22_000
+    wire.send(b"bc", 0)
+    assert wire.take(CHAR_NS) == b"a"
+    assert wire.take(CHAR_NS + CHAR_NS // 2) == b"b"
+    assert wire.busy_until_ns == 2 * CHAR_NS
+
+
+def test_nothing_sent_leaves_the_line_free() -> None:
+    wire = line()
+    wire.send(b"", 7)
+    assert wire.busy_until_ns == 0
+    assert wire.take(7) == b""
+
+
+def test_odd_rates_lose_and_repeat_nothing() -> None:
+    rng = random.Random(1)
+    wire = BaudLine(38_400, 11)
+    sent, received, now_ns = bytearray(), bytearray(), 0
+    for _ in range(500):
+        data = rng.randbytes(rng.randrange(20))
+        wire.send(data, now_ns)
+        sent += data
+        now_ns += rng.randrange(10_000_000)
+        received += wire.take(now_ns)
+    received += wire.take(wire.busy_until_ns)
+    assert received == sent

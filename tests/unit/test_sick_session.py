@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The host's session and the emulated scanner talk over a line with the true rates, in simulated time."""
+
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_common.config_files import config_file, read_yaml
+from trackslip_common.parameters import flatten, from_flat
+from trackslip_common.tally import Tally
+from trackslip_drivers.protocols import sick_commands as commands
+from trackslip_drivers.protocols.sick_scan import RawScan, Scan, ScanFault
+from trackslip_drivers.protocols.sick_session import Phase, SessionFault, SickSession
+from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, TO_SENSOR, frame
+from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_sim.devices import sick_device
+from trackslip_sim.devices.line import BaudLine
+from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
+
+MS = 1_000_000
+S = 1000 * MS
+EPOCH_NS = 1_700_000_000 * S
+TURN_NS = 40 * MS
+
+PLS = from_flat(
+    SickParameters,
+    flatten(read_yaml(config_file("sick_pls.yaml"))["sick_pls"]["ros__parameters"]),
+    "config/sick_pls.yaml",
+)
+LMS = replace(PLS, model="lms", parity="N", range_max=80.0)
+
+
+def room(stamp_ns: int) -> NDArray[np.float64]:
+    """Ranges (m) that tell the turn they belong to, with rays that have none."""
+    turn = (stamp_ns - EPOCH_NS) // TURN_NS
+    ranges = 3.0 + 0.01 * ((np.arange(361, dtype=np.float64) + turn) % 500)
+    ranges[:2] = [np.nan, np.inf]
+    return ranges
+
+
+class Bench:
+    """A session and a device with the line between them; the host polls every 1 to 10 ms."""
+
+    def __init__(
+        self,
+        parameters: SickParameters = PLS,
+        device_parameters: SickParameters | None = None,
+        power_on_baud: int = 9600,
+        boot_delay: float = 0.5,
+        longest_poll_ns: int = 10 * MS,
+    ) -> None:
+        self.rng = random.Random(7)
+        self.now_ns = EPOCH_NS
+        self.longest_poll_ns = longest_poll_ns
+        self.host_baud = parameters.serial_baud
+        self.uplink = BaudLine(self.host_baud, parameters.bits_per_char)
+        self.session = SickSession(parameters, Tally())
+        start = SickDeviceParameters(boot_delay=boot_delay, power_on_baud=power_on_baud)
+        self.device = SickDevice(device_parameters or parameters, start, room, self.now_ns)
+        self.scans: list[Scan] = []
+        self.plugged = True
+
+    def poll(self) -> None:
+        self.now_ns += self.rng.randrange(MS, self.longest_poll_ns)
+        self.device.receive(self.uplink.take(self.now_ns), self.now_ns, self.host_baud)
+        data = self.device.step(self.now_ns)
+        if self.device.baud != self.host_baud:
+            data = self.rng.randbytes(len(data))
+        self.scans += self.session.receive(data if self.plugged else b"", self.now_ns)
+        action = self.session.step(self.now_ns)
+        if action.baud is not None:
+            self.host_baud = self.uplink.baud = action.baud
+        self.uplink.send(action.write, self.now_ns)
+
+    def run(self, seconds: float) -> None:
+        end_ns = self.now_ns + round(seconds * S)
+        while self.now_ns < end_ns:
+            self.poll()
+
+    def run_until(self, phase: Phase, within: float) -> float:
+        began_ns = self.now_ns
+        while self.session.phase is not phase:
+            assert self.now_ns - began_ns < within * S, f"still {self.session.phase}"
+            self.poll()
+        return (self.now_ns - began_ns) / S
+
+    def count(self, fault: SessionFault) -> int:
+        return self.session.tally.total["scan", fault.value]
+
+
+@pytest.mark.parametrize("parameters", [PLS, LMS])
+@pytest.mark.parametrize("power_on_baud", sorted(commands.BAUD_CODES))
+def test_starts_from_any_rate(parameters: SickParameters, power_on_baud: int) -> None:
+    bench = Bench(parameters, power_on_baud=power_on_baud)
+    bench.run_until(Phase.STREAMING, within=3.0)
+    bench.run(2.0)
+    assert bench.device.baud == bench.host_baud == 38400
+    assert len(bench.scans) == bench.device.scans_emitted >= 7
+    assert bench.count(SessionFault.REFUSED) == 0
+
+
+@pytest.mark.parametrize("baud", sorted(commands.BAUD_CODES))
+def test_streams_at_any_rate(baud: int) -> None:
+    bench = Bench(replace(PLS, serial_baud=baud))
+    bench.run_until(Phase.STREAMING, within=3.0)
+    bench.run(4.0)
+    turns_per_scan = {9600: 21, 19200: 11, 38400: 6, 500000: 1}[baud]
+    assert np.unique(np.diff(bench.device.stamps)).tolist() == [turns_per_scan * TURN_NS]
+    assert len(bench.scans) == bench.device.scans_emitted
+
+
+@pytest.mark.parametrize("longest_poll_ms", [2, 10, 30])
+def test_stamps_and_ranges_are_those_of_the_sweep(longest_poll_ms: int) -> None:
+    bench = Bench(longest_poll_ns=longest_poll_ms * MS)
+    bench.run_until(Phase.STREAMING, within=3.0)
+    bench.run(20.0)
+    assert len(bench.scans) > 80
+    for scan, stamp_ns in zip(bench.scans, bench.device.stamps, strict=True):
+        assert abs(scan.sample.stamp_ns - stamp_ns) <= 5 * MS
+        np.testing.assert_allclose(scan.sample.ranges, room(stamp_ns), atol=1e-9)
+
+
+@pytest.mark.parametrize("boot_delay", [0.0, 15.0])
+def test_waits_for_a_scanner_that_boots(boot_delay: float) -> None:
+    bench = Bench(boot_delay=boot_delay)
+    took = bench.run_until(Phase.STREAMING, within=boot_delay + 3.0)
+    assert took > boot_delay
+    assert (bench.count(SessionFault.NO_ANSWER) > 0) == (boot_delay > 0)
+
+
+@pytest.mark.parametrize("baud", [9600, 38400])
+def test_takes_over_a_scanner_that_streams_already(baud: int) -> None:
+    bench = Bench(replace(PLS, serial_baud=baud))
+    bench.run_until(Phase.STREAMING, within=3.0)
+    bench.run(2.0)
+    bench.session = SickSession(PLS, Tally())
+    bench.host_baud = bench.uplink.baud = bench.session.baud
+    bench.run_until(Phase.STREAMING, within=6.0)
+    before = len(bench.scans)
+    bench.run(1.0)
+    assert len(bench.scans) > before + 2
+
+
+def test_starts_again_when_the_scanner_lost_power() -> None:
+    bench = Bench()
+    bench.run_until(Phase.STREAMING, within=3.0)
+    bench.run(1.0)
+    bench.device.power_cycle(bench.now_ns)
+    bench.run(6.0)
+    before = len(bench.scans)
+    bench.run(1.0)
+    assert len(bench.scans) > before + 2
+    assert bench.count(SessionFault.SILENT) == 1
+
+
+def test_starts_again_at_once_when_the_scanner_says_it_restarted() -> None:
+    bench = Bench(power_on_baud=38400)
+    bench.run_until(Phase.STREAMING, within=3.0)
+    bench.device.power_cycle(bench.now_ns)
+    bench.run(1.2)
+    assert bench.session.phase is Phase.STREAMING
+    assert bench.count(SessionFault.RESTARTED) == 1
+
+
+def test_starts_again_when_the_cable_was_out() -> None:
+    bench = Bench()
+    bench.run_until(Phase.STREAMING, within=3.0)
+    bench.run(1.0)
+    bench.plugged = False
+    bench.run_until(Phase.PROBING, within=2.5)
+    bench.run(5.0)
+    bench.plugged = True
+    bench.run_until(Phase.STREAMING, within=4.0)
+
+
+def test_outlives_a_scanner_slow_to_change_its_mode(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sick_device, "_REPLY_DELAY_NS", 2500 * MS)
+    bench = Bench()
+    bench.run_until(Phase.STREAMING, within=25.0)
+    bench.run(1.0)
+    assert len(bench.scans) > 2
+
+
+def test_a_refused_password_ends_it() -> None:
+    bench = Bench(PLS, device_parameters=replace(LMS, parity="E"))
+    bench.run_until(Phase.FAILED, within=3.0)
+    bench.run(1.0)
+    assert bench.session.phase is Phase.FAILED
+    assert bench.device.scans_emitted == 0
+
+
+def test_stops_the_scanner_before_leaving() -> None:
+    bench = Bench()
+    bench.run_until(Phase.STREAMING, within=3.0)
+    bench.run(1.1)
+    bench.session.stop()
+    bench.run_until(Phase.STOPPED, within=0.5)
+    emitted = bench.device.scans_emitted
+    bench.run(1.0)
+    assert bench.device.scans_emitted == emitted
+    assert bench.session.phase is Phase.STOPPED
+
+
+def test_stopping_without_a_scanner_takes_no_longer_than_its_acknowledgement() -> None:
+    bench = Bench(boot_delay=60.0)
+    bench.run(0.2)
+    bench.session.stop()
+    bench.run_until(Phase.STOPPED, within=0.1)
+
+
+OK, FAULT = b"\xa0\x00\x00", b"\xa0\x02\x00"
+INSTALL = commands.installation_mode(b"SICK_PLS")
+SET_BAUD = commands.set_baud(38400)
+
+
+class Puppet:
+    """A session whose scanner is the test; the scanner is found at 9600."""
+
+    def __init__(self) -> None:
+        self.session = SickSession(PLS, Tally())
+        self.now_ns = EPOCH_NS
+        self.baud = self.session.baud
+        while self.baud != 9600:
+            self.written = self.step(10)
+
+    def step(self, wait_ms: int) -> bytes:
+        self.now_ns += wait_ms * MS
+        action = self.session.step(self.now_ns)
+        self.baud = action.baud or self.baud
+        return action.write
+
+    def answer(self, *telegrams: bytes, ack: bytes = b"\x06") -> bytes:
+        """Answer a command 30 ms after it; gives what is written next."""
+        self.now_ns += 30 * MS
+        self.session.receive(ack + b"".join(frame(t, FROM_SENSOR) for t in telegrams), self.now_ns)
+        return self.step(0)
+
+    def count(self, fault: SessionFault) -> int:
+        return self.session.tally.total["scan", fault.value]
+
+
+def test_a_scanner_that_has_just_started_is_told_again() -> None:
+    puppet = Puppet()
+    assert puppet.answer(b"\x90PLS\x00", ack=b"") == frame(commands.STOP, TO_SENSOR)
+    assert puppet.baud == 9600
+    assert puppet.answer(OK) == frame(INSTALL, TO_SENSOR)
+
+
+def test_the_rate_changes_also_when_only_its_acknowledgement_is_heard() -> None:
+    puppet = Puppet()
+    assert puppet.answer(OK) == frame(INSTALL, TO_SENSOR)
+    assert puppet.answer(OK) == frame(SET_BAUD, TO_SENSOR)
+    assert puppet.answer() == b""
+    assert puppet.step(240) == b""
+    assert puppet.baud == 9600
+    assert puppet.step(20) == b""
+    assert puppet.baud == 38400
+    assert puppet.step(240) == b""
+    assert puppet.step(20) == frame(commands.STOP, TO_SENSOR)
+
+
+def test_a_late_reply_does_not_answer_the_next_command() -> None:
+    puppet = Puppet()
+    puppet.answer(OK)
+    puppet.answer(OK)
+    puppet.answer(OK)
+    assert puppet.baud == 38400
+    assert puppet.answer(OK) == b""
+    assert puppet.step(260) == frame(commands.STOP, TO_SENSOR)
+    assert puppet.step(10) == b""
+    assert puppet.session.phase is Phase.CHANGING_RATE
+
+
+@pytest.mark.parametrize("accepted", [1, 2])
+@pytest.mark.parametrize(("ack", "reply"), [(b"\x15", ()), (b"\x06", (FAULT,)), (b"\x06", (b"\x92\x00",))])
+def test_a_refusal_starts_it_again(accepted: int, ack: bytes, reply: tuple[bytes, ...]) -> None:
+    puppet = Puppet()
+    for _ in range(accepted):
+        puppet.answer(OK)
+    assert puppet.answer(*reply, ack=ack) == frame(commands.STOP, TO_SENSOR)
+    assert puppet.session.phase is Phase.PROBING
+    assert puppet.count(SessionFault.REFUSED) == 1
+
+
+def test_a_refusal_to_stream_starts_it_again() -> None:
+    session = SickSession(PLS, Tally())
+    session.step(EPOCH_NS)
+    session.receive(b"\x06" + frame(OK, FROM_SENSOR), EPOCH_NS + 30 * MS)
+    assert session.step(EPOCH_NS + 30 * MS).write == frame(commands.STREAM_ALL, TO_SENSOR)
+    session.receive(b"\x15", EPOCH_NS + 60 * MS)
+    session.step(EPOCH_NS + 60 * MS)
+    assert session.phase is Phase.PROBING
+    assert session.tally.total["scan", SessionFault.REFUSED.value] == 1
+
+
+def test_scans_nobody_asked_for_are_counted() -> None:
+    session = SickSession(PLS, Tally())
+    session.step(EPOCH_NS)
+    scan = RawScan(np.full(361, 500, dtype=np.uint16), status=0)
+    assert session.receive(frame(scan.payload(), FROM_SENSOR), EPOCH_NS + 300 * MS) == []
+    assert session.tally.total["scan", ScanFault.NOT_STREAMING.value] == 1

@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ports, buses and the loop around them, on real ptys and sockets."""
+
+import math
+import os
+import socket
+import termios
+import threading
+import time
+from functools import partial
+
+import can
+import pytest
+import serial
+
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG
+from trackslip_drivers.transports.can_bus import STANDARD_FLAG, CanBus
+from trackslip_drivers.transports.link import Link
+from trackslip_drivers.transports.serial_port import SerialPort
+from trackslip_sim.devices.pty_port import PtyPort
+
+PATIENCE_S = 20.0
+UDP_PORT = 44000 + os.getpid() % 10000  # parallel test runs must not hear each other
+GROUP = "239.74.163.2"
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.01)
+
+
+class Heard:
+    """Collects what a link hands on."""
+
+    def __init__(self):
+        self.data = []
+        self.stamps = []
+        self.openings = 0
+
+    def on_data(self, data, arrival_ns):
+        self.data.append(data)
+        self.stamps.append(arrival_ns)
+
+    def on_open(self):
+        self.openings += 1
+
+
+@pytest.fixture
+def heard():
+    return Heard()
+
+
+@pytest.fixture
+def start_link(heard):
+    links = []
+
+    def start(open_port, silence_s=math.inf, on_data=None):
+        link = Link("test", open_port, on_data or heard.on_data, heard.on_open, silence_s)
+        links.append(link)
+        link.start()
+        return link
+
+    yield start
+    for link in links:
+        link.stop()
+        assert not link._thread.is_alive()
+
+
+@pytest.fixture
+def pty_port(tmp_path):
+    port = PtyPort(tmp_path / "device")
+    yield port
+    if port.link.is_symlink():
+        port.close()
+
+
+def test_bytes_both_ways_over_a_pty(pty_port, heard, start_link):
+    every_byte = bytes(range(256))
+    link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"))
+    wait_for(lambda: link.state().connected)
+    before_ns = time.time_ns()
+    assert pty_port.write(every_byte) == 256
+    wait_for(lambda: len(b"".join(heard.data)) == 256)
+    assert b"".join(heard.data) == every_byte
+    assert before_ns <= heard.stamps[0] <= time.time_ns()
+    assert link.write(every_byte)
+    received = b""
+    deadline = time.monotonic() + PATIENCE_S
+    while len(received) < 256 and time.monotonic() < deadline:
+        received += pty_port.read()
+    assert received == every_byte
+    assert pty_port.read() == b""
+    assert link.state().note == ""
+
+
+@pytest.mark.parametrize("attempt", [0, 1])
+def test_parity_on_a_pty_falls_back_with_a_note(pty_port, attempt):
+    for _ in range(attempt):  # the kernel ignores the first attempt and refuses those after it
+        SerialPort(str(pty_port.link), 9600, "N").close()
+    port = SerialPort(str(pty_port.link), 9600, "E")
+    assert "opened without parity E" in port.note
+    assert pty_port.baud == 9600
+    port.set_baud(500000)
+    assert pty_port.baud == 500000
+    pty_port.write(b"abc")
+    assert port.read()[0][0] == b"abc"
+    port.close()
+
+
+def test_other_terminal_errors_are_not_swallowed(monkeypatch):
+    def refuse(*_, **__):
+        raise termios.error(22, "Invalid argument")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(termios.error):
+        SerialPort("anything", 9600, "N")
+
+
+def test_read_times_out_empty(pty_port):
+    port = SerialPort(str(pty_port.link), 9600, "N")
+    assert port.read() == []
+    port.close()
+
+
+def test_baud_is_changed_through_the_link(pty_port, start_link):
+    link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"))
+    wait_for(lambda: link.state().connected)
+    assert link.use(lambda port: port.set_baud(38400))
+    assert pty_port.baud == 38400
+
+
+def test_reconnects_when_the_device_comes_back(tmp_path, heard, start_link):
+    first = PtyPort(tmp_path / "device")
+    link = start_link(partial(SerialPort, str(first.link), 9600, "N"))
+    wait_for(lambda: link.state().connected)
+    first.write(b"one")
+    wait_for(lambda: b"".join(heard.data) == b"one")
+    first.close()
+    wait_for(lambda: link.state().errors >= 2)  # the loss, and an opening in vain
+    assert not link.write(b"x")
+    assert "device" in link.state().last_error
+    second = PtyPort(tmp_path / "device")
+    wait_for(lambda: link.state().openings == 2)
+    second.write(b"two")
+    wait_for(lambda: b"".join(heard.data) == b"onetwo")
+    assert heard.openings == 2
+    link.stop()
+    second.close()
+
+
+def test_socket_url(heard, start_link):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        link = start_link(partial(SerialPort, url, 9600, "E"))
+        client, _ = server.accept()
+        wait_for(lambda: heard.openings == 1)  # opening discards what came before
+        client.sendall(b"x" * 10000)
+        wait_for(lambda: sum(map(len, heard.data)) == 10000)
+        client.close()
+        wait_for(lambda: link.state().errors >= 1)
+        client, _ = server.accept()
+        wait_for(lambda: heard.openings == 2)
+        client.sendall(b"again")
+        wait_for(lambda: b"".join(heard.data).endswith(b"again"))
+        link.stop()
+        client.close()
+
+
+def test_silent_port_is_reopened(pty_port, heard, start_link):
+    link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"), silence_s=0.2)
+    wait_for(lambda: link.state().openings >= 2)
+    assert link.state().last_error == "TimeoutError: nothing received for 0.2 s"
+
+
+class BrokenPort:
+    """Fails as told; every kind of error must end in a new opening."""
+
+    note = "broken"
+
+    def __init__(self, error, closed):
+        self.error = error
+        self.closed = closed
+
+    def read(self):
+        raise self.error
+
+    def write(self, data):
+        raise self.error
+
+    def close(self):
+        self.closed.append(self)
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(5, "gone"), termios.error(22, "bad"), can.CanOperationError("off"), ValueError("bug")]
+)
+def test_any_error_closes_counts_and_reopens(start_link, error):
+    closed = []
+    link = start_link(partial(BrokenPort, error, closed))
+    wait_for(lambda: link.state().openings >= 2)
+    link.stop()
+    state = link.state()
+    assert state.errors == state.openings == len(closed)
+    assert state.last_error.startswith(type(error).__name__)
+    assert not state.connected
+
+
+def test_callback_that_fails_does_not_end_the_link(pty_port, start_link):
+    def fail(data, arrival_ns):
+        raise RuntimeError("no use")
+
+    link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"), on_data=fail)
+    wait_for(lambda: link.state().connected)
+    pty_port.write(b"x")
+    wait_for(lambda: link.state().openings == 2)
+    assert link.state().last_error == "RuntimeError: no use"
+
+
+def test_pauses_double_up_to_two_seconds(start_link, monkeypatch):
+    pauses = []
+
+    def refuse():
+        raise OSError("absent")
+
+    link = Link("test", refuse, lambda *_: None, lambda: None, math.inf)
+
+    def wait(pause_s):
+        pauses.append(pause_s)
+        if len(pauses) == 7:
+            link._stopping.set()
+        return False
+
+    monkeypatch.setattr(link._stopping, "wait", wait)
+    link._run()
+    assert pauses == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0])
+    assert link.state().errors == 7
+
+
+def test_stop_does_not_wait_for_an_opening_that_hangs():
+    release = threading.Event()
+    closed = []
+
+    def hang():
+        release.wait(PATIENCE_S)
+        return BrokenPort(OSError(), closed)
+
+    link = Link("test", hang, lambda *_: None, lambda: None, math.inf)
+    link.start()
+    link.stop()
+    assert link._thread.is_alive()  # it returned although the opening still hangs
+    release.set()
+    link._thread.join(PATIENCE_S)
+    assert not link._thread.is_alive()
+    assert len(closed) == 1  # what was opened too late was closed again
+
+
+def test_frames_over_udp_multicast(heard, start_link):
+    link = start_link(partial(CanBus, "udp_multicast", GROUP, UDP_PORT))
+    wait_for(lambda: link.state().connected)
+    peer = CanBus("udp_multicast", GROUP, UDP_PORT)
+    stranger = CanBus("udp_multicast", GROUP, UDP_PORT + 10000)
+    before_ns = time.time_ns()
+    stranger.write((1, b"not ours"))
+    for n in range(200):
+        peer.write((0x0CFF1080, bytes([n] * 8)))
+    wait_for(lambda: len(heard.data) == 200)
+    assert heard.data == [(0x0CFF1080, bytes([n] * 8)) for n in range(200)]
+    assert heard.stamps == sorted(heard.stamps)
+    assert before_ns - 1_000_000 <= heard.stamps[0] <= time.time_ns()
+    assert link.write((0x0CFF1180, b"12345678"))
+    wait_for(lambda: any(frame == (0x0CFF1180, b"12345678") for frame, _ in peer.read()))
+    peer.close()
+    stranger.close()
+
+
+def test_kinds_of_frames_on_the_virtual_bus():
+    port = CanBus("virtual", "kinds", 43113)
+    with can.Bus("kinds", interface="virtual") as peer:
+        peer.send(can.Message(arbitration_id=0x7F, data=b"a", is_extended_id=False))
+        peer.send(can.Message(arbitration_id=0x7F, data=b"b", is_extended_id=True))
+        peer.send(can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False))
+        received = [frame for frame, _ in port.read()]
+    port.close()
+    assert received == [(0x7F | STANDARD_FLAG, b"a"), (0x7F, b"b"), (0x40 | ERROR_FLAG, b"")]
+
+
+def test_missing_bus_is_an_error_of_the_link(start_link):
+    link = start_link(partial(CanBus, "socketcan", "no_such_bus", 43113))
+    wait_for(lambda: link.state().errors >= 1)
+    assert not link.state().connected
+
+
+def test_pty_counts_what_nobody_reads(pty_port):
+    sent = 300_000
+    taken = pty_port.write(bytes(sent))
+    assert 0 < taken < sent
+    assert pty_port.bytes_lost == sent - taken
+    port = SerialPort(str(pty_port.link), 9600, "N")  # opening discards what is old
+    assert port.read() == []
+    pty_port.write(b"new")
+    assert port.read()[0][0] == b"new"
+    port.close()

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Watson units: lines and frames of the manuals byte by byte, the stream's cutting and stamps, rejections."""
+
+import math
+
+import pytest
+
+from trackslip_common.config_files import config_file, read_yaml
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import from_flat
+from trackslip_common.tally import Tally
+from trackslip_drivers.protocols.watson import (
+    GRAVITY,
+    Layout,
+    Reading,
+    Rejection,
+    decode_frame,
+    decode_line,
+    encode_frame,
+    encode_line,
+    from_sample,
+    to_sample,
+)
+from trackslip_drivers.protocols.watson_stream import FIELD, IMU, WatsonStream
+from trackslip_drivers.watson_parameters import WatsonParameters
+
+SIX = ["XA", "YA", "ZA", "XR", "YR", "ZR"]
+SIX_FORMATS = ["+0.00"] * 3 + ["+000.0"] * 3
+AHRS = Layout(
+    ["BK", "EL", "HG", "XA", "YA", "ZA", "XR", "YR", "ZR", "VS"],
+    ["+000.0", "+00.0", "000.0", "+0.00", "+0.00", "+0.00", "+00.0", "+00.0", "+00.0", "+000.0"],
+    [180, 180, 360, 10, 10, 10, 200, 200, 200, 800],
+)
+AHRS_LINE = b"I +002.5 -05.0 273.4 +1.02 +0.15 -1.57 -00.4 +01.2 +10.4 +001.4 "
+AHRS_VALUES = dict(
+    zip(
+        ["BK", "EL", "HG", "XA", "YA", "ZA", "XR", "YR", "ZR", "VS"],
+        (2.5, -5.0, 273.4, 1.02, 0.15, -1.57, -0.4, 1.2, 10.4, 1.4),
+        strict=True,
+    )
+)
+DMS = Layout(
+    ["TM", "BK", "EL", "HG", *SIX[:3], "FA", "LA", "VA", *SIX[3:], "HR", "VS", "LT", "LN", "AL"],
+    [
+        *("000000.0", "+000.0", "+00.0", "000.0"),
+        *["+0.00"] * 6,
+        *["+00.0"] * 4,
+        *("000.0", "+00.00000", "+000.00000", "00000"),
+    ],
+    [240000, 180, 180, 360, 10, 10, 10, 10, 10, 10, 200, 200, 200, 200, 400, 90, 180, 32768],
+)
+DMS_LINE = (
+    b"I 000000.0 +001.0 +00.2 000.0 +0.00 -0.02 -0.99 -0.00 +0.00 -0.99 +00.0 -00.0 +00.0 -00.0 "
+    b"****.* +**.***** +***.***** *****"
+)
+MANUAL_FRAME = bytes.fromhex("85AA FE9C F080 8399 FB99 91CC 0D")
+LEVEL_FRAME = bytes.fromhex("8080 FE9A F9EE 8399 FB99 91CC 0D")
+BAUD = 9600
+CHAR_NS = 10 * 1_000_000_000 / BAUD
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    values = read_yaml(config_file("watson_imu.yaml"))["watson_imu"]["ros__parameters"]
+    return from_flat(WatsonParameters, values, "watson_imu.yaml")
+
+
+@pytest.fixture(scope="module")
+def layout(parameters):
+    return Layout(parameters.channels, parameters.formats, parameters.full_scales)
+
+
+def stream(layout, offset_ns=0):
+    return WatsonStream(layout, BAUD, offset_ns, Tally())
+
+
+def test_line_of_the_manual():
+    reading = decode_line(AHRS_LINE, AHRS)
+    assert isinstance(reading, Reading)
+    assert reading.values == AHRS_VALUES
+    assert not reading.over_range
+    assert encode_line("I", AHRS_VALUES, AHRS) == AHRS_LINE.rstrip() + b"\r"
+
+
+def test_real_line_with_invalid_fields():
+    reading = decode_line(DMS_LINE, DMS)
+    assert isinstance(reading, Reading)
+    assert not {"VS", "LT", "LN", "AL"} & reading.values.keys()
+    assert reading.values["ZA"] == -0.99
+    sample = to_sample(reading, 4)
+    assert not isinstance(sample, Rejection)
+    assert sample.stamp_ns == 4
+    assert sample.acceleration == pytest.approx((0.0, 0.02 * GRAVITY, 0.99 * GRAVITY))
+    assert sample.magnetic_field is None
+
+
+def test_binary_frame_of_the_manual():
+    layout = Layout(SIX, SIX_FORMATS, [180.0, 180.0, 180.0, 200.0, 200.0, 200.0])
+    reading = decode_frame(MANUAL_FRAME[:-1], layout)
+    assert isinstance(reading, Reading)
+    resolution = 200.0 / 8192
+    expected = dict(zip(SIX, (15.0, -5.0, -45.0, 10.0, -15.0, 55.0), strict=True))
+    assert reading.values == pytest.approx(expected, abs=resolution)
+    assert encode_frame(reading.values, layout) == MANUAL_FRAME
+
+
+def test_binary_frame_of_a_level_unit():
+    layout = Layout(SIX, SIX_FORMATS, [10.0, 10.0, 10.0, 200.0, 200.0, 200.0])
+    reading = decode_frame(LEVEL_FRAME[:-1], layout)
+    assert isinstance(reading, Reading)
+    assert [round(reading.values[name], 2) for name in ("XA", "YA", "ZA")] == [0.0, -0.28, -0.96]
+    assert encode_frame(reading.values, layout) == LEVEL_FRAME
+    sample = to_sample(reading, 0)
+    assert not isinstance(sample, Rejection)
+    assert sample.acceleration == pytest.approx((0.0, 0.28 * GRAVITY, 0.96 * GRAVITY), abs=0.02)
+    assert sample.angular_velocity[2] == pytest.approx(math.radians(-55.0), abs=0.001)
+
+
+def test_samples_and_values_are_inverse(layout):
+    line = b"R +0.012 -0.003 -1.001 +000.04 -000.11 +012.30 +0213 -0041 -0466"
+    reading = decode_line(line, layout)
+    assert isinstance(reading, Reading)
+    sample = to_sample(reading, 0)
+    assert not isinstance(sample, Rejection)
+    assert sample.magnetic_field == pytest.approx((213e-7, 41e-7, 466e-7))
+    assert from_sample(sample) == pytest.approx(reading.values)
+
+
+def test_configured_line_fits_the_rate(layout):
+    assert layout.line_length == 65
+    assert layout.line_length * CHAR_NS < 1e9 / 11.85
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        (b"WATSON INDUSTRIES, INC.", Rejection.TEXT),
+        (b"+0.012 -0.003 -1.001", Rejection.TEXT),
+        (b"\x1c", Rejection.TEXT),
+        (b"R +0.012 -0.003", Rejection.WRONG_COUNT),
+        (b"R +0.012 -0.003 -1.001 +000.04 -000.11 +12.30 +0213 -0041 -0466", Rejection.MALFORMED),
+        (b"R +0.012 -0.003 -1.001 +000.04 -000.11 +012.3 +0213 -0041 -0466", Rejection.MALFORMED),
+        (b"R +0.012 -0.003 -1.001 +000.04 -000.11 +0x2.30 +0213 -0041 -0466", Rejection.MALFORMED),
+        (b"R +0.012 -0.003 -1.001 +000.04 -000.11 +***.** +0213 -0041 -0466", Rejection.INVALID),
+        (b"R \x80\x80", Rejection.GARBLED),
+        (b"\x80\x80\x80", Rejection.WRONG_COUNT),
+        (b"x" * 5000, Rejection.OVERLONG),
+    ],
+)
+def test_rejections_are_counted_and_pass(layout, line, reason):
+    good = encode_line("R", {"ZA": -1.0}, layout)
+    parser = stream(layout)
+    assert len(parser.feed(good + line + b"\r" + good, 0)) == 2
+    assert parser.tally.total == {(IMU, reason.value): 1}
+
+
+def test_invalid_magnetometer_costs_the_field_alone(layout):
+    parser = stream(layout)
+    (sample,) = parser.feed(b"R +0.012 -0.003 -1.001 +000.04 -000.11 +012.30 +0213 -*** -0466\r", 0)
+    assert sample.magnetic_field is None
+    assert parser.tally.total == {(FIELD, "marked invalid by the unit"): 1}
+
+
+@pytest.mark.parametrize(
+    ("label", "rate", "over_range"),
+    [("R", 199.99, False), ("R", 200.0, True), ("r", 0.0, True), ("i", 0.0, True)],
+)
+def test_over_range(layout, label, rate, over_range):
+    (sample,) = stream(layout).feed(encode_line(label, {"ZR": rate}, layout), 0)
+    assert sample.over_range is over_range
+
+
+@pytest.mark.parametrize("value", [1e9, -1e9])
+def test_values_beyond_full_scale_are_limited_and_marked(layout, value):
+    for encoded in (encode_line("R", {"ZR": value}, layout), encode_frame({"ZR": value}, layout)):
+        (sample,) = stream(layout).feed(encoded, 0)
+        assert sample.over_range
+        assert sample.angular_velocity[2] == pytest.approx(-math.copysign(math.radians(200), value), rel=2e-4)
+
+
+def test_line_ends_of_every_kind(layout):
+    good = encode_line("R", {}, layout)
+    parser = stream(layout)
+    assert len(parser.feed(b"\n" + good + b"\n" + good + b"\r\r" + good, 0)) == 3
+    assert not parser.tally.total
+
+
+def test_stamp_is_the_start_of_transmission(layout):
+    line = encode_line("R", {}, layout)
+    arrival_ns, offset_ns = 50_000_000_000, -3_000_000
+    later = b"R +0.0"  # the beginning of the next line came with the same read
+    (sample,) = stream(layout, offset_ns).feed(line + later, arrival_ns)
+    expected = arrival_ns + offset_ns - (len(line) + len(later)) * CHAR_NS
+    assert sample.stamp_ns == pytest.approx(expected, abs=2)
+
+
+def test_format_may_change_on_the_fly(layout):
+    parser = stream(layout)
+    values = {"ZA": -1.0}
+    data = encode_line("R", values, layout) + encode_frame(values, layout) + encode_line("R", values, layout)
+    assert [s.acceleration[2] for s in parser.feed(data, 0)] == pytest.approx([GRAVITY] * 3)
+
+
+def test_reset_forgets_half_a_line(layout):
+    parser = stream(layout)
+    line = encode_line("R", {}, layout)
+    parser.feed(line[:20], 0)
+    parser.reset()
+    assert len(parser.feed(line, 0)) == 1
+    assert not parser.tally.total
+
+
+@pytest.mark.parametrize(
+    ("names", "formats", "message"),
+    [
+        (SIX[:5], SIX_FORMATS[:5], "ZR missing"),
+        ([*SIX, "QQ"], [*SIX_FORMATS, "+0"], "'QQ' is unknown"),
+        ([*SIX, "XA"], [*SIX_FORMATS, "+0"], "one twice"),
+        ([*SIX, "HG"], SIX_FORMATS, "7, 6, 7 items"),
+        (SIX, ["+0.00"] * 5 + ["%5.1f"], "'%5.1f' is not a field of zeros"),
+    ],
+)
+def test_bad_channel_lists(names, formats, message):
+    with pytest.raises(InputError, match=message):
+        Layout(names, formats, [1.0] * len(names))
