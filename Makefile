@@ -9,21 +9,21 @@ VENV := .venv/bin
 .PHONY: help setup demo test lint bench fuzz figures clean
 
 help:
-	@sed -n 's/^\([a-z]*\):.*## /make \1|/p' $(MAKEFILE_LIST) | column -t -s '|'
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: ## make .venv and build ros2_ws; nothing where nothing changed (ROS=kilted|jazzy, PYTHON=python3)
 	@$(PYTHON) scripts/setup_workspace.py --ros '$(ROS)'
 
 demo: setup ## drive the emulated excavator, record, replay, score; results in out/demo (DURATION=40 SOIL=sand)
-	@exec $(VENV)/python -m trackslip_sim.demo.main $(if $(DURATION),--duration $(DURATION)) $(if $(SOIL),--soil $(SOIL))
+	@exec $(VENV)/python -m trackslip_sim.demo.main $(if $(DURATION),--duration '$(DURATION)') $(if $(SOIL),--soil '$(SOIL)')
 
 test: setup ## all tests but the slow ones
-	@exec timeout --kill-after=10 900 $(VENV)/pytest -n 2 --dist loadgroup -m 'not slow and not soak'
+	@exec timeout --foreground --kill-after=10 900 $(VENV)/python -m pytest -n 2 --dist loadgroup -m 'not slow and not soak'
 
 lint: setup ## ruff and mypy
-	$(VENV)/ruff check .
-	$(VENV)/ruff format --check .
-	$(VENV)/mypy
+	$(VENV)/python -m ruff check .
+	$(VENV)/python -m ruff format --check .
+	$(VENV)/python -m mypy
 
 bench: setup ## speed of filters and drivers on this machine
 	@exec $(VENV)/python scripts/bench.py

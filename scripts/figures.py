@@ -172,10 +172,10 @@ def figure_6_1(vehicle: Vehicle) -> Figure:
     figure, (path, angle) = panels(2)
     for run, line in thesis_runs(vehicle):
         path.plot(run.x, run.y, **line)
-        angle.plot(run.t, run.slip_angle, **line)
+        angle.plot(run.t, 1000.0 * run.slip_angle, **line)
     label(path, "Fig. 6.1: path", "x (m)", "y (m)")
-    label(angle, "Slip angle α", "time (s)", "slip angle (rad)")
-    path.set_aspect("equal", adjustable="datalim")
+    label(angle, "Slip angle α", "time (s)", "slip angle (mrad)")
+    path.set_aspect("equal")
     path.legend(loc="lower left")
     return figure
 
@@ -188,7 +188,9 @@ def figure_6_2(vehicle: Vehicle) -> Figure:
         right.plot(run.t, 100.0 * run.right_slip, **line)
     label(left, "Fig. 6.2: slip of the left track", "time (s)", "slip (%)")
     label(right, "Slip of the right track", "time (s)", "slip (%)")
-    left.legend(loc="upper left")
+    for axes in (left, right):  # the thesis' range; it cuts a peak while clayey soil sets off, under 0.15 s
+        axes.set_ylim(-0.5, 8.0)
+    right.legend(loc="upper center")
     return figure
 
 

@@ -24,7 +24,7 @@ class Step:
 
     def __enter__(self) -> None:
         self.started = time.monotonic()
-        print(f"setup: {self.what} …", flush=True)
+        print(f"setup: {self.what} ...", flush=True)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
@@ -47,7 +47,7 @@ def run(command: list[str], environment: dict[str, str] | None = None, directory
     if status:
         output = LOG.read_bytes()[begin:].decode(errors="replace").splitlines()
         print("\n".join(output[-25:]), file=sys.stderr)
-        raise SetupError(f"'{' '.join(command[:4])} …' failed; the whole output is in {LOG}")
+        raise SetupError(f"'{' '.join(command[:4])} ...' failed; the whole output is in {LOG}")
 
 
 def succeeds(command: list[str]) -> bool:

@@ -12,7 +12,8 @@ from trackslip_estimation.terramechanics import resistance, sinkage, strength, t
 
 
 def between(low, high):
-    return st.floats(low, high, allow_subnormal=False)
+    """Numbers whose products do not underflow."""
+    return st.floats(low, high).map(lambda value: value if abs(value) > 1e-30 else 0.0)
 
 
 def power_of_ten(low, high):

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imports between the packages run one way: common <- drivers, estimation <- sim."""
+"""Imports between the packages run one way, and ``package.xml`` declares all others."""
 
 import ast
+import sys
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,15 +11,33 @@ import pytest
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 ALLOWED = {
-    "trackslip_common": set(),
-    "trackslip_drivers": {"trackslip_common"},
-    "trackslip_estimation": {"trackslip_common"},
-    "trackslip_sim": {"trackslip_common", "trackslip_drivers", "trackslip_estimation"},
+    "trackslip_common": {"trackslip_msgs"},
+    "trackslip_drivers": {"trackslip_msgs", "trackslip_common"},
+    "trackslip_estimation": {"trackslip_msgs", "trackslip_common"},
+    "trackslip_sim": {"trackslip_msgs", "trackslip_common", "trackslip_drivers", "trackslip_estimation"},
 }
+ROSDEP_KEYS = {
+    "can": "python3-can",
+    "cantools": "python3-cantools-pip",
+    "matplotlib": "python3-matplotlib",
+    "msgpack": "python3-msgpack",
+    "numpy": "python3-numpy",
+    "scipy": "python3-scipy",
+    "serial": "python3-serial",
+    "yaml": "python3-yaml",
+}
+# No key in rosdep (numba: none for Ubuntu 24.04): requirements/with-apt-ros.txt has them.
+PIP_ONLY = {"mcap", "mcap_ros2", "numba", "rich", "rosbags"}
 
 
-def imported(file: Path) -> Iterator[str]:
-    """Top-level names of the packages a file imports, at any depth of its code."""
+def imported(package: str) -> dict[str, set[str]]:
+    """Top-level names of what the files of a package import, at any depth of their code."""
+    files = sorted((SOURCES / package / package).rglob("*.py"))
+    assert files
+    return {str(file.relative_to(SOURCES)): set(_names(file)) - {package} for file in files}
+
+
+def _names(file: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name.split(".")[0] for alias in node.names)
@@ -27,8 +47,14 @@ def imported(file: Path) -> Iterator[str]:
 
 @pytest.mark.parametrize("package", ALLOWED)
 def test_package_imports_only_those_below_it(package: str) -> None:
-    files = sorted((SOURCES / package).rglob("*.py"))
-    assert files
-    barred = ALLOWED.keys() - ALLOWED[package] - {package}
-    found = {str(file.relative_to(SOURCES)): sorted(barred & set(imported(file))) for file in files}
-    assert {file: names for file, names in found.items() if names} == {}
+    barred = ALLOWED.keys() - ALLOWED[package]
+    wrong = {file: names & barred for file, names in imported(package).items()}
+    assert {file: names for file, names in wrong.items() if names} == {}
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_package_declares_what_it_imports(package: str) -> None:
+    description = ElementTree.parse(SOURCES / package / "package.xml").getroot()
+    declared = {element.text for tag in ("depend", "exec_depend") for element in description.iter(tag)}
+    used = set.union(*imported(package).values()) - sys.stdlib_module_names - PIP_ONLY
+    assert {ROSDEP_KEYS.get(name, name) for name in used} - declared == set()

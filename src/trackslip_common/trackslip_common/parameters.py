@@ -66,7 +66,7 @@ class Spec:
         return f"{text} {self.unit}".rstrip()
 
 
-def parameter(  # noqa: PLR0913 (each keyword is one property of a parameter)
+def parameter(
     description: str,
     *,
     unit: str = "",

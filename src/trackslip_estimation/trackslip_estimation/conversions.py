@@ -163,4 +163,3 @@ def in_six(covariance: FloatArray) -> FloatArray:
 
 def _vector(make: Make, x: float, y: float, z: float) -> Any:
     return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Paths without a filter, for comparison: encoders alone, and encoders with the gyro's heading.
 
-    ω_L, ω_R   sprocket speeds        rad/s
-    r, B       rolling radius, tread  m
-    V          r (ω_L + ω_R)/2        m/s, no slip
+ω_L, ω_R   sprocket speeds        rad/s
+r, B       rolling radius, tread  m
+V          r (ω_L + ω_R)/2        m/s, no slip
 """
 
 from collections.abc import Sequence

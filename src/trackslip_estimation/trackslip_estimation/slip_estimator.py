@@ -188,4 +188,3 @@ class SlipEstimator:
         runs = {**state.rejected_in_a_row, measurement.source: 0 if accepted else run + 1}
         report = Report(measurement.source, measurement.stamp_ns, outcome, innovation.nis, gate, dof)
         return replace(state, gaussian=gaussian, rejected_in_a_row=MappingProxyType(runs), report=report)
-

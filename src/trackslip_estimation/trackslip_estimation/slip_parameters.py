@@ -26,7 +26,9 @@ class SlipEstimatorParameters(Parameters):
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
     pose_sources: tuple[str, ...] = parameter("topics of PoseWithCovarianceStamped; '' names none")
     use_heading: bool = parameter("whether the heading of the pose sources is a measurement too")
-    yaw_rate_sources: tuple[str, ...] = parameter("topics of Imu whose z rate is a measurement; '' names none")
+    yaw_rate_sources: tuple[str, ...] = parameter(
+        "topics of Imu whose z rate is a measurement; '' names none"
+    )
     yaw_rate_stddev: float = parameter("where an Imu message gives no variance", unit="rad/s", gt=0.0)
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
     start: str = parameter("what the estimate starts from", choices=("first_fix", "initial_pose"))

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The vehicle's constants, as one frozen record (``config/pc05.yaml`` holds the excavator's).
 
-    m, I_z   mass, yaw inertia                 kg, kg m²
-    B        tread, between track centre lines m
-    l, b     contact length, track width       m
-    r        rolling radius of the sprocket    m
-    V_m, n_g motor displacement, gear ratio    m³/rev, 1
-    η_m      mechanical efficiency η₀/η_V      1
+m, I_z   mass, yaw inertia                 kg, kg m²
+B        tread, between track centre lines m
+l, b     contact length, track width       m
+r        rolling radius of the sprocket    m
+V_m, n_g motor displacement, gear ratio    m³/rev, 1
+η_m      mechanical efficiency η₀/η_V      1
 """
 
 from dataclasses import dataclass

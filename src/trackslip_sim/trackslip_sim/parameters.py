@@ -24,7 +24,9 @@ class EmulatorParameters(Parameters):
     scenario: str = parameter("name in config/scenarios, or a file")
     soil: str = parameter("name in config/soils.yaml; empty: the scenario's own")
     mode: str = parameter("truth model", choices=("shear", "thesis"))
-    duration: float = parameter("driving, the scenario cut or repeated; 0: as it is", unit="s", ge=0.0, le=3600.0)
+    duration: float = parameter(
+        "driving, the scenario cut or repeated; 0: as it is", unit="s", ge=0.0, le=3600.0
+    )
     seed: int = parameter("of all noise", ge=0)
     lead_in: float = parameter("standing after power-on", unit="s", ge=0.0)
     can_delay: float = parameter("from power-on to the first CAN frame", unit="s", ge=0.0)

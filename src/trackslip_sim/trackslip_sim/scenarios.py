@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+
 from trackslip_common.config_files import config_directory, read_yaml
 from trackslip_common.errors import InputError
-
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import FloatArray
 
@@ -59,7 +59,8 @@ class Scenario:
             raise InputError(f"scenario '{self.name}': segments = [] is refused; accepted: one or more")
         if self.relief_pressure is not None and not 0.0 < self.relief_pressure < math.inf:
             raise InputError(
-                f"scenario '{self.name}': relief_pressure = {self.relief_pressure!r} is refused; accepted: > 0 Pa"
+                f"scenario '{self.name}': relief_pressure = {self.relief_pressure!r} is refused;"
+                " accepted: > 0 Pa"
             )
 
     @property

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the sensors on the machine measure of the true motion, before their protocols make bytes of it.
 
-    a       specific force at C: v̇_x − v_y φ̇, v̇_y + v_x φ̇, g     m/s²
-    b_g     constant bias of the gyro                              rad/s
-    B       earth's field, horizontal (to the north, +y of the site) and downward   T
+a       specific force at C: v̇_x − v_y φ̇, v̇_y + v_x φ̇, g     m/s²
+b_g     constant bias of the gyro                              rad/s
+B       earth's field, horizontal (to the north, +y of the site) and downward   T
 """
 
 from dataclasses import dataclass
@@ -79,7 +79,8 @@ class MachineSensors:
         t, truth, noise = self.time(stamp_ns), self._truth, self._noise
         driving = 0.0 <= t <= truth.duration
         a_x, a_y, yaw, rate = (
-            float(np.interp(t, truth.t, column)) for column in (self._a_x, self._a_y, truth.yaw, truth.yaw_rate)
+            float(np.interp(t, truth.t, column))
+            for column in (self._a_x, self._a_y, truth.yaw, truth.yaw_rate)
         )
         if not driving:
             a_x = a_y = rate = 0.0

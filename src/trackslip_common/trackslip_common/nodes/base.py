@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all nodes are: a lifecycle node that starts by itself, refuses bad parameters, and reports at 1 Hz."""
 
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -107,13 +108,16 @@ class TrackslipNode(LifecycleNode, Generic[P]):
             self.deactivate()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Lifecycle transition; a refusal is kept, for rclpy would swallow it."""
+        """Lifecycle transition; an error is kept, for rclpy would swallow it."""
         try:
             self.configure()
-        except InputError as error:
-            self._refusal = error
+        except (InputError, OSError) as error:
+            self._refusal = error if isinstance(error, InputError) else InputError(str(error))
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
+        except Exception:
+            self.get_logger().error(traceback.format_exc())
+            raise
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -48,9 +48,7 @@ class WatsonNode(DriverNode[WatsonParameters]):
         p = self.settings
         for sample in self._stream.feed(data, arrival_ns):
             self._imu.publish(
-                conversions.imu(
-                    sample, p.frame_id, p.linear_acceleration_stddev, p.angular_velocity_stddev
-                )
+                conversions.imu(sample, p.frame_id, p.linear_acceleration_stddev, p.angular_velocity_stddev)
             )
             field = conversions.magnetic_field(sample, p.frame_id, p.magnetic_field_stddev)
             if field is not None:

@@ -46,9 +46,9 @@ def clusters(
 ) -> list[IndexArray]:
     """Beam indices of each object, counter-clockwise.
 
-    A beam without a return (+∞) separates objects; invalid ones (NaN, −∞) neither belong nor separate.
+    A beam without a return (+∞) separates objects; invalid ones (NaN, −∞, 0) neither belong nor separate.
     """
-    valid = np.flatnonzero(np.isfinite(ranges))
+    valid = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
     if valid.size == 0:
         return []
     points = _points(ranges[valid], angles[valid])

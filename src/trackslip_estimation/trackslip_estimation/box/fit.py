@@ -24,18 +24,18 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtri
-from scipy.stats import chi2, qmc
+from scipy.special import gammaincinv, log_ndtr, ndtri
 
 from trackslip_estimation.box.clusters import Beams
 
 FloatArray = NDArray[np.float64]
 
 HUBER = 2.5  # standard deviations up to which a residual counts in full
+TRIES = 6  # starts worth fitting from: the cost has kinks at which a fit gets stuck
 STEP = 1e-6  # m and rad, of the numerical derivatives
 FAINT = 1e-6  # information in 1/m² and 1/rad² where the beams give none
 EDGE_SOFTNESS = 0.05  # of the beam spacing: a beam is not infinitely thin
-POINTS = 512  # a power of two, as Sobol's sequence wants
+POINTS = 512  # spread about the optimum
 TAILS = 5.0  # degrees of freedom of the Student distribution the points are spread by
 COOLING = (16.0, 4.0, 1.0, 1.0)  # temperature of each round
 WIDENING = 1.3  # of the spread found in the round before
@@ -121,12 +121,10 @@ def starts(headings: FloatArray, box: Rectangle, beams: Beams) -> FloatArray:
 
 
 def likely_starts(headings: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:
-    """Those of ``starts`` (M, 3) that fit better than both their neighbours, best first."""
+    """The TRIES best fitting of ``starts`` (TRIES, 3), best first."""
     poses = starts(headings, box, beams)
     cost = _huber(residuals(poses, box, beams, range_stddev)).sum(axis=1)
-    beside = np.concatenate([[np.inf], cost, [np.inf]])
-    lowest = np.flatnonzero((cost <= beside[:-2]) & (cost <= beside[2:]))
-    return poses[lowest[np.argsort(cost[lowest], kind="stable")]]
+    return poses[np.argsort(cost, kind="stable")[:TRIES]]
 
 
 def _huber(residual: FloatArray) -> FloatArray:
@@ -217,8 +215,9 @@ def _log_likelihood(poses: FloatArray, box: Rectangle, beams: Beams, range_stdde
 @cache
 def _spread_points() -> tuple[FloatArray, FloatArray]:
     """Points (M, 3) of a normalised Student distribution, their log density (M,) up to a constant."""
-    uniform = qmc.Sobol(4, scramble=True, seed=1).random(POINTS)
-    radius2 = chi2.ppf(uniform[:, 3], TAILS) / TAILS
+    golden = 1.1673039782614187  # root of g⁵ = g + 1: steps of 1/g, … 1/g⁴ fill the unit cube evenly
+    uniform = (0.5 + np.outer(np.arange(1, POINTS + 1), golden ** -np.arange(1.0, 5.0))) % 1.0
+    radius2 = 2.0 / TAILS * gammaincinv(0.5 * TAILS, uniform[:, 3])
     points = ndtri(uniform[:, :3]) / np.sqrt(radius2)[:, np.newaxis]
     log_density = -0.5 * (TAILS + 3.0) * np.log1p((points**2).sum(axis=1) / TAILS)
     return points, log_density

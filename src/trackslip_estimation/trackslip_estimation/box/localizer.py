@@ -34,7 +34,8 @@ from trackslip_estimation.vehicle import Vehicle
 FloatArray = NDArray[np.float64]
 
 NS = 1e-9  # s
-QUARTER = np.linspace(-np.pi / 4.0, np.pi / 4.0, 13)  # headings tried about one that is expected
+EIGHTH_TURN = np.pi / 4.0  # up to here the nearest of four alike headings is the right one
+QUARTER = np.linspace(-EIGHTH_TURN, EIGHTH_TURN, 25)
 SHORTEST_STEP = 0.01  # s, least time over which a velocity is formed
 SEEN_THROUGH = 0.2  # share of its beams that may go on behind a box: those beside an end that is not seen
 
@@ -131,7 +132,7 @@ class BoxLocalizer:
         found = self._box_in(ranges, angles, expected)
         if isinstance(found, Reason):
             return self._reject(found)
-        optimum = self._sides_told(found, ambiguous=expected.yaw_reach > np.pi / 4.0)
+        optimum = self._sides_told(found, ambiguous=expected.yaw_reach > EIGHTH_TURN)
         in_laser, covariance = posterior(optimum, self._box, found.beams, self._range_stddev)
         if self._doubt is not None:
             covariance[2, 2] += self._doubt.yaw_variance()
@@ -155,7 +156,7 @@ class BoxLocalizer:
         """
         parameters = self._parameters
         if self._fix_stamp_ns is None:
-            return _Expectation(self._pose, parameters.initial_reach, parameters.gate_yaw)
+            return _Expectation(self._pose, parameters.initial_reach, EIGHTH_TURN)
         elapsed = max(0.0, (stamp_ns - self._fix_stamp_ns) * NS)
         coasted = min(elapsed, parameters.coast_time) * self._velocity
         return _Expectation(
@@ -222,7 +223,7 @@ class BoxLocalizer:
             return optimum.chi2 + (turned / spread) ** 2, dataclasses.replace(optimum, pose=nearest)
 
         best = scored(heading)
-        if expected.yaw_reach <= np.pi / 4.0:
+        if expected.yaw_reach <= EIGHTH_TURN:
             return best[1], self._doubt
         best, other = sorted([best, scored(heading + np.pi / 2.0)], key=lambda pair: pair[0])
         turn = np.copysign(np.pi / 2.0, other[1].pose[2] - best[1].pose[2])
@@ -260,7 +261,7 @@ class BoxLocalizer:
             return np.zeros(3)
         step = max((stamp_ns - self._fix_stamp_ns) * NS, SHORTEST_STEP)
         surprise = pose - (self._pose + step * self._velocity)
-        if step > parameters.coast_time or abs(surprise[2]) > np.pi / 4.0:
+        if step > parameters.coast_time or abs(surprise[2]) > EIGHTH_TURN:
             return np.zeros(3)
         velocity = self._velocity + parameters.velocity_gain / step * surprise
         limit = np.array([parameters.top_speed, parameters.top_speed, parameters.top_yaw_rate])

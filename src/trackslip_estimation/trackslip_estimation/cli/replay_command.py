@@ -29,7 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("bag", metavar="BAG", type=Path, help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file")
     add("--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the bag's own")
-    add("--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files")
+    add(
+        "--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files"
+    )
     add("--remap", metavar="from:=to", action="append", default=[], help="read topic 'from' as 'to'")
     add("--start", metavar="S", type=float, default=0.0, help="seconds from the bag's first message")
     add("--stop", metavar="S", type=float, default=float("inf"), help="seconds from the bag's first message")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Extended Kalman filter, generic over the model.
 
-    x, P   mean and covariance of the state      (n,), (n, n)
-    F, Q   transition Jacobian, process noise    (n, n), (n, n)
-    z, R   measurement and its covariance        (m,), (m, m)
-    h, H   predicted measurement, its Jacobian   (m,), (m, n)
-    ν, S   innovation z − h and its covariance   (m,), (m, m)
+x, P   mean and covariance of the state      (n,), (n, n)
+F, Q   transition Jacobian, process noise    (n, n), (n, n)
+z, R   measurement and its covariance        (m,), (m, m)
+h, H   predicted measurement, its Jacobian   (m,), (m, n)
+ν, S   innovation z − h and its covariance   (m,), (m, m)
 """
 
 from typing import NamedTuple

@@ -43,8 +43,12 @@ class SlipNoise(Parameters):
     slip_angle_turning: float = parameter("slip angle, turning", unit="rad/√s", ge=0.0)
     gyro_bias: float = parameter("walk of the gyro bias", unit="rad/s/√s", ge=0.0)
     initial_slip: float = parameter("standard deviation of the slips at the start", gt=0.0)
-    initial_slip_angle: float = parameter("standard deviation of the slip angle at the start", unit="rad", gt=0.0)
-    initial_gyro_bias: float = parameter("standard deviation of the gyro bias at the start", unit="rad/s", gt=0.0)
+    initial_slip_angle: float = parameter(
+        "standard deviation of the slip angle at the start", unit="rad", gt=0.0
+    )
+    initial_gyro_bias: float = parameter(
+        "standard deviation of the gyro bias at the start", unit="rad/s", gt=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,12 @@ class SlipModel:
         mean = np.zeros(SIZE)
         mean[POSE] = pose
         noise = self.noise
-        deviations = (noise.initial_slip, noise.initial_slip, noise.initial_slip_angle, noise.initial_gyro_bias)
+        deviations = (
+            noise.initial_slip,
+            noise.initial_slip,
+            noise.initial_slip_angle,
+            noise.initial_gyro_bias,
+        )
         covariance = np.diag((0.0, 0.0, 0.0, *np.square(deviations)))
         covariance[POSE, POSE] = pose_covariance
         return mean, covariance

@@ -32,7 +32,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._odometry = self.announce(topic_class("odometry"), "odometry")
         self._track_slip = self.announce(topic_class("track_slip"), "track_slip")
         self._reports = self.announce(topic_class("measurement_reports"), "measurement_reports")
-        self._parameters = self.announce(topic_class("slip_estimator/parameters"), "slip_estimator/parameters")
+        self._parameters = self.announce(
+            topic_class("slip_estimator/parameters"), "slip_estimator/parameters"
+        )
         self.listen(topic_class("sprockets"), "sprockets", self._on_sprockets)
         for source in filter(None, p.yaw_rate_sources):
             self.listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))

@@ -133,9 +133,7 @@ def _readers(p: SlipEstimatorParameters) -> dict[str, Callable[[Any], Measuremen
         SPROCKETS: partial(conversions.sprockets, source=SPROCKETS)
     }
     for source in filter(None, p.yaw_rate_sources):
-        readers[source] = partial(
-            conversions.yaw_rate, source=source, default_variance=p.yaw_rate_stddev**2
-        )
+        readers[source] = partial(conversions.yaw_rate, source=source, default_variance=p.yaw_rate_stddev**2)
     for source in filter(None, p.pose_sources):
         readers[source] = partial(conversions.pose_fix, source=source)
     return readers

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors against a reference: every sample of it, at its own stamp, with no re-alignment.
 
-    e      error of x, y, heading        m, m, rad
-    P      covariance that was claimed   (3, 3)
-    NEES   eᵀ P⁻¹ e, on average 3 if P is honest
+e      error of x, y, heading        m, m, rad
+P      covariance that was claimed   (3, 3)
+NEES   eᵀ P⁻¹ e, on average 3 if P is honest
 """
 
 from collections.abc import Sequence

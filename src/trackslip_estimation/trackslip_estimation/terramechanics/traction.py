@@ -99,8 +99,8 @@ def slip_of_thrust(
 ) -> FloatArray:
     """The slip at which (3.3) gives this thrust: its exact inverse.
 
-    Newton on (1 − q) u = 1 − e^−u, a convex function, from a point right of its root: the steps can only
-    fall towards the root, so no safeguard is ever left to chance.
+    Newton on (1 − q) u = 1 − e^−u, a convex function, from a point right of its root: every step falls
+    towards the root and none passes it; rounding is held off by the lower bound u ≥ 2 q.
 
     Args:
         force: F, N, |F| < F_max; negative when the track brakes.

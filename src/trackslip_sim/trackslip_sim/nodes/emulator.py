@@ -45,7 +45,9 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
     def activate(self) -> None:
         """Power on."""
         self._excavator = EmulatedExcavator(self.settings, self._truth, time.time_ns())
-        self._thread = threading.Thread(target=self._live, args=(self._excavator,), name="excavator", daemon=True)
+        self._thread = threading.Thread(
+            target=self._live, args=(self._excavator,), name="excavator", daemon=True
+        )
         self._thread.start()
 
     def deactivate(self) -> None:
@@ -64,7 +66,13 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             return [Health(ERROR, self._failure)]
         emitted = {f"emitted {topic}": n for topic, n in self._excavator.emitted().items()}
         lost = self._watson_port.bytes_lost + self._sick_port.bytes_lost
-        values = {**emitted, "finished": self._finished, "bytes that nobody read": lost}
+        began = self._excavator.drive_start_ns
+        values = {
+            **emitted,
+            "drive start (ns)": began,
+            "finished": self._finished,
+            "bytes that nobody read": lost,
+        }
         return [Health(OK, "finished" if self._finished else "driving", values)]
 
     def _live(self, excavator: EmulatedExcavator) -> None:

@@ -36,7 +36,12 @@ def mobilise(
 
 @compiled
 def find_soils(
-    pose: FloatArray, x_e: FloatArray, half_tread: float, edges: FloatArray, patch_soil: IntArray, soil: IntArray
+    pose: FloatArray,
+    x_e: FloatArray,
+    half_tread: float,
+    edges: FloatArray,
+    patch_soil: IntArray,
+    soil: IntArray,
 ) -> None:
     """Fill ``soil`` (2, n) with the soil's index under each element; ``pose`` is x, y, yaw."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])

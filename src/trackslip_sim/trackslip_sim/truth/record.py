@@ -58,7 +58,7 @@ class Truth:
 
     def soil_name(self, index: int = -1) -> str:
         """Name of the soil under C at one sample."""
-        return self.soil_names[self.soil_index[index]]
+        return self.soil_names[int(self.soil_index[index])]
 
     def interpolate(self, times: ArrayLike) -> Truth:
         """The truth at the given times (m,), s: linear between samples, held beyond the ends.

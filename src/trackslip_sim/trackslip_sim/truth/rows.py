@@ -4,9 +4,9 @@
 from enum import IntEnum
 
 import numpy as np
+
 from trackslip_estimation.terramechanics.hydraulics import pressure_of_thrust
 from trackslip_estimation.vehicle import Vehicle
-
 from trackslip_sim.truth.record import FloatArray, Truth
 from trackslip_sim.truth.settings import TruthSettings
 
@@ -29,11 +29,28 @@ class Column(IntEnum):
     SOIL = 17  # index under C
     POWER = 18  # the tracks give to hull and soil, W
     LOSS = 19  # of shear and rolling, W
-    ITERATIONS = 20  # of the step's solver
+    ITERATIONS = 20  # of the solver, the most since the row before
     DRIVE = 21  # thrust of the motors, N: of the soil, and what speeds the track itself up
 
 
 WIDTH = 23
+
+
+class UnsolvedStepError(ArithmeticError):
+    """A step of the integration did not balance its forces: a fault of the solver, not of the user."""
+
+
+def refuse_unsolved(rows: FloatArray, limit: int) -> None:
+    """Make sure each step behind ``rows`` (n, WIDTH) took fewer iterations than ``limit``.
+
+    Raises:
+        UnsolvedStepError: one did not.
+    """
+    unsolved = np.flatnonzero(rows[:, Column.ITERATIONS] >= limit)
+    if unsolved.size:
+        raise UnsolvedStepError(
+            f"{unsolved.size} of {len(rows)} samples unsolved, the first is {unsolved[0]}"
+        )
 
 
 def to_truth(
@@ -56,7 +73,7 @@ def to_truth(
     right_pressure = pressure_of_thrust(rows[:, c.DRIVE + 1], right, vehicle)
     higher = np.maximum(np.abs(left_pressure), np.abs(right_pressure))
     return Truth(
-        t=np.arange(len(rows)) * settings.sample_period,
+        t=np.arange(len(rows), dtype=np.float64) * settings.sample_period,
         x=rows[:, c.X],
         y=rows[:, c.Y],
         yaw=rows[:, c.YAW],

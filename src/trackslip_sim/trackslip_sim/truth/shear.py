@@ -6,34 +6,22 @@ shear displacement integrates along each track's contact (Wong & Chiang 2001). S
 """
 
 import math
+
 import numpy as np
+
 from trackslip_common.errors import InputError
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
 from trackslip_estimation.vehicle import Vehicle
-
 from trackslip_sim.scenarios import Scenario
 from trackslip_sim.truth.compiled import compiled
 from trackslip_sim.truth.contact import carry, element_loads, element_positions, find_soils, forget, mobilise
 from trackslip_sim.truth.ground import Ground, soil_at
 from trackslip_sim.truth.lag import kept_error, top_speed
-from trackslip_sim.truth.motion import Machine, Sums, new_sums, solve_step
+from trackslip_sim.truth.motion import MAX_ITERATIONS, Machine, Sums, new_sums, solve_step
+from trackslip_sim.truth.pose import move
 from trackslip_sim.truth.record import FloatArray, IntArray, Truth
-from trackslip_sim.truth.rows import WIDTH, to_truth
+from trackslip_sim.truth.rows import WIDTH, refuse_unsolved, to_truth
 from trackslip_sim.truth.settings import TruthSettings
-
-
-@compiled
-def advance(
-    pose: FloatArray, q: FloatArray, angle: FloatArray, before: FloatArray, radius: float, step: float
-) -> None:
-    """Move ``pose`` and sprocket ``angle`` by the mean of the velocities ``before`` and ``q``."""
-    turn = 0.5 * step * (before[2] + q[2])
-    cos, sin = math.cos(pose[2] + 0.5 * turn), math.sin(pose[2] + 0.5 * turn)
-    forward, left = 0.5 * step * (before[0] + q[0]), 0.5 * step * (before[1] + q[1])
-    pose[0] += cos * forward - sin * left
-    pose[1] += sin * forward + cos * left
-    pose[2] += turn
-    angle += 0.5 * step * (before[3:] + q[3:]) / radius
 
 
 @compiled
@@ -100,6 +88,7 @@ def integrate(
     rolling, j, strength = np.zeros(2), np.zeros((2, n, 2)), np.zeros((2, n))
     soil = np.zeros((2, n), dtype=np.int64)
     rows = np.zeros((1 + len(commands) // every, WIDTH))
+    worst = 0
     rows[0, 17] = soil_at(0.0, 0.0, edges, patch_soil)
     for i in range(len(commands)):
         find_soils(pose, x_e, machine.half_tread, edges, patch_soil, soil)
@@ -112,15 +101,16 @@ def integrate(
                 rolling[k] += table[soil[k, e], 3] * load[k, e]
         before = q.copy()
         turn_axes(q, step)
-        iterations = solve_step(q, spool * top * radius, strength, rolling, x_e, machine, step, sums)
+        worst = max(worst, solve_step(q, spool * top * radius, strength, rolling, x_e, machine, step, sums))
         carry(j, q, x_e, machine.half_tread, step)
         forget(j, soil, table)
-        advance(pose, q, angle, before, radius, step)
+        move(pose, before, q, step)
+        angle += 0.5 * step * (before[3:] + q[3:]) / radius
         if (i + 1) % every == 0:
             row = rows[(i + 1) // every]
             here = soil_at(pose[0], pose[1], edges, patch_soil)
             write_row(row, pose, q, angle, spool, rolling, here, machine, sums)
-            row[20] = iterations
+            row[20], worst = worst, 0
     return rows
 
 
@@ -148,13 +138,14 @@ def run(
 
     Raises:
         InputError: the load leaves a track, or its front or rear, without ground pressure.
+        UnsolvedStepError: see there.
     """
     _check_load(vehicle, settings)
     x_e = element_positions(vehicle.contact_length, settings.elements)
     load = element_loads(
         vehicle.weight, vehicle.tread, x_e, vehicle.contact_length, settings.load_x, settings.load_y
     )
-    return integrate(
+    rows = integrate(
         np.ascontiguousarray(commands, dtype=np.float64),
         every,
         settings.step,
@@ -169,6 +160,8 @@ def run(
         _machine(vehicle, settings, relief_pressure),
         new_sums(),
     )
+    refuse_unsolved(rows, MAX_ITERATIONS)
+    return rows
 
 
 def _machine(vehicle: Vehicle, settings: TruthSettings, relief_pressure: float) -> Machine:

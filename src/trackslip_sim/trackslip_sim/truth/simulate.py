@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The single entry to the truth: a scenario in, the true motion out.
 
-    Mode   shear      shear displacement along the contact (the truth of the evaluations)
-           thesis     the thesis' own forward simulation, §6.2.1
+Mode   shear      shear displacement along the contact (the truth of the evaluations)
+       thesis     the thesis' own forward simulation, §6.2.1
 """
 
 from collections.abc import Callable, Mapping
@@ -11,7 +11,6 @@ from types import MappingProxyType
 from trackslip_common.errors import InputError
 from trackslip_estimation.soils import load_soils
 from trackslip_estimation.vehicle import Vehicle
-
 from trackslip_sim.scenarios import Scenario
 from trackslip_sim.truth import shear, thesis
 from trackslip_sim.truth.ground import Ground, build_ground

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip simulate``: drives a scenario on the truth model, and tells where it ends."""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from trackslip_common.errors import ExitCode, InputError
+from trackslip_sim.scenarios import load_scenario, scenario_names
+from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.simulate import MODES, simulate
+
+DESCRIPTION = "Drive a scenario on the truth model, and tell where it ends."
+EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
+
+WriteBag = Callable[[Truth, int, Path], None]  # the truth, the sensors' seed, where
+
+_FINAL = (
+    *("x", "y", "yaw", "v_x", "yaw_rate"),
+    *("left_slip", "right_slip", "left_thrust", "right_thrust"),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``trackslip simulate``."""
+    parser.add_argument(
+        "--scenario",
+        required=True,
+        metavar="NAME|FILE",
+        help=f"{', '.join(scenario_names())}, or a YAML file",
+    )
+    parser.add_argument("--soil", metavar="S", help="soil outside the scenario's patches; default: its own")
+    parser.add_argument("--mode", choices=tuple(MODES), default="shear", help="which truth (default: shear)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensors' noise in the bag")
+    parser.add_argument("--output", type=Path, metavar="BAG", help="write what the sensors would see")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the summary as JSON")
+
+
+def run(arguments: argparse.Namespace, write_bag: WriteBag | None = None) -> int:
+    """Simulate, print, and write what was asked for; returns the exit code.
+
+    Raises:
+        InputError: scenario or soil is refused, a file cannot be written, or nobody can write bags here.
+    """
+    if arguments.output is not None and write_bag is None:
+        raise InputError(
+            f"--output: '{arguments.output}' is refused; accepted: nothing, no bag writer is installed"
+        )
+    scenario = load_scenario(arguments.scenario)
+    begin = time.perf_counter()
+    truth = simulate(scenario, soil=arguments.soil, mode=arguments.mode)
+    report = summary(truth, time.perf_counter() - begin)
+    if arguments.output is not None and write_bag is not None:
+        write_bag(truth, arguments.seed, arguments.output)
+    text = json.dumps(report, indent=2)
+    print(text)
+    if arguments.json is not None:
+        try:
+            arguments.json.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"--json: '{arguments.json}' cannot be written ({error.strerror})") from error
+    return int(ExitCode.DONE)
+
+
+def summary(truth: Truth, elapsed: float) -> dict[str, object]:
+    """What the JSON file holds: the last sample, the duration and the time it took, s."""
+    final = {name: float(getattr(truth, name)[-1]) for name in _FINAL}
+    return {"final": final, "duration_s": truth.duration, "elapsed_s": elapsed}

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``make demo``: the whole graph on a laptop, driven, recorded, replayed and scored."""

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One picture of a run: where it went, where each estimate thought it went, and the slips."""
+
+from pathlib import Path as File
+
+import matplotlib
+
+matplotlib.use("Agg")  # no screen needed
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.patches import Ellipse
+from numpy.typing import NDArray
+
+from trackslip_estimation.replay.inputs import Series
+from trackslip_sim.demo.results import DemoResult
+
+FloatArray = NDArray[np.float64]
+
+_TRUTH, _FILTER, _ENCODERS = "#222222", "#0072b2", "#d55e00"
+_COVARIANCE = slice(6, 42)  # of the pose, 6×6 row-major, in the numbers of an odometry message
+_ELLIPSE_EVERY = 2.0  # s
+_ELLIPSE_SCALE = 2.0  # σ
+
+
+def draw(result: DemoResult, title: str, file: File) -> None:
+    """Write the picture as PNG."""
+    figure = plt.figure(figsize=(13, 6.2), layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
+    _draw_paths(figure.add_subplot(grid[:, 0]), result)
+    upper = figure.add_subplot(grid[0, 1])
+    lower = figure.add_subplot(grid[1, 1], sharex=upper)
+    for axes, side, name in ((upper, 0, "left"), (lower, 1, "right")):
+        _draw_slip(axes, result, side, name)
+    upper.legend(loc="upper right", fontsize="small")
+    lower.set_xlabel("time of the drive, s")
+    figure.suptitle(title)
+    figure.savefig(file, dpi=110)
+    plt.close(figure)
+
+
+def _draw_paths(axes: Axes, result: DemoResult) -> None:
+    truth = result.truth.poses
+    encoders, estimate = result.paths["dead_reckoning"].poses, result.paths["filter"].poses
+    axes.plot(truth[:, 0], truth[:, 1], color=_TRUTH, lw=2.5, label="truth")
+    label = f"encoders alone, RMSE {result.dead_reckoning.position:.2f} m"
+    axes.plot(encoders[:, 0], encoders[:, 1], color=_ENCODERS, lw=1.2, ls="--", label=label)
+    label = f"estimate, RMSE {result.filter.position:.3f} m, with 2σ"
+    axes.plot(estimate[:, 0], estimate[:, 1], color=_FILTER, lw=1.2, label=label)
+    for ellipse in _ellipses(result.odometry):
+        axes.add_patch(ellipse)
+    axes.plot(*truth[0, :2], "o", color=_TRUTH, ms=6)
+    axes.annotate("start", truth[0, :2], textcoords="offset points", xytext=(6, 6))
+    axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
+    axes.margins(0.08)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="best", fontsize="small")
+
+
+def _ellipses(odometry: Series) -> list[Ellipse]:
+    """2σ of the position every few seconds."""
+    t = (odometry.stamps_ns - odometry.stamps_ns[0]) * 1e-9
+    ellipses = []
+    for when in np.arange(0.0, t[-1], _ELLIPSE_EVERY):
+        row = odometry.values[int(np.searchsorted(t, when))]
+        covariance = row[_COVARIANCE].reshape(6, 6)[:2, :2]
+        variances, axes = np.linalg.eigh(covariance)
+        width, height = 2.0 * _ELLIPSE_SCALE * np.sqrt(variances[::-1])
+        angle = np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))
+        ellipses.append(Ellipse(row[:2], width, height, angle=angle, fc=_FILTER, alpha=0.25, ec=_FILTER))
+    return ellipses
+
+
+def _draw_slip(axes: Axes, result: DemoResult, side: int, name: str) -> None:
+    start_ns = result.truth.stamps_ns[0]
+    t = (result.slips.stamps_ns - start_ns) * 1e-9
+    slip = result.slips.values[:, side]
+    sigma = np.sqrt(result.slips.values[:, 3 + 4 * side])
+    true = result.true_slips
+    axes.fill_between(
+        t, slip - 2.0 * sigma, slip + 2.0 * sigma, color=_FILTER, alpha=0.2, lw=0.0, label="±2σ"
+    )
+    axes.plot((true.stamps_ns - start_ns) * 1e-9, true.values[:, side], color=_TRUTH, lw=1.5, label="truth")
+    axes.plot(t, slip, color=_FILTER, lw=1.2, label="estimate")
+    axes.axhline(0.0, color="0.6", lw=0.6)
+    low, high = np.percentile(np.concatenate((true.values[:, side], slip)), (0.5, 99.5))
+    room = 0.25 * max(high - low, 0.05)
+    axes.set(ylabel=f"{name} slip", ylim=(low - room, high + room))
+    axes.grid(alpha=0.3)

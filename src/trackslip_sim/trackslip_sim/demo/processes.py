@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starts the nodes as processes of their own, and ends them all, whatever happens."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import yaml
+
+from trackslip_common.errors import InputError
+from trackslip_sim.graph import NodeSpec
+
+_PR_SET_PDEATHSIG = 1
+_GRACE = 2.0  # s between asking and insisting
+_POLL = 0.02  # s
+
+
+class DemoFailure(RuntimeError):
+    """The demo cannot go on; its text is the line to show."""
+
+
+class Processes:
+    """Child processes with their output in one log each."""
+
+    def __init__(self, logs: Path, environment: Mapping[str, str]) -> None:
+        self._logs = logs
+        self._environment = dict(environment)
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, node: NodeSpec) -> None:
+        """Run one node.
+
+        Raises:
+            InputError: its executable is not installed.
+        """
+        arguments = [str(executable(node.package, node.executable)), "--ros-args"]
+        for name, value in node.parameters.items():
+            arguments += ["-p", f"{name}:={yaml.safe_dump(value, default_flow_style=True).splitlines()[0]}"]
+        with (self._logs / f"{node.executable}.log").open("wb") as log:
+            self._running[node.executable] = subprocess.Popen(
+                arguments,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,  # Ctrl-C reaches the demo alone, which ends the others in order
+                preexec_fn=_end_with_parent,
+            )
+
+    def log(self, name: str) -> str:
+        """What a node has written."""
+        return (self._logs / f"{name}.log").read_text(encoding="utf-8", errors="replace").strip()
+
+    def ended(self) -> dict[str, int]:
+        """Exit codes of those that are no longer running."""
+        codes = {name: process.poll() for name, process in self._running.items()}
+        return {name: code for name, code in codes.items() if code is not None}
+
+    def stop(self, names: Iterable[str] | None = None) -> None:
+        """Interrupt these (or all), and kill what does not end in time."""
+        chosen = {
+            name: self._running.pop(name) for name in list(names or self._running) if name in self._running
+        }
+        for process in chosen.values():
+            _signal(process, signal.SIGINT)
+        give_up = time.monotonic() + _GRACE
+        while time.monotonic() < give_up and any(process.poll() is None for process in chosen.values()):
+            time.sleep(_POLL)
+        for process in chosen.values():
+            if process.poll() is None:
+                _signal(process, signal.SIGKILL)
+            process.wait()
+
+
+def executable(package: str, name: str) -> Path:
+    """Where a package's executable is installed.
+
+    Raises:
+        InputError: nowhere on AMENT_PREFIX_PATH.
+    """
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix) / "lib" / package / name
+        if path.is_file():
+            return path
+    raise InputError(f"executable '{name}' of {package} not found on AMENT_PREFIX_PATH; run make setup")
+
+
+def _signal(process: "subprocess.Popen[bytes]", number: int) -> None:
+    try:
+        os.killpg(process.pid, number)
+    except ProcessLookupError:
+        pass
+
+
+def _end_with_parent() -> None:
+    """In the child: be told when the demo dies without a word; and hear Ctrl-C even if a shell turned it off."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.default_int_handler)

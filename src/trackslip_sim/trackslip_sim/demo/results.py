@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a demo run came to: the live estimates against the truth, counts, and replay against live."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path as File
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.topics import SENSOR_TOPICS
+from trackslip_estimation.bags.parameters import bag_parameters
+from trackslip_estimation.bags.reader import Bag
+from trackslip_estimation.dead_reckoning import Path
+from trackslip_estimation.replay.edits import Edits
+from trackslip_estimation.replay.inputs import ODOMETRY, TRACK_SLIP, Series
+from trackslip_estimation.replay.run import TRUE_SLIP, LiveComparison, replay
+from trackslip_estimation.replay.scoring import Score, score
+from trackslip_estimation.slip_parameters import load_slip_parameters
+
+FloatArray = NDArray[np.float64]
+
+POSITION_LIMIT = 0.15  # m
+RECEIVED_LIMIT = 0.99  # of what was emitted
+_TRUTH = "truth/odometry"
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Messages of one topic on their way."""
+
+    emitted: int
+    received: int
+    recorded: int
+
+    @property
+    def share(self) -> float:
+        """Received of emitted."""
+        return self.received / self.emitted if self.emitted else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class DemoResult:
+    """Everything that the table, the picture and the JSON file show."""
+
+    filter: Score
+    dead_reckoning: Score
+    slip_rmse: float
+    dead_reckoning_slip_rmse: float  # dead reckoning takes the slips to be zero
+    topics: dict[str, Counts]
+    live: LiveComparison
+    truth: Path
+    paths: dict[str, Path]
+    odometry: Series
+    slips: Series
+    true_slips: Series
+
+    @property
+    def passes(self) -> bool:
+        """Whether the demo shows what it is there to show."""
+        whole = all(counts.share >= RECEIVED_LIMIT for counts in self.topics.values())
+        return self.live.matches and whole and self.filter.position <= POSITION_LIMIT
+
+    def save(self, file: File) -> None:
+        """Write the numbers as JSON."""
+        numbers = {
+            "position_rmse": self.filter.position,
+            "dead_reckoning_rmse": self.dead_reckoning.position,
+            "heading_rmse": self.filter.heading,
+            "slip_rmse": self.slip_rmse,
+            "dead_reckoning_slip_rmse": self.dead_reckoning_slip_rmse,
+            "topics": {topic: vars(counts) for topic, counts in self.topics.items()},
+            "replay_matches": self.live.matches,
+        }
+        file.write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+
+
+def evaluate(
+    bag: Bag, emitted: Mapping[str, int], received: Mapping[str, int], drive_start_ns: int
+) -> DemoResult | None:
+    """Replay the bag and score its live estimates over the drive; None where it holds no estimates."""
+    p = load_slip_parameters(bag_parameters(bag))
+    result = replay(bag, p, Edits(), _TRUTH)
+    series = result.inputs.series
+    if result.live is None or any(name not in series for name in (_TRUTH, TRUE_SLIP, TRACK_SLIP)):
+        return None
+    truth = _path(_from(series[_TRUTH], drive_start_ns))
+    live = _path(_from(series[ODOMETRY], drive_start_ns))
+    slips, true_slips = (_from(series[name], drive_start_ns) for name in (TRACK_SLIP, TRUE_SLIP))
+    encoders = result.paths["dead_reckoning"]
+    of_filter, of_encoders = score(live, truth), score(encoders, truth)
+    if of_filter is None or of_encoders is None:
+        return None
+    recorded = {topic: info.count for topic, info in bag.topics.items()}
+    topics = {
+        topic: Counts(emitted.get(topic, 0), received.get(topic, 0), recorded.get(f"/{topic}", 0))
+        for topic in SENSOR_TOPICS
+    }
+    return DemoResult(
+        of_filter,
+        of_encoders,
+        *_slip_errors(slips, true_slips),
+        topics,
+        result.live,
+        truth,
+        {"dead_reckoning": encoders, "filter": live},
+        _from(series[ODOMETRY], drive_start_ns),
+        slips,
+        true_slips,
+    )
+
+
+def _slip_errors(slips: Series, true_slips: Series) -> tuple[float, float]:
+    """RMS error of the estimated slips, and of taking them to be zero, where there is a slip to estimate."""
+    t, wanted = slips.stamps_ns, true_slips.stamps_ns
+    inside = (wanted >= t[0]) & (wanted <= t[-1])
+    true = true_slips.values[inside, :2]
+    columns = [
+        np.interp((wanted[inside] - t[0]) * 1e-9, (t - t[0]) * 1e-9, slips.values[:, side]) for side in (0, 1)
+    ]
+    error = np.stack(columns, axis=-1) - true
+    return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(true**2)))
+
+
+def _from(series: Series, start_ns: int) -> Series:
+    kept = series.stamps_ns >= start_ns
+    return Series(series.stamps_ns[kept], series.values[kept])
+
+
+def _path(series: Series) -> Path:
+    poses = series.values[:, :3].copy()
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Path(series.stamps_ns, poses)

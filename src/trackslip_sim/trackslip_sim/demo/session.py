@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live part of the demo: the nodes come up, the machine drives, the terminal shows it."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from trackslip_sim.demo.processes import DemoFailure, Processes
+from trackslip_sim.demo.show import status
+from trackslip_sim.graph import NodeSpec
+from trackslip_sim.nodes.demo_monitor import DemoMonitor, join_graph, leave_graph
+
+_COMPILE = 180.0  # s, longest preparation of the drive; the first run compiles its kernel
+_APPEAR = 60.0  # s for the nodes to find each other, on a busy machine
+_LINE_PERIOD = 0.5  # s
+_PLAIN_PERIOD = 5.0  # s, where the output is no terminal
+_RATES = ("sprockets", "imu/data_raw", "scan", "odometry")
+_PATIENCE = 1.0  # s between looks at whether the nodes still run
+_LATE = 30.0  # s after the drive should have ended
+
+
+class Session:
+    """One drive; afterwards ``emitted``, ``received`` and ``drive_start_ns`` tell of it."""
+
+    def __init__(self, processes: Processes, console: Console) -> None:
+        self._processes = processes
+        self._console = console
+        join_graph()
+        self._monitor = DemoMonitor()
+
+    @property
+    def drive_start_ns(self) -> int:
+        """Stamp at which the machine began to move."""
+        return self._monitor.drive_start_ns
+
+    @property
+    def emitted(self) -> dict[str, int]:
+        """What the emulator's devices have sent, per topic."""
+        return self._monitor.emitted
+
+    @property
+    def received(self) -> Counter[str]:
+        """What has arrived here, per topic."""
+        return self._monitor.received
+
+    def bring_up(self, nodes: Sequence[NodeSpec]) -> None:
+        """Start the nodes, wait until all have found each other, then turn the key.
+
+        Raises:
+            DemoFailure: a node does not come up.
+        """
+        self._console.print(f"starting {len(nodes)} nodes …")
+        for node in nodes:
+            self._processes.start(node)
+        self._ask_emulator("configure", self._monitor.lay_cables, _COMPILE)
+        until = time.monotonic() + _APPEAR
+        while missing := self._monitor.missing_ends():
+            self._refuse_ended()
+            if time.monotonic() > until:
+                raise DemoFailure(f"nodes did not find each other: {', '.join(sorted(missing))}")
+            self._monitor.spin_for(0.05)
+        self._ask_emulator("start", self._monitor.turn_key, _APPEAR)
+
+    def watch(self, duration: float) -> None:
+        """Show the drive until the emulator says that it is over.
+
+        Raises:
+            DemoFailure: a node ended meanwhile, or the emulator never finished.
+        """
+        began = shown = time.monotonic()
+        until = began + duration + _LATE
+        before = Counter(self.received)
+        terminal = self._console.is_terminal
+        period = _LINE_PERIOD if terminal else _PLAIN_PERIOD
+        with Live(console=self._console, auto_refresh=False, transient=True) as live:
+            while not self._monitor.finished:
+                self._monitor.spin_for(0.1)
+                self._refuse_ended()
+                now = time.monotonic()
+                if now > until:
+                    raise DemoFailure(f"emulator: not finished {_LATE:g} s after the drive's end")
+                if now - shown < period:
+                    continue
+                rates = {topic: (self.received[topic] - before[topic]) / (now - shown) for topic in _RATES}
+                line = status(now - began, self._monitor.pose, self._monitor.slips, rates)
+                shown, before = now, Counter(self.received)
+                if terminal:
+                    live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+                else:
+                    print(line, flush=True)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._monitor.close()
+        leave_graph()
+
+    def _ask_emulator(self, verb: str, ask: Callable[[float], bool], timeout: float) -> None:
+        until = time.monotonic() + timeout
+        while not ask(_PATIENCE):
+            self._refuse_ended()
+            if time.monotonic() > until:
+                raise DemoFailure(f"emulator did not {verb}: {self._processes.log('emulator')[-300:]}")
+
+    def _refuse_ended(self) -> None:
+        """A node that has ended is the end of the demo."""
+        for name, code in self._processes.ended().items():
+            last = (self._processes.log(name).splitlines() or ["(it said nothing)"])[-1]
+            raise DemoFailure(f"{name} ended with exit code {code}: {last}")

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the demo says on the terminal: a status line while it drives, a table at the end."""
+
+import math
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.table import Table
+
+from trackslip_sim.demo.results import DemoResult
+
+
+def status(
+    elapsed: float,
+    pose: tuple[float, float, float],
+    slips: tuple[float, float, float],
+    rates: Mapping[str, float],
+) -> str:
+    """One line: time, pose, slips, rates in Hz."""
+    if math.isnan(pose[0]):
+        where = "waiting for the first fix"
+    else:
+        x, y, heading = pose
+        left, right, angle = slips
+        where = (
+            f"x {x:+6.2f} m  y {y:+6.2f} m  heading {math.degrees(heading):+6.1f}°  "
+            f"slip L {100 * left:+5.1f} % R {100 * right:+5.1f} %  α {math.degrees(angle):+5.1f}°"
+        )
+    hertz = "  ".join(f"{topic} {rate:.0f}" for topic, rate in rates.items())
+    return f"{elapsed:5.1f} s  {where}  │ Hz: {hertz}"
+
+
+def report(console: Console, result: DemoResult) -> None:
+    """Errors, counts, and whether replay gives live."""
+    errors = Table(title="RMSE over the drive, live estimates against truth", title_justify="left")
+    errors.add_column("")
+    for column in ("position m", "heading rad", "slip"):
+        errors.add_column(column, justify="right")
+    rows = (
+        ("encoders alone", result.dead_reckoning, result.dead_reckoning_slip_rmse),
+        ("estimate (EKF)", result.filter, result.slip_rmse),
+    )
+    for name, found, slip in rows:
+        errors.add_row(name, f"{found.position:.4f}", f"{found.heading:.4f}", f"{slip:.4f}")
+    console.print(errors)
+    counts = Table(title="Messages", title_justify="left")
+    counts.add_column("topic")
+    for column in ("emitted", "received", "recorded", "received %"):
+        counts.add_column(column, justify="right")
+    for topic, n in result.topics.items():
+        counts.add_row(topic, str(n.emitted), str(n.received), str(n.recorded), f"{100 * n.share:.2f}")
+    console.print(counts)
+    live = result.live
+    verdict = "yes" if live.matches else "NO"
+    console.print(
+        f"replay = live: {verdict} ({live.common} of {live.live} stamps, "
+        f"largest difference {live.largest_difference:.1e})"
+    )

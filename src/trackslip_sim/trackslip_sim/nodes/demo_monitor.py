@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demo's eyes: knows when the graph is whole, turns the emulator's key, counts, and reads the estimates."""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from trackslip_common.nodes.messages import topic_class
+from trackslip_common.nodes.qos import qos_of
+from trackslip_common.topics import SENSOR_TOPICS, TOPICS, Flow
+from trackslip_estimation.conversions import planar_pose
+
+WATCHED = (*SENSOR_TOPICS, "box_pose", "odometry", "track_slip")
+_ENDS = {  # topic → nodes that must have found each other on it
+    **{topic: {"record", "demo"} for topic in WATCHED},
+    "sprockets": {"can_driver", "slip_estimator", "record", "demo"},
+    "imu/data_raw": {"watson_imu", "slip_estimator", "record", "demo"},
+    "scan": {"sick_pls", "box_localizer", "record", "demo"},
+    "box_pose": {"box_localizer", "slip_estimator", "record", "demo"},
+    "measurement_reports": {"slip_estimator", "record"},
+    "truth/odometry": {"record"},
+}
+
+
+def join_graph() -> None:
+    """Start ROS; signals stay the caller's."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+
+
+def leave_graph() -> None:
+    """End ROS; safe to call twice."""
+    rclpy.try_shutdown()
+
+
+class DemoMonitor(Node):
+    """Subscribes to what the status line and the table need."""
+
+    def __init__(self) -> None:
+        super().__init__("demo")
+        self.received: Counter[str] = Counter()
+        self.emitted: dict[str, int] = {}
+        self.finished = False
+        self.drive_start_ns = 0
+        self.pose = (math.nan, math.nan, math.nan)
+        self.slips = (math.nan, math.nan, math.nan)
+        self._emulator = self.create_client(ChangeState, "emulator/change_state")
+        self._asked: Any = None
+        self._spinner = SingleThreadedExecutor()
+        self._spinner.add_node(self)
+        for topic in WATCHED:
+            handler = {"odometry": self._on_odometry, "track_slip": self._on_slip}.get(topic)
+            self.create_subscription(topic_class(topic), topic, self._counting(topic, handler), qos_of(topic))
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+
+    def spin_for(self, seconds: float) -> None:
+        """Handle what comes."""
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0.0:
+            self._spinner.spin_once(timeout_sec=left)
+
+    def missing_ends(self) -> set[str]:
+        """``topic: node`` of every end that has not appeared yet."""
+        missing = set()
+        for topic, nodes in _ENDS.items():
+            name = self.resolve_topic_name(topic)
+            infos = self.get_publishers_info_by_topic(name) + self.get_subscriptions_info_by_topic(name)
+            missing |= {f"{topic}: {node}" for node in nodes - {info.node_name for info in infos}}
+        return missing
+
+    def lay_cables(self, timeout: float) -> bool:
+        """Configure the emulator: its ports appear; False if it has not (yet) done so."""
+        return self._change_emulator(Transition.TRANSITION_CONFIGURE, timeout)
+
+    def turn_key(self, timeout: float) -> bool:
+        """Activate the emulator; False if it has not (yet) done so."""
+        return self._change_emulator(Transition.TRANSITION_ACTIVATE, timeout)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._spinner.shutdown()
+        self.destroy_node()
+
+    def _change_emulator(self, transition: int, timeout: float) -> bool:
+        """Ask once; later calls wait for the same answer."""
+        if not self._emulator.wait_for_service(timeout_sec=timeout):
+            return False
+        if self._asked is None:
+            request = ChangeState.Request(transition=Transition(id=transition))
+            self._asked = self._emulator.call_async(request)
+        self._spinner.spin_until_future_complete(self._asked, timeout_sec=timeout)
+        if not self._asked.done():
+            return False
+        answer, self._asked = self._asked.result(), None
+        return bool(answer.success)
+
+    def _counting(self, topic: str, handler: Callable[[Any], None] | None) -> Callable[[Any], None]:
+        def count(message: Any) -> None:
+            self.received[topic] += 1
+            if handler is not None:
+                handler(message)
+
+        return count
+
+    def _on_odometry(self, message: Any) -> None:
+        x, y, heading = planar_pose(message.pose.pose)
+        self.pose = (float(x), float(y), float(heading))
+
+    def _on_slip(self, message: Any) -> None:
+        self.slips = (message.left_slip, message.right_slip, message.slip_angle)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            if status.name == "emulator":
+                self._read_emulator({pair.key: pair.value for pair in status.values}.items())
+
+    def _read_emulator(self, values: Iterable[tuple[str, str]]) -> None:
+        for key, value in values:
+            word, _, topic = key.partition(" ")
+            if word == "emitted" and topic in TOPICS and TOPICS[topic].flow is Flow.SENSOR:
+                self.emitted[topic] = int(value)
+            if key == "drive start (ns)":
+                self.drive_start_ns = int(value)
+            if key == "finished":
+                self.finished = value == "True"

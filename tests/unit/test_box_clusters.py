@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scans cut into objects."""
+
+import numpy as np
+import pytest
+
+from trackslip_estimation.box.clusters import beams_on, clusters, rejoined
+
+SPACING = np.pi / 360.0
+ANGLES = -np.pi / 2.0 + SPACING * np.arange(361)
+GRAZING = 0.17
+
+
+def scan(**objects):
+    """Empty scan but for ``name=(first, last, range)``."""
+    ranges = np.full(361, np.inf)
+    for first, last, distance in objects.values():
+        ranges[first : last + 1] = distance
+    return ranges
+
+
+def spans(parts):
+    return [(int(part[0]), int(part[-1])) for part in parts]
+
+
+def test_empty_scan_has_no_clusters():
+    assert clusters(np.full(361, np.inf), ANGLES, 0.03, GRAZING) == []
+
+
+def test_range_jump_and_missing_return_separate_objects():
+    ranges = scan(box=(100, 109, 8.0), wall=(110, 120, 12.0), post=(125, 127, 8.0))
+    assert spans(clusters(ranges, ANGLES, 0.03, GRAZING)) == [(100, 109), (110, 120), (125, 127)]
+
+
+def test_invalid_beam_inside_an_object_does_not_cut_it():
+    ranges = scan(box=(100, 109, 8.0))
+    ranges[104] = np.nan
+    (part,) = clusters(ranges, ANGLES, 0.03, GRAZING)
+    assert part.tolist() == [100, 101, 102, 103, 105, 106, 107, 108, 109]
+
+
+@pytest.mark.parametrize(("distance", "cut"), [(2.0, True), (12.0, False)])
+def test_allowed_jump_grows_with_range(distance, cut):
+    ranges = scan(near=(100, 105, distance), far=(106, 110, distance + 0.4))
+    assert (len(clusters(ranges, ANGLES, 0.03, GRAZING)) == 2) is cut
+
+
+def test_object_cut_by_a_nearer_post_is_rejoined():
+    ranges = scan(left=(100, 103, 8.0), post=(104, 105, 5.0), right=(106, 109, 8.0))
+    parts = clusters(ranges, ANGLES, 0.03, GRAZING)
+    assert spans(rejoined(parts, ranges, ANGLES, extent=1.0)) == [(100, 109)]
+
+
+def test_objects_with_a_farther_one_between_stay_apart():
+    ranges = scan(left=(100, 103, 8.0), wall=(104, 105, 12.0), right=(106, 109, 8.0))
+    parts = clusters(ranges, ANGLES, 0.03, GRAZING)
+    assert rejoined(parts, ranges, ANGLES, extent=1.0) == []
+
+
+def test_free_ends_lie_between_neighbouring_beams():
+    ranges = scan(box=(100, 109, 8.0))
+    beams = beams_on(np.arange(100, 110), ranges, ANGLES, extent=0.92, margin=0.1)
+    assert beams.right == pytest.approx((ANGLES[99], ANGLES[100]))
+    assert beams.left == pytest.approx((ANGLES[109], ANGLES[110]))
+
+
+def test_hidden_end_may_lie_anywhere_behind_what_hides_it():
+    ranges = scan(box=(100, 105, 8.0), person=(106, 108, 5.0))
+    beams = beams_on(np.arange(100, 106), ranges, ANGLES, extent=0.92, margin=0.1)
+    assert beams.left == pytest.approx((ANGLES[105], ANGLES[109]))
+
+
+def test_end_beside_something_just_behind_is_not_free():
+    ranges = scan(box=(100, 105, 8.0), behind=(106, 107, 8.7))
+    beams = beams_on(np.arange(100, 106), ranges, ANGLES, extent=0.92, margin=0.1)
+    assert beams.left == pytest.approx((ANGLES[105], ANGLES[108]))
+
+
+def test_end_at_the_edge_of_view_is_bounded_by_the_extent():
+    ranges = scan(box=(355, 360, 8.0))
+    beams = beams_on(np.arange(355, 361), ranges, ANGLES, extent=0.92, margin=0.1)
+    widest = 2.0 * np.arcsin(0.46 / 8.0)
+    assert beams.left == pytest.approx((ANGLES[360], ANGLES[355] + widest))

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rectangle's measurement model and its fit."""
+
+import numpy as np
+import pytest
+
+from trackslip_estimation.box.clusters import beams_on
+from trackslip_estimation.box.fit import (
+    Rectangle,
+    likely_starts,
+    most_likely,
+    posterior,
+    ray_cast,
+    residuals,
+    seen_through,
+)
+
+BOX = Rectangle(0.7, 0.6)
+ANGLES = -np.pi / 2.0 + np.pi / 360.0 * np.arange(361)
+HEADINGS = np.linspace(-0.7, 0.7, 13)
+
+
+def seen(pose):
+    """Noise-free ranges (361,) of a box alone."""
+    ranges, outline = ray_cast(pose[np.newaxis], BOX, ANGLES)
+    return np.where((outline[0, 0] <= ANGLES) & (outline[0, 1] >= ANGLES), ranges[0], np.inf)
+
+
+def beams_of(ranges, indices=None):
+    indices = np.flatnonzero(np.isfinite(ranges)) if indices is None else indices
+    return beams_on(indices, ranges, ANGLES, BOX.diagonal, 0.05)
+
+
+def fitted(ranges, heading, stddev, indices=None):
+    beams = beams_of(ranges, indices)
+    start = likely_starts(heading + HEADINGS, BOX, beams, stddev)[0]
+    return posterior(most_likely(start, BOX, beams, stddev), BOX, beams, stddev)
+
+
+def test_ray_cast_face_on():
+    ranges, outline = ray_cast(np.array([[5.0, 0.0, 0.0]]), BOX, np.array([0.0, 0.03, 0.5]))
+    corner = np.arctan2(0.3, 4.65)
+    assert ranges[0] == pytest.approx([4.65, 4.65 / np.cos(0.03), 4.65 / np.cos(corner)])
+    assert outline[0] == pytest.approx([-corner, corner])
+
+
+def test_ray_cast_meets_points_on_the_outline_of_the_rectangle():
+    random = np.random.default_rng(2)
+    for _ in range(50):
+        x, y, heading = random.uniform([2.0, -5.0, -3.1], [9.0, 5.0, 3.1])
+        (ranges,), ((right, left),) = ray_cast(np.array([[x, y, heading]]), BOX, ANGLES)
+        hit = (right < ANGLES) & (left > ANGLES)
+        dx, dy = ranges * np.cos(ANGLES) - x, ranges * np.sin(ANGLES) - y
+        along = np.abs(np.cos(heading) * dx + np.sin(heading) * dy)[hit] / 0.35
+        across = np.abs(-np.sin(heading) * dx + np.cos(heading) * dy)[hit] / 0.3
+        assert np.maximum(along, across) == pytest.approx(1.0)
+        assert np.all(np.hypot(dx, dy)[hit] <= BOX.diagonal / 2.0 + 1e-9)
+
+
+def test_residuals_vanish_at_the_truth_but_for_the_ends():
+    pose = np.array([6.0, 1.0, 0.4])
+    values = residuals(pose[np.newaxis], BOX, beams_of(seen(pose)), 0.01)[0]
+    assert values[:-2] == pytest.approx(0.0, abs=1e-9)
+    assert np.all(np.abs(values[-2:]) <= np.sqrt(3.0))
+
+
+@pytest.mark.parametrize("heading", [0.5, 0.9, -0.6, 2.3])
+def test_exact_without_noise_where_two_sides_are_seen(heading):
+    pose = np.array([3.0, 0.4, heading])
+    estimate, _ = fitted(seen(pose), heading + 0.1, 1e-4)
+    assert estimate == pytest.approx(pose, abs=2e-3)
+
+
+def test_heading_turns_with_the_start():
+    ranges = seen(np.array([4.0, 0.0, 0.5]))
+    estimate, _ = fitted(ranges, 0.5 + np.pi, 0.01)
+    assert estimate[2] == pytest.approx(0.5 + np.pi, abs=0.05)
+
+
+def test_one_edge_with_hidden_ends_is_uncertain_along_the_edge_only():
+    ranges = seen(np.array([5.0, 0.0, 0.0]))
+    side = np.flatnonzero(np.isfinite(ranges))
+    ranges[side[0] - 6 : side[4]] = 3.0
+    ranges[side[-4] : side[-1] + 7] = 3.0
+    _, covariance = fitted(ranges, 0.0, 0.01, side[4:-4])
+    across, along = np.sqrt(np.diag(covariance))[:2]
+    assert along > 0.06
+    assert across < 0.03
+
+
+def test_one_edge_with_free_ends_is_as_certain_as_the_spacing_allows():
+    _, covariance = fitted(seen(np.array([5.0, 0.0, 0.0])), 0.0, 0.01)
+    spacing = 5.0 * np.pi / 360.0
+    assert 0.1 * spacing < np.sqrt(covariance[1, 1]) < 0.5 * spacing
+
+
+def test_beams_that_go_on_behind_are_counted():
+    pose = np.array([5.0, 0.0, 0.0])
+    ranges = seen(pose)
+    assert seen_through(pose, BOX, ranges, ANGLES, 0.1) == 0
+    ranges[178:182] = 9.0
+    assert seen_through(pose, BOX, ranges, ANGLES, 0.1) == 4
+
+
+def test_covariance_is_symmetric_and_positive_definite_and_repeatable():
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        pose = random.uniform([2.0, -4.0, -3.1], [10.0, 4.0, 3.1])
+        ranges = seen(pose) + 0.02 * random.standard_normal(361)
+        first, covariance = fitted(ranges, pose[2], 0.02)
+        again, _ = fitted(ranges, pose[2], 0.02)
+        assert np.array_equal(first, again)
+        assert covariance == pytest.approx(covariance.T)
+        assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
