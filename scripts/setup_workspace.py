@@ -192,6 +192,7 @@ def correct_cmake_files() -> None:
 def build_workspace(ros: str) -> None:
     """Builds all packages. Python packages start anew, so that no link to a removed file stays."""
     HOOK.unlink(missing_ok=True)
+    WORKSPACE_STAMP.unlink(missing_ok=True)
     for package in ROOT.glob("src/*/setup.py"):
         for made in ("build", "install"):
             shutil.rmtree(WORKSPACE / made / package.parent.name, ignore_errors=True)

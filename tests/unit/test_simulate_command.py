@@ -47,7 +47,7 @@ def test_mode_and_bag_writer_are_used(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--output: .* refused"):
+    with pytest.raises(InputError, match=r"--output: .* refused"):
         run(parse("--scenario", "straight", "--output", str(tmp_path / "bag")))
     missing = tmp_path / "no" / "out.json"
     with pytest.raises(InputError, match=r"--json: '.*out\.json' cannot be written"):

@@ -43,7 +43,7 @@ def random_drive(seed: int, soil: str) -> Scenario:
 
 @pytest.mark.parametrize("name", SOILS)
 def test_straight_motion_is_equation_3_3(name: str) -> None:
-    end = simulate(drive((10.0, FAST, FAST), soil=name)).at(10.0)
+    end = simulate(drive((30.0, FAST, FAST), soil=name)).at(30.0)  # the jerk of the start dies away
     ground = soil(name)
     area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
     limit = thrust_limit(ground.cohesion, ground.friction_angle, area, VEHICLE.weight)
@@ -124,11 +124,11 @@ def test_braking_pressure_has_the_efficiency_the_other_way() -> None:
 
 def test_patches_change_the_soil_under_way() -> None:
     patch = Patch(soil="clayey_soil", from_x=2.0, to_x=100.0, from_y=-5.0, to_y=5.0)
-    truth = simulate(drive((12.0, FAST, FAST), soil="sand", patches=(patch,)))
+    truth = simulate(drive((30.0, FAST, FAST), soil="sand", patches=(patch,)))
     assert (truth.soil_name(0), truth.soil_name()) == ("sand", "clayey_soil")
     assert truth.x[np.argmax(truth.soil_index)] == pytest.approx(2.0, abs=0.01)
     assert truth.left_resistance[-1] == pytest.approx(0.15 * VEHICLE.weight, rel=1e-3)
-    alone = simulate(drive((12.0, FAST, FAST), soil="clayey_soil"))
+    alone = simulate(drive((30.0, FAST, FAST), soil="clayey_soil"))
     assert truth.left_slip[-1] == pytest.approx(alone.left_slip[-1], rel=1e-3)
 
 

@@ -42,16 +42,11 @@ def sprockets(message: Any, source: str) -> Sprockets:
         at = names.index(joint) if joint in names else len(of)
         return float(of[at]) if at < len(of) else math.nan
 
-    left, right = value(message.position, LEFT_SPROCKET), value(message.position, RIGHT_SPROCKET)
-    has_positions = len(message.position) > 0
-    return Sprockets(
-        source,
-        stamp_ns_of(message),
-        value(message.velocity, LEFT_SPROCKET),
-        value(message.velocity, RIGHT_SPROCKET),
-        left if has_positions else None,
-        right if has_positions else None,
-    )
+    left, right = (value(message.velocity, joint) for joint in (LEFT_SPROCKET, RIGHT_SPROCKET))
+    positions = None
+    if len(message.position) > 0:
+        positions = (value(message.position, LEFT_SPROCKET), value(message.position, RIGHT_SPROCKET))
+    return Sprockets(source, stamp_ns_of(message), left, right, positions)
 
 
 def yaw_rate(message: Any, source: str, default_variance: float) -> YawRate:

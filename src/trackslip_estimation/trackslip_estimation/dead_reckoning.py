@@ -46,15 +46,14 @@ def dead_reckon(
     difference of the tracks' speeds.
     """
     stamps = np.array([s.stamp_ns for s in sprockets], dtype=np.int64)
-    left, right = (_travel(sprockets, stamps, side) * vehicle.rolling_radius for side in ("left", "right"))
     after = stamps > start_ns
     grid = np.concatenate(([start_ns], stamps[after]))
 
     def since_start(travel: FloatArray) -> FloatArray:
         at_start = np.interp(start_ns - stamps[0], stamps - stamps[0], travel)
-        return np.concatenate(([at_start], travel[after])) - at_start
+        return np.asarray(np.concatenate(([at_start], travel[after])) - at_start, dtype=np.float64)
 
-    left, right = since_start(left), since_start(right)
+    left, right = (since_start(vehicle.rolling_radius * turned) for turned in _turned(sprockets, stamps))
     turned = _integral(gyro, grid) if gyro else (right - left) / vehicle.tread
     heading = start_pose[2] + turned
     steps = np.diff((left + right) / 2.0)
@@ -64,13 +63,14 @@ def dead_reckon(
     return Path(grid, np.stack((x, y, heading), axis=-1))
 
 
-def _travel(sprockets: Sequence[Sprockets], stamps: NDArray[np.int64], side: str) -> FloatArray:
-    """(n,) rad turned by one sprocket: its positions, or the integral of its speeds."""
-    if all(getattr(s, f"{side}_position") is not None for s in sprockets):
-        return np.array([getattr(s, f"{side}_position") for s in sprockets], dtype=np.float64)
-    speeds = np.array([getattr(s, f"{side}_speed") for s in sprockets], dtype=np.float64)
-    dt = np.diff(stamps) * 1e-9
-    return np.concatenate(([0.0], np.cumsum(speeds[1:] * dt)))
+def _turned(sprockets: Sequence[Sprockets], stamps: NDArray[np.int64]) -> FloatArray:
+    """(2, n) rad turned by the left and right sprocket: their positions, or the integral of their speeds."""
+    positions = [s.positions for s in sprockets if s.positions is not None]
+    if len(positions) == len(sprockets):
+        return np.array(positions, dtype=np.float64).T
+    speeds = np.array([(s.left_speed, s.right_speed) for s in sprockets], dtype=np.float64)
+    steps = speeds[1:] * (np.diff(stamps) * 1e-9)[:, np.newaxis]
+    return np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0))).T
 
 
 def _integral(gyro: Sequence[YawRate], grid: NDArray[np.int64]) -> FloatArray:

@@ -15,21 +15,19 @@ FloatArray = NDArray[np.float64]
 class Sprockets:
     """Both sprockets; positive drives forward.
 
-    Positions (rad, continuous) are preferred: their differences do not accumulate quantisation.
-    They are None in logs that hold speeds only.
+    Positions (continuous) are preferred: their differences do not accumulate quantisation. They are
+    None in logs that hold speeds only.
     """
 
     source: str
     stamp_ns: int
     left_speed: float  # rad/s
     right_speed: float  # rad/s
-    left_position: float | None = None
-    right_position: float | None = None
+    positions: tuple[float, float] | None = None  # rad, left and right
 
     def is_finite(self) -> bool:
         """Whether every number given is a number."""
-        given = [self.left_speed, self.right_speed, self.left_position, self.right_position]
-        return all(np.isfinite(value) for value in given if value is not None)
+        return bool(np.isfinite((self.left_speed, self.right_speed, *(self.positions or ()))).all())
 
 
 @dataclass(frozen=True)

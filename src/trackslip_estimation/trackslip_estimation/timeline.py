@@ -66,11 +66,9 @@ class SprocketTrack:
         b = self._samples[after]
         a = self._samples[after - 1] if after else b
         dt = (b.stamp_ns - a.stamp_ns) * 1e-9
-        if dt > 0.0 and a.left_position is not None and b.left_position is not None:
-            assert a.right_position is not None and b.right_position is not None
-            return Speeds(
-                (b.left_position - a.left_position) / dt, (b.right_position - a.right_position) / dt, dt
-            )
+        if dt > 0.0 and a.positions is not None and b.positions is not None:
+            left, right = ((end - start) / dt for start, end in zip(a.positions, b.positions, strict=True))
+            return Speeds(left, right, dt)
         return Speeds(b.left_speed, b.right_speed, 0.0)
 
 

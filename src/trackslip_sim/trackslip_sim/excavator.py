@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated excavator: one true drive behind three devices that speak bytes. Knows no port and no clock."""
+"""The emulated excavator: one true drive behind three devices that speak bytes. No port, no clock."""
 
 from typing import TypeVar
 

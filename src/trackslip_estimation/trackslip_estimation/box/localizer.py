@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from trackslip_common.tally import Tally
+from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.clusters import Beams, beams_on, clusters, rejoined
 from trackslip_estimation.box.fit import (
     Optimum,
@@ -28,7 +29,7 @@ from trackslip_estimation.box.fit import (
     seen_through,
 )
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.sides import SideDoubt
+from trackslip_estimation.box.sides import SideDoubt, half_turn_variance
 from trackslip_estimation.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
@@ -37,6 +38,7 @@ NS = 1e-9  # s
 EIGHTH_TURN = np.pi / 4.0  # up to here the nearest of four alike headings is the right one
 QUARTER = np.linspace(-EIGHTH_TURN, EIGHTH_TURN, 25)
 SHORTEST_STEP = 0.01  # s, least time over which a velocity is formed
+SPREADS = 3.0  # standard deviations in the reach of the heading
 SEEN_THROUGH = 0.2  # share of its beams that may go on behind a box: those beside an end that is not seen
 
 
@@ -49,6 +51,7 @@ class Reason(Enum):
     FEW_BEAMS = "few_beams"
     SIZE = "larger_than_the_box"
     SHAPE = "not_the_shape_of_the_box"
+    BACKGROUND = "was_there_before"
     GATE = "too_far_from_the_prediction"
 
 
@@ -111,6 +114,8 @@ class BoxLocalizer:
         self._velocity: FloatArray = np.zeros(3)
         self._fix_stamp_ns: int | None = None
         self._doubt: SideDoubt | None = None
+        self._half_turn_variance = 0.0
+        self._background = Background()
         self._scan_stamp_ns: int | None = None
 
     def locate(
@@ -132,8 +137,15 @@ class BoxLocalizer:
         found = self._box_in(ranges, angles, expected)
         if isinstance(found, Reason):
             return self._reject(found)
-        optimum = self._sides_told(found, ambiguous=expected.yaw_reach > EIGHTH_TURN)
+        ambiguous = expected.yaw_reach > EIGHTH_TURN
+        if ambiguous:
+            turned = float(found.optimum.pose[2] - self._in_laser(expected.pose)[2])
+            self._half_turn_variance += half_turn_variance(turned, expected.yaw_reach / SPREADS)
+        else:
+            self._background.learn(ranges, found.beams)
+        optimum = self._sides_told(found, ambiguous=ambiguous)
         in_laser, covariance = posterior(optimum, self._box, found.beams, self._range_stddev)
+        covariance[2, 2] += self._half_turn_variance
         if self._doubt is not None:
             covariance[2, 2] += self._doubt.yaw_variance()
         stamp_ns += round(time_increment / NS * float(found.beams.indices.mean()))
@@ -201,6 +213,8 @@ class BoxLocalizer:
         through = seen_through(optimum.pose, self._box, ranges, angles, 3.0 * self._range_stddev)
         if optimum.chi2 > self._limit(optimum.freedom) or through > SEEN_THROUGH * len(beams.ranges):
             return Reason.SHAPE
+        if self._background.holds(ranges, beams, 3.0 * np.sqrt(2.0) * self._range_stddev):
+            return Reason.BACKGROUND
         difference = self._in_odom(optimum.pose) - expected.pose
         distance = float(np.hypot(difference[0], difference[1]))
         if distance > expected.reach or abs(difference[2]) > expected.yaw_reach:
@@ -213,7 +227,7 @@ class BoxLocalizer:
         Within an eighth of a turn the prediction decides; beyond, the sides' lengths speak too.
         """
         heading = float(self._in_laser(expected.pose)[2])
-        spread = expected.yaw_reach / 3.0
+        spread = expected.yaw_reach / SPREADS
 
         def scored(middle: float) -> tuple[float, Optimum]:
             optimum = self._settled(middle, beams)

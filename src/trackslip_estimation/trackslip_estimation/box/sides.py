@@ -4,6 +4,7 @@
     Λ  χ² of the fit believed less that of the fit a quarter turn away, summed over scans
     p  probability of the other, 1/(1 + e^{−Λ/2})
 
+Half a turn leaves the box as it was: only the prediction can tell, and what it cannot tell stays in the variance.
 The sides differ by little: one scan decides seldom, the sum does. Until then the heading's variance shows it.
 """
 
@@ -34,3 +35,12 @@ class SideDoubt:
     def yaw_variance(self) -> float:
         """Second moment of the other heading about the one believed, rad²."""
         return float(self.turn**2 / (1.0 + np.exp(-0.5 * self.evidence)))
+
+
+def half_turn_variance(turned: float, spread: float) -> float:
+    """Second moment, rad², of the heading half a turn away about the one taken.
+
+    ``turned``: heading taken less the predicted one, rad; ``spread``: standard deviation of the prediction, rad.
+    """
+    against = ((np.pi - abs(turned)) ** 2 - turned**2) / spread**2
+    return float(np.pi**2 / (1.0 + np.exp(0.5 * against)))

@@ -109,10 +109,8 @@ def _live(result: Replay) -> list[str]:
     if live is None:
         return []
     verdict = "yes" if live.matches else "NO"
-    lines = [
-        f"replay = live: {verdict} ({live.common} of {live.live} stamps in both, "
-        f"largest difference {live.largest_difference:.1e})"
-    ]
+    stamps, difference = f"{live.common} of {live.live} stamps in both", f"{live.largest_difference:.1e}"
+    lines = [f"replay = live: {verdict} ({stamps}, largest difference {difference})"]
     if live.lost_reports:
         lines.append(f"  the bag lacks {live.lost_reports} lines of the live estimator's journal")
     return lines

@@ -70,7 +70,10 @@ def slip_rmse(estimates: Sequence[Estimate], stamps_ns: NDArray[np.int64], slips
 
 
 def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:
-    return (reference.stamps_ns >= path.stamps_ns[0]) & (reference.stamps_ns <= path.stamps_ns[-1])
+    inside: NDArray[np.bool_] = (reference.stamps_ns >= path.stamps_ns[0]) & (
+        reference.stamps_ns <= path.stamps_ns[-1]
+    )
+    return inside
 
 
 def _errors(path: Path, reference: Path) -> FloatArray:

@@ -26,15 +26,17 @@ _ELLIPSE_SCALE = 2.0  # σ
 
 def draw(result: DemoResult, title: str, file: File) -> None:
     """Write the picture as PNG."""
-    figure = plt.figure(figsize=(13, 6.2), layout="constrained")
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
+    figure = plt.figure(figsize=(13, 7), layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
     _draw_paths(figure.add_subplot(grid[:, 0]), result)
     upper = figure.add_subplot(grid[0, 1])
-    lower = figure.add_subplot(grid[1, 1], sharex=upper)
-    for axes, side, name in ((upper, 0, "left"), (lower, 1, "right")):
-        _draw_slip(axes, result, side, name)
-    upper.legend(loc="upper right", fontsize="small")
-    lower.set_xlabel("time of the drive, s")
+    _draw_error(upper, result)
+    for row, name in enumerate(("left", "right")):
+        axes = figure.add_subplot(grid[row + 1, 1], sharex=upper)
+        _draw_slip(axes, result, row, name)
+        if row == 0:
+            axes.legend(loc="upper right", fontsize="small", ncols=3)
+    axes.set_xlabel("time of the drive, s")
     figure.suptitle(title)
     figure.savefig(file, dpi=110)
     plt.close(figure)
@@ -70,6 +72,20 @@ def _ellipses(odometry: Series) -> list[Ellipse]:
         angle = np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))
         ellipses.append(Ellipse(row[:2], width, height, angle=angle, fc=_FILTER, alpha=0.25, ec=_FILTER))
     return ellipses
+
+
+def _draw_error(axes: Axes, result: DemoResult) -> None:
+    """Distance from the truth, below the 2σ that the estimate claims."""
+    odometry = result.odometry
+    t = (odometry.stamps_ns - result.truth.stamps_ns[0]) * 1e-9
+    error = odometry.values[:, :2] - result.truth.at(odometry.stamps_ns)[:, :2]
+    covariances = odometry.values[:, _COVARIANCE].reshape(-1, 6, 6)[:, :2, :2]
+    claimed = _ELLIPSE_SCALE * np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+    axes.fill_between(t, 0.0, 1e3 * claimed, color=_FILTER, alpha=0.2, lw=0.0, label="2σ claimed")
+    axes.plot(t, 1e3 * np.hypot(error[:, 0], error[:, 1]), color=_FILTER, lw=1.0, label="error")
+    axes.set(ylabel="position, mm", ylim=(0.0, None))
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper right", fontsize="small", ncols=2)
 
 
 def _draw_slip(axes: Axes, result: DemoResult, side: int, name: str) -> None:

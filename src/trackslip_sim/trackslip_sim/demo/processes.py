@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts the nodes as processes of their own, and ends them all, whatever happens."""
 
+import contextlib
 import ctypes
 import os
 import signal
@@ -90,13 +91,11 @@ def executable(package: str, name: str) -> Path:
 
 
 def _signal(process: "subprocess.Popen[bytes]", number: int) -> None:
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, number)
-    except ProcessLookupError:
-        pass
 
 
 def _end_with_parent() -> None:
-    """In the child: be told when the demo dies without a word; and hear Ctrl-C even if a shell turned it off."""
+    """In the child: be told when the demo dies without a word; hear Ctrl-C even if a shell turned it off."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demo's eyes: knows when the graph is whole, turns the emulator's key, counts, and reads the estimates."""
+"""The demo's eyes: sees when the graph is whole, turns the emulator's key, counts, reads the estimates."""
 
 import math
 import time

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``emulator``: an excavator without one. Bytes on a CAN bus and two serial ports; truth on its own topics."""
+"""``emulator``: an excavator without one. Bytes on a CAN bus and two serial ports, truth on topics."""
 
 import sys
 import threading

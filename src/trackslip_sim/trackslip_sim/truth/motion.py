@@ -183,6 +183,10 @@ def solve_step(
         low_slope, high_slope = slope, 0.0
         low, high, part = 0.0, 1.0, 1.0
         for attempt in range(MAX_ATTEMPTS):
+            if attempt % 2 == 1:
+                part = low + (high - low) * low_slope / (low_slope - high_slope)
+            elif attempt:
+                part = 0.5 * (low + high)
             evaluate(q - part * change, start, target, limits, strength, rolling, x_e, machine, step, sums)
             here = -np.dot(sums.gradient, change)
             if abs(here) <= -FLAT * slope or (here < 0.0 and part == 1.0):
@@ -191,10 +195,6 @@ def solve_step(
                 high, high_slope = part, here
             else:
                 low, low_slope = part, here
-            if attempt % 2:
-                part = 0.5 * (low + high)
-            else:
-                part = low + (high - low) * low_slope / (low_slope - high_slope)
         q -= part * change
     return MAX_ITERATIONS
 

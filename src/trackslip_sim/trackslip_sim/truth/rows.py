@@ -69,8 +69,11 @@ def to_truth(
     v_x, yaw_rate = rows[:, c.V_X], rows[:, c.YAW_RATE]
     left, right = rows[:, c.TRACK_SPEED], rows[:, c.TRACK_SPEED + 1]
     floor, half = settings.slip_floor, 0.5 * vehicle.tread
-    left_pressure = pressure_of_thrust(rows[:, c.DRIVE], left, vehicle)
-    right_pressure = pressure_of_thrust(rows[:, c.DRIVE + 1], right, vehicle)
+    # The clip acts only in a step in which a track reverses: its limit is that of the step's start.
+    left_pressure, right_pressure = (
+        np.clip(pressure_of_thrust(rows[:, c.DRIVE + k], track, vehicle), -relief_pressure, relief_pressure)
+        for k, track in enumerate((left, right))
+    )
     higher = np.maximum(np.abs(left_pressure), np.abs(right_pressure))
     return Truth(
         t=np.arange(len(rows), dtype=np.float64) * settings.sample_period,

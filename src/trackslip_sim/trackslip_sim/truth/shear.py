@@ -20,7 +20,7 @@ from trackslip_sim.truth.lag import kept_error, top_speed
 from trackslip_sim.truth.motion import MAX_ITERATIONS, Machine, Sums, new_sums, solve_step
 from trackslip_sim.truth.pose import move
 from trackslip_sim.truth.record import FloatArray, IntArray, Truth
-from trackslip_sim.truth.rows import WIDTH, refuse_unsolved, to_truth
+from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, to_truth
 from trackslip_sim.truth.settings import TruthSettings
 
 
@@ -43,24 +43,23 @@ def write_row(
     machine: Machine,
     sums: Sums,
 ) -> None:
-    """Fill one row of the result (its columns are ``Column``)."""
-    row[0:3] = pose
-    row[3:6] = q[:3]
-    row[6:8] = q[3:]
-    row[8:10] = angle
-    row[15:17] = spool
-    row[17] = soil
-    row[21:23] = sums.drive
-    row[14] = sums.force[0, 2] + sums.force[1, 2]
-    row[18:20] = 0.0
+    """Fill one row, still all zero, but for the iterations."""
+    row[Column.X : Column.V_X] = pose
+    row[Column.V_X : Column.TRACK_SPEED] = q[:3]
+    row[Column.TRACK_SPEED : Column.ANGLE] = q[3:]
+    row[Column.ANGLE : Column.THRUST] = angle
+    row[Column.SPOOL : Column.SOIL] = spool
+    row[Column.SOIL] = soil
+    row[Column.DRIVE :] = sums.drive
+    row[Column.MOMENT] = sums.force[0, 2] + sums.force[1, 2]
     for k in range(2):
-        arm = machine.half_tread * (1.0 - 2.0 * k)
-        v = q[0] - q[2] * arm
-        row[10 + k] = -sums.force[k, 0]
-        row[12 + k] = rolling[k] * v / math.sqrt(v * v + machine.rolling_floor**2)
-        row[18] += row[10 + k] * q[3 + k]
-        sliding = (v - q[3 + k]) * sums.force[k, 0] + q[1] * sums.force[k, 1] + q[2] * sums.force[k, 2]
-        row[19] += sliding + row[12 + k] * v
+        v = q[0] - q[2] * machine.half_tread * (1.0 - 2.0 * k)
+        thrust = -sums.force[k, 0]
+        resistance = rolling[k] * v / math.sqrt(v * v + machine.rolling_floor**2)
+        row[Column.THRUST + k], row[Column.RESISTANCE + k] = thrust, resistance
+        row[Column.POWER] += thrust * q[3 + k]
+        row[Column.LOSS] += (q[3 + k] - v) * thrust + q[1] * sums.force[k, 1] + q[2] * sums.force[k, 2]
+        row[Column.LOSS] += resistance * v
 
 
 @compiled
@@ -89,7 +88,7 @@ def integrate(
     soil = np.zeros((2, n), dtype=np.int64)
     rows = np.zeros((1 + len(commands) // every, WIDTH))
     worst = 0
-    rows[0, 17] = soil_at(0.0, 0.0, edges, patch_soil)
+    rows[0, Column.SOIL] = soil_at(0.0, 0.0, edges, patch_soil)
     for i in range(len(commands)):
         find_soils(pose, x_e, machine.half_tread, edges, patch_soil, soil)
         mobilise(j, load, machine.element_area, soil, table, strength)
@@ -98,7 +97,7 @@ def integrate(
             spool[k] = wanted + (spool[k] - wanted) * keep
             rolling[k] = 0.0
             for e in range(n):
-                rolling[k] += table[soil[k, e], 3] * load[k, e]
+                rolling[k] += table[soil[k, e], 3] * load[k, e]  # μ_r
         before = q.copy()
         turn_axes(q, step)
         worst = max(worst, solve_step(q, spool * top * radius, strength, rolling, x_e, machine, step, sums))
@@ -110,7 +109,7 @@ def integrate(
             row = rows[(i + 1) // every]
             here = soil_at(pose[0], pose[1], edges, patch_soil)
             write_row(row, pose, q, angle, spool, rolling, here, machine, sums)
-            row[20], worst = worst, 0
+            row[Column.ITERATIONS], worst = worst, 0
     return rows
 
 

@@ -27,7 +27,7 @@ from trackslip_sim.truth.ground import Ground, soil_at
 from trackslip_sim.truth.lag import kept_error, spools, top_speed
 from trackslip_sim.truth.pose import move
 from trackslip_sim.truth.record import FloatArray, IntArray, Truth
-from trackslip_sim.truth.rows import WIDTH, refuse_unsolved, to_truth
+from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, to_truth
 from trackslip_sim.truth.settings import TruthSettings
 
 TOLERANCE = 1e-6  # N left unbalanced, moments over half the tread
@@ -122,14 +122,18 @@ def solve(q: FloatArray, u: FloatArray, soil: FloatArray, body: Body, step: floa
 def write_row(
     row: FloatArray, pose: FloatArray, q: FloatArray, u: FloatArray, out: FloatArray, body: Body
 ) -> None:
-    """Fill one row (columns of ``rows.Column``) but for angle, spool, soil and iterations."""
-    row[0:3], row[3:6], row[6:8] = pose, q, u
-    row[10:14] = out[5:9]
-    row[14] = out[9]
-    row[18] = np.dot(out[5:7], u)
+    """Fill one row but for angle, spool, soil and iterations."""
+    row[Column.X : Column.V_X] = pose
+    row[Column.V_X : Column.TRACK_SPEED] = q
+    row[Column.TRACK_SPEED : Column.ANGLE] = u
+    row[Column.THRUST : Column.RESISTANCE] = out[5:7]
+    row[Column.RESISTANCE : Column.MOMENT] = out[7:9]
+    row[Column.MOMENT] = out[9]
+    power = np.dot(out[5:7], u)
     left, right = out[5] - out[7], out[6] - out[8]
-    row[19] = row[18] - q[0] * (left + right) - q[2] * (body.half_tread * (right - left) - out[9])
-    row[21:23] = out[5:7]
+    gain = q[0] * (left + right) + q[2] * (body.half_tread * (right - left) - out[9])
+    row[Column.POWER], row[Column.LOSS] = power, power - gain
+    row[Column.DRIVE :] = out[5:7]
 
 
 @compiled
@@ -147,7 +151,7 @@ def integrate(
     """Rows (n, WIDTH) from rest at the origin under spools (1 + steps, 2); ``table`` as in ``balance``."""
     q, pose, angle, out = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(10)
     rows = np.zeros((1 + (len(spool) - 1) // every, WIDTH))
-    rows[0, 17] = soil_at(0.0, 0.0, edges, patch_soil)
+    rows[0, Column.SOIL] = soil_at(0.0, 0.0, edges, patch_soil)
     worst = 0
     for i in range(1, len(spool)):
         here = soil_at(pose[0], pose[1], edges, patch_soil)
@@ -160,8 +164,9 @@ def integrate(
         if i % every == 0:
             row = rows[i // every]
             write_row(row, pose, q, u, out, body)
-            row[8:10], row[15:17] = angle, spool[i]
-            row[17], row[20], worst = here, worst, 0
+            row[Column.ANGLE : Column.THRUST] = angle
+            row[Column.SPOOL : Column.SOIL] = spool[i]
+            row[Column.SOIL], row[Column.ITERATIONS], worst = here, worst, 0
     return rows
 
 

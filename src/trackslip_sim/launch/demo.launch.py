@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The graph of ``make demo`` under ``ros2 launch``: emulated excavator, drivers, estimators, recorder."""
+
+from datetime import datetime
+from pathlib import Path
+
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from launch import LaunchContext, LaunchDescription
+from trackslip_sim.graph import DemoOptions, demo_nodes
+
+_ARGUMENTS = (
+    ("duration", "40.0", "seconds of driving"),
+    ("soil", "sand", "a name of config/soils.yaml"),
+    ("scenario", "thesis", "a name of config/scenarios, or a file"),
+    ("devices", "/tmp/trackslip_devices", "directory of the emulated serial ports"),
+    ("can_port", "43113", "UDP port of the emulated CAN bus"),
+)
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The machine starts to drive some seconds after its key is turned; the bag is written here."""
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=about)
+        for name, default, about in _ARGUMENTS
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
+
+
+def _nodes(context: LaunchContext) -> list[Node]:
+    given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in _ARGUMENTS}
+    options = DemoOptions(
+        devices=Path(given["devices"]),
+        bag=Path.cwd() / f"trackslip_{datetime.now():%Y%m%d_%H%M%S}",
+        can_port=int(given["can_port"]),
+        duration=float(given["duration"]),
+        soil=given["soil"],
+        scenario=given["scenario"],
+        autostart=True,
+    )
+    return [
+        Node(
+            package=node.package,
+            executable=node.executable,
+            name=node.executable,
+            parameters=[node.parameters],
+            output="screen",
+        )
+        for node in demo_nodes(options)
+    ]
