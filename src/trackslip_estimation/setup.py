@@ -22,9 +22,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "box_localizer = trackslip_estimation.nodes.box_localizer:main",
-            "slip_estimator = trackslip_estimation.nodes.slip_estimator:main",
-            "record = trackslip_estimation.nodes.record:main",
+            "box_localizer = trackslip_estimation.executables:box_localizer",
+            "slip_estimator = trackslip_estimation.executables:slip_estimator",
+            "record = trackslip_estimation.executables:record",
             "trackslip = trackslip_estimation.cli.main:main",
         ]
     },

@@ -73,7 +73,7 @@ def planar_pose(pose: Any) -> FloatArray:
 
 def odometry(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:
     """nav_msgs/Odometry of an estimate."""
-    v_x, v_y, rate = (float(v) for v in estimate.twist)
+    v_x, v_y, rate = (float(v) for v in estimate.outputs.twist)
     linear, angular = _vector(make, v_x, v_y, 0.0), _vector(make, 0.0, 0.0, rate)
     twist = make("geometry_msgs/msg/Twist", linear=linear, angular=angular)
     return make(
@@ -86,21 +86,23 @@ def odometry(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -
             covariance=in_six(estimate.pose_covariance),
         ),
         twist=make(
-            "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=in_six(estimate.twist_covariance)
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=twist,
+            covariance=in_six(estimate.outputs.twist_covariance),
         ),
     )
 
 
 def track_slip(make: Make, estimate: Estimate, base_frame: str) -> Any:
     """trackslip_msgs/TrackSlip of an estimate."""
-    left, right, angle = (float(v) for v in estimate.slips)
+    left, right, angle = (float(v) for v in estimate.outputs.slips)
     return make(
         "trackslip_msgs/msg/TrackSlip",
         header=header(make, estimate.stamp_ns, base_frame),
         left_slip=left,
         right_slip=right,
         slip_angle=angle,
-        covariance=estimate.slip_covariance.flatten(),
+        covariance=estimate.outputs.slip_covariance.flatten(),
         motion_state=int(estimate.motion),
     )
 

@@ -11,6 +11,7 @@ and steady speeds, and move while the speeds differ or change.
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from trackslip_common.parameters import Parameters, parameter
 
@@ -36,6 +37,18 @@ class MotionParameters(Parameters):
     memory_time: float = parameter("time constant of the recent mean speed", unit="s", gt=0.0)
 
 
+class Speeds(NamedTuple):
+    """Mean sprocket speeds over the stretch between two samples."""
+
+    left: float  # rad/s
+    right: float  # rad/s
+    stretch: float  # s between the two samples; 0 where there was but one
+    differenced: bool  # from positions, which were rounded to counts; else measured as speeds
+
+
+STANDSTILL = Speeds(0.0, 0.0, 0.0, differenced=False)
+
+
 @dataclass(frozen=True)
 class MotionState:
     """What the classifier remembers; immutable, so that a filter can keep it in its history."""
@@ -57,6 +70,8 @@ def classify(
     state: MotionState, left_speed: float, right_speed: float, dt: float, limits: MotionParameters
 ) -> MotionState:
     """The state of motion after ``dt`` seconds with these mean sprocket speeds (rad/s)."""
+    if dt <= 0.0:
+        return state
     if state.motion is Motion.UNKNOWN:
         left, right, left_mean, right_mean = left_speed, right_speed, left_speed, right_speed
     else:

@@ -14,11 +14,13 @@ from scipy.stats import chi2
 
 from trackslip_estimation.filters import ekf
 from trackslip_estimation.filters.ekf import Gaussian, Linearised
-from trackslip_estimation.filters.slip_model import POSE, SLIPS, SlipModel
+from trackslip_estimation.filters.model import POSE, Model, Outputs, pose_residual
+from trackslip_estimation.filters.slip_model import SlipModel
+from trackslip_estimation.filters.turning_model import TurningModel
 from trackslip_estimation.measurements import Measurement, Outcome, PoseFix, Report, Sprockets, YawRate
-from trackslip_estimation.motion import Motion, MotionState, classify
+from trackslip_estimation.motion import STANDSTILL, Motion, MotionState, Speeds, classify
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters
-from trackslip_estimation.timeline import Speeds, SprocketTrack, Timeline
+from trackslip_estimation.timeline import SprocketTrack, Timeline
 
 FloatArray = NDArray[np.float64]
 
@@ -30,10 +32,7 @@ class Estimate:
     stamp_ns: int
     pose: FloatArray  # (3,) x m, y m, heading rad, site frame
     pose_covariance: FloatArray  # (3, 3)
-    twist: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s, machine frame
-    twist_covariance: FloatArray  # (3, 3)
-    slips: FloatArray  # (3,) left slip, right slip, slip angle rad
-    slip_covariance: FloatArray  # (3, 3)
+    outputs: Outputs
     motion: Motion
 
 
@@ -44,9 +43,17 @@ class FilterState:
     stamp_ns: int
     gaussian: Gaussian
     motion: MotionState = MotionState()
-    speeds: Speeds = Speeds(0.0, 0.0, 0.0)
+    speeds: Speeds = STANDSTILL
     rejected_in_a_row: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     report: Report | None = None  # on the measurement that led here
+
+
+def make_model(p: SlipEstimatorParameters) -> Model:
+    """The motion model that the parameters choose."""
+    size = (p.vehicle.rolling_radius, p.vehicle.tread, p.encoder_resolution)
+    if p.model == "free_slips":
+        return SlipModel(*size, p.noise)
+    return TurningModel(*size, p.turning)
 
 
 class SlipEstimator:
@@ -54,8 +61,7 @@ class SlipEstimator:
 
     def __init__(self, parameters: SlipEstimatorParameters) -> None:
         self.parameters = parameters
-        vehicle = parameters.vehicle
-        self._model = SlipModel(vehicle.rolling_radius, vehicle.tread, parameters.noise)
+        self._model = make_model(parameters)
         self._gates = {dof: float(chi2.ppf(parameters.gate_probability, dof)) for dof in (1, 2, 3)}
         self._track = SprocketTrack()
         self._timeline: Timeline[FilterState] | None = None
@@ -83,10 +89,10 @@ class SlipEstimator:
         if isinstance(measurement, Sprockets):
             self._track.add(measurement)
             redo_from_ns = self._track.last_before(measurement.stamp_ns)
-        report = self._timeline.insert(measurement, redo_from_ns).report
+        self._latest = self._timeline.insert(measurement, redo_from_ns)
         self._track.forget_before(self._timeline.oldest_ns)
-        assert report is not None
-        return report
+        assert self._latest.report is not None
+        return self._latest.report
 
     def advance(self, measurement: Measurement) -> tuple[Report, Estimate | None]:
         """``take``, and the estimate to publish if this was the newest sprocket sample."""
@@ -95,7 +101,7 @@ class SlipEstimator:
         if report.outcome is not Outcome.ACCEPTED or not newest:
             return report, None
         self._newest_sprocket_ns = measurement.stamp_ns
-        return report, self.estimate()
+        return report, self._estimate(self._latest)
 
     def estimate(self) -> Estimate:
         """The state at the newest stamp.
@@ -105,20 +111,12 @@ class SlipEstimator:
         """
         if self._timeline is None:
             raise RuntimeError("no estimate yet")
-        state = self._timeline.newest
-        x, P = state.gaussian
-        left, right, _ = state.speeds
-        J = self._model.twist_jacobian(x, left, right)
-        return Estimate(
-            stamp_ns=state.stamp_ns,
-            pose=x[POSE],
-            pose_covariance=P[POSE, POSE],
-            twist=self._model.twist(x, left, right),
-            twist_covariance=J @ P @ J.T,
-            slips=x[SLIPS],
-            slip_covariance=P[SLIPS, SLIPS],
-            motion=state.motion.motion,
-        )
+        return self._estimate(self._timeline.newest)
+
+    def _estimate(self, state: FilterState) -> Estimate:
+        mean, covariance = state.gaussian
+        outputs = self._model.outputs(state.gaussian, state.speeds)
+        return Estimate(state.stamp_ns, mean[POSE], covariance[POSE, POSE], outputs, state.motion.motion)
 
     def _start(self, measurement: Measurement) -> Outcome:
         """Begin with a fix, or with the initial pose at the first sprocket sample; else wait."""
@@ -135,7 +133,7 @@ class SlipEstimator:
             covariance = np.diag(np.square(deviations))
         else:
             return Outcome.WAITING
-        begin = FilterState(measurement.stamp_ns, Gaussian(*self._model.initial(pose, covariance)))
+        begin = FilterState(measurement.stamp_ns, self._model.initial(pose, covariance))
         self._timeline = Timeline(window_ns, begin, measurement.stamp_ns, self._step)
         return Outcome.ACCEPTED
 
@@ -143,38 +141,24 @@ class SlipEstimator:
         """Predict to the stamp of the measurement, then update with it."""
         moved = self._predict(state, measurement.stamp_ns)
         if isinstance(measurement, Sprockets):
+            moved = replace(moved, gaussian=self._model.drive(moved.gaussian, moved.speeds))
             taken = Report(measurement.source, measurement.stamp_ns, Outcome.ACCEPTED)
             return replace(moved, report=taken)
         return self._update(moved, measurement, self._linearise(moved, measurement))
 
     def _predict(self, state: FilterState, stamp_ns: int) -> FilterState:
-        """Sub-model 1 over the time since the state, driven by the sprockets."""
+        """The model over the time since the state."""
         dt = (stamp_ns - state.stamp_ns) * 1e-9
         speeds = self._track.speeds(stamp_ns)
-        left, right, _ = speeds
-        motion = state.motion
-        if dt > 0.0:
-            motion = classify(motion, left, right, dt, self.parameters.motion)
-        mean, F, G = self._model.move(state.gaussian.mean, left, right, dt)
-        Q = self._model.process_noise(G, left, right, dt, motion)
-        gaussian = ekf.predict(state.gaussian, mean, F, Q)
+        motion = classify(state.motion, speeds.left, speeds.right, dt, self.parameters.motion)
+        gaussian = self._model.predict(state.gaussian, speeds, dt, motion)
         return replace(state, stamp_ns=stamp_ns, gaussian=gaussian, motion=motion, speeds=speeds)
 
     def _linearise(self, state: FilterState, measurement: YawRate | PoseFix) -> Linearised:
-        x = state.gaussian.mean
         if isinstance(measurement, YawRate):
-            variance = measurement.variance + self._quantisation_variance(state.speeds.interval)
-            return self._model.yaw_rate(x, *state.speeds[:2], measurement.rate, variance)
-        return self._model.pose(x, measurement.pose, measurement.covariance, self.parameters.use_heading)
-
-    def _quantisation_variance(self, interval: float) -> float:
-        """Variance of φ̇ predicted from positions rounded to counts and ``interval`` s apart, (rad/s)²."""
-        if interval <= 0.0:
-            return 0.0
-        p = self.parameters
-        rounding = p.encoder_resolution**2 / 12.0
-        per_track = 2.0 * rounding * (p.vehicle.rolling_radius / p.vehicle.tread / interval) ** 2
-        return 2.0 * per_track
+            return self._model.yaw_rate(state.gaussian, state.speeds, measurement.rate, measurement.variance)
+        heading = self.parameters.use_heading
+        return pose_residual(state.gaussian, measurement.pose, measurement.covariance, heading)
 
     def _update(self, state: FilterState, measurement: Measurement, measured: Linearised) -> FilterState:
         """Gate, then update; a source rejected too often in a row is believed again."""

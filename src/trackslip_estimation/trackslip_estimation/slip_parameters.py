@@ -8,6 +8,7 @@ from typing import Any
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import Parameters, from_flat, parameter
 from trackslip_estimation.filters.slip_model import SlipNoise
+from trackslip_estimation.filters.turning_model import TurningNoise
 from trackslip_estimation.motion import MotionParameters
 from trackslip_estimation.vehicle import Vehicle
 
@@ -21,6 +22,10 @@ class SlipEstimatorParameters(Parameters):
 
     vehicle: Vehicle
     motion: MotionParameters
+    model: str = parameter(
+        "motion model: sub-model 1b, or the thesis' (3.23)", choices=("turning", "free_slips")
+    )
+    turning: TurningNoise
     noise: SlipNoise
     odom_frame: str = parameter("site frame of the estimate and of the pose sources")
     base_frame: str = parameter("frame of the machine, at the track-contact centre")

@@ -8,9 +8,10 @@ once it is older than the window: nothing that may still come can change it.
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 from trackslip_estimation.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.motion import STANDSTILL, Speeds
 
 State = TypeVar("State")
 Key = tuple[int, int, str]
@@ -21,14 +22,6 @@ _RANK = {Sprockets: 0, YawRate: 1, PoseFix: 2}
 def key_of(measurement: Measurement) -> Key:
     """The one order of all measurements: stamp, then kind, then source."""
     return measurement.stamp_ns, _RANK[type(measurement)], measurement.source
-
-
-class Speeds(NamedTuple):
-    """Mean sprocket speeds over a stretch of time."""
-
-    left: float  # rad/s
-    right: float  # rad/s
-    interval: float  # s between the positions they were differenced from; 0 where they were measured
 
 
 class SprocketTrack:
@@ -62,14 +55,14 @@ class SprocketTrack:
         """
         after = min(bisect_left(self._stamps, end_ns), len(self._stamps) - 1)
         if after < 0:
-            return Speeds(0.0, 0.0, 0.0)
+            return STANDSTILL
         b = self._samples[after]
         a = self._samples[after - 1] if after else b
         dt = (b.stamp_ns - a.stamp_ns) * 1e-9
         if dt > 0.0 and a.positions is not None and b.positions is not None:
             left, right = ((end - start) / dt for start, end in zip(a.positions, b.positions, strict=True))
-            return Speeds(left, right, dt)
-        return Speeds(b.left_speed, b.right_speed, 0.0)
+            return Speeds(left, right, dt, differenced=True)
+        return Speeds(b.left_speed, b.right_speed, dt, differenced=False)
 
 
 class Timeline(Generic[State]):

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from trackslip_estimation.filters.model import Outputs
 from trackslip_estimation.motion import Motion
 from trackslip_estimation.slip_estimator import Estimate
 from trackslip_sim.truth.record import Truth
@@ -22,7 +23,7 @@ def as_estimate(at: Truth, stamp_ns: int) -> Estimate:
         )
     )
     none = np.zeros((3, 3))
-    return Estimate(stamp_ns, pose, none, twist, none, slips, none, _motion(at))
+    return Estimate(stamp_ns, pose, none, Outputs(twist, none, slips, none), _motion(at))
 
 
 def _motion(at: Truth) -> Motion:

@@ -107,10 +107,8 @@ class BoxLocalizer:
 
     def reset(self) -> None:
         """Forget every scan: start again from the initial pose."""
-        parameters = self._parameters
-        self._pose: FloatArray = np.array(
-            [parameters.initial_x, parameters.initial_y, parameters.initial_yaw]
-        )
+        p = self._parameters
+        self._pose: FloatArray = np.array([p.initial_x, p.initial_y, p.initial_yaw])
         self._velocity: FloatArray = np.zeros(3)
         self._fix_stamp_ns: int | None = None
         self._doubt: SideDoubt | None = None
@@ -141,13 +139,14 @@ class BoxLocalizer:
         if ambiguous:
             turned = float(found.optimum.pose[2] - self._in_laser(expected.pose)[2])
             self._half_turn_variance += half_turn_variance(turned, expected.yaw_reach / SPREADS)
-        else:
+        else:  # sure enough that this is the box, and the rest is not
             self._background.learn(ranges, found.beams)
         optimum = self._sides_told(found, ambiguous=ambiguous)
         in_laser, covariance = posterior(optimum, self._box, found.beams, self._range_stddev)
         covariance[2, 2] += self._half_turn_variance
         if self._doubt is not None:
-            covariance[2, 2] += self._doubt.yaw_variance()
+            shift = 0.5 * (self._box.length - self._box.width)  # of the centre, were the sides exchanged
+            covariance += self._doubt.probability() * np.diag([shift, shift, self._doubt.turn]) ** 2
         stamp_ns += round(time_increment / NS * float(found.beams.indices.mean()))
         return self._accept(stamp_ns, in_laser, covariance)
 
@@ -229,19 +228,20 @@ class BoxLocalizer:
         heading = float(self._in_laser(expected.pose)[2])
         spread = expected.yaw_reach / SPREADS
 
-        def scored(middle: float) -> tuple[float, Optimum]:
+        def nearest(middle: float) -> tuple[Optimum, float]:
             optimum = self._settled(middle, beams)
             turned = optimum.pose[2] - heading
             turned -= np.pi * np.round(turned / np.pi)
-            nearest = np.array([*optimum.pose[:2], heading + turned])
-            return optimum.chi2 + (turned / spread) ** 2, dataclasses.replace(optimum, pose=nearest)
+            pose = np.array([*optimum.pose[:2], heading + turned])
+            return dataclasses.replace(optimum, pose=pose), (turned / spread) ** 2
 
-        best = scored(heading)
+        expected_fit, near = nearest(heading)
         if expected.yaw_reach <= EIGHTH_TURN:
-            return best[1], self._doubt
-        best, other = sorted([best, scored(heading + np.pi / 2.0)], key=lambda pair: pair[0])
-        turn = np.copysign(np.pi / 2.0, other[1].pose[2] - best[1].pose[2])
-        return best[1], SideDoubt(float(turn), 0.0).after(best[0] - other[0])
+            return expected_fit, self._doubt
+        other_fit, far = nearest(heading + np.pi / 2.0)
+        turn = float(np.copysign(np.pi / 2.0, other_fit.pose[2] - expected_fit.pose[2]))
+        doubt = SideDoubt(turn, near - far).after(expected_fit.chi2 - other_fit.chi2)
+        return (expected_fit if doubt is None or doubt.turn == turn else other_fit), doubt
 
     def _settled(self, heading: float, beams: Beams) -> Optimum:
         """The fit from the likeliest start about a heading, or from the next where that one gets stuck."""

@@ -4,7 +4,7 @@
     Λ  χ² of the fit believed less that of the fit a quarter turn away, summed over scans
     p  probability of the other, 1/(1 + e^{−Λ/2})
 
-Half a turn leaves the box as it was: only the prediction can tell, and what it cannot tell stays in the variance.
+Half a turn leaves the box as it was: what the prediction cannot tell of it stays in the variance.
 The sides differ by little: one scan decides seldom, the sum does. Until then the heading's variance shows it.
 """
 
@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-DECISIVE = 16.0  # |Λ| that ends the doubt: odds of 1 to 3000
-LARGEST_STEP = 9.0  # of Λ in one scan: no single scan decides
+DECISIVE = 30.0  # |Λ| that ends the doubt; large, for the ends' χ² is only nearly one
+NEGLIGIBLE = 16.0  # Λ against half a turn: odds of 1 to 3000
+LARGEST_STEP = 6.0  # of Λ in one scan: no single scan decides
 
 
 @dataclass(frozen=True)
@@ -32,15 +33,15 @@ class SideDoubt:
             return SideDoubt(-self.turn, -evidence)
         return SideDoubt(self.turn, evidence)
 
-    def yaw_variance(self) -> float:
-        """Second moment of the other heading about the one believed, rad²."""
-        return float(self.turn**2 / (1.0 + np.exp(-0.5 * self.evidence)))
+    def probability(self) -> float:
+        """Of the other heading."""
+        return float(1.0 / (1.0 + np.exp(-0.5 * self.evidence)))
 
 
 def half_turn_variance(turned: float, spread: float) -> float:
     """Second moment, rad², of the heading half a turn away about the one taken.
 
-    ``turned``: heading taken less the predicted one, rad; ``spread``: standard deviation of the prediction, rad.
+    ``turned``: heading taken less that predicted, rad; ``spread``: standard deviation of the latter, rad.
     """
     against = ((np.pi - abs(turned)) ** 2 - turned**2) / spread**2
-    return float(np.pi**2 / (1.0 + np.exp(0.5 * against)))
+    return float(np.pi**2 / (1.0 + np.exp(0.5 * against))) if against < NEGLIGIBLE else 0.0

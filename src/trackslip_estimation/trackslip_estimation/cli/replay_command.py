@@ -3,25 +3,27 @@
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from trackslip_common.config_files import config_file, node_parameters, read_yaml
+from trackslip_common.config_files import config_file, node_parameters, parse_yaml, read_yaml
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.parameters import flat_fields
 from trackslip_estimation.bags.parameters import bag_parameters
 from trackslip_estimation.bags.reader import Bag, open_bag, require_topics
 from trackslip_estimation.replay.edits import Edits, parse_remap, parse_thin, parse_withhold, relative
+from trackslip_estimation.replay.inputs import SPROCKETS
 from trackslip_estimation.replay.output import summary, text, write_estimates
 from trackslip_estimation.replay.run import replay
 from trackslip_estimation.slip_parameters import NODE, SlipEstimatorParameters, load_slip_parameters
 
 DESCRIPTION = "Run the slip estimator over a bag, in process, in the order in which it ran live."
 EXAMPLE = "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.gate_patience=10"
+
+_LONGEST = 1e9  # s, some thirty years
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="keep a topic at HZ; SIGMA m of noise is added to its positions",
     )
-    add("--seed", metavar="N", type=int, default=0, help="of the added noise")
+    add("--seed", metavar="N", type=_seed, default=0, help="of the added noise")
     add("--reference", metavar="TOPIC", help="score against this topic, every sample of it")
     add("--output", metavar="BAG", type=Path, help="write the estimates to a new bag")
     add("--json", metavar="FILE", type=Path, help="write the summary as JSON")
@@ -66,21 +68,49 @@ def run(args: argparse.Namespace) -> int:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
         p = _parameters(bag, args)
-        if args.reference is not None:
-            require_topics(bag, [args.reference])
-        result = replay(bag, p, edits, relative(args.reference) if args.reference else None)
+        reference = relative(args.reference) if args.reference else None
+        _require_named(bag, p, edits, reference)
+        result = replay(bag, p, edits, reference)
     print(text(result))
     if args.output is not None:
         write_estimates(args.output, result, p)
         print(f"estimates: {args.output}")
     if args.json is not None:
-        args.json.write_text(json.dumps(summary(result), indent=2) + "\n", encoding="utf-8")
+        _write_json(args.json, summary(result))
     return ExitCode.DONE
 
 
+def _seed(text: str) -> int:
+    """A seed of numpy's generators."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is refused; accepted: a whole number >= 0")
+    return int(text)
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    try:
+        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--json: '{path}' cannot be written ({error.strerror})") from error
+
+
+def _require_named(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None) -> None:
+    """A topic that an option names and nobody knows is a slip of the pen."""
+    before = {after: before for before, after in edits.remap.items()}
+    require_topics(bag, [*edits.remap, *([before.get(reference, reference)] if reference else [])])
+    in_bag = {edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+    known = in_bag | {SPROCKETS, *filter(None, (*p.pose_sources, *p.yaw_rate_sources))}
+    for option, named in (("--withhold", edits.withhold), ("--thin", edits.thin)):
+        for edit in named:
+            if edit.topic not in known:
+                there = ", ".join(sorted(known))
+                raise InputError(f"{option} {edit.topic}: there is no such topic; accepted: {there}")
+
+
 def _edits(args: argparse.Namespace) -> Edits:
-    if not args.start < args.stop:
-        raise InputError(f"--start {args.start:g} --stop {args.stop:g}: accepted: start before stop (s)")
+    if not -_LONGEST <= args.start < args.stop or _LONGEST < args.stop < math.inf:
+        accepted = f"start before stop, both at most {_LONGEST:g} s"
+        raise InputError(f"--start {args.start:g} --stop {args.stop:g}: accepted: {accepted}")
     return Edits(
         start_s=args.start,
         stop_s=args.stop,
@@ -101,17 +131,18 @@ def _parameters(bag: Bag, args: argparse.Namespace) -> SlipEstimatorParameters:
     for name in args.params:
         path = config_file(name)
         layers.append(node_parameters(read_yaml(path), NODE, str(path)))
-    layers.append(dict(map(_parse_set, args.set)))
+    layers.append(dict(map(parse_set, args.set)))
     return load_slip_parameters(*layers)
 
 
-def _parse_set(text: str) -> tuple[str, Any]:
-    """``slip_estimator.history_window=3.0`` → dotted name within the node, value as YAML reads it."""
+def parse_set(text: str) -> tuple[str, Any]:
+    """``slip_estimator.history_window=3.0`` → dotted name within the node, value as YAML reads it.
+
+    Raises:
+        InputError: the text has another form.
+    """
     name, sign, value = text.partition("=")
     node, dot, parameter = name.partition(".")
     if not sign or not dot or not parameter or node != NODE:
         raise InputError(f"--set {text}: accepted: {NODE}.<parameter>=<value>")
-    try:
-        return parameter, yaml.safe_load(value)
-    except yaml.YAMLError as error:
-        raise InputError(f"--set {text}: the value is not YAML") from error
+    return parameter, parse_yaml(value, f"--set {text}")

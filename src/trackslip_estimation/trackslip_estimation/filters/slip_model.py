@@ -21,14 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.filters.ekf import Linearised, wrap
-from trackslip_estimation.motion import Motion, MotionState
+from trackslip_estimation.filters import ekf
+from trackslip_estimation.filters.ekf import Gaussian, Linearised, wrap
+from trackslip_estimation.filters.model import POSE, YAW, Outputs, X, Y, rounding_variance
+from trackslip_estimation.motion import Motion, MotionState, Speeds
 
 FloatArray = NDArray[np.float64]
 
-X, Y, YAW, LEFT_SLIP, RIGHT_SLIP, SLIP_ANGLE, GYRO_BIAS = range(7)
+LEFT_SLIP, RIGHT_SLIP, SLIP_ANGLE, GYRO_BIAS = range(3, 7)
 SIZE = 7
-POSE = slice(X, YAW + 1)
 SLIPS = slice(LEFT_SLIP, SLIP_ANGLE + 1)
 
 
@@ -53,14 +54,15 @@ class SlipNoise(Parameters):
 
 @dataclass(frozen=True)
 class SlipModel:
-    """Motion and measurement equations for one vehicle."""
+    """Motion and measurement equations for one vehicle (a ``model.Model``)."""
 
     rolling_radius: float  # m
     tread: float  # m
+    encoder_resolution: float  # rad
     noise: SlipNoise
 
-    def initial(self, pose: FloatArray, pose_covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean (7,) and covariance (7, 7) of a start with known pose (3,) and unknown slips."""
+    def initial(self, pose: FloatArray, pose_covariance: FloatArray) -> Gaussian:
+        """Unknown slips about zero."""
         mean = np.zeros(SIZE)
         mean[POSE] = pose
         noise = self.noise
@@ -72,7 +74,17 @@ class SlipModel:
         )
         covariance = np.diag((0.0, 0.0, 0.0, *np.square(deviations)))
         covariance[POSE, POSE] = pose_covariance
-        return mean, covariance
+        return Gaussian(mean, covariance)
+
+    def predict(self, state: Gaussian, speeds: Speeds, dt: float, motion: MotionState) -> Gaussian:
+        """Driven by the sprockets."""
+        mean, F, G = self.move(state.mean, speeds.left, speeds.right, dt)
+        noise = self.process_noise(G, speeds.left, speeds.right, dt, motion)
+        return ekf.predict(state, mean, F, noise)
+
+    def drive(self, state: Gaussian, speeds: Speeds) -> Gaussian:
+        """Nothing beyond the prediction."""
+        return state
 
     def twist(self, x: FloatArray, left: float, right: float) -> FloatArray:
         """(3,) v_x m/s, v_y m/s, φ̇ rad/s of C (3.17)–(3.19)."""
@@ -135,20 +147,22 @@ class SlipModel:
         Q: FloatArray = (G * speed_variance) @ G.T + np.diag(walk)
         return Q
 
-    def yaw_rate(self, x: FloatArray, left: float, right: float, rate: float, variance: float) -> Linearised:
-        """z = φ̇ + b_g."""
-        H = self.twist_jacobian(x, left, right)[2:].copy()
+    def yaw_rate(self, state: Gaussian, speeds: Speeds, rate: float, variance: float) -> Linearised:
+        """z = φ̇ + b_g; φ̇ as predicted carries the rounding of the sprocket positions."""
+        left, right = speeds.left, speeds.right
+        H = self.twist_jacobian(state.mean, left, right)[2:].copy()
         H[0, GYRO_BIAS] = 1.0
-        innovation = np.array((rate - self.twist(x, left, right)[2] - x[GYRO_BIAS],))
-        return Linearised(innovation, H, np.array(((variance,),)))
+        predicted = self.twist(state.mean, left, right)[2] + state.mean[GYRO_BIAS]
+        rounding = rounding_variance(self.encoder_resolution, speeds)
+        noise = variance + 2.0 * rounding * (self.rolling_radius / self.tread) ** 2
+        return Linearised(np.array((rate - predicted,)), H, np.array(((noise,),)))
 
-    def pose(self, x: FloatArray, pose: FloatArray, covariance: FloatArray, use_heading: bool) -> Linearised:
-        """z = (x, y) and, where given, φ."""
-        rows = 3 if use_heading else 2
-        innovation = (pose - x[POSE])[:rows]
-        if use_heading:
-            innovation[YAW] = wrap(innovation[YAW])
-        return Linearised(innovation, np.eye(SIZE)[:rows], covariance[:rows, :rows])
+    def outputs(self, state: Gaussian, speeds: Speeds) -> Outputs:
+        """The slips are states; the twist follows from them and the sprockets."""
+        x, P = state
+        J = self.twist_jacobian(x, speeds.left, speeds.right)
+        twist = self.twist(x, speeds.left, speeds.right)
+        return Outputs(twist, J @ P @ J.T, x[SLIPS], P[SLIPS, SLIPS])
 
     def _twist_by_speed(self, x: FloatArray) -> FloatArray:
         """(3, 2) derivative of ``twist`` by (ω_L, ω_R)."""

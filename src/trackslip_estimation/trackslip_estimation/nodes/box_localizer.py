@@ -43,8 +43,6 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
 
     def health(self) -> list[Health]:
         """Fixes per scan, and why scans gave none."""
-        if not self.active:
-            return [Health(OK, "inactive")]
         (fixes, scans), self._news = self._news, (self._fixes, self._scans)
         refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         values = {"scans": self._scans, "fixes": self._fixes, **refused}

@@ -50,7 +50,8 @@ class RecordNode(TrackslipNode[RecordParameters]):
         try:
             self._more = re.compile(self.settings.more_topics or r"(?!)")
         except re.error as error:
-            raise InputError(f"record: more_topics: not a regular expression ({error})") from error
+            text = f"'{self.settings.more_topics}' is refused ({error}); accepted: a regular expression"
+            raise InputError(f"record: more_topics: {text}") from error
         self.create_timer(_DISCOVERY_PERIOD, self._discover)
 
     def activate(self) -> None:
@@ -61,15 +62,17 @@ class RecordNode(TrackslipNode[RecordParameters]):
             self._record(full, topic.type_name, name)
 
     def deactivate(self) -> None:
-        """Finish the bag."""
+        """Finish the bag; the next activation begins another."""
+        self.drop_subscriptions()
+        self._subscribed.clear()
         if self._bag is not None:
             self._bag.close()
             self.get_logger().info(f"{sum(self._bag.counts.values())} messages in {self._bag.path}")
+            self._bag = None
 
     def health(self) -> list[Health]:
         """Counts per topic; a warning if anything was lost."""
-        if self._bag is None:
-            return [Health(OK, "inactive")]
+        assert self._bag is not None
         counts: dict[str, Any] = dict(self._bag.counts)
         lost = {f"{topic} lost": n for topic, n in self._lost.items()}
         level, word = (WARN, "messages were lost") if lost else (OK, "recording")

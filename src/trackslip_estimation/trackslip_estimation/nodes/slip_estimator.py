@@ -50,8 +50,6 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         """Waiting for a first fix, or running; what was not accepted, by source and reason."""
         refused = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
         values = {"measurements": self._taken, "estimates": self._published, **refused}
-        if not self.active:
-            return [Health(OK, "inactive", values)]
         if not self._estimator.started:
             return [Health(WARN, f"waiting for a fix on {', '.join(self.settings.pose_sources)}", values)]
         return [Health(OK, "running", values)]

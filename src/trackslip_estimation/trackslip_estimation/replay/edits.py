@@ -14,6 +14,9 @@ import numpy as np
 from trackslip_common.errors import InputError
 from trackslip_estimation.measurements import Measurement, PoseFix
 
+_RATES = (1e-6, 1e6)  # Hz; beyond them a period is no whole number of ns, or longer than any log
+_LARGEST_SIGMA = 1e6  # m
+
 
 class Arrival(NamedTuple):
     """A measurement and the log time of its message."""
@@ -80,8 +83,13 @@ def parse_thin(text: str) -> Thin:
     """
     topic, *rest = text.split(":")
     rate_hz, *sigma = _numbers(text, rest, "--thin", "TOPIC:HZ or TOPIC:HZ:SIGMA (m)", 1, 2)
-    if not topic or rate_hz <= 0.0 or (sigma and sigma[0] <= 0.0):
-        raise InputError(f"--thin {text}: accepted: TOPIC:HZ[:SIGMA] with HZ > 0 and SIGMA > 0 (m)")
+    if (
+        not topic
+        or not _RATES[0] <= rate_hz <= _RATES[1]
+        or not all(0.0 < s <= _LARGEST_SIGMA for s in sigma)
+    ):
+        ranges = f"{_RATES[0]:g} <= HZ <= {_RATES[1]:g} and 0 < SIGMA <= {_LARGEST_SIGMA:g} (m)"
+        raise InputError(f"--thin {text}: accepted: TOPIC:HZ[:SIGMA] with {ranges}")
     return Thin(relative(topic), rate_hz, sigma[0] if sigma else None)
 
 

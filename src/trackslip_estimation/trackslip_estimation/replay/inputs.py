@@ -10,15 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.errors import InputError
+from trackslip_common.topics import TOPICS
 from trackslip_estimation import conversions
 from trackslip_estimation.bags.reader import Bag, require_topics
 from trackslip_estimation.measurements import Measurement
 from trackslip_estimation.replay.edits import Arrival, Edits, relative
+from trackslip_estimation.replay.scoring import Series
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters
 
 FloatArray = NDArray[np.float64]
 
 SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
+TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 
 
 class Taken(NamedTuple):
@@ -28,13 +32,6 @@ class Taken(NamedTuple):
     sequence: int
     source: str
     stamp_ns: int
-
-
-class Series(NamedTuple):
-    """Numbers over time, from one topic."""
-
-    stamps_ns: NDArray[np.int64]  # (n,)
-    values: FloatArray  # (n, k)
 
 
 @dataclass
@@ -61,6 +58,7 @@ def read_inputs(bag: Bag, p: SlipEstimatorParameters, edits: Edits, series: tupl
     collected: dict[str, list[tuple[int, FloatArray]]] = defaultdict(list)
     names = {topic: edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
     wanted = {topic for topic, name in names.items() if name in readers or name in (REPORTS, *series)}
+    _require_types(bag, {topic: names[topic] for topic in wanted}, p)
     start_ns, stop_ns = (_absolute(bag, t) for t in (edits.start_s, edits.stop_s))
     for message in bag.messages(wanted, start_ns, stop_ns):
         name = names[message.topic]
@@ -137,6 +135,18 @@ def _readers(p: SlipEstimatorParameters) -> dict[str, Callable[[Any], Measuremen
     for source in filter(None, p.pose_sources):
         readers[source] = partial(conversions.pose_fix, source=source)
     return readers
+
+
+def _require_types(bag: Bag, names: dict[str, str], p: SlipEstimatorParameters) -> None:
+    """What is read must be of the type that its reader knows; the topics left are series of poses."""
+    expected = {topic: (TOPICS[topic].type_name,) for topic in (SPROCKETS, REPORTS, TRACK_SLIP, TRUE_SLIP)}
+    expected |= dict.fromkeys(p.yaw_rate_sources, (TOPICS["imu/data_raw"].type_name,))
+    expected |= dict.fromkeys(p.pose_sources, (TOPICS["box_pose"].type_name,))
+    for topic, name in names.items():
+        accepted = expected.get(name, (TOPICS["box_pose"].type_name, TOPICS[ODOMETRY].type_name))
+        if bag.topics[topic].type_name not in accepted:
+            found = bag.topics[topic].type_name
+            raise InputError(f"bag '{bag.path}': {topic} is a {found}; accepted: {' or '.join(accepted)}")
 
 
 def _series(rows: list[tuple[int, FloatArray]]) -> Series:

@@ -85,7 +85,7 @@ def _final(result: Replay) -> dict[str, float] | None:
     if not estimates:
         return None
     x, y, yaw = (float(v) for v in estimates[-1].pose)
-    left, right, _ = (float(v) for v in estimates[-1].slips)
+    left, right, _ = (float(v) for v in estimates[-1].outputs.slips)
     return {"x": x, "y": y, "yaw": yaw, "left_slip": left, "right_slip": right}
 
 

@@ -18,19 +18,27 @@ from trackslip_estimation.replay.edits import Edits
 from trackslip_estimation.replay.inputs import (
     ODOMETRY,
     TRACK_SLIP,
+    TRUE_ODOMETRY,
+    TRUE_SLIP,
     Inputs,
-    Series,
     in_live_order,
     journal_gaps,
     numbers_of,
     read_inputs,
 )
-from trackslip_estimation.replay.scoring import Score, mean_nees, path_of, score, slip_rmse
+from trackslip_estimation.replay.scoring import (
+    Score,
+    Series,
+    mean_nees,
+    moving_slips,
+    path_of,
+    score,
+    slip_rmse,
+)
 from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters
 
-REFERENCES = ("reference_pose", "truth/odometry")  # used where none is named, if the bag has one
-TRUE_SLIP = "truth/track_slip"
+REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
 TOLERANCE = 1e-9  # between a live and a replayed number
 
 
@@ -81,7 +89,7 @@ def replay(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | 
     """
     began = time.monotonic()
     reference = reference or next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
-    wanted = (ODOMETRY, TRACK_SLIP, TRUE_SLIP, *((reference,) if reference else ()))
+    wanted = (ODOMETRY, TRACK_SLIP, TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
     inputs = read_inputs(bag, p, edits, wanted)
     arrivals = editing.apply(edits, inputs.arrivals, inputs.origin_ns)
     measurements = list(in_live_order(arrivals, inputs.journal))
@@ -106,9 +114,7 @@ def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Measur
     estimates = result.estimates
     if estimates:
         result.paths["filter"] = path_of(estimates)
-    truth = result.inputs.series.get(TRUE_SLIP)
-    if truth is not None and estimates:
-        result.slip_rmse = slip_rmse(estimates, truth.stamps_ns, truth.values[:, :2])
+    result.slip_rmse = _slip_error(result, p.vehicle.tread)
     series = result.inputs.series.get(result.reference or "")
     if series is None:
         return
@@ -126,6 +132,17 @@ def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Measur
         result.scores[name] = score(result.paths[name], reference) if name in result.paths else None
     if estimates:
         result.nees = mean_nees(estimates, reference)
+
+
+def _slip_error(result: Replay, tread: float) -> float | None:
+    """Against the true slips, where the bag has them; while the machine moves."""
+    slips, odometry = (result.inputs.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
+    estimates = result.estimates
+    if slips is None or odometry is None or not estimates:
+        return None
+    stamps = np.array([e.stamp_ns for e in estimates], dtype=np.int64)
+    own = Series(stamps, np.array([e.outputs.slips for e in estimates]))
+    return slip_rmse(own, moving_slips(odometry, slips, tread))
 
 
 def _reference_path(series: Series, from_ns: int) -> Path:

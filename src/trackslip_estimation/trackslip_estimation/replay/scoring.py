@@ -8,6 +8,7 @@ NEES   eᵀ P⁻¹ e, on average 3 if P is honest
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,15 @@ from trackslip_estimation.dead_reckoning import Path
 from trackslip_estimation.slip_estimator import Estimate
 
 FloatArray = NDArray[np.float64]
+
+MOVING = 0.05  # m/s of the faster track's frame, below which slip is not scored
+
+
+class Series(NamedTuple):
+    """Numbers over time, from one topic."""
+
+    stamps_ns: NDArray[np.int64]  # (n,) increasing
+    values: FloatArray  # (n, k)
 
 
 @dataclass(frozen=True)
@@ -57,16 +67,26 @@ def mean_nees(estimates: Sequence[Estimate], reference: Path) -> float | None:
     return float(np.mean(np.sum(errors * weighed, axis=1)))
 
 
-def slip_rmse(estimates: Sequence[Estimate], stamps_ns: NDArray[np.int64], slips: FloatArray) -> float | None:
-    """RMS error of left and right slip together, ``slips`` (n, 2) being the truth at ``stamps_ns``."""
-    own = np.array([e.stamp_ns for e in estimates], dtype=np.int64)
-    inside = (stamps_ns >= own[0]) & (stamps_ns <= own[-1])
+def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:
+    """The samples of the true slips at which a track's frame moves: elsewhere a slip means nothing.
+
+    ``odometry`` is the truth at the same stamps: x, y, heading, v_x, v_y, yaw rate, ….
+    """
+    _, at, of = np.intersect1d(slips.stamps_ns, odometry.stamps_ns, return_indices=True)
+    v_x, rate = odometry.values[of, 3], odometry.values[of, 5]
+    kept = at[np.abs(v_x) + np.abs(rate) * tread / 2.0 > MOVING]
+    return Series(slips.stamps_ns[kept], slips.values[kept])
+
+
+def slip_rmse(estimated: Series, true: Series) -> float | None:
+    """RMS error of left and right slip together, at the stamps of the truth."""
+    own = estimated.stamps_ns
+    inside = (true.stamps_ns >= own[0]) & (true.stamps_ns <= own[-1])
     if not inside.any():
         return None
-    t, wanted = (own - own[0]) * 1e-9, (stamps_ns[inside] - own[0]) * 1e-9
-    columns = np.array([e.slips[:2] for e in estimates]).T
-    estimated = np.stack([np.interp(wanted, t, column) for column in columns], axis=-1)
-    return _rms(estimated - slips[inside])
+    t, wanted = (own - own[0]) * 1e-9, (true.stamps_ns[inside] - own[0]) * 1e-9
+    columns = [np.interp(wanted, t, estimated.values[:, side]) for side in (0, 1)]
+    return _rms(np.stack(columns, axis=-1) - true.values[inside, :2])
 
 
 def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:

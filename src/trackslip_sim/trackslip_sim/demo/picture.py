@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
-from trackslip_estimation.replay.inputs import Series
+from trackslip_estimation.replay.scoring import Series
 from trackslip_sim.demo.results import DemoResult
 
 FloatArray = NDArray[np.float64]

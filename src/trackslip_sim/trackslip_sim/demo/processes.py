@@ -62,7 +62,14 @@ class Processes:
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, names: Iterable[str] | None = None) -> None:
-        """Interrupt these (or all), and kill what does not end in time."""
+        """Interrupt these (or all), and kill what does not end in time; a further Ctrl-C waits until then."""
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._stop(names)
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+    def _stop(self, names: Iterable[str] | None) -> None:
         chosen = {
             name: self._running.pop(name) for name in list(names or self._running) if name in self._running
         }

@@ -14,16 +14,15 @@ from trackslip_estimation.bags.parameters import bag_parameters
 from trackslip_estimation.bags.reader import Bag
 from trackslip_estimation.dead_reckoning import Path
 from trackslip_estimation.replay.edits import Edits
-from trackslip_estimation.replay.inputs import ODOMETRY, TRACK_SLIP, Series
-from trackslip_estimation.replay.run import TRUE_SLIP, LiveComparison, replay
-from trackslip_estimation.replay.scoring import Score, score
+from trackslip_estimation.replay.inputs import ODOMETRY, TRACK_SLIP
+from trackslip_estimation.replay.run import TRUE_ODOMETRY, TRUE_SLIP, LiveComparison, replay
+from trackslip_estimation.replay.scoring import Score, Series, moving_slips, score, slip_rmse
 from trackslip_estimation.slip_parameters import load_slip_parameters
 
 FloatArray = NDArray[np.float64]
 
 POSITION_LIMIT = 0.15  # m
 RECEIVED_LIMIT = 0.99  # of what was emitted
-_TRUTH = "truth/odometry"
 
 
 @dataclass(frozen=True)
@@ -81,16 +80,18 @@ def evaluate(
 ) -> DemoResult | None:
     """Replay the bag and score its live estimates over the drive; None where it holds no estimates."""
     p = load_slip_parameters(bag_parameters(bag))
-    result = replay(bag, p, Edits(), _TRUTH)
+    result = replay(bag, p, Edits(), TRUE_ODOMETRY)
     series = result.inputs.series
-    if result.live is None or any(name not in series for name in (_TRUTH, TRUE_SLIP, TRACK_SLIP)):
+    if result.live is None or any(name not in series for name in (TRUE_ODOMETRY, TRUE_SLIP, TRACK_SLIP)):
         return None
-    truth = _path(_from(series[_TRUTH], drive_start_ns))
+    truth = _path(_from(series[TRUE_ODOMETRY], drive_start_ns))
     live = _path(_from(series[ODOMETRY], drive_start_ns))
     slips, true_slips = (_from(series[name], drive_start_ns) for name in (TRACK_SLIP, TRUE_SLIP))
     encoders = result.paths["dead_reckoning"]
     of_filter, of_encoders = score(live, truth), score(encoders, truth)
-    if of_filter is None or of_encoders is None:
+    moving = moving_slips(series[TRUE_ODOMETRY], true_slips, p.vehicle.tread)
+    slip_error = slip_rmse(slips, moving)
+    if of_filter is None or of_encoders is None or slip_error is None:
         return None
     recorded = {topic: info.count for topic, info in bag.topics.items()}
     topics = {
@@ -100,7 +101,8 @@ def evaluate(
     return DemoResult(
         of_filter,
         of_encoders,
-        *_slip_errors(slips, true_slips),
+        slip_error,
+        float(np.sqrt(np.mean(moving.values[:, :2] ** 2))),
         topics,
         result.live,
         truth,
@@ -109,18 +111,6 @@ def evaluate(
         slips,
         true_slips,
     )
-
-
-def _slip_errors(slips: Series, true_slips: Series) -> tuple[float, float]:
-    """RMS error of the estimated slips, and of taking them to be zero, where there is a slip to estimate."""
-    t, wanted = slips.stamps_ns, true_slips.stamps_ns
-    inside = (wanted >= t[0]) & (wanted <= t[-1])
-    true = true_slips.values[inside, :2]
-    columns = [
-        np.interp((wanted[inside] - t[0]) * 1e-9, (t - t[0]) * 1e-9, slips.values[:, side]) for side in (0, 1)
-    ]
-    error = np.stack(columns, axis=-1) - true
-    return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(true**2)))
 
 
 def _from(series: Series, start_ns: int) -> Series:

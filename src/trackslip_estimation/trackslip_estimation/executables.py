@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Entry points of the estimation nodes: each loads its module only when called (see ``start``)."""
+
+from trackslip_common.start import start
+
+
+def box_localizer() -> None:
+    """See ``trackslip_estimation.nodes.box_localizer``."""
+    start("trackslip_estimation.nodes.box_localizer")
+
+
+def slip_estimator() -> None:
+    """See ``trackslip_estimation.nodes.slip_estimator``."""
+    start("trackslip_estimation.nodes.slip_estimator")
+
+
+def record() -> None:
+    """See ``trackslip_estimation.nodes.record``."""
+    start("trackslip_estimation.nodes.record")

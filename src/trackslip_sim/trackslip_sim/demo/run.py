@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs the demo: start the graph, turn the key, watch, stop, replay, score, draw."""
+
+import argparse
+import math
+import os
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from trackslip_common.errors import ExitCode, InputError
+from trackslip_estimation.bags.reader import open_bag
+from trackslip_estimation.soils import load_soils
+from trackslip_sim.demo.picture import draw
+from trackslip_sim.demo.processes import DemoFailure, Processes
+from trackslip_sim.demo.results import evaluate
+from trackslip_sim.demo.session import Session
+from trackslip_sim.demo.show import report
+from trackslip_sim.graph import DemoOptions, demo_nodes
+from trackslip_sim.scenarios import load_scenario
+
+_LONGEST = 3600.0  # s
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run it; returns the exit code."""
+    console = Console(highlight=False)
+    try:
+        return _run(_options(argv), console)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    except DemoFailure as error:
+        print(error, file=sys.stderr)
+        return ExitCode.FAILED
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return ExitCode.INTERRUPTED
+
+
+def _options(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="make demo", description=__doc__)
+    parser.add_argument("--duration", default="40", help="seconds of driving")
+    parser.add_argument("--soil", default="sand", help="a name of config/soils.yaml")
+    parser.add_argument("--scenario", default="thesis", help="a name of config/scenarios, or a file")
+    parser.add_argument("--output", type=Path, default=Path("out/demo"), help="directory of the results")
+    options = parser.parse_args(argv)
+    options.duration = _duration(options.duration)
+    soils = load_soils()
+    if options.soil not in soils:
+        raise InputError(f"SOIL: '{options.soil}' is unknown; accepted: {', '.join(soils)}")
+    load_scenario(options.scenario)
+    return options
+
+
+def _duration(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 1.0 <= seconds <= _LONGEST:
+        raise InputError(f"DURATION: '{text}' is refused; accepted: 1 to {_LONGEST:g} (seconds of driving)")
+    return seconds
+
+
+def _run(options: argparse.Namespace, console: Console) -> int:
+    output: Path = options.output
+    shutil.rmtree(output, ignore_errors=True)
+    output.mkdir(parents=True)
+    nodes = DemoOptions(
+        devices=(output / "dev").resolve(),
+        bag=(output / "bag").resolve(),
+        can_port=_free_udp_port(),
+        duration=options.duration,
+        soil=options.soil,
+        scenario=options.scenario,
+        autostart=False,
+    )
+    domain = os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    console.print(
+        f"Trackslip demo: {options.duration:g} s of '{options.scenario}' on {options.soil}; "
+        f"look in with ROS_DOMAIN_ID={domain}"
+    )
+    processes = Processes(output, os.environ)
+    try:
+        session = Session(processes, console)
+        try:
+            session.bring_up(demo_nodes(nodes))
+            session.watch(options.duration)
+        finally:
+            session.close()
+            processes.stop(["record"])  # first, so that nothing it should hear is cut off
+    finally:
+        processes.stop()
+        shutil.rmtree(nodes.devices, ignore_errors=True)
+    return _conclude(options, session, nodes.bag, console)
+
+
+def _conclude(options: argparse.Namespace, session: Session, path: Path, console: Console) -> int:
+    output: Path = options.output
+    began = time.monotonic()
+    with open_bag(path) as bag:
+        result = evaluate(bag, session.emitted, session.received, session.drive_start_ns)
+    if result is None:
+        print(f"no estimates in {path}; the nodes' logs are in {output}/*.log", file=sys.stderr)
+        return ExitCode.FAILED
+    report(console, result)
+    result.save(output / "summary.json")
+    picture = output / "demo.png"
+    draw(result, f"{options.scenario}, {options.soil}, {options.duration:g} s", picture)
+    console.print(f"replayed and drawn in {time.monotonic() - began:.1f} s")
+    for name, file in (("picture", picture), ("numbers", output / "summary.json"), ("bag", path)):
+        console.print(f"{name:<8} {file}", soft_wrap=True)
+    return ExitCode.DONE if result.passes else ExitCode.FAILED
+
+
+def _free_udp_port() -> int:
+    """A port that no other CAN emulation uses now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return int(probe.getsockname()[1])
