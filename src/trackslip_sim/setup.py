@@ -22,8 +22,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "emulator = trackslip_sim.nodes.emulator:main",
-            "demo = trackslip_sim.demo.main:main",
+            "emulator = trackslip_sim.executables:emulator",
+            "demo = trackslip_sim.executables:demo",
         ]
     },
 )

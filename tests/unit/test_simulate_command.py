@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip simulate``: its options, its JSON and where a bag writer plugs in."""
+"""``trackslip simulate``: its options, its JSON and its bag."""
 
 import argparse
 import json
@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 from trackslip_common.errors import InputError
+from trackslip_estimation.bags.reader import open_bag
+from trackslip_estimation.replay.edits import Edits
+from trackslip_estimation.replay.run import replay
+from trackslip_estimation.slip_parameters import load_slip_parameters
 from trackslip_sim.cli import add_arguments, run
-from trackslip_sim.truth.record import Truth
 
 
 def parse(*arguments: str) -> argparse.Namespace:
@@ -32,23 +35,28 @@ def test_json_has_the_promised_keys(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert json.loads(capsys.readouterr().out) == report
 
 
-def test_mode_and_bag_writer_are_used(tmp_path: Path) -> None:
-    seen: list[tuple[float, int, Path]] = []
-
-    def write_bag(truth: Truth, seed: int, path: Path) -> None:
-        seen.append((truth.duration, seed, path))
-
-    arguments = parse(
-        *("--scenario", "turn_left", "--soil", "sand", "--mode", "thesis"),
-        *("--seed", "7", "--output", str(tmp_path / "bag")),
-    )
-    assert run(arguments, write_bag) == 0
-    assert seen == [(pytest.approx(30.0), 7, tmp_path / "bag")]
+def test_the_bag_holds_what_the_sensors_see(tmp_path: Path) -> None:
+    scenario = tmp_path / "short.yaml"
+    scenario.write_text("name: short\nsoil: sand\nsegments: [{duration: 3.0, left: 2.0, right: 1.6}]\n")
+    bag = tmp_path / "bag"
+    assert run(parse("--scenario", str(scenario), "--mode", "thesis", "--seed", "7", "--output", str(bag))) == 0
+    with open_bag(bag) as opened:
+        counts = {topic: info.count for topic, info in opened.topics.items()}
+        p = load_slip_parameters()
+        result = replay(opened, p, Edits(), None)
+    lead_in = 7.0
+    assert counts["/sprockets"] == pytest.approx(100 * (3.0 + lead_in - 1.0), abs=3)
+    assert counts["/hydraulics"] == pytest.approx(counts["/sprockets"], abs=1)
+    assert counts["/imu/data_raw"] == pytest.approx(11.85 * (3.0 + lead_in - 5.0), abs=2)
+    assert counts["/scan"] == counts["/box_pose"] > 20
+    score = result.scores["filter"]
+    assert score is not None
+    assert score.position < 0.05
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"--output: .* refused"):
-        run(parse("--scenario", "straight", "--output", str(tmp_path / "bag")))
+    with pytest.raises(InputError, match=r"exists already"):
+        run(parse("--scenario", "straight", "--output", str(tmp_path)))
     missing = tmp_path / "no" / "out.json"
     with pytest.raises(InputError, match=r"--json: '.*out\.json' cannot be written"):
         run(parse("--scenario", "straight", "--json", str(missing)))

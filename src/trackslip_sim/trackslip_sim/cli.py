@@ -4,18 +4,17 @@
 import argparse
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from trackslip_common.errors import ExitCode, InputError
+from trackslip_sim.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios import load_scenario, scenario_names
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import MODES, simulate
 
 DESCRIPTION = "Drive a scenario on the truth model, and tell where it ends."
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
-
-WriteBag = Callable[[Truth, int, Path], None]  # the truth, the sensors' seed, where
 
 _FINAL = (
     *("x", "y", "yaw", "v_x", "yaw_rate"),
@@ -38,22 +37,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the summary as JSON")
 
 
-def run(arguments: argparse.Namespace, write_bag: WriteBag | None = None) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Simulate, print, and write what was asked for; returns the exit code.
 
     Raises:
-        InputError: scenario or soil is refused, a file cannot be written, or nobody can write bags here.
+        InputError: scenario or soil is refused, or a file cannot be written.
     """
-    if arguments.output is not None and write_bag is None:
-        raise InputError(
-            f"--output: '{arguments.output}' is refused; accepted: nothing, no bag writer is installed"
-        )
     scenario = load_scenario(arguments.scenario)
     begin = time.perf_counter()
     truth = simulate(scenario, soil=arguments.soil, mode=arguments.mode)
     report = summary(truth, time.perf_counter() - begin)
-    if arguments.output is not None and write_bag is not None:
-        write_bag(truth, arguments.seed, arguments.output)
+    if arguments.output is not None:
+        given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
+        record_drive(load_emulator_parameters(given), truth, arguments.output)
     text = json.dumps(report, indent=2)
     print(text)
     if arguments.json is not None:

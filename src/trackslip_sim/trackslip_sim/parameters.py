@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the emulator (``config/emulator.yaml``, with the site and the vehicle)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.config_files import node_defaults
+from trackslip_common.parameters import Parameters, from_flat, parameter
 from trackslip_estimation.vehicle import Vehicle
 from trackslip_sim.devices.sick_device import SickDeviceParameters
 from trackslip_sim.scan_model import SiteParameters
@@ -34,3 +37,12 @@ class EmulatorParameters(Parameters):
     can_interface: str = parameter("python-can interface")
     can_channel: str = parameter("device or multicast address")
     can_port: int = parameter("UDP port, for udp_multicast only", ge=1024, le=65535)
+
+
+def load_emulator_parameters(given: Mapping[str, Any]) -> EmulatorParameters:
+    """The defaults of ``config/`` with dotted names over them.
+
+    Raises:
+        InputError: a name is unknown or a value refused.
+    """
+    return from_flat(EmulatorParameters, node_defaults(NODE, *DEFAULT_FILES) | dict(given), NODE)

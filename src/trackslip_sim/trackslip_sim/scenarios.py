@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios: what is commanded, and on which ground (``config/scenarios/*.yaml``)."""
+"""Scenarios: what is commanded, on which ground, and what fails (``config/scenarios/*.yaml``)."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from trackslip_common.config_files import config_directory, read_yaml
 from trackslip_common.errors import InputError
+from trackslip_sim.faults import Fault, read_fault
+from trackslip_sim.mappings import each, number, refuse_unknown, text
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import FloatArray
 
-T = TypeVar("T")
-
-_KEYS = ("name", "soil", "patches", "segments", "relief_pressure")
+_KEYS = ("name", "soil", "patches", "segments", "relief_pressure", "faults")
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ class Scenario:
     segments: tuple[Segment, ...]
     patches: tuple[Patch, ...] = ()
     relief_pressure: float | None = None  # Pa; None: the vehicle's
+    faults: tuple[Fault, ...] = ()  # of the sensors, while the emulator drives it
 
     def __post_init__(self) -> None:
         if not self.segments:
@@ -135,65 +136,28 @@ def parse_scenario(tree: Mapping[str, Any]) -> Scenario:
     Raises:
         InputError: a key is missing or unknown, or a value is refused.
     """
-    _refuse_unknown(tree, _KEYS)
-    patches = tuple(_each(tree, "patches", _patch))
-    segments = tuple(_each(tree, "segments", _segment))
+    refuse_unknown(tree, _KEYS)
+    patches = tuple(each(tree, "patches", _patch))
+    segments = tuple(each(tree, "segments", _segment))
     if "soil" not in tree and not patches:
         raise InputError("soil is missing; accepted: a name, or 'patches' with one or more")
     return Scenario(
-        name=_text(tree, "name"),
-        soil=_text(tree, "soil") if "soil" in tree else patches[0].soil,
+        name=text(tree, "name"),
+        soil=text(tree, "soil") if "soil" in tree else patches[0].soil,
         segments=segments,
         patches=patches,
-        relief_pressure=_number(tree, "relief_pressure") if "relief_pressure" in tree else None,
+        relief_pressure=number(tree, "relief_pressure") if "relief_pressure" in tree else None,
+        faults=tuple(each(tree, "faults", read_fault)),
     )
 
 
 def _patch(entry: Mapping[str, Any]) -> Patch:
     edges = ("from_x", "to_x", "from_y", "to_y")
-    _refuse_unknown(entry, ("soil", *edges))
-    return Patch(soil=_text(entry, "soil"), **{edge: _number(entry, edge) for edge in edges})
+    refuse_unknown(entry, ("soil", *edges))
+    return Patch(soil=text(entry, "soil"), **{edge: number(entry, edge) for edge in edges})
 
 
 def _segment(entry: Mapping[str, Any]) -> Segment:
     keys = ("duration", "left", "right")
-    _refuse_unknown(entry, keys)
-    return Segment(**{key: _number(entry, key) for key in keys})
-
-
-def _each(tree: Mapping[str, Any], key: str, build: Callable[[Mapping[str, Any]], T]) -> Iterator[T]:
-    """The records listed under ``key``; none if it is absent."""
-    listed = tree.get(key, [])
-    if not isinstance(listed, list):
-        raise InputError(f"{key} = {listed!r} is refused; accepted: a list")
-    for index, entry in enumerate(listed):
-        if not isinstance(entry, Mapping):
-            raise InputError(f"{key}[{index}] = {entry!r} is refused; accepted: names and values")
-        try:
-            yield build(entry)
-        except InputError as error:
-            raise InputError(f"{key}[{index}]: {error}") from error
-
-
-def _refuse_unknown(tree: Mapping[str, Any], keys: tuple[str, ...]) -> None:
-    for key in tree:
-        if key not in keys:
-            raise InputError(f"unknown key '{key}'; accepted: {', '.join(keys)}")
-
-
-def _number(tree: Mapping[str, Any], key: str) -> float:
-    value = tree.get(key)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{key} = {value!r} is {_fault(tree, key)}; accepted: a number")
-    return float(value)
-
-
-def _text(tree: Mapping[str, Any], key: str) -> str:
-    value = tree.get(key)
-    if not isinstance(value, str) or not value:
-        raise InputError(f"{key} = {value!r} is {_fault(tree, key)}; accepted: a name")
-    return value
-
-
-def _fault(tree: Mapping[str, Any], key: str) -> str:
-    return "refused" if key in tree else "missing"
+    refuse_unknown(entry, keys)
+    return Segment(**{key: number(entry, key) for key in keys})

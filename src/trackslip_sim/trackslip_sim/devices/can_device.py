@@ -2,12 +2,14 @@
 """The excavator's valve controller on the CAN bus: three frames a cycle, as ``config/excavator.dbc`` says."""
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 
 from trackslip_drivers.protocols.can_frames import ENCODERS, PRESSURES, SPOOLS, FrameSet
 from trackslip_drivers.protocols.encoder import COUNTS
 from trackslip_drivers.records import HydraulicsSample, SprocketSample
+
+_STAMPS_KEPT = 10_000
 
 
 class CanDevice:
@@ -19,6 +21,10 @@ class CanDevice:
         sprockets: true sprockets at a stamp; their positions are what the encoders see.
         hydraulics: true pressures and spools at a stamp.
         start_ns: time of the first cycle.
+
+    Attributes:
+        frames_emitted: how many of each name.
+        stamps: of the latest cycles, ns.
     """
 
     def __init__(
@@ -30,10 +36,15 @@ class CanDevice:
         start_ns: int,
     ) -> None:
         self.frames_emitted: Counter[str] = Counter()
+        self.stamps: deque[int] = deque(maxlen=_STAMPS_KEPT)
         self._frames = frames
         self._counts_per_rad = COUNTS * belt_ratio / (2.0 * math.pi)
         self._sprockets = sprockets
         self._hydraulics = hydraulics
+        self.start(start_ns)
+
+    def start(self, start_ns: int) -> None:
+        """Begin anew, after a loss of power: the first cycle comes at ``start_ns``."""
         self._next_ns = start_ns
         self._alive_counter = 0
 
@@ -44,6 +55,7 @@ class CanDevice:
             for name, values in self._readings(self._next_ns).items():
                 sent.append(self._frames.encode(name, values, self._alive_counter))
                 self.frames_emitted[name] += 1
+            self.stamps.append(self._next_ns)
             self._alive_counter += 1
             self._next_ns += self._frames.cycle_ns
         return sent

@@ -43,6 +43,11 @@ class BaudLine:
         self._bursts.append(_Burst(data, start_ns, self.baud))
         self.busy_until_ns = start_ns + self.transfer_ns(len(data))
 
+    def cut(self, now_ns: int) -> None:
+        """Lose all that has not been taken: the transmitter has lost power."""
+        self._bursts.clear()
+        self.busy_until_ns = now_ns
+
     def take(self, now_ns: int) -> bytes:
         """The characters whose last bit has arrived by now and that were not taken before."""
         arrived = bytearray()

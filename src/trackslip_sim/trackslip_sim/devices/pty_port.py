@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A pty that a driver opens as if it were a serial device."""
 
+import contextlib
 import os
 import pty
 import termios
@@ -20,26 +21,34 @@ class PtyPort:
 
     The slave is raw from the start and stays open here, so that nothing is echoed and a client may come and
     go. What a client does not read in time is refused by the kernel once its buffer is full, as a UART
-    overruns: those bytes are lost and counted.
+    overruns: those bytes are lost and counted. So are those sent while it is unplugged.
     """
 
     def __init__(self, link: Path) -> None:
+        self.link = link
+        self.bytes_lost = 0
+        self.plugged = False
+        self.plug()
+
+    def plug(self) -> None:
+        """Appear, as a new device under the old name."""
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
-        self.link = link
-        self.bytes_lost = 0
-        link.parent.mkdir(parents=True, exist_ok=True)
-        link.unlink(missing_ok=True)
-        link.symlink_to(os.ttyname(self._slave))
+        self.link.parent.mkdir(parents=True, exist_ok=True)
+        self.link.unlink(missing_ok=True)
+        self.link.symlink_to(os.ttyname(self._slave))
+        self.plugged = True
 
     @property
-    def baud(self) -> int:
-        """The rate that the client has set."""
-        return _BAUD_OF_CODE[termios.tcgetattr(self._master)[5]]
+    def baud(self) -> int | None:
+        """The rate that the client has set; None while unplugged."""
+        return _BAUD_OF_CODE[termios.tcgetattr(self._master)[5]] if self.plugged else None
 
     def read(self) -> bytes:
         """What the client has written; empty when nothing."""
+        if not self.plugged:
+            return b""
         try:
             return os.read(self._master, _MOST_BYTES)
         except BlockingIOError:
@@ -48,16 +57,16 @@ class PtyPort:
     def write(self, data: bytes) -> int:
         """Hand to the client; the number of bytes that it, or the kernel for it, could take."""
         taken = 0
-        while taken < len(data):
-            try:
+        with contextlib.suppress(BlockingIOError):
+            while self.plugged and taken < len(data):
                 taken += os.write(self._master, data[taken:])
-            except BlockingIOError:
-                self.bytes_lost += len(data) - taken
-                break
+        self.bytes_lost += len(data) - taken
         return taken
 
     def close(self) -> None:
-        """Unplug: the client sees the device disappear."""
-        self.link.unlink(missing_ok=True)
-        os.close(self._slave)
-        os.close(self._master)
+        """Unplug: the client sees the device disappear; safe to call twice."""
+        if self.plugged:
+            self.plugged = False
+            self.link.unlink(missing_ok=True)
+            os.close(self._slave)
+            os.close(self._master)

@@ -35,6 +35,7 @@ Measure = Callable[[int], FloatArray]  # stamp of the first ray → (361,) m
 
 _ACK_DELAY_NS = 5_000_000
 _REPLY_DELAY_NS = 20_000_000
+_RATE_KEPT_NS = 5_000_000  # after the reply to a change of rate has left
 _RATE_SETTLES_NS = 200_000_000  # deaf for so long after a change of rate: hosts are told to pause 250 ms
 _STAMPS_KEPT = 10_000
 _NS_PER_S = 1_000_000_000
@@ -64,7 +65,7 @@ class SickDevice:
 
     Attributes:
         baud: its present rate; what it sends reads as noise at any other.
-        status: the status byte of its telegrams, to be set by tests of faults.
+        status: the status byte of its telegrams, to be set from outside.
         scans_emitted: scans whose last byte has left.
         stamps: the true stamps (ns) of the latest of those.
         bytes_ignored: came while it booted or carried out a command, or at another rate.
@@ -162,7 +163,7 @@ class SickDevice:
         if command == commands.RESET:
             self._boot(self._occupied_until_ns)
         elif self._sets_rate(command) and self._may_set_rate():
-            self._next_baud = (self._occupied_until_ns, _BAUDS[command[1]])
+            self._next_baud = (self._occupied_until_ns + _RATE_KEPT_NS, _BAUDS[command[1]])
             self._occupied_until_ns += _RATE_SETTLES_NS
 
     def _reply(self, command: bytes) -> bytes:

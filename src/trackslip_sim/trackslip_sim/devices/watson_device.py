@@ -5,6 +5,7 @@ The unit works in ticks of 1/71.11 s. A decimal line comes every sixth tick (11.
 every tick, or as often as the line can carry it. A line holds what was measured as its first character left.
 """
 
+from collections import deque
 from collections.abc import Callable
 
 from trackslip_drivers.protocols.watson import (
@@ -30,6 +31,7 @@ _SPACE_WINDOW_NS = 2_500_000_000  # after a reinitialise command
 _NORTH = ord("N")
 _INERTIAL_LABEL = "I"
 _REFERENCE_LABEL = "R"
+_STAMPS_KEPT = 10_000
 
 
 class WatsonDevice:
@@ -41,6 +43,10 @@ class WatsonDevice:
         measure: the true motion at a stamp, in records' axes; ``over_range`` makes the label lower case.
         reference: whether its memory holds the reference mode, as in the thesis.
         start_ns: power-on.
+
+    Attributes:
+        lines_emitted: lines or frames begun.
+        stamps: when the latest of those were measured, ns.
     """
 
     def __init__(
@@ -52,12 +58,18 @@ class WatsonDevice:
         start_ns: int,
     ) -> None:
         self.lines_emitted = 0
+        self.stamps: deque[int] = deque(maxlen=_STAMPS_KEPT)
         self.north_offset_stored = False  # the accident that no driver may cause
         self._layout = layout
         self._line = line
         self._measure = measure
         self._stored_label = _REFERENCE_LABEL if reference else _INERTIAL_LABEL
         self._boot(start_ns, INITIALISATION_NS)
+
+    def power_cycle(self, now_ns: int) -> None:
+        """Lose and regain power: what is on the line is lost, and it initialises."""
+        self._line.cut(now_ns)
+        self._boot(now_ns, INITIALISATION_NS)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Bytes from the host: commands, one character each."""
@@ -70,6 +82,7 @@ class WatsonDevice:
             sent = self._output(self._next_ns)
             self._line.send(sent, self._next_ns)
             self.lines_emitted += 1
+            self.stamps.append(self._next_ns)
             ticks = 1 if self._binary else _TICKS_PER_LINE
             self._next_ns += TICK_NS * max(ticks, -(-self._line.transfer_ns(len(sent)) // TICK_NS))
         return self._line.take(now_ns)

@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """``emulator``: an excavator without one. Bytes on a CAN bus and two serial ports, truth on topics."""
 
+import queue
 import sys
 import threading
 import time
-from pathlib import Path
+from typing import Any
 
+from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import ERROR, OK, Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
-from trackslip_drivers.transports.can_bus import CanBus
 from trackslip_estimation import conversions
-from trackslip_sim.devices.pty_port import PtyPort
+from trackslip_sim.cables import Cables
 from trackslip_sim.excavator import EmulatedExcavator, drive
+from trackslip_sim.faults import Fault, parse_fault
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
 from trackslip_sim.truth_estimates import as_estimate
 
@@ -27,55 +29,74 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
 
     def __init__(self) -> None:
         super().__init__(NODE, EmulatorParameters, *DEFAULT_FILES)
+        self._cables: Cables | None = None
 
     def configure(self) -> None:
         """Compute the drive, open the bus and the ports."""
         p = self.settings
         self._truth = drive(p)
-        self._finished = False
-        self._failure = ""
         self._excavator: EmulatedExcavator | None = None
-        self._stopping = threading.Event()
         self._odometry = self.announce(topic_class("truth/odometry"), "truth/odometry")
         self._track_slip = self.announce(topic_class("truth/track_slip"), "truth/track_slip")
-        self._bus = CanBus(p.can_interface, p.can_channel, p.can_port)
-        directory = Path(p.device_directory)
-        self._watson_port, self._sick_port = PtyPort(directory / "watson"), PtyPort(directory / "sick")
+        self._cables = Cables(p)
+        self._ordered: queue.SimpleQueue[Fault] = queue.SimpleQueue()
+        self._faults_refused = 0
+        self.listen(topic_class("emulator/fault"), "emulator/fault", self._on_fault)
 
     def activate(self) -> None:
         """Power on."""
+        self._finished = False
+        self._trouble = ""
+        self._stopping = threading.Event()
         self._excavator = EmulatedExcavator(self.settings, self._truth, time.time_ns())
         self._thread = threading.Thread(
-            target=self._live, args=(self._excavator,), name="excavator", daemon=True
+            target=self._live, args=(self._excavator, self._cables), name="excavator", daemon=True
         )
         self._thread.start()
 
     def deactivate(self) -> None:
-        """Power off, pull the cables."""
-        self._stopping.set()
-        self._thread.join()
-        self._bus.close()
-        self._watson_port.close()
-        self._sick_port.close()
+        """Power off."""
+        if self._excavator is not None:
+            self._stopping.set()
+            self._thread.join()
+            self._excavator = None
+
+    def release(self) -> None:
+        """Pull the cables."""
+        if self._cables is not None:
+            self._cables.close()
 
     def health(self) -> list[Health]:
         """What was emitted so far, and whether the drive is over."""
-        if self._excavator is None or not self.active:
+        if self._excavator is None or self._cables is None or not self.active:
             return [Health(OK, "inactive")]
-        if self._failure:
-            return [Health(ERROR, self._failure)]
+        if self._trouble:
+            return [Health(ERROR, self._trouble)]
         emitted = {f"emitted {topic}": n for topic, n in self._excavator.emitted().items()}
-        lost = self._watson_port.bytes_lost + self._sick_port.bytes_lost
+        at_work = self._excavator.faults.at_work(time.time_ns())
         began = self._excavator.drive_start_ns
         values = {
             **emitted,
             "drive start (ns)": began,
             "finished": self._finished,
-            "bytes that nobody read": lost,
+            "bytes that nobody read": self._cables.bytes_lost,
+            "faults": "; ".join(map(str, at_work)) or "none",
+            "faults refused": self._faults_refused,
         }
         return [Health(OK, "finished" if self._finished else "driving", values)]
 
-    def _live(self, excavator: EmulatedExcavator) -> None:
+    def _on_fault(self, message: Any) -> None:
+        """One YAML mapping, as in the list ``faults`` of a scenario; ``start`` may be left out: at once."""
+        excavator = self._excavator
+        if excavator is None:
+            return
+        try:
+            self._ordered.put(parse_fault(message.data, excavator.faults.time(time.time_ns())))
+        except InputError as error:
+            self._faults_refused += 1
+            self.get_logger().warning(str(error))
+
+    def _live(self, excavator: EmulatedExcavator, cables: Cables) -> None:
         """Pace the devices by the steady clock, from one reading of the system's."""
         began_ns = time.monotonic_ns()
         epoch_ns = time.time_ns() - began_ns
@@ -84,7 +105,9 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         try:
             while not self._stopping.is_set():
                 now_ns = epoch_ns + time.monotonic_ns()
-                self._exchange(excavator, now_ns)
+                while not self._ordered.empty():
+                    excavator.faults.add(self._ordered.get(), now_ns)
+                cables.exchange(excavator, now_ns)
                 while truth_ns <= min(now_ns, excavator.end_ns):
                     self._tell_truth(excavator, truth_ns)
                     truth_ns += _TRUTH_PERIOD_NS
@@ -92,19 +115,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
                 tick_ns = max(tick_ns + _TICK_NS, time.monotonic_ns() - _TICK_NS)
                 self._stopping.wait(max(tick_ns - time.monotonic_ns(), 0) * 1e-9)
         except OSError as error:
-            self._failure = f"stopped: {error}"
-            self.get_logger().error(self._failure)
-
-    def _exchange(self, excavator: EmulatedExcavator, now_ns: int) -> None:
-        """Bytes both ways."""
-        for frame in excavator.step_can(now_ns):
-            self._bus.write(frame)
-        excavator.watson.receive(self._watson_port.read(), now_ns)
-        self._watson_port.write(excavator.step_watson(now_ns))
-        excavator.sick.receive(self._sick_port.read(), now_ns, self._sick_port.baud)
-        sent = excavator.step_sick(now_ns)
-        if self._sick_port.baud == excavator.sick.baud:
-            self._sick_port.write(sent)
+            self._trouble = f"stopped: {error}"
+            self.get_logger().error(self._trouble)
 
     def _tell_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
         estimate = as_estimate(self._truth.at(excavator.sensors.time(stamp_ns)), stamp_ns)

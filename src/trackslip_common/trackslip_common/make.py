@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages built from type name and fields, so that live nodes and bags share every conversion."""
+
+from typing import Any, Protocol
+
+_NS_PER_S = 1_000_000_000
+
+
+class Make(Protocol):
+    """Builds a message, rclpy's or a bag's own: ``make("std_msgs/msg/Header", stamp=…, frame_id=…)``."""
+
+    def __call__(self, type_name: str, **fields: Any) -> Any:
+        """The message."""
+
+
+def header(make: Make, stamp_ns: int, frame_id: str) -> Any:
+    """std_msgs/Header."""
+    sec, nanosec = divmod(stamp_ns, _NS_PER_S)
+    stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+    return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
+
+
+def stamp_ns_of(message: Any) -> int:
+    """Stamp of any message with a header."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)

@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Entry points of the emulator and the demo: each loads its module only when called (see ``start``)."""
+
+from trackslip_common.start import start
+
+
+def emulator() -> None:
+    """See ``trackslip_sim.nodes.emulator``."""
+    start("trackslip_sim.nodes.emulator")
+
+
+def demo() -> None:
+    """See ``trackslip_sim.demo.run``."""
+    start("trackslip_sim.demo.run")

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads records out of YAML mappings, and says in one line what is wrong with one."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar
+
+from trackslip_common.errors import InputError
+
+T = TypeVar("T")
+
+
+def each(tree: Mapping[str, Any], key: str, build: Callable[[Mapping[str, Any]], T]) -> Iterator[T]:
+    """The records listed under ``key``; none if it is absent.
+
+    Raises:
+        InputError: it is no list of mappings, or ``build`` refused one of them.
+    """
+    listed = tree.get(key, [])
+    if not isinstance(listed, list):
+        raise InputError(f"{key} = {listed!r} is refused; accepted: a list")
+    for index, entry in enumerate(listed):
+        if not isinstance(entry, Mapping):
+            raise InputError(f"{key}[{index}] = {entry!r} is refused; accepted: names and values")
+        try:
+            yield build(entry)
+        except InputError as error:
+            raise InputError(f"{key}[{index}]: {error}") from error
+
+
+def refuse_unknown(tree: Mapping[str, Any], keys: tuple[str, ...]) -> None:
+    """Raise ``InputError`` for a key that is not among ``keys``."""
+    for key in tree:
+        if key not in keys:
+            raise InputError(f"unknown key '{key}'; accepted: {', '.join(keys)}")
+
+
+def number(tree: Mapping[str, Any], key: str) -> float:
+    """The number under ``key``; ``InputError`` where there is none."""
+    value = tree.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{key} = {value!r} is {_fault(tree, key)}; accepted: a number")
+    return float(value)
+
+
+def text(tree: Mapping[str, Any], key: str) -> str:
+    """The text under ``key``; ``InputError`` where there is none."""
+    value = tree.get(key)
+    if not isinstance(value, str) or not value:
+        raise InputError(f"{key} = {value!r} is {_fault(tree, key)}; accepted: a name")
+    return value
+
+
+def _fault(tree: Mapping[str, Any], key: str) -> str:
+    return "refused" if key in tree else "missing"
