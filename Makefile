@@ -3,6 +3,7 @@ PYTHON ?= python3
 ROS ?=
 DURATION ?=
 SOIL ?=
+RUNS ?=
 VENV := .venv/bin
 
 .DEFAULT_GOAL := help
@@ -28,8 +29,8 @@ lint: setup ## ruff and mypy
 bench: setup ## speed of filters and drivers on this machine
 	@exec $(VENV)/python scripts/bench.py
 
-fuzz: setup ## random bytes into every decoder and reader
-	@exec $(VENV)/python scripts/fuzz.py
+fuzz: setup ## random bytes into every decoder and reader (RUNS=1000000 per byte parser)
+	@exec $(VENV)/python scripts/fuzz.py $(if $(RUNS),--runs '$(RUNS)')
 
 figures: setup ## the pictures of docs/figures
 	@exec $(VENV)/python scripts/figures.py

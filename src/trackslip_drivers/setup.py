@@ -22,9 +22,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "can_driver = trackslip_drivers.nodes.can_driver:main",
-            "watson_imu = trackslip_drivers.nodes.watson_imu:main",
-            "sick_pls = trackslip_drivers.nodes.sick_pls:main",
+            "can_driver = trackslip_drivers.executables:can_driver",
+            "watson_imu = trackslip_drivers.executables:watson_imu",
+            "sick_pls = trackslip_drivers.executables:sick_pls",
         ]
     },
 )

@@ -10,7 +10,7 @@ from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.parameters import flat_fields, flatten, from_flat
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer, Reason, Rejection
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.sides import SideDoubt
+from trackslip_estimation.box.sides import SideDoubt, half_turn_variance
 from trackslip_estimation.vehicle import Vehicle
 from trackslip_sim.scan_model import ANGLE_INCREMENT, ANGLE_MIN, TIME_INCREMENT, SiteParameters, SiteScanner
 
@@ -186,9 +186,9 @@ def test_lost_for_long_it_is_found_again_with_its_heading():
     localizer = BoxLocalizer(PARAMETERS, VEHICLE)
     scanner = SiteScanner(BARE, VEHICLE, seed=11)
     drive(localizer, scanner, turning, 10)
-    blind = drive(localizer, scanner, turning, 30, first=10, change=lambda _, ranges: hidden(ranges, 0, 361))
-    assert blind == [Rejection(Reason.NOTHING_NEAR)] * 30
-    outcomes = drive(localizer, scanner, turning, 60, first=40)
+    blind = drive(localizer, scanner, turning, 20, first=10, change=lambda _, ranges: hidden(ranges, 0, 361))
+    assert blind == [Rejection(Reason.NOTHING_NEAR)] * 20
+    outcomes = drive(localizer, scanner, turning, 60, first=30)
     assert isinstance(outcomes[0], BoxFix)
     assert outcomes[0].covariance[2, 2] > 0.01  # the sides are in doubt
     for outcome in outcomes[-20:]:
@@ -196,13 +196,44 @@ def test_lost_for_long_it_is_found_again_with_its_heading():
         assert outcome.covariance[2, 2] < 0.01
 
 
+def test_half_turn_unseen_is_not_falsely_certain():
+    """Turned by more than a quarter while hidden: nothing in a scan tells the front from the back."""
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    scanner = SiteScanner(BARE, VEHICLE, seed=14)
+    before = standing(0.0, 0.0, 0.0)
+    drive(localizer, scanner, before, 5)
+    drive(localizer, scanner, before, 70, first=5, change=lambda _, ranges: hidden(ranges, 0, 361))
+    after = standing(0.3, -0.3, 2.4)
+    for outcome in drive(localizer, scanner, after, 20, first=75):
+        assert isinstance(outcome, BoxFix)
+        assert abs(error(outcome, after)[2]) < 3.0 * np.sqrt(outcome.covariance[2, 2])
+
+
+def test_what_was_there_before_is_not_the_box():
+    """A second box stands on the site; when ours is hidden for long, it is not taken for it."""
+    twin = dataclasses.replace(
+        BARE, walls=(-3.35, -0.3, -2.65, -0.3, -3.35, -0.3, -3.35, 0.3, -2.65, -0.3, -2.65, 0.3)
+    )
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    scanner = SiteScanner(twin, VEHICLE, seed=15)
+    drive(localizer, scanner, turning, 10)
+    gone = drive(localizer, scanner, standing(100.0, 100.0, 0.0), 60, first=10)
+    assert all(isinstance(outcome, Rejection) for outcome in gone)
+    assert gone[-1] == Rejection(Reason.BACKGROUND)
+
+
+def test_half_turn_is_sure_while_the_prediction_is():
+    assert half_turn_variance(turned=0.5, spread=0.3) == 0.0
+    assert half_turn_variance(turned=np.pi / 2.0, spread=2.0) == pytest.approx(np.pi**2 / 2.0)
+
+
 def test_doubt_about_the_sides_ends_with_enough_evidence():
     doubt = SideDoubt(turn=np.pi / 2.0, evidence=-4.0)
     assert doubt.after(-5.0) == SideDoubt(np.pi / 2.0, -9.0)
-    assert doubt.after(7.0) == SideDoubt(-np.pi / 2.0, -3.0)
-    assert doubt.after(-100.0) == SideDoubt(np.pi / 2.0, -13.0)
-    assert doubt.after(-100.0).after(-100.0) is None
-    assert doubt.after(-5.0).yaw_variance() < doubt.yaw_variance() < (np.pi / 2.0) ** 2
+    assert doubt.after(5.0) == SideDoubt(-np.pi / 2.0, -1.0)
+    assert doubt.after(-100.0) == SideDoubt(np.pi / 2.0, -10.0)  # no single scan decides
+    assert SideDoubt(np.pi / 2.0, -26.0).after(-5.0) is None
+    assert doubt.after(-5.0).probability() < doubt.probability() < 0.5
 
 
 @pytest.mark.parametrize(

@@ -218,7 +218,7 @@ def test_callback_that_fails_does_not_end_the_link(pty_port, start_link):
     assert link.state().last_error == "RuntimeError: no use"
 
 
-def test_pauses_double_up_to_two_seconds(start_link, monkeypatch):
+def test_pauses_double_up_to_half_a_second(start_link, monkeypatch):
     pauses = []
 
     def refuse():
@@ -234,7 +234,7 @@ def test_pauses_double_up_to_two_seconds(start_link, monkeypatch):
 
     monkeypatch.setattr(link._stopping, "wait", wait)
     link._run()
-    assert pauses == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0])
+    assert pauses == pytest.approx([0.1, 0.2, 0.4, 0.5, 0.5, 0.5, 0.5])
     assert link.state().errors == 7
 
 

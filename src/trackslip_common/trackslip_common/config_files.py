@@ -2,6 +2,7 @@
 """Finds and reads the YAML files of ``config/``: the one place where defaults live."""
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,17 @@ from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
 
 _SHARE = Path("share/trackslip_common/config")
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML with numbers as ROS reads them: ``1e-3`` and ``1.5e6`` are numbers, not text."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
 
 
 def config_directory() -> Path:
@@ -41,6 +53,18 @@ def config_file(name: str) -> Path:
     raise InputError(f"file '{name}' not found, here or in {config_directory()}")
 
 
+def parse_yaml(text: str, where: str) -> Any:
+    """What a YAML text holds; ``where`` opens the message.
+
+    Raises:
+        InputError: the text is not YAML.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date or number that does not exist
+        raise InputError(f"{where}: not YAML ({' '.join(str(error).split())})") from error
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file whose top level is a mapping.
 
@@ -48,12 +72,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
         InputError: the file is missing, is not YAML, or holds no mapping.
     """
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
-    except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not YAML ({reason})") from error
+    tree = parse_yaml(text, str(path))
     if not isinstance(tree, Mapping):
         raise InputError(f"{path}: expected names and values (a YAML mapping) at the top level")
     return dict(tree)

@@ -11,6 +11,7 @@ parameter descriptors of the nodes. A bad value is refused with one line, never 
 
 import dataclasses
 import math
+import sys
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -44,7 +45,7 @@ class Spec:
         """Whether one scalar lies in the range (its type is checked elsewhere)."""
         if isinstance(value, str):
             return not self.choices or value in self.choices
-        if not isinstance(value, (int, float)) or not math.isfinite(value):
+        if not isinstance(value, (int, float)) or (isinstance(value, float) and not math.isfinite(value)):
             return False
         return (
             (self.gt is None or value > self.gt)
@@ -162,11 +163,16 @@ def _coerce(name: str, value: Any, kind: Any, spec: Spec) -> Any:
     """Give a value read from YAML, ROS or a command line its declared type, then check it."""
     if typing.get_origin(kind) is tuple and isinstance(value, (list, tuple)):
         item_kind = typing.get_args(kind)[0]
-        value = tuple(float(v) if item_kind is float and type(v) is int else v for v in value)
-    elif kind is float and type(value) is int:
-        value = float(value)
+        value = tuple(_floated(item) if item_kind is float else item for item in value)
+    elif kind is float:
+        value = _floated(value)
     _check(name, value, kind, spec)
     return value
+
+
+def _floated(value: Any) -> Any:
+    """A whole number as a float, unless it is beyond all floats."""
+    return float(value) if type(value) is int and abs(value) <= sys.float_info.max else value
 
 
 def _check(name: str, value: Any, kind: Any, spec: Spec) -> None:
@@ -179,6 +185,7 @@ def _check(name: str, value: Any, kind: Any, spec: Spec) -> None:
             _check(f"{name}[{index}]", item, item_kind, spec)
         return
     if type(value) is not kind:
-        raise InputError(f"{name}: {value!r} is not {_SCALARS[kind]}; accepted: {spec.accepted()}")
+        accepted = f"; accepted: {spec.accepted()}" if kind in (int, float) or spec.choices else ""
+        raise InputError(f"{name}: {value!r} is not {_SCALARS[kind]}{accepted}")
     if kind is not bool and not spec.accepts(value):
         raise InputError(f"{name}: {value!r} is out of range; accepted: {spec.accepted()}")

@@ -8,7 +8,7 @@ from enum import Enum
 class Flow(Enum):
     """How messages of a topic are delivered."""
 
-    SENSOR = "sensor"  # best effort: a late reading is worth less than the next one
+    SENSOR = "sensor"  # who listens may do with best effort: a late reading is worth less than the next
     RELIABLE = "reliable"  # every message, in order
     LATCHED = "latched"  # reliable, and the last one is kept for who comes later
 
@@ -37,6 +37,7 @@ TOPICS = {
     "truth/odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "truth/track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "truth/soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),
+    "emulator/fault": Topic("std_msgs/msg/String", Flow.RELIABLE),
     "diagnostics": Topic("diagnostic_msgs/msg/DiagnosticArray", Flow.RELIABLE),
     "tf": Topic("tf2_msgs/msg/TFMessage", Flow.RELIABLE),
 }

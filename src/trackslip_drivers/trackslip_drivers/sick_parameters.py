@@ -25,7 +25,12 @@ class SickParameters(Parameters):
     ack_timeout: float = parameter("longest wait for the scanner to acknowledge", unit="s", gt=0.0)
     mode_timeout: float = parameter("longest wait for a change of mode", unit="s", gt=0.0)
     baud_pause: float = parameter("silence after a change of rate", unit="s", ge=0.0)
-    telegram_timeout: float = parameter("silence after which the start-up is repeated", unit="s", gt=0.0)
+    telegram_timeout: float = parameter(
+        "time without a scan after which the start-up is repeated", unit="s", gt=0.0
+    )
+    silence_timeout: float = parameter(
+        "time without a byte while scans should come after which it is repeated", unit="s", gt=0.0
+    )
 
     def __post_init__(self) -> None:
         """Check what concerns one field, then what concerns several.

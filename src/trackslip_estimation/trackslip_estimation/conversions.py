@@ -6,11 +6,12 @@ Reading works on any object with the fields of the message, rclpy's or a bag's. 
 """
 
 import math
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.make import Make, header, stamp_ns_of
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
 from trackslip_estimation.measurements import PoseFix, Report, Sprockets, YawRate
 from trackslip_estimation.slip_estimator import Estimate
@@ -19,19 +20,6 @@ FloatArray = NDArray[np.float64]
 
 _POSE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
 _UNOBSERVED = 1e6  # variance of what a planar estimate says nothing of
-
-
-class Make(Protocol):
-    """Builds a message: ``make("std_msgs/msg/Header", stamp=…, frame_id=…)``."""
-
-    def __call__(self, type_name: str, **fields: Any) -> Any:
-        """The message."""
-
-
-def stamp_ns_of(message: Any) -> int:
-    """Stamp of a message with a header."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def sprockets(message: Any, source: str) -> Sprockets:
@@ -132,13 +120,6 @@ def measurement_report(make: Make, report: Report, sequence: int) -> Any:
         gate=report.gate,
         dof=report.dof,
     )
-
-
-def header(make: Make, stamp_ns: int, frame: str) -> Any:
-    """std_msgs/Header."""
-    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-    stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-    return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
 
 def planar_pose_message(make: Make, pose: FloatArray) -> Any:

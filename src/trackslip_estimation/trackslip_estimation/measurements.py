@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+_ROUNDING = 1e-9  # of a correlation of 1
+
 
 @dataclass(frozen=True)
 class Sprockets:
@@ -54,9 +56,15 @@ class PoseFix:
     covariance: FloatArray  # (3, 3)
 
     def is_finite(self) -> bool:
-        """Whether pose and covariance are numbers, and the variances positive."""
-        numbers = np.isfinite(self.pose).all() and np.isfinite(self.covariance).all()
-        return bool(numbers and (np.diag(self.covariance) > 0.0).all())
+        """Whether pose and covariance are numbers, and the variance positive in every direction."""
+        if not (np.isfinite(self.pose).all() and np.isfinite(self.covariance).all()):
+            return False
+        variances = np.diag(self.covariance)
+        if not (variances > 0.0).all():
+            return False
+        deviations = np.sqrt(variances)
+        correlation = self.covariance / np.outer(deviations, deviations)
+        return bool(np.linalg.eigvalsh(correlation)[0] > -_ROUNDING)
 
 
 Measurement: TypeAlias = Sprockets | YawRate | PoseFix

@@ -133,8 +133,8 @@ class SlipEstimator:
             covariance = np.diag(np.square(deviations))
         else:
             return Outcome.WAITING
-        begin = FilterState(measurement.stamp_ns, self._model.initial(pose, covariance))
-        self._timeline = Timeline(window_ns, begin, measurement.stamp_ns, self._step)
+        begin = self._latest = FilterState(measurement.stamp_ns, self._model.initial(pose, covariance))
+        self._timeline = Timeline(window_ns, begin, measurement, self._step)
         return Outcome.ACCEPTED
 
     def _step(self, state: FilterState, measurement: Measurement) -> FilterState:

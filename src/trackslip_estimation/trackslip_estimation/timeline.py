@@ -32,14 +32,16 @@ class SprocketTrack:
         self._samples: list[Sprockets] = []
 
     def add(self, sample: Sprockets) -> None:
-        """Put a sample in its place."""
+        """Put a sample in its place; of two with the same stamp the first counts."""
         at = bisect_left(self._stamps, sample.stamp_ns)
+        if self._stamps[at : at + 1] == [sample.stamp_ns]:
+            return
         self._stamps.insert(at, sample.stamp_ns)
         self._samples.insert(at, sample)
 
     def forget_before(self, stamp_ns: int) -> None:
-        """Drop what lies before the last sample at or before ``stamp_ns``."""
-        keep = max(bisect_right(self._stamps, stamp_ns) - 1, 0)
+        """Drop what the speeds from ``stamp_ns`` on do not need: all before the stretch around it."""
+        keep = max(min(bisect_left(self._stamps, stamp_ns) - 1, len(self._stamps) - 2), 0)
         del self._stamps[:keep], self._samples[:keep]
 
     def last_before(self, stamp_ns: int) -> int | None:
@@ -69,11 +71,13 @@ class Timeline(Generic[State]):
     """A window of measurements and states; ``step`` computes the state after one more measurement."""
 
     def __init__(
-        self, window_ns: int, start: State, start_ns: int, step: Callable[[State, Measurement], State]
+        self, window_ns: int, start: State, first: Measurement, step: Callable[[State, Measurement], State]
     ) -> None:
+        """``start`` is the state after ``first``, which is not stepped through."""
         self._window_ns = window_ns
         self._step = step
-        self._keys: list[Key] = [(start_ns, -1, "")]
+        self._first = key_of(first)
+        self._keys: list[Key] = [(first.stamp_ns, -1, "")]
         self._measurements: list[Measurement | None] = [None]
         self._states: list[State] = [start]
 
@@ -93,7 +97,7 @@ class Timeline(Generic[State]):
         if key < self._keys[0] or measurement.stamp_ns < self.oldest_ns:
             return Outcome.TOO_LATE
         at = bisect_left(self._keys, key)
-        known = at < len(self._keys) and self._keys[at] == key
+        known = key == self._first or self._keys[at : at + 1] == [key]
         return Outcome.DUPLICATE if known else None
 
     def insert(self, measurement: Measurement, redo_from_ns: int | None = None) -> State:

@@ -13,7 +13,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.qos import qos_of
+from trackslip_common.nodes.qos import offered, wanted
 from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, to_flat
 from trackslip_common.tally import Tally
 
@@ -55,10 +55,12 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         self.settings: P = self._declare(parameters, default_files)
         self.tally = Tally()
         self.active = False
-        self._refusal: InputError | None = None
+        self._starting = False
+        self._failure: Exception | None = None
         self._announced: list[Any] = []
         self._status = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(1.0, self._publish_health, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._pulse = self.create_timer(1.0, self.publish_health, clock=steady)
 
     def configure(self) -> None:
         """Make what the node needs; devices stay closed."""
@@ -67,11 +69,14 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         """Begin to work."""
 
     def deactivate(self) -> None:
-        """Stop, so that ``activate`` can begin again; also called at the end."""
+        """Stop, so that ``activate`` can begin again; also called at the end, and if ``activate`` fails."""
+
+    def release(self) -> None:
+        """Give back what ``configure`` took beside publishers, subscriptions, timers; safe to call twice."""
 
     def health(self) -> list[Health]:
-        """What /diagnostics shall say now."""
-        return [Health(OK, "running" if self.active else "inactive")]
+        """What /diagnostics shall say; asked only while the node is active."""
+        return [Health(OK, "running")]
 
     def listen(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe; messages that come while the node is inactive are not for it."""
@@ -80,11 +85,11 @@ class TrackslipNode(LifecycleNode, Generic[P]):
             if self.active:
                 callback(message)
 
-        self.create_subscription(message_type, topic, when_active, qos_of(topic))
+        self.create_subscription(message_type, topic, when_active, wanted(topic))
 
     def announce(self, message_type: type, topic: str) -> Any:
         """A lifecycle publisher with the topic's own quality of service."""
-        publisher = self.create_lifecycle_publisher(message_type, topic, qos_of(topic))
+        publisher = self.create_lifecycle_publisher(message_type, topic, offered(topic))
         self._announced.append(publisher)
         return publisher
 
@@ -92,14 +97,17 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         """Configure and activate, unless ``autostart`` is false.
 
         Raises:
-            InputError: ``configure`` refused something that the user gave.
+            InputError: ``configure`` or ``activate`` refused something that the user gave.
+            Exception: whatever else they raised.
         """
         if not self.get_parameter(_AUTOSTART).value:
             return
-        self.trigger_configure()
-        if self._refusal is not None:
-            raise self._refusal
-        self.trigger_activate()
+        self._starting = True
+        for transition in (self.trigger_configure, self.trigger_activate):
+            transition()
+            if self._failure is not None:
+                raise self._failure
+        self._starting = False
 
     def stop(self) -> None:
         """Leave the active state; safe to call twice."""
@@ -107,44 +115,82 @@ class TrackslipNode(LifecycleNode, Generic[P]):
             self.active = False
             self.deactivate()
 
+    def end(self) -> None:
+        """Stop, and give back all that was taken."""
+        self.stop()
+        self.release()
+
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Lifecycle transition; an error is kept, for rclpy would swallow it."""
-        try:
-            self.configure()
-        except (InputError, OSError) as error:
-            self._refusal = error if isinstance(error, InputError) else InputError(str(error))
-            self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        except Exception:
-            self.get_logger().error(traceback.format_exc())
-            raise
+        """Lifecycle transition."""
+        outcome = self._attempt(self.configure)
+        if outcome is not TransitionCallbackReturn.SUCCESS:
+            self._undo()
+            return outcome
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle transition."""
-        outcome = super().on_activate(state)
+        super().on_activate(state)
         self.active = True
-        self.activate()
+        outcome = self._attempt(self.activate)
+        if outcome is not TransitionCallbackReturn.SUCCESS:
+            self._attempt(self.stop)
+            super().on_deactivate(state)
         return outcome
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle transition."""
-        self.stop()
-        return super().on_deactivate(state)
+        outcome = self._attempt(self.stop)
+        super().on_deactivate(state)
+        return outcome
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle transition: back to before ``configure``."""
-        for subscription in list(self.subscriptions):
-            if subscription.topic_name != "/clock":
-                self.destroy_subscription(subscription)
-        while self._announced:
-            self.destroy_lifecycle_publisher(self._announced.pop())
+        self._undo()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle transition."""
-        self.stop()
+        self._attempt(self.end)
         return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Lifecycle transition, after an error that no user caused: back to before ``configure``."""
+        self._undo()
+        return super().on_error(state)
+
+    def drop_subscriptions(self) -> None:
+        """Hear nothing more."""
+        for subscription in list(self.subscriptions):
+            if subscription.topic_name != "/clock":
+                self.destroy_subscription(subscription)
+
+    def _attempt(self, work: Callable[[], None]) -> TransitionCallbackReturn:
+        """The work of a transition; rclpy would swallow its error, which is for ``start`` or the log."""
+        try:
+            work()
+        except (InputError, OSError) as error:
+            known = isinstance(error, InputError)
+            self._failure = error if known else InputError(f"{self.get_name()}: {error}")
+            if not self._starting:
+                self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001 (an error of ours: told in full, and the transition fails)
+            self._failure = error
+            if not self._starting:
+                self.get_logger().error(traceback.format_exc())
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def _undo(self) -> None:
+        """Undo ``configure``, as far as it came."""
+        self.drop_subscriptions()
+        for timer in list(self.timers):
+            if timer is not self._pulse:
+                self.destroy_timer(timer)
+        while self._announced:
+            self.destroy_lifecycle_publisher(self._announced.pop())
+        self._attempt(self.release)
 
     def _declare(self, parameters: type[P], default_files: tuple[str, ...]) -> P:
         """Defaults of ``config/``, what the user gave on top, checked, then declared to ROS."""
@@ -167,10 +213,11 @@ class TrackslipNode(LifecycleNode, Generic[P]):
             self.declare_parameter(key, values[key], _descriptor(kind, spec), ignore_override=True)
         return record
 
-    def _publish_health(self) -> None:
+    def publish_health(self) -> None:
+        """Tell /diagnostics now; it is told once a second anyway."""
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
-        for entry in self.health():
+        for entry in self.health() if self.active else [Health(OK, "inactive")]:
             status = DiagnosticStatus(level=entry.level, message=entry.message, hardware_id=self.get_name())
             status.name = f"{self.get_name()}: {entry.part}" if entry.part else self.get_name()
             status.values = [KeyValue(key=k, value=str(v)) for k, v in entry.values.items()]

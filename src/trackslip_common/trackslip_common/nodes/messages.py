@@ -24,3 +24,9 @@ def make(type_name: str, **fields: Any) -> Any:
 def topic_class(name: str) -> type:
     """The message class of one of the project's topics."""
     return message_class(TOPICS[name].type_name)
+
+
+def type_name_of(kind: type) -> str:
+    """``package/msg/Name`` of a message class."""
+    package, _, _ = kind.__module__.partition(".")
+    return f"{package}/msg/{kind.__name__}"

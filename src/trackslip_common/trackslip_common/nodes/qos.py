@@ -9,11 +9,29 @@ from trackslip_common.topics import TOPICS, Flow
 _DEPTH = 1000
 
 
-def qos_of(name: str) -> QoSProfile:
-    """Profile for publishing or subscribing to a topic; unknown names are taken as sensor data."""
+def offered(name: str) -> QoSProfile:
+    """Profile for publishing one of the project's topics.
+
+    Sensors offer more than sensor data need: who asks for best effort gets it, and a recorder can have all.
+    """
+    if TOPICS[name].flow is Flow.LATCHED:
+        return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return reliable()
+
+
+def wanted(name: str) -> QoSProfile:
+    """Profile for subscribing; a topic that is not the project's is taken as sensor data."""
     flow = TOPICS[name].flow if name in TOPICS else Flow.SENSOR
     if flow is Flow.LATCHED:
         return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    best_effort = flow is Flow.SENSOR
-    reliability = ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE
-    return QoSProfile(depth=_DEPTH, reliability=reliability)
+    return best_effort() if flow is Flow.SENSOR else reliable()
+
+
+def reliable() -> QoSProfile:
+    """Every message, from publishers that offer that."""
+    return QoSProfile(depth=_DEPTH)
+
+
+def best_effort() -> QoSProfile:
+    """Sensor-data quality of service, with a deep queue: it takes what any publisher offers."""
+    return QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -1,57 +1,77 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs one node from start to a quiet end: one line for bad input, no traceback on Ctrl-C."""
 
+import re
 import signal
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.nodes.base import TrackslipNode
 
 _POLL = 0.1  # s, the longest that a signal waits to be seen
+_ARGUMENTS = "--ros-args with -p name:=value, --params-file <YAML file>, -r from:=to"
+
+
+class _StopSignals:
+    """SIGINT and SIGTERM: while the node starts the first one breaks off, later it is asked for."""
+
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self.break_off = True
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, _frame: object) -> None:
+        self.received.append(number)
+        if self.break_off:
+            self.break_off = False  # so that nothing interrupts the end
+            raise KeyboardInterrupt
 
 
 def run(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | None = None) -> int:
     """Spin the node until SIGINT or SIGTERM; returns the exit code."""
-    stop = threading.Event()
-    received: list[int] = []
+    signals = _StopSignals()
+    node: TrackslipNode[Any] | None = None
+    try:
+        node = _make(make_node, argv)
+        node.start()
+        signals.break_off = False
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while not signals.received and rclpy.ok():
+            executor.spin_once(timeout_sec=_POLL)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        signals.break_off = False
+        if node is not None:
+            node.end()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return ExitCode.INTERRUPTED if signal.SIGINT in signals.received else ExitCode.DONE
 
-    def on_signal(number: int, _frame: object) -> None:
-        received.append(number)
-        stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, on_signal)
+def _make(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | None) -> TrackslipNode[Any]:
+    """The node.
+
+    Raises:
+        InputError: it, or rcl, refused the arguments; rcl says what and adds places in its source.
+    """
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # it would say the same in a line of its own
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-        node = make_node()
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return ExitCode.BAD_INPUT
+        return make_node()
     except (RuntimeError, InvalidParameterTypeException) as error:
-        # rcl's own refusals, such as a parameter file that is not there, say what is wrong at the start
-        print(str(error).splitlines()[0], file=sys.stderr)
-        return ExitCode.BAD_INPUT
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        node.start()
-        while not stop.is_set() and rclpy.ok():
-            executor.spin_once(timeout_sec=_POLL)
-    except ExternalShutdownException:
-        pass
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return ExitCode.BAD_INPUT
-    finally:
-        node.stop()
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return ExitCode.INTERRUPTED if signal.SIGINT in received else ExitCode.DONE
+        reason = re.split(r",? at \S+:\d+", " ".join(str(error).split()))[0]
+        raise InputError(f"{reason}; accepted: {_ARGUMENTS}") from error

@@ -4,12 +4,15 @@
 import sys
 
 from trackslip_common.config_files import config_file
-from trackslip_common.nodes.messages import topic_class
+from trackslip_common.errors import InputError
+from trackslip_common.nodes.base import Health
+from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.nodes.driver import DriverNode
-from trackslip_drivers.protocols.can_frames import FrameSet
+from trackslip_drivers.protocols.can_errors import BusState, bus_state
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG, FrameSet
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.records import SprocketSample
 from trackslip_drivers.transports.can_bus import CanBus, CanFrame
@@ -28,11 +31,19 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         super().__init__("can_driver", CanDriverParameters, "can_driver.yaml")
 
     def configure(self) -> None:
-        """Read the contract of the frames."""
+        """Read the contract of the frames.
+
+        Raises:
+            InputError: there is none in ``dbc_file``.
+        """
         super().configure()
-        self._frames = FrameSet(config_file(self.settings.dbc_file))
+        try:
+            self._frames = FrameSet(config_file(self.settings.dbc_file))
+        except InputError as error:
+            raise InputError(f"can_driver: dbc_file: {error}") from error
         self._sprockets = self.announce(topic_class("sprockets"), "sprockets")
         self._hydraulics = self.announce(topic_class("hydraulics"), "hydraulics")
+        self._bus_state = BusState.ACTIVE
         self._forget()
 
     def make_link(self) -> Link[CanFrame]:
@@ -50,13 +61,24 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         """What was said before the bus was opened is not continued."""
         self._can = ExcavatorCan(self.settings, self._frames, self.tally)
 
+    def health(self) -> list[Health]:
+        """The link's health, with the state of the bus."""
+        entries = super().health()
+        if self.active:
+            entries[0].values["bus state"] = self._bus_state.value
+        return entries
+
     def _on_frame(self, frame: CanFrame, arrival_ns: int) -> None:
-        sample = self._can.receive(*frame, arrival_ns)
+        if frame[0] & ERROR_FLAG:
+            self._bus_state = bus_state(*frame) or self._bus_state
+        elif self._bus_state is BusState.OFF:
+            self._bus_state = BusState.ACTIVE  # it was restarted without a word
+        sample = self._can.receive(*frame, self.arrived(arrival_ns))
         if isinstance(sample, SprocketSample):
-            self._sprockets.publish(conversions.joint_state(sample, _FRAME_ID))
+            self._sprockets.publish(conversions.joint_state(make, self.stamped(sample), _FRAME_ID))
             self.count()
         elif sample is not None:
-            self._hydraulics.publish(conversions.track_hydraulics(sample, _FRAME_ID))
+            self._hydraulics.publish(conversions.track_hydraulics(make, self.stamped(sample), _FRAME_ID))
 
 
 def main() -> None:

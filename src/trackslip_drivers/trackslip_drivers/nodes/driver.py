@@ -1,36 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the drivers share: one link to a sensor, and its health."""
+"""What the drivers share: one link to a sensor, stamps on the host's clock, and its health."""
 
 import time
+from collections import defaultdict
+from dataclasses import replace
 from typing import Any, TypeVar
+
+from rclpy.clock import Clock, ClockType
 
 from trackslip_common.nodes.base import ERROR, OK, STALE, WARN, Health, TrackslipNode
 from trackslip_common.parameters import Parameters
+from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample
+from trackslip_drivers.stamping import InOrder, StampEvent
+from trackslip_drivers.transports.host_clock import HostClock
 from trackslip_drivers.transports.link import Link
 
 P = TypeVar("P", bound=Parameters)
+S = TypeVar("S", SprocketSample, HydraulicsSample, ImuSample, ScanSample)
 
 _STALE_PERIODS = 10
+_LOOK = 0.1  # s between looks at whether the link's condition has changed
+_RATE_OVER = 0.5  # s, the least that a rate is counted over
+_HOST_CLOCK = "host clock"
 
 
 class DriverNode(TrackslipNode[P]):
-    """Opens its link while active; says at 1 Hz whether data come, how fast, and what was rejected."""
+    """Opens its link while active.
+
+    Says whether data come, how fast, and what was rejected: at 1 Hz, and at once when data begin or cease.
+    """
 
     period = 1.0  # s between messages when all is well
 
     def configure(self) -> None:
         """Start counting."""
         self._published = 0
+        self._rate = 0.0
         self._looked_at = (time.monotonic(), 0)
         self._last_s = -float("inf")
         self._link: Link[Any] | None = None
+        self._told: tuple[bytes, str] | None = None
+        self.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def make_link(self) -> Link[Any]:
         """A fresh link to the sensor; it is started by ``activate``."""
         raise NotImplementedError
 
     def activate(self) -> None:
-        """Open the link."""
+        """Believe the host's clock, and open the link."""
+        self._host = HostClock()
+        self._order: defaultdict[type, InOrder] = defaultdict(InOrder)
         self._link = self.make_link()
         self._link.start()
 
@@ -39,6 +58,20 @@ class DriverNode(TrackslipNode[P]):
         if self._link is not None:
             self._link.stop()
 
+    def arrived(self, host_ns: int) -> int:
+        """Steady time of what a port has just handed on, and a look whether somebody set the host's clock."""
+        if self._host.look():
+            self.tally.add(_HOST_CLOCK, StampEvent.CLOCK_JUMPED)
+        return self._host.steady(host_ns)
+
+    def stamped(self, sample: S) -> S:
+        """The sample as it is published: on the host's clock, later than the one before it."""
+        wanted_ns = self._host.stamp(sample.stamp_ns)
+        stamp_ns = self._order[type(sample)].next(wanted_ns)
+        if stamp_ns != wanted_ns:
+            self.tally.add(type(sample).__name__, StampEvent.MOVED)
+        return replace(sample, stamp_ns=stamp_ns)
+
     def count(self) -> None:
         """One more message published."""
         self._published += 1
@@ -46,27 +79,39 @@ class DriverNode(TrackslipNode[P]):
 
     def health(self) -> list[Health]:
         """Connection, rate, age, rejections."""
-        if self._link is None or not self.active:
-            return [Health(OK, "inactive")]
+        assert self._link is not None
         state, now_s = self._link.state(), time.monotonic()
         then_s, then = self._looked_at
-        self._looked_at = (now_s, self._published)
-        age_s = now_s - self._last_s
+        if now_s - then_s >= _RATE_OVER:
+            self._rate = (self._published - then) / (now_s - then_s)
+            self._looked_at = (now_s, self._published)
         values: dict[str, Any] = {
             "published": self._published,
-            "rate (Hz)": f"{(self._published - then) / max(now_s - then_s, 1e-3):.1f}",
-            "age (s)": f"{age_s:.2f}",
+            "rate (Hz)": f"{self._rate:.1f}",
+            "age (s)": f"{now_s - self._last_s:.2f}",
             "reconnects": max(state.openings - 1, 0),
             "errors": state.errors,
             "last error": state.last_error,
             "note": state.note,
+            "stamps ahead of the host's clock (s)": f"{self._host.lead_ns * 1e-9:.3f}",
         }
         values |= {f"{source}: {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
         news = self.tally.since_last_look()
-        if not state.connected:
-            return [Health(ERROR, f"not connected: {state.last_error or 'opening'}", values)]
-        if age_s > _STALE_PERIODS * self.period:
-            return [Health(STALE, "connected, but no data", values)]
-        if news:
+        level, message = self._told = self._condition(self._link)
+        if level == OK and news:
             return [Health(WARN, f"{sum(news.values())} rejected in the last second", values)]
-        return [Health(OK, "running", values)]
+        return [Health(level, message, values)]
+
+    def _condition(self, link: Link[Any]) -> tuple[bytes, str]:
+        """Whether data come."""
+        state = link.state()
+        if not state.connected:
+            return ERROR, f"not connected: {state.last_error or 'opening'}"
+        if time.monotonic() - self._last_s > _STALE_PERIODS * self.period:
+            return STALE, "connected, but no data"
+        return OK, "running"
+
+    def _look(self) -> None:
+        """What has changed is told at once."""
+        if self.active and self._link is not None and self._told != self._condition(self._link):
+            self.publish_health()

@@ -3,7 +3,7 @@
 
 import sys
 
-from trackslip_common.nodes.messages import topic_class
+from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.nodes.driver import DriverNode
@@ -46,11 +46,14 @@ class WatsonNode(DriverNode[WatsonParameters]):
 
     def _on_bytes(self, data: bytes, arrival_ns: int) -> None:
         p = self.settings
-        for sample in self._stream.feed(data, arrival_ns):
+        for decoded in self._stream.feed(data, self.arrived(arrival_ns)):
+            sample = self.stamped(decoded)
             self._imu.publish(
-                conversions.imu(sample, p.frame_id, p.linear_acceleration_stddev, p.angular_velocity_stddev)
+                conversions.imu(
+                    make, sample, p.frame_id, p.linear_acceleration_stddev, p.angular_velocity_stddev
+                )
             )
-            field = conversions.magnetic_field(sample, p.frame_id, p.magnetic_field_stddev)
+            field = conversions.magnetic_field(make, sample, p.frame_id, p.magnetic_field_stddev)
             if field is not None:
                 self._mag.publish(field)
             self.count()

@@ -44,6 +44,7 @@ class Rejection(Enum):
     UNKNOWN_ID = "unknown id"
     WRONG_LENGTH = "wrong length"
     CHECKSUM = "checksum"
+    UNUSED_BITS = "bits set that mean nothing"
     OUT_OF_RANGE = "out of range"
     ALIVE_REPEATED = "alive counter repeated"
     LOST = "lost"
@@ -59,14 +60,21 @@ class Frame:
     values: Mapping[str, float]  # signal name → value in the DBC's unit (SI, or raw counts)
 
 
+def _shifted_out(crc: int) -> int:
+    """The register of the checksum after eight shifts."""
+    for _ in range(8):
+        crc = (crc << 1) ^ 0x1D if crc & 0x80 else crc << 1
+    return crc & 0xFF
+
+
+_SHIFTED_OUT = bytes(map(_shifted_out, range(256)))
+
+
 def crc8_j1850(data: bytes) -> int:
     """CRC-8 SAE J1850: polynomial 0x1D, start 0xFF, inverted at the end."""
     crc = 0xFF
     for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1) ^ 0x1D if crc & 0x80 else crc << 1
-            crc &= 0xFF
+        crc = _SHIFTED_OUT[crc ^ byte]
     return crc ^ 0xFF
 
 
@@ -91,6 +99,7 @@ class FrameSet:
         if cycles_ms or not cycle_ms:
             raise InputError(f"dbc_file {path}: GenMsgCycleTime must be set, the same for all frames")
         self.cycle_ns = cycle_ms * 1_000_000
+        self.unused = {name: ~_used_bits(message) for name, message in self.by_name.items()}
 
     def encode(self, name: str, values: Mapping[str, float], alive_counter: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame.
@@ -121,6 +130,8 @@ class FrameDecoder:
             return self._reject(message.name, Rejection.WRONG_LENGTH)
         if data[-1] != _checksum(arbitration_id, data):
             return self._reject(message.name, Rejection.CHECKSUM)
+        if int.from_bytes(data, "little") & self._frames.unused[message.name]:
+            return self._reject(message.name, Rejection.UNUSED_BITS)
         signals = message.decode_simple(data, decode_choices=False)
         values = {name: float(signals[name]) for name in SIGNALS[message.name]}  # type: ignore[arg-type]
         if not _in_range(message, values):
@@ -178,6 +189,12 @@ def _find(database: Database, name: str, path: Path) -> Message:
     if (starts.get(_ALIVE), starts.get(_CHECKSUM)) != (end - 16, end - 8):
         raise InputError(f"dbc_file {path}: frame '{name}' must end in alive_counter and checksum bytes")
     return message
+
+
+def _used_bits(message: Message) -> int:
+    """The bits of a payload, read as a little-endian number, that belong to a signal."""
+    full = {s.name: -1 if s.is_signed else (1 << s.length) - 1 for s in message.signals}
+    return int.from_bytes(message.encode(full, scaling=False, strict=False), "little")
 
 
 def _checksum(frame_id: int, payload: bytes) -> int:

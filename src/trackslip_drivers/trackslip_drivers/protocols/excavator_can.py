@@ -8,6 +8,7 @@ from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.protocols.can_frames import (
     ENCODERS,
     PRESSURES,
+    SPOOLS,
     Frame,
     FrameDecoder,
     FrameSet,
@@ -15,8 +16,11 @@ from trackslip_drivers.protocols.can_frames import (
 )
 from trackslip_drivers.protocols.encoder import EncoderEvent, SprocketEncoder
 from trackslip_drivers.records import HydraulicsSample, SprocketSample
+from trackslip_drivers.stamping import PeriodicStamps
 
 _NS_PER_S = 1_000_000_000
+_CLOCK_TOLERANCE = 1e-3  # of the sender's cycle on our clock: two crystals, and ours may be slewed
+_PATIENCE = 200  # frames
 
 
 class PairingRejection(Enum):
@@ -43,6 +47,10 @@ class ExcavatorCan:
             for _ in range(2)
         )
         self._spools: Frame | None = None
+        self._stamps = {
+            name: PeriodicStamps(frames.cycle_ns, _CLOCK_TOLERANCE, _PATIENCE)
+            for name in (ENCODERS, PRESSURES)
+        }
 
     def receive(
         self, arbitration_id: int, data: bytes, stamp_ns: int
@@ -51,14 +59,13 @@ class ExcavatorCan:
         frame = self._decoder.decode(arbitration_id, data, stamp_ns)
         if isinstance(frame, Rejection):
             return None
-        if frame.name == ENCODERS:
-            return self._sprockets(frame)
-        if frame.name == PRESSURES:
-            return self._hydraulics(frame)
-        self._spools = frame
-        return None
+        if frame.name == SPOOLS:
+            self._spools = frame
+            return None
+        stamp_ns = self._stamps[frame.name].filter(frame.stamp_ns, frame.cycles) + self._offset_ns
+        return (self._sprockets if frame.name == ENCODERS else self._hydraulics)(frame, stamp_ns)
 
-    def _sprockets(self, frame: Frame) -> SprocketSample | None:
+    def _sprockets(self, frame: Frame, stamp_ns: int) -> SprocketSample | None:
         """Both sprockets, or None while either has no motion to tell."""
         left = self._left.update(int(frame.values["left_count"]), frame.cycles)
         right = self._right.update(int(frame.values["right_count"]), frame.cycles)
@@ -67,18 +74,16 @@ class ExcavatorCan:
                 self.tally.add(side, motion)
         if isinstance(left, EncoderEvent) or isinstance(right, EncoderEvent):
             return None
-        return SprocketSample(
-            frame.stamp_ns + self._offset_ns, left.position, right.position, left.velocity, right.velocity
-        )
+        return SprocketSample(stamp_ns, left.position, right.position, left.velocity, right.velocity)
 
-    def _hydraulics(self, frame: Frame) -> HydraulicsSample | None:
+    def _hydraulics(self, frame: Frame, stamp_ns: int) -> HydraulicsSample | None:
         """Pressures with the spools of the same cycle, or of one not long before if that frame was lost."""
         spools = self._spools
         if spools is None or abs(frame.stamp_ns - spools.stamp_ns) > self._spool_timeout_ns:
             self.tally.add(PRESSURES, PairingRejection.NO_SPOOLS)
             return None
         return HydraulicsSample(
-            frame.stamp_ns + self._offset_ns,
+            stamp_ns,
             frame.values["left_pressure"],
             frame.values["right_pressure"],
             spools.values["left_spool"],

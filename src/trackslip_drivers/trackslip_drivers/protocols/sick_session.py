@@ -13,9 +13,10 @@ what that says, at least every 20 ms:
     write action.write
 """
 
+import math
 from collections import deque
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TypeVar
 
@@ -42,6 +43,7 @@ from trackslip_drivers.protocols.sick_telegram import (
     frame,
 )
 from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_drivers.stamping import PeriodicStamps
 
 T = TypeVar("T")
 Script = Generator[None, None, T]  # resumed by each step; returns what came of it
@@ -50,6 +52,9 @@ Answer = Reply | Control | None  # ACK: acknowledged, but no reply came; None: n
 _SOURCE = "scan"
 _OK = ModeChanged(ModeResult.OK)
 _INBOX = 16
+_ALL_VALUES = 732  # bytes of a telegram with 361 values
+_MIRROR_TOLERANCE = 0.01  # of the time of one turn
+_PATIENCE = 50  # scans
 _NS_PER_S = 1_000_000_000
 
 
@@ -83,6 +88,12 @@ class Action:
     write: bytes
 
 
+def scan_period(parameters: SickParameters) -> float:
+    """Between scans of all values, s: whole turns of the mirror, as many as a telegram takes."""
+    transfer = _ALL_VALUES * parameters.bits_per_char / parameters.serial_baud
+    return math.ceil(transfer / parameters.scan_time) * parameters.scan_time
+
+
 class SickSession:
     """Brings a scanner to streaming and keeps it there.
 
@@ -96,6 +107,11 @@ class SickSession:
         self.baud = parameters.serial_baud
         self._parameters = parameters
         self._parser = TelegramParser(FROM_SENSOR, self.baud, parameters.bits_per_char, self.tally, _SOURCE)
+        # Where the line keeps up with the mirror, telegrams start a turn apart. Where it does not, a telegram
+        # takes many reads, one of which was prompt.
+        period_ns = parameters.scan_time * _NS_PER_S
+        every_turn = scan_period(parameters) <= parameters.scan_time
+        self._starts = PeriodicStamps(period_ns, _MIRROR_TOLERANCE, _PATIENCE) if every_turn else None
         self._inbox: deque[Reply | Control] = deque(maxlen=_INBOX)
         self._now_ns = 0
         self._last_byte_ns = 0
@@ -137,6 +153,8 @@ class SickSession:
         if self.phase is not Phase.STREAMING:
             return ScanFault.NOT_STREAMING
         self._last_scan_ns = telegram.end_ns
+        if self._starts is not None:
+            telegram = replace(telegram, start_ns=self._starts.filter(telegram.start_ns))
         return decode_scan(telegram, self._parameters)
 
     def _run(self) -> Script[None]:
@@ -160,8 +178,16 @@ class SickSession:
         return None
 
     def _find_baud(self) -> Script[bool]:
-        """Say stop at each rate, the present one first, until one is answered."""
-        for baud in dict.fromkeys((self.baud, self._parameters.serial_baud, *sorted(commands.BAUD_CODES))):
+        """Say stop at each rate until one is answered.
+
+        First the present one, then by turns another and that of power-on, so that a scanner that has just
+        started is found soon.
+        """
+        slow = commands.POWER_ON_BAUD
+        rates = [slow] if self.baud == slow else [self.baud, slow]
+        for baud in dict.fromkeys((self._parameters.serial_baud, *commands.BAUD_CODES)):
+            rates += [] if baud in rates else [baud, slow]
+        for baud in rates:
             self._switch_host(baud)
             answer = yield from self._request(commands.STOP)
             if isinstance(answer, PowerOn):
@@ -192,8 +218,11 @@ class SickSession:
 
     def _stream(self) -> Script[SessionFault]:
         """Stay while scans come; gives why they do no more."""
-        self._last_scan_ns = self._now_ns
-        while self._now_ns - self._last_scan_ns < self._parameters.telegram_timeout * _NS_PER_S:
+        self._last_scan_ns = self._last_byte_ns = self._now_ns
+        while (
+            self._now_ns - self._last_scan_ns < self._parameters.telegram_timeout * _NS_PER_S
+            and self._now_ns - self._last_byte_ns < self._parameters.silence_timeout * _NS_PER_S
+        ):
             yield
             while self._inbox:
                 if isinstance(self._inbox.popleft(), (PowerOn, ResetDone)):

@@ -13,12 +13,16 @@ from trackslip_drivers.protocols.watson import (
     to_sample,
 )
 from trackslip_drivers.records import ImuSample
+from trackslip_drivers.stamping import PeriodicStamps
 
 IMU = "imu/data_raw"
 FIELD = "imu/mag"
 
 _NS_PER_S = 1_000_000_000
 _BIT_7 = 0x80
+_LINE_PERIOD_NS = 6 * _NS_PER_S / 71.11  # of decimal lines: every sixth tick of the unit
+_CLOCK_TOLERANCE = 0.01  # its manuals say "about"
+_PATIENCE = 24  # lines
 
 
 class WatsonStream:
@@ -42,6 +46,12 @@ class WatsonStream:
         self._time_offset_ns = time_offset_ns
         self._pending = bytearray()
         self._overlong = False
+        self._stamps = PeriodicStamps(_LINE_PERIOD_NS, _CLOCK_TOLERANCE, _PATIENCE)
+
+    @property
+    def bytes_held(self) -> int:
+        """How many bytes wait for the rest of their line."""
+        return len(self._pending)
 
     def feed(self, data: bytes, arrival_ns: int) -> list[ImuSample]:
         """What one read returned; ``arrival_ns`` is when its last byte was there."""
@@ -59,6 +69,10 @@ class WatsonStream:
 
     def reset(self) -> None:
         """Forget a half-received line: the port was reopened."""
+        self._clear()
+        self._stamps.restart()
+
+    def _clear(self) -> None:
         self._pending.clear()
         self._overlong = False
 
@@ -73,7 +87,7 @@ class WatsonStream:
     def _finish(self, ended_ns: int) -> ImuSample | None:
         """A CR has arrived: decode what it ends."""
         line, overlong = bytes(self._pending), self._overlong
-        self.reset()
+        self._clear()
         if overlong:
             self.tally.add(IMU, Rejection.OVERLONG)
             return None
@@ -81,6 +95,8 @@ class WatsonStream:
         if not line.strip():
             return None
         reading = self._decode(line)
+        if isinstance(reading, Reading) and line[0] < _BIT_7:  # frames come as fast as the line allows
+            stamp_ns = self._stamps.filter(stamp_ns)
         result = reading if isinstance(reading, Rejection) else to_sample(reading, stamp_ns)
         if isinstance(result, Rejection):
             self.tally.add(IMU, result)

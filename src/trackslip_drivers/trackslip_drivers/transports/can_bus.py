@@ -7,6 +7,7 @@ from typing import Any
 
 import can
 
+from trackslip_drivers.protocols.can_errors import BusState, bus_state
 from trackslip_drivers.protocols.can_frames import ERROR_FLAG
 from trackslip_drivers.transports.link import READ_TIMEOUT_S
 
@@ -34,25 +35,39 @@ class CanBus:
 
     def __init__(self, interface: str, channel: str, port: int) -> None:
         self.note = ""
+        self._is_off = False
         options: dict[str, Any] = {"port": port} if interface == "udp_multicast" else {}
         self._bus = can.Bus(channel=channel, interface=interface, **options)
 
     def read(self) -> Sequence[tuple[CanFrame, int]]:
-        """The frames that are there, once there is one, each with its time of reception."""
+        """The frames that are there, once there is one, each with its time of reception.
+
+        Raises:
+            can.CanError, OSError: the bus failed, or an error frame of the read before said that it is off.
+        """
+        if self._is_off:
+            raise can.CanOperationError("bus off")
         frames: list[tuple[CanFrame, int]] = []
         message = self._bus.recv(READ_TIMEOUT_S)
         while message is not None:
-            frames.append(((_flagged_id(message), bytes(message.data)), _stamp_ns(message)))
+            frame = (_flagged_id(message), bytes(message.data))
+            frames.append((frame, _stamp_ns(message)))
+            if message.is_error_frame:
+                self._is_off = bus_state(*frame) is BusState.OFF
             message = self._bus.recv(0.0) if len(frames) < _MOST_FRAMES else None
         return frames
 
     def write(self, data: CanFrame) -> None:
-        """Send one data frame with a 29-bit id.
+        """Send one frame with a 29-bit id; an error frame where ``ERROR_FLAG`` is set.
 
         Raises:
             can.CanError: the bus did not take it.
         """
-        message = can.Message(arbitration_id=data[0], data=data[1], is_extended_id=True)
+        name, payload = data
+        is_error = bool(name & ERROR_FLAG)
+        message = can.Message(
+            arbitration_id=name & ~ERROR_FLAG, data=payload, is_extended_id=True, is_error_frame=is_error
+        )
         self._bus.send(message, timeout=_SEND_TIMEOUT_S)
 
     def close(self) -> None:

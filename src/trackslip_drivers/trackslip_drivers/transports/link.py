@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 READ_TIMEOUT_S = 0.1  # longest wait of a port: how soon ``stop`` is noticed
 FIRST_PAUSE_S = 0.1
-LONGEST_PAUSE_S = 2.0
+LONGEST_PAUSE_S = 0.5  # a sensor that is back is to be heard within a second
 _STOP_S = 0.4
 
 

@@ -3,19 +3,17 @@
 
 import yaml
 
-from trackslip_common.topics import Flow
-
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _DEPTH = 10
 
 
-def offered_qos(flow: Flow) -> str:
-    """YAML list with one profile, for ``ros2 bag play`` to offer the same again."""
+def offered_qos(latched: bool) -> str:
+    """YAML list with one reliable profile, for ``ros2 bag play`` to offer again."""
     profile = {
         "history": "keep_last",
-        "depth": 1 if flow is Flow.LATCHED else _DEPTH,
-        "reliability": "best_effort" if flow is Flow.SENSOR else "reliable",
-        "durability": "transient_local" if flow is Flow.LATCHED else "volatile",
+        "depth": 1 if latched else _DEPTH,
+        "reliability": "reliable",
+        "durability": "transient_local" if latched else "volatile",
         "deadline": dict(_FOREVER),
         "lifespan": dict(_FOREVER),
         "liveliness": "automatic",

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.vehicle import Vehicle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,3 +31,11 @@ class BoxLocalizerParameters(Parameters):
     top_yaw_rate: float = parameter("widens gate_yaw while no fix comes", unit="rad/s", gt=0.0)
     velocity_gain: float = parameter("share of a fix's surprise that corrects the velocity", gt=0.0, le=1.0)
     coast_time: float = parameter("longest extrapolation at constant velocity", unit="s", gt=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxNodeParameters(BoxLocalizerParameters):
+    """The localizer's, with the vehicle that carries the box and the frame of its poses."""
+
+    vehicle: Vehicle
+    odom_frame: str = parameter("site frame, in which the laser's place is given")

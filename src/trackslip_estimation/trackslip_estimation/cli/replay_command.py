@@ -12,6 +12,7 @@ from typing import Any
 from trackslip_common.config_files import config_file, node_parameters, parse_yaml, read_yaml
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.parameters import flat_fields
+from trackslip_common.topics import TOPICS
 from trackslip_estimation.bags.parameters import bag_parameters
 from trackslip_estimation.bags.reader import Bag, open_bag, require_topics
 from trackslip_estimation.replay.edits import Edits, parse_remap, parse_thin, parse_withhold, relative
@@ -24,6 +25,7 @@ DESCRIPTION = "Run the slip estimator over a bag, in process, in the order in wh
 EXAMPLE = "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.gate_patience=10"
 
 _LONGEST = 1e9  # s, some thirty years
+_POSES = (TOPICS["box_pose"].type_name, TOPICS["odometry"].type_name)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,10 +98,14 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
 
 def _require_named(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None) -> None:
     """A topic that an option names and nobody knows is a slip of the pen."""
-    before = {after: before for before, after in edits.remap.items()}
-    require_topics(bag, [*edits.remap, *([before.get(reference, reference)] if reference else [])])
-    in_bag = {edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
-    known = in_bag | {SPROCKETS, *filter(None, (*p.pose_sources, *p.yaw_rate_sources))}
+    require_topics(bag, edits.remap)
+    types = {edits.remap.get(relative(t), relative(t)): info.type_name for t, info in bag.topics.items()}
+    if reference is not None and reference not in types:
+        require_topics(bag, [reference])
+    if reference is not None and types[reference] not in _POSES:
+        accepted = " or ".join(_POSES)
+        raise InputError(f"--reference {reference}: it is a {types[reference]}; accepted: {accepted}")
+    known = types.keys() | {SPROCKETS, *filter(None, (*p.pose_sources, *p.yaw_rate_sources))}
     for option, named in (("--withhold", edits.withhold), ("--thin", edits.thin)):
         for edit in named:
             if edit.topic not in known:

@@ -2,28 +2,18 @@
 """``box_localizer``: laser scans in, pose of the machine by the box on its cab out."""
 
 import sys
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from trackslip_common.make import stamp_ns_of
 from trackslip_common.nodes.base import OK, WARN, Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
-from trackslip_common.parameters import parameter
 from trackslip_estimation import conversions
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
-from trackslip_estimation.box.parameters import BoxLocalizerParameters
+from trackslip_estimation.box.parameters import BoxNodeParameters
 from trackslip_estimation.measurements import PoseFix
-from trackslip_estimation.vehicle import Vehicle
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoxNodeParameters(BoxLocalizerParameters):
-    """The localizer's, with the vehicle that carries the box and the frame of its poses."""
-
-    vehicle: Vehicle
-    odom_frame: str = parameter("site frame, in which the laser's place is given")
 
 
 class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
@@ -56,7 +46,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._scans += 1
         ranges = np.asarray(message.ranges, dtype=np.float64)
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
-        fix = self._localizer.locate(conversions.stamp_ns_of(message), ranges, *geometry)
+        fix = self._localizer.locate(stamp_ns_of(message), ranges, *geometry)
         if isinstance(fix, BoxFix):
             self._fixes += 1
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)

@@ -10,11 +10,12 @@ from functools import partial
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import OK, WARN, Health, TrackslipNode
-from trackslip_common.nodes.messages import message_class
-from trackslip_common.nodes.qos import qos_of
+from trackslip_common.nodes.messages import message_class, type_name_of
+from trackslip_common.nodes.qos import best_effort, reliable, wanted
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.topics import TOPICS, Flow
@@ -46,6 +47,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         """
         self._lost: Counter[str] = Counter()
         self._subscribed: set[str] = set()
+        self._reliable: dict[str, Any] = {}
         self._bag: BagWriter | None = None
         try:
             self._more = re.compile(self.settings.more_topics or r"(?!)")
@@ -65,6 +67,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         """Finish the bag; the next activation begins another."""
         self.drop_subscriptions()
         self._subscribed.clear()
+        self._reliable.clear()
         if self._bag is not None:
             self._bag.close()
             self.get_logger().info(f"{sum(self._bag.counts.values())} messages in {self._bag.path}")
@@ -85,16 +88,30 @@ class RecordNode(TrackslipNode[RecordParameters]):
         except ModuleNotFoundError:  # an optional package, such as tf2_msgs
             return
         assert self._bag is not None
-        flow = TOPICS[name].flow if name in TOPICS else Flow.RELIABLE
-        self._bag.add_topic(full_name, type_name, offered_qos(flow))
-        self.create_subscription(
+        latched = name in TOPICS and TOPICS[name].flow is Flow.LATCHED
+        self._bag.add_topic(full_name, type_name, offered_qos(latched))
+        qos = wanted(name) if latched else reliable()
+        self._reliable[full_name] = self._listen_raw(kind, full_name, type_name, qos)
+
+    def _listen_raw(self, kind: type, topic: str, type_name: str, qos: QoSProfile) -> Any:
+        return self.create_subscription(
             kind,
-            full_name,
-            partial(self._write, full_name, type_name),
-            qos_of(name),
+            topic,
+            partial(self._write, topic, type_name),
+            qos,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=partial(self._on_lost, full_name)),
+            event_callbacks=SubscriptionEventCallbacks(message_lost=partial(self._on_lost, topic)),
         )
+
+    def _yield_to_best_effort(self) -> None:
+        """Ask for no more than a topic's publishers offer, or nothing would come at all."""
+        for topic, subscription in list(self._reliable.items()):
+            offers = [info.qos_profile.reliability for info in self.get_publishers_info_by_topic(topic)]
+            if ReliabilityPolicy.BEST_EFFORT in offers:
+                del self._reliable[topic]
+                kind, type_name = subscription.msg_type, type_name_of(subscription.msg_type)
+                self.destroy_subscription(subscription)
+                self._listen_raw(kind, topic, type_name, best_effort())
 
     def _write(self, topic: str, type_name: str, data: bytes) -> None:
         if self.active and self._bag is not None:
@@ -111,6 +128,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         for name, types in self.get_topic_names_and_types():
             if name not in self._subscribed and self._more.fullmatch(name):
                 self._record(name, types[0], name)
+        self._yield_to_best_effort()
         self._bag.flush()
 
 

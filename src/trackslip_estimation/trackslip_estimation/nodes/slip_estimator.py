@@ -32,7 +32,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._odometry = self.announce(topic_class("odometry"), "odometry")
         self._track_slip = self.announce(topic_class("track_slip"), "track_slip")
         self._reports = self.announce(topic_class("measurement_reports"), "measurement_reports")
-        self._parameters = self.announce(
+        self._parameters_used = self.announce(
             topic_class("slip_estimator/parameters"), "slip_estimator/parameters"
         )
         self.listen(topic_class("sprockets"), "sprockets", self._on_sprockets)
@@ -44,7 +44,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def activate(self) -> None:
         """Say with which parameters the estimates of this run were made: a bag carries them along."""
         text = yaml.safe_dump({NODE: {"ros__parameters": to_flat(self.settings)}}, sort_keys=False)
-        self._parameters.publish(make("std_msgs/msg/String", data=text))
+        self._parameters_used.publish(make("std_msgs/msg/String", data=text))
 
     def health(self) -> list[Health]:
         """Waiting for a first fix, or running; what was not accepted, by source and reason."""

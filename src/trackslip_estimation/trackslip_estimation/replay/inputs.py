@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
 from trackslip_common.topics import TOPICS
 from trackslip_estimation import conversions
 from trackslip_estimation.bags.reader import Bag, require_topics
@@ -22,7 +23,6 @@ from trackslip_estimation.slip_parameters import SlipEstimatorParameters
 FloatArray = NDArray[np.float64]
 
 SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
-TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 
 
 class Taken(NamedTuple):
@@ -67,10 +67,10 @@ def read_inputs(bag: Bag, p: SlipEstimatorParameters, edits: Edits, series: tupl
         if name in readers:
             inputs.arrivals.append(Arrival(message.log_time_ns, readers[name](content)))
         if name == REPORTS:
-            stamp_ns = conversions.stamp_ns_of(content)
+            stamp_ns = stamp_ns_of(content)
             inputs.journal.append(Taken(message.log_time_ns, content.sequence, content.source, stamp_ns))
         if name in series:
-            collected[name].append((conversions.stamp_ns_of(content), numbers_of(content)))
+            collected[name].append((stamp_ns_of(content), numbers_of(content)))
     inputs.series = {name: _series(rows) for name, rows in collected.items()}
     return inputs
 
@@ -138,15 +138,13 @@ def _readers(p: SlipEstimatorParameters) -> dict[str, Callable[[Any], Measuremen
 
 
 def _require_types(bag: Bag, names: dict[str, str], p: SlipEstimatorParameters) -> None:
-    """What is read must be of the type that its reader knows; the topics left are series of poses."""
-    expected = {topic: (TOPICS[topic].type_name,) for topic in (SPROCKETS, REPORTS, TRACK_SLIP, TRUE_SLIP)}
-    expected |= dict.fromkeys(p.yaw_rate_sources, (TOPICS["imu/data_raw"].type_name,))
-    expected |= dict.fromkeys(p.pose_sources, (TOPICS["box_pose"].type_name,))
+    """What is read must be of the type that its reader knows."""
+    expected = dict.fromkeys(p.yaw_rate_sources, "imu/data_raw")
+    expected |= dict.fromkeys(("reference_pose", *p.pose_sources), "box_pose")
     for topic, name in names.items():
-        accepted = expected.get(name, (TOPICS["box_pose"].type_name, TOPICS[ODOMETRY].type_name))
-        if bag.topics[topic].type_name not in accepted:
-            found = bag.topics[topic].type_name
-            raise InputError(f"bag '{bag.path}': {topic} is a {found}; accepted: {' or '.join(accepted)}")
+        known, found = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name
+        if known is not None and found != known.type_name:
+            raise InputError(f"bag '{bag.path}': {topic} is a {found}; accepted: {known.type_name}")
 
 
 def _series(rows: list[tuple[int, FloatArray]]) -> Series:

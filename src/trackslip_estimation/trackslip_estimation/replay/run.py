@@ -18,8 +18,6 @@ from trackslip_estimation.replay.edits import Edits
 from trackslip_estimation.replay.inputs import (
     ODOMETRY,
     TRACK_SLIP,
-    TRUE_ODOMETRY,
-    TRUE_SLIP,
     Inputs,
     in_live_order,
     journal_gaps,
@@ -38,6 +36,7 @@ from trackslip_estimation.replay.scoring import (
 from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters
 
+TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
 TOLERANCE = 1e-9  # between a live and a replayed number
 

@@ -7,7 +7,8 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
@@ -41,7 +42,7 @@ class Processes:
         arguments = [str(executable(node.package, node.executable)), "--ros-args"]
         for name, value in node.parameters.items():
             arguments += ["-p", f"{name}:={yaml.safe_dump(value, default_flow_style=True).splitlines()[0]}"]
-        with (self._logs / f"{node.executable}.log").open("wb") as log:
+        with (self._logs / f"{node.executable}.log").open("wb") as log, _unbroken():
             self._running[node.executable] = subprocess.Popen(
                 arguments,
                 stdin=subprocess.DEVNULL,
@@ -63,11 +64,8 @@ class Processes:
 
     def stop(self, names: Iterable[str] | None = None) -> None:
         """Interrupt these (or all), and kill what does not end in time; a further Ctrl-C waits until then."""
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with _unbroken():
             self._stop(names)
-        finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def _stop(self, names: Iterable[str] | None) -> None:
         chosen = {
@@ -95,6 +93,19 @@ def executable(package: str, name: str) -> Path:
         if path.is_file():
             return path
     raise InputError(f"executable '{name}' of {package} not found on AMENT_PREFIX_PATH; run make setup")
+
+
+@contextmanager
+def _unbroken() -> Iterator[None]:
+    """Ctrl-C waits until this is done: raised within a fork it would get lost, and its child with it."""
+    asked: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if asked:
+        raise KeyboardInterrupt
 
 
 def _signal(process: "subprocess.Popen[bytes]", number: int) -> None:

@@ -68,7 +68,6 @@ class DemoResult:
             "dead_reckoning_rmse": self.dead_reckoning.position,
             "heading_rmse": self.filter.heading,
             "slip_rmse": self.slip_rmse,
-            "dead_reckoning_slip_rmse": self.dead_reckoning_slip_rmse,
             "topics": {topic: vars(counts) for topic, counts in self.topics.items()},
             "replay_matches": self.live.matches,
         }

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.nodes.messages import topic_class
-from trackslip_common.nodes.qos import qos_of
+from trackslip_common.nodes.qos import offered
 from trackslip_common.topics import SENSOR_TOPICS, TOPICS, Flow
 from trackslip_estimation.conversions import planar_pose
 
@@ -59,7 +59,9 @@ class DemoMonitor(Node):
         self._spinner.add_node(self)
         for topic in WATCHED:
             handler = {"odometry": self._on_odometry, "track_slip": self._on_slip}.get(topic)
-            self.create_subscription(topic_class(topic), topic, self._counting(topic, handler), qos_of(topic))
+            self.create_subscription(
+                topic_class(topic), topic, self._counting(topic, handler), offered(topic)
+            )
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def spin_for(self, seconds: float) -> None:

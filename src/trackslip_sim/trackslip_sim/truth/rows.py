@@ -65,6 +65,7 @@ def to_truth(
     Pressures are those of the motors' thrust, with the efficiency against the flow of power; the supply
     stands by above the higher of them, as far as the relief valve lets it.
     """
+    rows = np.asfortranarray(rows)  # columns in one piece: each look at the truth would copy them otherwise
     c = Column
     v_x, yaw_rate = rows[:, c.V_X], rows[:, c.YAW_RATE]
     left, right = rows[:, c.TRACK_SPEED], rows[:, c.TRACK_SPEED + 1]

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speeds, loads and latencies on this machine, printed: ``make bench`` asserts nothing.
+
+Loads are in percent of one core, each beside its floor: a bare rclpy node that publishes the same messages as
+often. Measure on a quiet machine; every number is the median of three windows or runs.
+"""
+
+import os
+import platform
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import bench_nodes
+from trackslip_estimation.bags.parameters import bag_parameters
+from trackslip_estimation.bags.reader import Bag, open_bag
+from trackslip_estimation.replay.edits import Edits
+from trackslip_estimation.replay.inputs import in_live_order
+from trackslip_estimation.replay.run import replay
+from trackslip_estimation.slip_estimator import SlipEstimator
+from trackslip_estimation.slip_parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_sim.truth.bench import drive_seconds
+
+RUNS = 3
+DRIVE = 20.0  # s of the live graph
+_NODES = ("can_driver", "watson_imu", "sick_pls", "box_localizer", "slip_estimator", "record")
+
+
+def main() -> int:
+    """Measure and print; returns the exit code."""
+    print(f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}")
+    show("", "here", "beside", "bar")
+    seconds = _median(drive_seconds)
+    show("truth, 60 s at 1 ms, 30 elements a track", f"{seconds:.2f} s", "", "≤ 2 s")
+    with tempfile.TemporaryDirectory(prefix="trackslip_bench_") as directory:
+        _drivers(Path(directory))
+        _graph(Path(directory))
+    return 0
+
+
+def show(what: str, here: str, beside: str = "", bar: str = "") -> None:
+    """One row."""
+    print(f"{what:<44}{here:<17}{beside:<36}{bar}".rstrip(), flush=True)
+
+
+def _drivers(directory: Path) -> None:
+    for name, (load, floor) in bench_nodes.drivers(directory).items():
+        beside = f"floor {floor.cpu_percent:.1f} %, {floor.rate:.0f} Hz"
+        show(f"CPU of {name}, {load.rate:.0f} Hz", f"{load.cpu_percent:.1f} %", beside, "≤ 5 %")
+
+
+def _graph(directory: Path) -> None:
+    graph = bench_nodes.graph(directory, DRIVE)
+    for name in _NODES:
+        show(f"CPU of {name}, live graph", f"{graph.loads[name].cpu_percent:.1f} %")
+    for which in ("p50", "p99"):
+        age, floor = getattr(graph.odometry, which), getattr(graph.floor, which)
+        beside = f"{age / floor:.1f} × one hop of rclpy, {floor:.2f} ms"
+        show(f"stamp of sprockets → odometry, {which}", f"{age:.2f} ms", beside, "≤ 3 ×")
+    with open_bag(graph.bag) as bag:
+        p = load_slip_parameters(bag_parameters(bag))
+        seconds = _median(lambda: _seconds(lambda: replay(bag, p, Edits(), None)))
+        show(
+            f"replay of a bag of {bag.duration_s:.0f} s, all told",
+            f"{bag.duration_s / seconds:.0f} × real time",
+        )
+        cost_us = _median(lambda: _estimator_us(bag, p))
+    show("slip estimator, a measurement", f"{cost_us:.0f} µs")
+
+
+def _estimator_us(bag: Bag, p: SlipEstimatorParameters) -> float:
+    """µs a measurement takes, late ones and what is done again for them included."""
+    inputs = replay(bag, p, Edits(), None).inputs
+    measurements = list(in_live_order(inputs.arrivals, inputs.journal))
+    estimator = SlipEstimator(p)
+    seconds = _seconds(lambda: [estimator.advance(measurement) for measurement in measurements])
+    return 1e6 * seconds / len(measurements)
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def _median(measure: Callable[[], float]) -> float:
+    return statistics.median(measure() for _ in range(RUNS))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

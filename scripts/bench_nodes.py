@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measures nodes as they run: CPU of the drivers at full rate, CPU and latency of the whole graph."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import rclpy
+
+from bench_devices import SICK_BAUD, WATSON_BAUD
+from bench_ros import FLOOR, Listener
+from trackslip_sim.demo.processes import executable
+from trackslip_sim.graph import DemoOptions, NodeSpec, demo_nodes
+
+DRIVERS = {
+    "can_driver": ("sprockets", "hydraulics"),
+    "watson_imu": ("imu/data_raw", "imu/mag"),
+    "sick_pls": ("scan",),
+}
+WINDOW = 5.0  # s of each measurement
+REPEATS = 3
+_WARM_UP = 12.0  # s; the inertial unit initialises for 5 s, the scanner needs some to change its rate
+_APPEAR = 60.0  # s until the graph publishes odometry
+_ENDING = 3.0  # s
+_CPU_CLOCK = 2  # Linux: clock number of a process' CPU time is ~pid << 3 | 2
+
+
+@dataclass(frozen=True)
+class Load:
+    """What a node cost and did; medians of the windows."""
+
+    cpu_percent: float  # of one core
+    rate: float  # Hz, of its first topic; 0 where nobody counted
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Ages on arrival, ms."""
+
+    p50: float
+    p99: float
+
+    @staticmethod
+    def of(ages_ms: list[float]) -> "Latency":
+        """NaN where nothing came."""
+        return Latency(*np.percentile(ages_ms or [np.nan], (50, 99)).tolist())
+
+
+class Children:
+    """Processes by name, each with its output in a file."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, name: str, arguments: list[str]) -> None:
+        """Run a program."""
+        with (self._directory / f"{name}.log").open("wb") as log:
+            self._running[name] = subprocess.Popen(
+                arguments, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
+            )
+
+    def start_node(self, node: NodeSpec) -> None:
+        """Run an installed executable."""
+        pairs = (f"{key}:={value!r}" for key, value in node.parameters.items())
+        options = [part for pair in pairs for part in ("-p", pair)]
+        self.start(node.executable, [str(executable(node.package, node.executable)), "--ros-args", *options])
+
+    def cpu_s(self) -> dict[str, float]:
+        """CPU seconds that each has used."""
+        return {
+            name: time.clock_gettime(~process.pid << 3 | _CPU_CLOCK)
+            for name, process in self._running.items()
+        }
+
+    def stop(self, names: tuple[str, ...] = ()) -> None:
+        """Interrupt these (or all), wait, insist."""
+        chosen = [self._running.pop(name) for name in names or tuple(self._running)]
+        for process in chosen:
+            process.send_signal(signal.SIGINT)
+        for process in chosen:
+            try:
+                process.wait(_ENDING)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@contextlib.contextmanager
+def children(directory: Path) -> Iterator[Children]:
+    """None of them stays."""
+    started = Children(directory)
+    try:
+        yield started
+    finally:
+        started.stop()
+
+
+def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
+    """Name → the driver, its floor; all run at once, one window after the other."""
+    port = _free_udp_port()
+    nodes = {node.executable: node for node in demo_nodes(_options(directory, port))}
+    changes: dict[str, dict[str, object]] = {
+        "can_driver": {},
+        "watson_imu": {"serial_baud": WATSON_BAUD},
+        "sick_pls": {"serial_baud": SICK_BAUD},
+    }
+    real = {name: topics[0] for name, topics in DRIVERS.items()}
+    floors = {f"floor_{name}": FLOOR + topic for name, topic in real.items()}
+    topics = tuple(topic for topics in DRIVERS.values() for topic in topics)
+    with children(directory) as running, _listener(topics) as listener:
+        here = Path(__file__).parent
+        running.start("devices", [sys.executable, str(here / "bench_devices.py"), str(directory), str(port)])
+        _wait_for(directory / "sick")
+        for name, parameters in changes.items():
+            running.start_node(replace(nodes[name], parameters={**nodes[name].parameters, **parameters}))
+        listener.listen(_WARM_UP)
+        loads = _measure(running, listener, real)
+    with children(directory) as running, _listener(tuple(FLOOR + topic for topic in topics)) as listener:
+        for name in DRIVERS:
+            running.start(f"floor_{name}", [sys.executable, str(here / "bench_ros.py"), name])
+        listener.listen(3.0)
+        loads |= _measure(running, listener, floors)
+    return {name: (loads[name], loads[f"floor_{name}"]) for name in DRIVERS}
+
+
+@dataclass(frozen=True)
+class Graph:
+    """The whole graph, live."""
+
+    loads: dict[str, Load]
+    odometry: Latency  # from the stamp of the sprockets
+    floor: Latency  # one hop of rclpy, at the same time
+    bag: Path
+
+
+def graph(directory: Path, seconds: float) -> Graph:
+    """Drive the demo's graph for so long, recorder included; a bare publisher of odometry runs beside it."""
+    options = _options(directory, _free_udp_port(), seconds)
+    ours, bare = "odometry", FLOOR + "odometry"
+    with children(directory) as running, _listener((), (ours, bare)) as listener:
+        for node in demo_nodes(options):
+            running.start_node(node)
+        script = str(Path(__file__).parent / "bench_ros.py")
+        running.start("floor", [sys.executable, script, "odometry"])
+        until = time.monotonic() + _APPEAR
+        while len(listener.ages_ms[ours]) < 100 and time.monotonic() < until:
+            listener.listen(0.2)
+        listener.forget()
+        before, began = running.cpu_s(), time.monotonic()
+        listener.listen(seconds / 2)
+        after, took = running.cpu_s(), time.monotonic() - began
+        running.stop(("record",))
+    loads = {name: Load(100.0 * (after[name] - before[name]) / took, 0.0) for name in before}
+    return Graph(loads, Latency.of(listener.ages_ms[ours]), Latency.of(listener.ages_ms[bare]), options.bag)
+
+
+def _measure(running: Children, listener: Listener, topics: dict[str, str]) -> dict[str, Load]:
+    """Medians over the windows: CPU of processes, and the rate of a topic of each."""
+    windows = []
+    for _ in range(REPEATS):
+        listener.forget()
+        before, began = running.cpu_s(), time.monotonic()
+        listener.listen(WINDOW)
+        after, took = running.cpu_s(), time.monotonic() - began
+        windows.append(
+            [(100.0 * (after[n] - before[n]) / took, listener.received[t] / took) for n, t in topics.items()]
+        )
+    return {name: Load(*pair) for name, pair in zip(topics, np.median(windows, axis=0).tolist(), strict=True)}
+
+
+@contextlib.contextmanager
+def _listener(topics: tuple[str, ...], odometry: tuple[str, ...] = ()) -> Iterator[Listener]:
+    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+    rclpy.init()
+    listener = Listener(topics, odometry)
+    try:
+        yield listener
+    finally:
+        listener.close()
+        rclpy.try_shutdown()
+
+
+def _options(directory: Path, port: int, duration: float = 1.0) -> DemoOptions:
+    bag = directory / "bag"
+    return DemoOptions(directory, bag, port, duration, "sand", "thesis", autostart=True)
+
+
+def _wait_for(path: Path) -> None:
+    until = time.monotonic() + 10.0
+    while not path.exists() and time.monotonic() < until:
+        time.sleep(0.05)
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ROS side of the benchmark: a listener, and the floor to hold the nodes against.
+
+``bench_ros.py NAME`` is that floor: a bare rclpy node that publishes what the driver NAME publishes, as
+often, but the same ready-made messages again and again; ``odometry`` is stamped odometry at 100 Hz.
+"""
+
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+
+from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.qos import offered, wanted
+from trackslip_drivers import conversions
+from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample
+
+RATES = {"can_driver": 100.0, "watson_imu": 71.11, "sick_pls": 25.0, "odometry": 100.0}
+FLOOR = "floor/"  # what its topics begin with
+
+
+class Listener:
+    """Counts what comes on topics; of others, of odometry, it notes how old each message is."""
+
+    def __init__(self, topics: tuple[str, ...], odometry: tuple[str, ...] = ()) -> None:
+        self.received: Counter[str] = Counter()
+        self.ages_ms: dict[str, list[float]] = {topic: [] for topic in odometry}
+        self._node = rclpy.create_node("bench")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        for topic in topics:
+            name = topic.removeprefix(FLOOR)
+            callback = self._counting(topic)
+            self._node.create_subscription(topic_class(name), topic, callback, wanted(name), raw=True)
+        for topic in odometry:
+            note = self._noting(self.ages_ms[topic])
+            self._node.create_subscription(topic_class("odometry"), topic, note, wanted("odometry"))
+
+    def listen(self, seconds: float) -> None:
+        """Handle what comes."""
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def forget(self) -> None:
+        """Count from zero."""
+        self.received.clear()
+        for ages in self.ages_ms.values():
+            ages.clear()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def _counting(self, topic: str) -> Callable[[bytes], None]:
+        def count(_: bytes) -> None:
+            self.received[topic] += 1
+
+        return count
+
+    def _noting(self, ages_ms: list[float]) -> Callable[[Any], None]:
+        def note(message: Any) -> None:
+            stamp = message.header.stamp
+            ages_ms.append((time.time_ns() - stamp.sec * 1_000_000_000 - stamp.nanosec) * 1e-6)
+
+        return note
+
+
+def messages_of(name: str) -> dict[str, Any]:
+    """Topic → message of a driver, as large as in truth."""
+    if name == "can_driver":
+        sprockets, hydraulics = (
+            SprocketSample(0, 1.0, 1.0, 1.0, 1.0),
+            HydraulicsSample(0, 1.0, 1.0, 1.0, 1.0, 1.0),
+        )
+        return {
+            "sprockets": conversions.joint_state(make, sprockets, "base_link"),
+            "hydraulics": conversions.track_hydraulics(make, hydraulics, "base_link"),
+        }
+    if name == "watson_imu":
+        sample = ImuSample(0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), over_range=False)
+        return {
+            "imu/data_raw": conversions.imu(make, sample, "imu_link", 0.1, 0.1),
+            "imu/mag": conversions.magnetic_field(make, sample, "imu_link", 0.1),
+        }
+    if name == "sick_pls":
+        scan = ScanSample(0, -1.57, 0.0087, 0.0, 0.04, 0.0, 50.0, np.linspace(2.0, 40.0, 361))
+        return {"scan": conversions.laser_scan(make, scan, "laser")}
+    return {"odometry": make("nav_msgs/msg/Odometry")}
+
+
+def floor(name: str) -> None:
+    """Publish until interrupted."""
+    rclpy.init()
+    node = rclpy.create_node(f"floor_{name}")
+    outputs = [
+        (node.create_publisher(type(message), FLOOR + topic, offered(topic)), message)
+        for topic, message in messages_of(name).items()
+    ]
+
+    def publish() -> None:
+        due_s = time.monotonic()
+        while True:
+            for publisher, message in outputs:
+                if name == "odometry":
+                    message.header.stamp = node.get_clock().now().to_msg()
+                publisher.publish(message)
+            due_s += 1.0 / RATES[name]
+            time.sleep(max(due_s - time.monotonic(), 0.0))
+
+    threading.Thread(target=publish, daemon=True).start()
+    rclpy.spin(node)
+
+
+if __name__ == "__main__":
+    try:
+        floor(sys.argv[1])
+    except KeyboardInterrupt:
+        sys.exit(130)

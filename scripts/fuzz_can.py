@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fuzz target on the CAN bus: any frame, with a good checksum or not."""
+
+import math
+from collections.abc import Callable
+
+from fuzz_script import pieces, script
+from trackslip_common.config_files import config_file, node_defaults
+from trackslip_common.parameters import from_flat
+from trackslip_common.tally import Tally
+from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers.protocols.can_frames import (
+    ENCODERS,
+    PRESSURES,
+    SPOOLS,
+    Frame,
+    FrameDecoder,
+    FrameSet,
+    crc8_j1850,
+)
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan
+from trackslip_drivers.records import SprocketSample
+
+Target = tuple[Callable[[bytes], None], list[bytes]]
+
+NAMES = (ENCODERS, SPOOLS, PRESSURES)
+SEALED = 4  # flag of a piece: its checksum is made good; the two bits below choose the frame
+
+
+def can_frames() -> Target:
+    """Decoder and pairing; a silence of any length may precede each frame."""
+    p = from_flat(CanDriverParameters, node_defaults("can_driver", "can_driver.yaml"), "can_driver")
+    frames = FrameSet(config_file(p.dbc_file))
+    ids = [frames.by_name[name].frame_id for name in NAMES]
+    good = [frames.encode(ENCODERS, {"left_count": 7, "right_count": 8}, alive) for alive in (0, 1)]
+
+    def one_input(data: bytes) -> None:
+        decoder = FrameDecoder(frames, Tally())
+        can = ExcavatorCan(p, frames, Tally())
+        now_ns = 0
+        for kind, content in pieces(data):
+            silence, payload = content[:2], content[2:]
+            now_ns += 1_000_000 * int.from_bytes(silence, "little")
+            chosen = kind & 3
+            identifier = ids[chosen] if chosen < len(ids) else int.from_bytes(payload[:4], "big")
+            if kind & SEALED and payload:
+                payload = payload[:-1] + bytes([crc8_j1850(identifier.to_bytes(4, "big") + payload[:-1])])
+            decoder.decode(identifier, payload, now_ns)
+            sample = can.receive(identifier, payload, now_ns)
+            if isinstance(sample, SprocketSample):
+                assert math.isfinite(sample.left_velocity), sample
+                assert math.isfinite(sample.right_velocity), sample
+        heard = [decoder.decode(*frame, now_ns + n * frames.cycle_ns) for n, frame in enumerate(good, 1)]
+        assert isinstance(heard[1], Frame), f"second frame refused: {heard[1]}"
+
+    alive = [frames.encode(ENCODERS, {"left_count": 9 * n, "right_count": 9 * n}, n)[1] for n in range(4)]
+    spools = frames.encode(SPOOLS, {"left_spool": 0.5, "right_spool": -0.5}, 3)[1]
+    values = {"left_pressure": 1e6, "right_pressure": 1e6, "supply_pressure": 1e7}
+    pressures = frames.encode(PRESSURES, values, 3)[1]
+    return one_input, [
+        script(*((SEALED, b"\x0a\0" + payload) for payload in alive)),
+        script((1, b"\x01\0" + spools), (2, b"\0\0" + pressures), (3, b"\0\0\x20\0\0\0")),
+    ]
+
+
+TARGETS = {can_frames.__name__: can_frames}

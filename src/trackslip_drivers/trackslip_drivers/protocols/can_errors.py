@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the error frames of a CAN controller say of its bus (classes and bits as in Linux' can/error.h)."""
+
+from enum import Enum
+
+_CONTROLLER = 0x004  # class in the id: details in the second byte
+_BUS_OFF = 0x040
+_RESTARTED = 0x100
+
+
+class BusState(Enum):
+    """How well the controller can take part."""
+
+    ACTIVE = "active"
+    WARNING = "warning: many errors"
+    PASSIVE = "passive: too many errors"
+    OFF = "off"
+
+
+_DETAILS = ((0x30, BusState.PASSIVE), (0x0C, BusState.WARNING), (0x40, BusState.ACTIVE))  # worst first
+
+
+def bus_state(arbitration_id: int, data: bytes) -> BusState | None:
+    """The state that an error frame tells of; None where it tells of none."""
+    if arbitration_id & _BUS_OFF:
+        return BusState.OFF
+    if arbitration_id & _RESTARTED:
+        return BusState.ACTIVE
+    detail = data[1] if arbitration_id & _CONTROLLER and len(data) > 1 else 0
+    return next((state for bits, state in _DETAILS if detail & bits), None)

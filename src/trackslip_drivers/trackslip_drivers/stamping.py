@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From arrivals to stamps that tell when was measured: jitter taken off, no clock trusted blindly, in order.
+
+    r_k, s_k  raw and filtered stamp of reading k: its arrival less all that is known to lie between   ns
+    t_k       true stamp; r_k = t_k + d_k with a delay d_k ≥ 0, for nothing arrives before it is sent   ns
+    n_k       sender's cycles between readings k−1 and k                                                1
+    P, ρ      sender's period on our clock at most P (1 + ρ)                                            ns, 1
+
+    s_k = min(r_k, s_{k−1} + n_k P (1 + ρ))
+
+Never worse than raw: t_k ≤ s_k ≤ r_k by induction, as s_{k−1} ≥ t_{k−1} and n_k P (1 + ρ) ≥ t_k − t_{k−1}.
+One prompt reading so corrects all late ones that follow. Where the sender does not count its cycles, n_k is
+the nearest whole number, which is right while the error of s_{k−1} is below half a period.
+
+Arrivals are on the steady clock, which nobody sets; only the finished stamp is put on the host's clock.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+_LONGEST_GAP = 12  # cycles; beyond, the sender may have restarted, or its 4-bit count have gone round
+
+_JUMP_NS = 20_000_000  # a change of the host's clock that no slewing makes
+_SLEWING = 1e-3  # of the time between looks; ntpd and chronyd stay below
+_OLDEST_NS = 1_000_000_000  # an arrival further back is from before a jump
+
+
+class StampEvent(Enum):
+    """What befell a stamp or the clock."""
+
+    MOVED = "stamp moved to stay in order"
+    CLOCK_JUMPED = "jumped"
+
+
+class PeriodicStamps:
+    """The filter above, for one kind of reading of one sender.
+
+    Args:
+        period_ns: P.
+        tolerance: ρ, of sender and host together.
+        patience: after so many readings in a row that were all later than the model has them, the model is
+            doubted (a longer period, or a sender that restarted), and the next raw stamp is believed.
+    """
+
+    def __init__(self, period_ns: float, tolerance: float, patience: int) -> None:
+        self._period_ns = period_ns
+        self._step_ns = period_ns * (1.0 + tolerance)
+        self._patience = patience
+        self._last_ns: float | None = None
+        self._late = 0
+
+    def filter(self, raw_ns: int, cycles: int | None = None) -> int:
+        """The stamp of one reading; ``cycles`` n_k, 0 if unknown as after a start, None: not counted."""
+        if self._last_ns is None or self._late >= self._patience:
+            return self._believe(raw_ns)
+        if cycles is None:
+            cycles = max(1, round((raw_ns - self._last_ns) / self._period_ns))
+        if not 0 < cycles <= _LONGEST_GAP:
+            return self._believe(raw_ns)
+        modelled_ns = self._last_ns + cycles * self._step_ns
+        if raw_ns <= modelled_ns:
+            return self._believe(raw_ns)
+        self._late += 1
+        self._last_ns = modelled_ns
+        return round(modelled_ns)
+
+    def restart(self) -> None:
+        """Forget: what comes next is not known to continue what was."""
+        self._last_ns = None
+
+    def _believe(self, raw_ns: int) -> int:
+        self._last_ns = raw_ns
+        self._late = 0
+        return raw_ns
+
+
+@dataclass
+class HostTime:
+    """The host's clock against the steady one. It may be set while we run.
+
+    A step forward is followed. A step backward is not: stamps stay ahead of the host's clock by ``lead_ns``,
+    until it has been set forward again or the driver is activated anew. Slewing is followed.
+    """
+
+    offset_ns: int  # host's clock less steady clock, at the last look
+    looked_ns: int  # steady time of that look
+    lead_ns: int = 0
+    jumps: int = 0
+
+    def look(self, host_ns: int, steady_ns: int) -> bool:
+        """Both clocks, read at the same moment; whether the host's has jumped since the last look."""
+        change_ns = host_ns - steady_ns - self.offset_ns
+        jumped = abs(change_ns) > _JUMP_NS + _SLEWING * (steady_ns - self.looked_ns)
+        self.offset_ns += change_ns
+        self.looked_ns = steady_ns
+        if jumped:
+            self.jumps += 1
+            self.lead_ns = max(0, self.lead_ns - change_ns)
+        return jumped
+
+    def steady(self, host_ns: int) -> int:
+        """Steady time of an arrival that was stamped by the host's clock shortly before the last look."""
+        steady_ns = min(host_ns - self.offset_ns, self.looked_ns)
+        return steady_ns if self.looked_ns - steady_ns < _OLDEST_NS else self.looked_ns
+
+    def stamp(self, steady_ns: int) -> int:
+        """What to write into a message."""
+        return steady_ns + self.offset_ns + self.lead_ns
+
+
+class InOrder:
+    """Stamps of one topic never repeat and never go back."""
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+
+    def next(self, stamp_ns: int) -> int:
+        """The stamp, or the earliest that keeps the order."""
+        if self._last_ns is not None:
+            stamp_ns = max(stamp_ns, self._last_ns + 1)
+        self._last_ns = stamp_ns
+        return stamp_ns

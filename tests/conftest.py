@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests share: repeatable hypothesis, the folder of real data, and a small kinematic truth."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from numpy.typing import NDArray
+
+from trackslip_estimation.measurements import Measurement, PoseFix, Sprockets, YawRate
+
+FloatArray = NDArray[np.float64]
+Segment = tuple[float, float, float, float, float, float]  # s; ω_L, ω_R rad/s; i_L, i_R; α rad
+
+ROOT = Path(__file__).parents[1]
+RADIUS, TREAD = 0.159, 0.73  # m, those of config/pc05.yaml
+MS = 1_000_000
+
+settings.register_profile("trackslip", derandomize=True, deadline=None, max_examples=100)
+settings.load_profile("trackslip")
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real logs; a test that asks for it is skipped where it is absent."""
+    folder = Path(os.environ.get("TRACKSLIP_SHARED", ROOT.parent / "shared")) / "data"
+    if not folder.is_dir():
+        pytest.skip(f"no real data in {folder}")
+    return folder
+
+
+@dataclass
+class Drive:
+    """Measurements in the order of their stamps, and the truth behind them."""
+
+    measurements: list[Measurement] = field(default_factory=list)
+    truth: dict[int, FloatArray] = field(default_factory=dict)  # stamp → x y φ i_L i_R α b_g
+
+
+@pytest.fixture(scope="session")
+def drive() -> Callable[..., Drive]:
+    """A function that drives (3.17)–(3.20) exactly: constant twist over each sprocket sample."""
+    return _drive
+
+
+def _drive(
+    segments: Sequence[Segment],
+    *,
+    seed: int = 0,
+    step_ms: int = 20,
+    gyro_every: int = 5,
+    fix_every: int = 10,
+    slip_walk: float = 0.0,  # 1/√s, on top of the slips of the segments
+    encoder: float = 0.0,  # √s
+    gyro_bias: float = 0.0,
+    gyro_sigma: float = 0.005,
+    fix_sigma: tuple[float, float, float] = (0.03, 0.03, 0.02),
+    positions: bool = True,
+) -> Drive:
+    rng = np.random.default_rng(seed)
+    dt = step_ms * 1e-3
+    rows = [row for row in segments for _ in range(round(row[0] / dt))]
+    drive, pose = Drive(), np.zeros(3)
+    wander, turned, rate = np.zeros(2), np.zeros(2), 0.0
+    covariance = np.diag(np.square(fix_sigma))
+    for k, (_, left, right, *slips) in enumerate([rows[0], *rows]):
+        stamp_ns, speeds = k * step_ms * MS, np.array((left, right))
+        i = np.array(slips[:2]) + wander
+        if k > 0:
+            v_left, v_right = RADIUS * speeds * (1.0 - i)
+            v_x, rate = (v_left + v_right) / 2.0, (v_right - v_left) / TREAD
+            c, s = np.cos(pose[2] + rate * dt / 2.0), np.sin(pose[2] + rate * dt / 2.0)
+            chord = v_x * dt * np.sinc(rate * dt / 2.0 / np.pi)
+            tan = np.tan(slips[2])
+            pose = pose + np.array((chord * (c - s * tan), chord * (s + c * tan), rate * dt))
+            wander = wander + rng.normal(0.0, slip_walk, 2) * np.sqrt(dt)
+            speeds = speeds * (1.0 + encoder * rng.normal(size=2) / np.sqrt(dt))
+            turned = turned + speeds * dt
+        drive.truth[stamp_ns] = np.concatenate((pose, i, (slips[2], gyro_bias)))
+        angles = (float(turned[0]), float(turned[1])) if positions else None
+        drive.measurements.append(Sprockets("sprockets", stamp_ns, *map(float, speeds), angles))
+        if k % gyro_every == 0 and k > 0:
+            reading = float(rate + gyro_bias + rng.normal(0.0, gyro_sigma))
+            drive.measurements.append(YawRate("imu/data_raw", stamp_ns, reading, gyro_sigma**2))
+        if k % fix_every == 0:
+            fix = pose + rng.normal(0.0, fix_sigma)
+            drive.measurements.append(PoseFix("box_pose", stamp_ns, fix, covariance))
+    return drive

@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes, and a ROS node to watch them with, in a domain of their own; all waits are on conditions."""
+
+import fcntl
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from trackslip_common.nodes.messages import topic_class
+from trackslip_common.nodes.qos import offered, wanted
+
+INSTALL = Path(__file__).resolve().parents[2] / "ros2_ws" / "install"
+PACKAGE_OF = {
+    **dict.fromkeys(("can_driver", "watson_imu", "sick_pls"), "trackslip_drivers"),
+    **dict.fromkeys(("box_localizer", "slip_estimator", "record", "trackslip"), "trackslip_estimation"),
+    "emulator": "trackslip_sim",
+}
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+}
+DEADLINE = 60.0  # s, for what takes one or two on an idle machine
+_POLL = 0.005  # s
+_MARK = "TRACKSLIP_TEST"  # variable in the environment of all that a test starts, directly or not
+_DOMAINS = range(1, 102)
+_ANSWER = 10.0  # s after which a service is asked again
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+class Program:
+    """One process, leader of its own group, and what it writes."""
+
+    def __init__(self, arguments: list[str], environment: dict[str, str], folder: Path) -> None:
+        self.asked = False  # to end
+        self._out, self._err = (folder / f"{uuid.uuid4().hex}.{name}" for name in ("out", "err"))
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            self.process = subprocess.Popen(
+                arguments,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                cwd=folder,
+                env=environment,
+                start_new_session=True,
+            )
+
+    @property
+    def stdout(self) -> str:
+        return self._out.read_text(encoding="utf-8")
+
+    @property
+    def stderr(self) -> str:
+        return self._err.read_text(encoding="utf-8")
+
+    def wait(self, deadline: float = DEADLINE) -> int:
+        """Exit code."""
+        self.asked = True
+        return self.process.wait(deadline)
+
+    def end(self, number: int = signal.SIGINT) -> tuple[int, float]:
+        """Signal it; exit code, and how long it took to end."""
+        self.asked = True
+        began = time.monotonic()
+        self.process.send_signal(number)
+        return self.wait(), time.monotonic() - began
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        """Wait while it runs."""
+        give_up = time.monotonic() + DEADLINE
+        while not condition():
+            ended = (
+                f"ended with {self.process.returncode}: {self.stderr}"
+                if self.process.poll() is not None
+                else ""
+            )
+            if ended or time.monotonic() > give_up:
+                pytest.fail(f"waited for {what}; {ended or self.stdout}")
+            time.sleep(_POLL)
+
+    def has_loaded(self, library: str) -> bool:
+        """Whether a file whose path has this in it is mapped into the process."""
+        try:
+            return library in Path(f"/proc/{self.process.pid}/maps").read_text(encoding="utf-8")
+        except OSError:
+            return False
+
+
+class Programs:
+    """Starts programs in the test's domain, and leaves none behind."""
+
+    def __init__(self, domain: int, folder: Path) -> None:
+        self.folder = folder
+        self._started: list[Program] = []
+        self._mark = uuid.uuid4().hex
+        self.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), _MARK: self._mark}
+
+    def node(self, executable: str, *arguments: str, **parameters: Any) -> Program:
+        """An executable of ours with ROS parameters; ``vehicle__tread`` is ``vehicle.tread``."""
+        given = list(arguments)
+        for name, value in parameters.items():
+            text = yaml.safe_dump(value, default_flow_style=True).splitlines()[0]
+            given += ["-p", f"{name.replace('__', '.')}:={text}"]
+        return self.tool(executable, *(["--ros-args", *given] if given else []))
+
+    def tool(self, executable: str, *arguments: str) -> Program:
+        """An executable of ours with these arguments."""
+        package = PACKAGE_OF[executable]
+        return self.start(str(INSTALL / package / "lib" / package / executable), *arguments)
+
+    def python(self, *arguments: str) -> Program:
+        """Python with these arguments."""
+        return self.start(sys.executable, *arguments)
+
+    def start(self, *arguments: str) -> Program:
+        """Any command."""
+        self._started.append(Program(list(arguments), self.environment, self.folder))
+        return self._started[-1]
+
+    def surprise(self) -> str:
+        """What a program that ended unasked said; empty where all run."""
+        ended = [p for p in self._started if not p.asked and p.process.poll() is not None]
+        return "".join(f"{p.process.args} ended with {p.process.returncode}: {p.stderr}" for p in ended)
+
+    def alive(self) -> dict[int, str]:
+        """Command lines, by pid, of all that descends from what this test started."""
+        found = {}
+        for process in Path("/proc").glob("[0-9]*"):
+            try:
+                if f"{_MARK}={self._mark}".encode() in (process / "environ").read_bytes().split(b"\0"):
+                    command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+                    found[int(process.name)] = command
+            except OSError:
+                continue  # ended meanwhile, or not ours
+        return found
+
+    def kill_all(self) -> None:
+        """Whatever is left."""
+        give_up = time.monotonic() + DEADLINE
+        while (left := self.alive()) and time.monotonic() < give_up:
+            for pid in left:
+                try:
+                    os.kill(pid, signal.SIGKILL)
+                except ProcessLookupError:
+                    continue
+            time.sleep(_POLL)
+
+
+class Observer:
+    """A node in this process; its messages are handled while ``wait`` waits."""
+
+    def __init__(self, domain: int, programs: Programs) -> None:
+        self._programs = programs
+        self._context = Context()
+        rclpy.init(
+            args=[], context=self._context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
+        )
+        self.node = rclpy.create_node("observer", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def wait(self, condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> None:
+        """Handle messages until the condition holds; all programs must run meanwhile."""
+        give_up = time.monotonic() + deadline
+        while not condition():
+            surprise = self._programs.surprise()
+            if surprise or time.monotonic() > give_up:
+                pytest.fail(f"waited for {what}; {surprise or 'too long'}")
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def listen(self, topic: str) -> list[Any]:
+        """The list that the topic's messages will be in."""
+        heard: list[Any] = []
+        self.node.create_subscription(topic_class(topic), topic, heard.append, wanted(topic))
+        return heard
+
+    def healths(self) -> list[Any]:
+        """The list that all entries of /diagnostics will be in."""
+        heard: list[Any] = []
+        self.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda message: heard.extend(message.status), 100
+        )
+        return heard
+
+    def publisher(self, topic: str, as_topic: str | None = None) -> Any:
+        """A publisher of a project topic, or of another one of the same kind."""
+        kind = as_topic or topic
+        return self.node.create_publisher(topic_class(kind), topic, offered(kind))
+
+    def wait_for_ends(self, topic: str, *nodes: str) -> None:
+        """Until these nodes publish the topic or subscribe to it."""
+        name = self.node.resolve_topic_name(topic)
+
+        def all_there() -> bool:
+            infos = self.node.get_publishers_info_by_topic(name)
+            infos += self.node.get_subscriptions_info_by_topic(name)
+            return set(nodes) <= {info.node_name for info in infos}
+
+        self.wait(all_there, f"{nodes} on {topic}")
+
+    def state(self, node: str) -> str:
+        """Label of a node's lifecycle state."""
+        label: str = self._ask(GetState, f"{node}/get_state", GetState.Request()).current_state.label
+        return label
+
+    def change(self, node: str, transition: str) -> bool:
+        """Ask for a transition; whether it succeeded."""
+        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
+        return bool(self._ask(ChangeState, f"{node}/change_state", request).success)
+
+    def _ask(self, service: Any, name: str, request: Any) -> Any:
+        client = self.node.create_client(service, name)
+        try:
+            self.wait(client.service_is_ready, f"service {name}")
+            answer = client.call_async(request)
+            self.wait(answer.done, f"an answer of {name}")
+            return answer.result()
+        finally:
+            self.node.destroy_client(client)
+
+
+@pytest.fixture(autouse=True)
+def turn(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Those of the group ``graph`` load both processors: they take turns, whatever worker they are on."""
+    if request.node.get_closest_marker("xdist_group") is None:
+        yield
+        return
+    with (Path(tempfile.gettempdir()) / "trackslip_test_turn.lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """A domain that no other test and no running graph uses: locked among tests, its first DDS port free."""
+    with ExitStack() as locks:
+        for offset in range(len(_DOMAINS)):
+            number = _DOMAINS[(os.getpid() * 31 + time.monotonic_ns() + offset) % len(_DOMAINS)]
+            path = Path(tempfile.gettempdir()) / f"trackslip_test_domain_{number}.lock"
+            lock = locks.enter_context(path.open("a"))
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            if _is_silent(number):
+                yield number
+                return
+        pytest.fail("no ROS domain is free")
+
+
+def _is_silent(domain: int) -> bool:
+    """Whether no participant has the unicast port of the domain's first one (DDSI-RTPS 9.6.2)."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", 7400 + 250 * domain + 10))
+        except OSError:
+            return False
+    return True
+
+
+@pytest.fixture
+def programs(domain: int, tmp_path: Path) -> Iterator[Programs]:
+    """To start processes; what is left of them at the end is killed."""
+    these = Programs(domain, tmp_path)
+    yield these
+    these.kill_all()
+
+
+@pytest.fixture
+def observer(domain: int, programs: Programs) -> Iterator[Observer]:
+    """To watch and to ask them."""
+    this = Observer(domain, programs)
+    yield this
+    this.close()
+
+
+@pytest.fixture
+def udp_port() -> int:
+    """One that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demo as a user runs it: what it writes, what it refuses, and how it ends when it is made to."""
+
+import json
+import os
+import signal
+
+import pytest
+from matplotlib.image import imread
+from rosbags.highlevel import AnyReader
+
+from trackslip_common.topics import SENSOR_TOPICS
+from trackslip_estimation.bags.reader import open_bag
+from trackslip_sim.graph import DemoOptions, demo_nodes
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+SUMMARY = {"position_rmse", "dead_reckoning_rmse", "heading_rmse", "slip_rmse", "topics", "replay_matches"}
+BAR = 3.0  # s from Ctrl-C to the end
+SLACK = 2.0  # on a busy machine
+NODES = 7
+
+
+def demo(programs, *arguments):
+    return programs.python("-m", "trackslip_sim.demo.main", "--output", "demo", *arguments)
+
+
+def wait_for_drive(observer):
+    """Until the machine's sensors are heard."""
+    sprockets = observer.listen("sprockets")
+    observer.wait(lambda: len(sprockets) > 100, "the drive")
+
+
+def ends_at_once(programs, program, number=signal.SIGINT):
+    """Quietly, with everything that it started."""
+    code, seconds = program.end(number)
+    assert code == 130
+    assert seconds < BAR * SLACK
+    assert "Traceback" not in program.stderr
+    assert set(program.stderr.splitlines()) <= {"interrupted"}
+    assert programs.alive() == {}
+
+
+def test_demo_leaves_numbers_picture_and_bag(programs):
+    program = demo(programs, "--duration", "5")
+    assert program.wait(150.0) == 0, program.stdout + program.stderr
+    folder = programs.folder / "demo"
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert summary.keys() == SUMMARY
+    assert summary["replay_matches"] is True
+    assert 0.0 < summary["position_rmse"] <= 0.15
+    assert summary["topics"].keys() == set(SENSOR_TOPICS)
+    with AnyReader([folder / "bag"]) as reader:
+        in_bag = {connection.topic: connection.msgcount for connection in reader.connections}
+    for topic, counts in summary["topics"].items():
+        assert counts["recorded"] == in_bag[f"/{topic}"]
+        assert counts["emitted"] >= counts["received"] >= 0.99 * counts["emitted"] > 0
+    height, width, _ = imread(folder / "demo.png").shape
+    assert min(height, width) > 200
+    assert str(folder / "demo.png") in program.stdout or "demo/demo.png" in program.stdout
+    assert programs.alive() == {}
+    assert not (folder / "dev").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--soil", "cheese"], ["'cheese'", "sandy_loam"]),
+        (["--duration", "soon"], ["'soon'", "1 to 3600"]),
+        (["--duration", "-5"], ["'-5'", "1 to 3600"]),
+        (["--duration", "nan"], ["'nan'", "1 to 3600"]),
+        (["--scenario", "moon"], ["'moon'", "slalom"]),
+    ],
+    ids=" ".join,
+)
+def test_demo_refuses(programs, arguments, words):
+    program = demo(programs, *arguments)
+    assert program.wait() == 2
+    (line,) = program.stderr.splitlines()
+    assert [word for word in words if word not in line] == []
+    assert not (programs.folder / "demo").exists()
+
+
+def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
+    program = demo(programs, "--duration", "60")
+    wait_for_drive(observer)
+    assert len(programs.alive()) == 1 + NODES
+    ends_at_once(programs, program)
+    with open_bag(programs.folder / "demo" / "bag") as bag:
+        assert not bag.damage
+        assert bag.topics["/sprockets"].count > 100
+        assert sum(1 for _ in bag.messages()) == bag.message_count
+    assert not (programs.folder / "demo" / "dev").exists()
+
+
+def test_ctrl_c_twice(programs, observer):
+    """An impatient user changes nothing."""
+    program = demo(programs, "--duration", "60")
+    wait_for_drive(observer)
+    program.process.send_signal(signal.SIGINT)
+    ends_at_once(programs, program)
+    with open_bag(programs.folder / "demo" / "bag") as bag:
+        assert not bag.damage
+
+
+@pytest.mark.parametrize("library", ["multiarray", "matplotlib", "_rclpy_pybind11"])
+def test_ctrl_c_while_the_demo_loads(programs, library):
+    program = demo(programs)
+    program.until(lambda: program.has_loaded(library), f"the demo to load {library}")
+    ends_at_once(programs, program)
+
+
+@pytest.mark.parametrize("log", ["emulator.log", "record.log"])
+def test_ctrl_c_before_the_nodes_are_up(programs, log):
+    program = demo(programs)
+    program.until((programs.folder / "demo" / log).exists, f"{log} to be there")
+    ends_at_once(programs, program)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
+def test_demo_that_is_killed_leaves_no_orphan(programs, observer, number):
+    program = demo(programs, "--duration", "60")
+    wait_for_drive(observer)
+    program.end(number)
+    observer.wait(lambda: not programs.alive(), "the nodes to notice")
+    with open_bag(programs.folder / "demo" / "bag") as bag:
+        assert not bag.damage
+        assert bag.topics["/sprockets"].count > 0
+
+
+def test_node_that_dies_ends_the_demo(programs, observer):
+    program = demo(programs, "--duration", "60")
+    wait_for_drive(observer)
+    (victim,) = [pid for pid, command in programs.alive().items() if "watson_imu" in command]
+    os.kill(victim, signal.SIGKILL)
+    assert program.wait() == 1
+    (line,) = program.stderr.splitlines()
+    assert "watson_imu" in line
+    assert programs.alive() == {}
+
+
+def test_demo_starts_as_many_nodes_as_these_tests_expect(tmp_path):
+    options = DemoOptions(
+        devices=tmp_path, bag=tmp_path, can_port=1, duration=1.0, soil="", scenario="", autostart=False
+    )
+    assert len(demo_nodes(options)) == NODES

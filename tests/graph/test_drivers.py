@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each driver's executable against an emulated device: bytes in, messages of the right kind out."""
+
+import itertools
+import math
+import threading
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+
+from trackslip_common.config_files import config_file, node_defaults
+from trackslip_common.parameters import from_flat
+from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers.protocols.can_frames import FrameSet
+from trackslip_drivers.protocols.watson import BITS_PER_CHAR, Layout
+from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
+from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_drivers.transports.can_bus import CanBus
+from trackslip_drivers.watson_parameters import WatsonParameters
+from trackslip_sim.devices.can_device import CanDevice
+from trackslip_sim.devices.line import BaudLine
+from trackslip_sim.devices.pty_port import PtyPort
+from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
+from trackslip_sim.devices.watson_device import INITIALISATION_NS, WatsonDevice
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+MULTICAST = "239.74.163.2"
+G = 9.80665
+SPEED = (1.5, -0.5)  # rad/s of the sprockets
+RATE = -0.25  # rad/s about z
+FIELD = (2.5e-5, 0.0, -5.1e-5)  # T
+STEP = 0.002  # s
+
+
+class Powered:
+    """A device that lives in a thread of its own, plugged in and out at will."""
+
+    def __init__(self, plug_in):
+        self._plug_in = plug_in
+        self.unplug_it = None
+
+    def plug(self):
+        self._stop = threading.Event()
+        step, self.unplug_it = self._plug_in()
+        self._thread = threading.Thread(target=self._live, args=(step,))
+        self._thread.start()
+
+    def unplug(self):
+        if self.unplug_it is not None:
+            self._stop.set()
+            self._thread.join()
+            self.unplug_it()
+            self.unplug_it = None
+
+    def _live(self, step):
+        while not self._stop.wait(STEP):
+            step(time.time_ns())
+
+
+def defaults(cls, node):
+    return from_flat(cls, node_defaults(node, f"{node}.yaml"), node)
+
+
+def plug_watson(path):
+    p = defaults(WatsonParameters, "watson_imu")
+    line = BaudLine(p.serial_baud, BITS_PER_CHAR)
+    layout = Layout(p.channels, p.formats, p.full_scales)
+    begin_ns = time.time_ns() - INITIALISATION_NS  # it was switched on some time ago
+    device = WatsonDevice(layout, line, at_rest, True, begin_ns)
+    port = PtyPort(path)
+
+    def step(now_ns):
+        device.receive(port.read(), now_ns)
+        port.write(device.step(now_ns))
+
+    return step, port.close
+
+
+def at_rest(stamp_ns):
+    return ImuSample(stamp_ns, (0.0, 0.0, G), (0.0, 0.0, RATE), FIELD, False)
+
+
+def plug_sick(path):
+    start = SickDeviceParameters(boot_delay=0.2, power_on_baud=9600)
+    device = SickDevice(defaults(SickParameters, "sick_pls"), start, yard, time.time_ns())
+    port = PtyPort(path)
+
+    def step(now_ns):
+        device.receive(port.read(), now_ns, port.baud)
+        sent = device.step(now_ns)
+        if port.baud == device.baud:
+            port.write(sent)
+
+    return step, port.close
+
+
+def yard(stamp_ns):
+    """(361,) m: stairs, and nothing to see at the end."""
+    ranges = 2.0 + 0.02 * np.arange(361)
+    ranges[340:] = np.inf
+    return ranges
+
+
+def plug_can(port):
+    p = defaults(CanDriverParameters, "can_driver")
+    begin_ns = time.time_ns()
+
+    def sprockets(stamp_ns):
+        t = (stamp_ns - begin_ns) * 1e-9
+        return SprocketSample(stamp_ns, SPEED[0] * t, SPEED[1] * t, *SPEED)
+
+    def hydraulics(stamp_ns):
+        return HydraulicsSample(stamp_ns, 4.0e6, -2.0e6, 0.5, -0.25, 18.0e6)
+
+    device = CanDevice(FrameSet(config_file(p.dbc_file)), p.belt_ratio, sprockets, hydraulics, begin_ns)
+    bus = CanBus("udp_multicast", MULTICAST, port)
+
+    def step(now_ns):
+        for frame in device.step(now_ns):
+            bus.write(frame)
+
+    return step, bus.close
+
+
+@pytest.fixture
+def device():
+    """A function that makes a device; at the end it is unplugged."""
+    made = []
+
+    def make(plug_in, *arguments):
+        made.append(Powered(partial(plug_in, *arguments)))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.unplug()
+
+
+@pytest.fixture
+def bench(programs, device, udp_port):
+    """By the driver's name: its device, its parameters, its topics."""
+    serial = str(programs.folder / "tty")
+    can = {"can_interface": "udp_multicast", "can_channel": MULTICAST, "can_port": udp_port}
+    return {
+        "watson_imu": (partial(device, plug_watson, programs.folder / "tty"), {"serial_port": serial}),
+        "sick_pls": (partial(device, plug_sick, programs.folder / "tty"), {"serial_port": serial}),
+        "can_driver": (partial(device, plug_can, udp_port), can),
+    }
+
+
+TOPIC = {"watson_imu": "imu/data_raw", "sick_pls": "scan", "can_driver": "sprockets"}
+
+
+def stamps_ns(messages):
+    return [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for m in messages]
+
+
+def are_stamped(messages, began_ns):
+    """Strictly rising, between the begin of the test and now."""
+    stamps = stamps_ns(messages)
+    assert all(a < b for a, b in itertools.pairwise(stamps))
+    assert began_ns - 500_000_000 < stamps[0]
+    assert stamps[-1] <= time.time_ns()
+
+
+def is_healthy(healths, node):
+    """The last of its entries is OK and tells a rate."""
+    mine = [status for status in healths if status.name == node]
+    if not mine or mine[-1].level != b"\0":
+        return False
+    values = {pair.key: pair.value for pair in mine[-1].values}
+    return float(values["rate (Hz)"]) > 0.0 and values["reconnects"] == "0"
+
+
+def run(bench, programs, observer, node, count):
+    """Plug the device in, start its driver, and wait for messages and good health."""
+    make, parameters = bench[node]
+    began_ns = time.time_ns()
+    make().plug()
+    messages, healths = observer.listen(TOPIC[node]), observer.healths()
+    program = programs.node(node, **parameters)
+    observer.wait(lambda: len(messages) >= count, f"{count} messages of {node}: {program.stderr}")
+    observer.wait(lambda: is_healthy(healths, node), f"good health of {node}")
+    are_stamped(messages, began_ns)
+    code, _ = program.end()
+    assert (code, program.stderr) == (130, "")
+    return messages
+
+
+def test_watson(bench, programs, observer):
+    fields = observer.listen("imu/mag")
+    for message in run(bench, programs, observer, "watson_imu", 20):
+        assert message.header.frame_id == "imu_link"
+        assert message.orientation_covariance[0] == -1.0
+        acceleration, rate = message.linear_acceleration, message.angular_velocity
+        assert (acceleration.x, acceleration.y) == (0.0, 0.0)
+        assert acceleration.z == pytest.approx(G, abs=0.01)  # z up: at rest it reads +g
+        assert rate.z == pytest.approx(RATE, abs=math.radians(0.01))
+        for covariance in (message.linear_acceleration_covariance, message.angular_velocity_covariance):
+            covariance = np.reshape(covariance, (3, 3))
+            assert np.count_nonzero(covariance) == 3
+            assert (np.diag(covariance) > 0.0).all()
+    assert fields[0].header.frame_id == "imu_link"
+    magnetic = fields[0].magnetic_field
+    assert (magnetic.x, magnetic.y, magnetic.z) == pytest.approx(FIELD, abs=1e-7)
+
+
+def test_sick(bench, programs, observer):
+    for message in run(bench, programs, observer, "sick_pls", 5):
+        assert message.header.frame_id == "laser"
+        assert len(message.ranges) == 361
+        assert message.angle_min == pytest.approx(-math.pi / 2.0)
+        assert message.angle_max == pytest.approx(math.pi / 2.0)
+        assert message.angle_min + 360 * message.angle_increment == pytest.approx(message.angle_max, abs=1e-5)
+        assert message.angle_increment > 0.0  # counter-clockwise
+        assert message.scan_time == pytest.approx(0.04)
+        assert 0.0 < message.time_increment * 361 < message.scan_time
+        ranges = np.array(message.ranges)
+        np.testing.assert_allclose(ranges[:340], yard(0)[:340], atol=0.005)
+        assert np.isposinf(ranges[340:]).all()  # REP-117: nothing within reach
+        inside = ranges[np.isfinite(ranges)]
+        assert ((inside >= message.range_min) & (inside <= message.range_max)).all()
+
+
+def test_can(bench, programs, observer):
+    hydraulics = observer.listen("hydraulics")
+    messages = run(bench, programs, observer, "can_driver", 200)
+    for message in messages:
+        assert message.header.frame_id == "base_link"
+        assert list(message.name) == ["left_sprocket", "right_sprocket"]
+        assert len(message.effort) == 0
+    last = messages[-50:]
+    assert np.mean([m.velocity for m in last], axis=0) == pytest.approx(SPEED, abs=0.02)
+    turned = np.subtract(last[-1].position, last[0].position)
+    seconds = (stamps_ns(last)[-1] - stamps_ns(last)[0]) * 1e-9
+    assert turned / seconds == pytest.approx(SPEED, abs=0.1)
+    for message in hydraulics:
+        assert message.header.frame_id == "base_link"
+        assert (message.left_pressure, message.right_pressure) == pytest.approx((4.0e6, -2.0e6), rel=0.01)
+        assert (message.left_spool, message.right_spool) == pytest.approx((0.5, -0.25), abs=0.01)
+        assert message.supply_pressure == pytest.approx(18.0e6, rel=0.01)
+    are_stamped(hydraulics, stamps_ns(messages)[0])
+
+
+@pytest.mark.parametrize("node", TOPIC)
+def test_device_that_vanishes_is_found_again(bench, programs, observer, node):
+    make, parameters = bench[node]
+    powered = make()
+    messages, healths = observer.listen(TOPIC[node]), observer.healths()
+    program = programs.node(node, **parameters)  # before there is a device
+    observer.wait(lambda: any(h.name == node for h in healths), f"{node} to say how it is")
+    powered.plug()
+    observer.wait(lambda: messages, f"{node} to find its device")
+    powered.unplug()
+    healths.clear()
+    observer.wait(lambda: any(knows(h) for h in healths if h.name == node), f"{node} to complain")
+    messages.clear()
+    powered.plug()
+    observer.wait(lambda: messages, f"{node} to find its device again")
+    assert program.process.poll() is None
+    observer.wait(lambda: any(reconnects(h) > 0 for h in healths if h.name == node), "a count of reconnects")
+    code, _ = program.end()
+    assert (code, program.stderr) == (130, "")
+
+
+def knows(status):
+    """Whether the device is known to be gone; a bus that fell silent was opened anew."""
+    return status.level == b"\x02" or reconnects(status) > 0
+
+
+def reconnects(status):
+    return int({pair.key: pair.value for pair in status.values}.get("reconnects", 0))
+
+
+@pytest.mark.parametrize("node", TOPIC)
+def test_lifecycle(bench, programs, observer, node):
+    make, parameters = bench[node]
+    make().plug()
+    messages, healths = observer.listen(TOPIC[node]), observer.healths()
+    program = programs.node(node, autostart=False, **parameters)
+    observer.wait(lambda: any(h.name == node for h in healths), f"{node} to say how it is")
+    assert observer.state(node) == "unconfigured"
+    assert not observer.change(node, "activate")
+    assert observer.change(node, "configure")
+    assert observer.state(node) == "inactive"
+    assert not messages
+    for _ in range(2):
+        assert observer.change(node, "activate")
+        assert observer.state(node) == "active"
+        observer.wait(lambda: len(messages) > 2, f"messages of active {node}")
+        assert observer.change(node, "deactivate")
+        assert observer.state(node) == "inactive"
+        healths.clear()
+        observer.wait(lambda: any(h.message == "inactive" for h in healths), f"{node} to rest")
+        messages.clear()  # those that were under way
+        healths.clear()
+        observer.wait(lambda: any(h.message == "inactive" for h in healths), f"{node} to rest on")
+        assert messages == []
+    assert observer.change(node, "cleanup")
+    assert observer.state(node) == "unconfigured"
+    assert observer.node.count_publishers(TOPIC[node]) == 0
+    assert observer.change(node, "configure")
+    assert observer.change(node, "activate")
+    observer.wait(lambda: messages, f"messages of {node} after its cleanup")
+    code, _ = program.end()
+    assert code == 130
+    assert "Traceback" not in program.stderr
+
+
+def test_autostart_ends_in_active(bench, programs, observer):
+    programs.node("watson_imu", **bench["watson_imu"][1])
+    observer.wait(lambda: observer.state("watson_imu") == "active", "watson_imu to be active")

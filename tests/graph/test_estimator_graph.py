@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorder, localizer and estimator live, fed with what they may meet; then the bag gives it all back."""
+
+import json
+import math
+import signal
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rosbags.highlevel import AnyReader
+from sensor_msgs.msg import Imu, JointState, LaserScan
+from trackslip_msgs.msg import MeasurementReport
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.parameters import from_flat
+from trackslip_estimation.bags.parameters import bag_parameters
+from trackslip_estimation.bags.reader import open_bag
+from trackslip_estimation.replay.edits import Edits
+from trackslip_estimation.replay.run import replay
+from trackslip_estimation.slip_parameters import load_slip_parameters
+from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
+from trackslip_sim.scan_model import ANGLE_INCREMENT, ANGLE_MIN, TIME_INCREMENT, SiteScanner
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+MS = 1_000_000
+BEGIN_NS = 1_700_000_000_000 * MS
+SPEED, RADIUS = 1.5, 0.159  # rad/s, m
+DURATION_MS = 6000
+BURST = 40  # messages; the shared memory of a best-effort topic is not for ever
+INPUTS = ("sprockets", "imu/data_raw", "scan", "gnss")
+R = MeasurementReport
+
+
+def stamped(kind, at_ms, frame_id):
+    message = kind()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(BEGIN_NS + at_ms * MS, 1000 * MS)
+    message.header.frame_id = frame_id
+    return message
+
+
+def sprockets(at_ms):
+    message = stamped(JointState, at_ms, "base_link")
+    message.name = ["left_sprocket", "right_sprocket"]
+    message.position = [SPEED * at_ms * 1e-3] * 2
+    message.velocity = [SPEED] * 2
+    return message
+
+
+def imu(at_ms, rate=0.0):
+    message = stamped(Imu, at_ms, "imu_link")
+    message.orientation_covariance[0] = -1.0
+    message.angular_velocity.z = rate
+    message.angular_velocity_covariance = np.diag([1e-5] * 3).flatten()
+    return message
+
+
+def pose(at_ms, y=0.0):
+    message = stamped(PoseWithCovarianceStamped, at_ms, "odom")
+    message.pose.pose.position.x = 0.9 * SPEED * RADIUS * at_ms * 1e-3
+    message.pose.pose.position.y = y
+    message.pose.pose.orientation.w = 1.0
+    message.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
+    return message
+
+
+def scan(at_ms):
+    p = from_flat(EmulatorParameters, node_defaults(NODE, *DEFAULT_FILES), NODE)
+
+    def at_start(times):
+        return np.zeros_like(times), np.zeros_like(times), np.zeros_like(times)
+
+    message = stamped(LaserScan, at_ms, "laser")
+    message.angle_min, message.angle_increment = ANGLE_MIN, ANGLE_INCREMENT
+    message.angle_max = -ANGLE_MIN
+    message.time_increment, message.scan_time = TIME_INCREMENT, 0.04
+    message.range_min, message.range_max = 0.05, 50.0
+    message.ranges = SiteScanner(p.site, p.vehicle, at_ms).scan(at_ms * 1e-3, at_start).tolist()
+    return message
+
+
+def ordinary():
+    """(when it comes, topic, message): sensors each with its delay, poses late by less than the window."""
+    random = np.random.default_rng(3)
+    script = [(0.0, "scan", scan(0))]
+    for at_ms in range(100, DURATION_MS, 10):
+        script.append((at_ms + random.uniform(0.0, 30.0), "sprockets", sprockets(at_ms)))
+        if at_ms % 80 == 0:
+            script.append((at_ms + random.uniform(50.0, 150.0), "imu/data_raw", imu(at_ms + 3)))
+        if at_ms % 250 == 0:
+            script.append((at_ms + random.uniform(100.0, 900.0), "gnss", pose(at_ms + 7)))
+    return sorted(script, key=lambda entry: entry[0])
+
+
+def wrong():
+    """What nobody should send, once the drive is over, and what is to become of it."""
+    twice = sprockets(DURATION_MS + 20)
+    lost = sprockets(DURATION_MS + 30)
+    lost.velocity = [math.nan, SPEED]
+    nowhere = pose(DURATION_MS + 40)
+    nowhere.pose.pose.position.x = math.nan
+    unsure = pose(DURATION_MS + 50)
+    unsure.pose.covariance = np.zeros(36)
+    return [
+        ("sprockets", twice, R.ACCEPTED),
+        ("sprockets", twice, R.DUPLICATE),
+        ("sprockets", lost, R.INVALID),
+        ("imu/data_raw", imu(DURATION_MS + 30, math.inf), R.INVALID),
+        ("gnss", nowhere, R.INVALID),
+        ("gnss", unsure, R.INVALID),
+        ("gnss", pose(1000), R.TOO_LATE),
+        ("sprockets", sprockets(1000 + 5), R.TOO_LATE),
+        ("gnss", pose(DURATION_MS - 1000 + 1), R.ACCEPTED),  # late, but within the window
+        ("gnss", pose(DURATION_MS + 60, y=50.0), R.GATED),
+        ("sprockets", sprockets(DURATION_MS + 70), R.ACCEPTED),
+    ]
+
+
+class Line:
+    """Recorder, localizer and estimator, with this test as their sensors."""
+
+    def __init__(self, programs, observer):
+        self._observer = observer
+        self.folder = programs.folder
+        self._publishers = {
+            "gnss": observer.publisher("gnss", as_topic="box_pose"),
+            **{topic: observer.publisher(topic) for topic in INPUTS if topic != "gnss"},
+        }
+        self.reports = observer.listen("measurement_reports")
+        self.odometry = observer.listen("odometry")
+        sources = ["box_pose", "gnss"]
+        self._recorder = programs.node("record", output="bag", more_topics="/gnss")
+        self._estimators = [
+            programs.node("slip_estimator", pose_sources=sources),
+            programs.node("box_localizer"),
+        ]
+        for topic in INPUTS:
+            observer.wait_for_ends(topic, "record", "box_localizer" if topic == "scan" else "slip_estimator")
+        observer.wait_for_ends("measurement_reports", "slip_estimator", "record")
+        observer.wait_for_ends("box_pose", "box_localizer", "slip_estimator", "record")
+        for topic, publisher in self._publishers.items():
+            ends = 1 if topic == "scan" else 2 - (topic == "gnss")
+            observer.wait(lambda p=publisher, n=ends: p.get_subscription_count() > n - 1, f"ends of {topic}")
+        for node in ("record", "slip_estimator", "box_localizer"):
+            observer.wait(lambda name=node: observer.state(name) == "active", f"{node} to be active")
+
+    def feed(self, script):
+        """Publish in bursts; each burst is reported on before the next one comes."""
+        script = list(script)
+        for k in range(0, len(script), BURST):
+            wanted = len(self.reports)
+            for topic, message in script[k : k + BURST]:
+                self._publishers[topic].publish(message)
+                wanted += 1  # a scan's is that of its pose
+            self._observer.wait(lambda n=wanted: len(self.reports) >= n, f"{wanted} reports")
+
+    def bag(self):
+        """End all, the recorder last but one; the bag's path."""
+        count = len(self.reports)
+        self._observer.wait(lambda: [r.sequence for r in self.reports] == list(range(count)), "all reports")
+        assert self._recorder.end(signal.SIGINT)[0] == 130
+        assert [program.end()[0] for program in self._estimators] == [130, 130]
+        path = self.folder / "bag"
+        with open_bag(path) as bag:
+            recorded = bag.topics["/odometry"].count
+        self._observer.wait(lambda: len(self.odometry) >= recorded, "what the recorder has heard")
+        return path
+
+
+def drive(line):
+    line.feed([("sprockets", sprockets(50))])  # before there is a fix
+    assert line.reports[-1].outcome == R.WAITING
+    script = ordinary()
+    line.feed([script[0][1:]])
+    assert (line.reports[-1].source, line.reports[-1].outcome) == ("box_pose", R.ACCEPTED)
+    line.feed([entry[1:] for entry in script[1:]])
+
+
+def is_given_back(path):
+    """Replay makes the very numbers of the live run."""
+    with open_bag(path) as bag:
+        assert not bag.damage
+        result = replay(bag, load_slip_parameters(bag_parameters(bag)), Edits(), None)
+    assert result.live is not None
+    assert result.live.matches
+    assert result.live.largest_difference == 0.0
+    assert result.live.lost_reports == 0
+    return result
+
+
+def test_every_measurement_is_reported_on_and_given_back(programs, observer):
+    line = Line(programs, observer)
+    drive(line)
+    ordinary_count = len(line.reports)
+    outcomes = [report.outcome for report in line.reports[1:]]
+    assert outcomes.count(R.ACCEPTED) > 0.98 * len(outcomes)
+    for topic, message, outcome in wrong():
+        line.feed([(topic, message)])
+        report = line.reports[-1]
+        assert (report.source, report.outcome) == (topic, outcome)
+        assert report.header.stamp == message.header.stamp
+        assert (report.nis > report.gate) == (outcome == R.GATED)
+    assert len(line.reports) == ordinary_count + len(wrong())
+    stamps = [m.header.stamp.sec * 1000 * MS + m.header.stamp.nanosec for m in line.odometry]
+    assert stamps == sorted(set(stamps))
+    assert np.isfinite([m.pose.pose.position.x for m in line.odometry]).all()
+    path = line.bag()
+    result = is_given_back(path)
+    assert [int(report.outcome) for report, _ in result.steps] == [r.outcome for r in line.reports]
+    with AnyReader([path]) as reader:
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert counts["/measurement_reports"] == len(line.reports)
+        assert counts["/odometry"] == len(line.odometry)
+        assert counts["/gnss"] == sum(r.source == "gnss" for r in line.reports)
+        connection = next(c for c in reader.connections if c.topic == "/odometry")
+        first = next(raw for _, _, raw in reader.messages([connection]))
+        read = reader.deserialize(first, connection.msgtype)
+        assert read.pose.pose.position.x == line.odometry[0].pose.pose.position.x
+
+
+def test_replay_is_exact_under_load_and_out_of_order(programs, observer):
+    """A busy machine, and measurements that come in any order within a second."""
+    line = Line(programs, observer)
+    burners = [programs.python("-c", "while True: pass") for _ in range(3)]
+    line.feed([("scan", scan(0))])
+    script = [entry[1:] for entry in ordinary()[1:]]
+    random = np.random.default_rng(4)
+    for k in range(0, len(script), 100):
+        chunk = script[k : k + 100]
+        line.feed([chunk[i] for i in random.permutation(len(chunk))])
+    for burner in burners:
+        assert burner.end(signal.SIGKILL)[0] == -signal.SIGKILL
+    result = is_given_back(line.bag())
+    assert len(result.steps) == len(script) + 1
+
+
+def test_trackslip_replay_reads_the_bag(programs, observer):
+    line = Line(programs, observer)
+    drive(line)
+    path = line.bag()
+    program = programs.tool("trackslip", "replay", str(path), "--json", "found.json")
+    assert program.wait() == 0, program.stderr
+    found = json.loads((programs.folder / "found.json").read_text(encoding="utf-8"))
+    taken = sum(found["messages"][topic] for topic in ("sprockets", "imu/data_raw", "gnss", "box_pose"))
+    assert taken == len(line.reports)
+    assert found["final"]["x"] == line.odometry[-1].pose.pose.position.x

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The real drivers against the emulator, whose sensors fail on demand: what is wrong shows, and passes."""
+
+import random
+import re
+from pathlib import Path
+
+import pytest
+from std_msgs.msg import String
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+NODE = {"can": "can_driver", "watson": "watson_imu", "sick": "sick_pls"}
+RATE = {"can": 100.0, "watson": 11.85, "sick": 1 / 0.24}  # Hz
+OK, WARN = b"\0", b"\1"
+SERIAL = ("watson", "sick")
+LONG = 1500.0  # s of driving: longer than any test
+
+# What happens at random: kind → (those whom it can befall, value).
+RANDOM_FAULTS = {
+    "power_cycle": (("can", "watson", "sick"), None),
+    "unplug": (("can", "watson", "sick"), None),
+    "lost_bytes": (("can", "watson", "sick"), 0.01),
+    "doubled_bytes": (("can", "watson", "sick"), 0.01),
+    "corrupted_bytes": (("can", "watson", "sick"), 0.01),
+    "wrong_baud": (SERIAL, None),
+    "bus_off": (("can",), None),
+    "lost_frames": (("can",), 0.1),
+    "bursts": (("can", "watson", "sick"), 0.3),
+    "stuck": (("can", "watson", "sick"), None),
+    "noise": (("can", "watson", "sick"), 0.05),
+    "pollution": (("sick",), None),
+    "occlusion": (("sick",), 0.5),
+    "glare": (("sick",), 0.3),
+}
+
+
+class Rig:
+    """Emulator and drivers, watched through what they say of themselves."""
+
+    def __init__(self, programs, observer, udp_port):
+        can = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2", "can_port": udp_port}
+        devices = programs.folder / "devices"
+        drive = {"scenario": "straight", "duration": LONG, "mode": "thesis"}
+        self._observer = observer
+        self._fault = observer.publisher("emulator/fault")
+        self._healths = {}
+        self._count = 0
+        self._all = observer.healths()
+        self.programs = {
+            "emulator": programs.node("emulator", device_directory=str(devices), **drive, **can),
+            "can_driver": programs.node("can_driver", **can),
+            "watson_imu": programs.node("watson_imu", serial_port=str(devices / "watson")),
+            "sick_pls": programs.node("sick_pls", serial_port=str(devices / "sick")),
+        }
+        observer.wait_for_ends("emulator/fault", "emulator")
+        self.wait_until_nominal()
+
+    def wait(self, condition, what):
+        self._observer.wait(condition, what)
+
+    def latest(self, name):
+        """What a node, or a part of it, said last: (level, values)."""
+        for status in self._all:
+            self._healths[status.name] = status
+        self._all.clear()
+        status = self._healths.get(name)
+        return None if status is None else (status.level, {pair.key: pair.value for pair in status.values})
+
+    def value(self, name, key):
+        said = self.latest(name)
+        return None if said is None else said[1].get(key)
+
+    def fault(self, text):
+        self._fault.publish(String(data="{" + text + "}"))
+
+    def complains(self, sensor):
+        """Whether the driver says that no data come."""
+        said = self.latest(NODE[sensor])
+        return said is not None and said[0] not in (OK, WARN)
+
+    def is_nominal(self, sensor):
+        said = self.latest(NODE[sensor])
+        return (
+            said is not None
+            and said[0] == OK
+            and float(said[1]["rate (Hz)"]) == pytest.approx(RATE[sensor], rel=0.3)
+        )
+
+    def wait_until_nominal(self):
+        for sensor in NODE:
+            self.wait(lambda s=sensor: self.is_nominal(s), f"{sensor} to be well")
+
+    def memory(self):
+        """Resident kB of each driver."""
+        return {name: resident(self.programs[name].process.pid) for name in NODE.values()}
+
+
+def resident(pid):
+    return int(re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())[1])
+
+
+@pytest.fixture
+def rig(programs, observer, udp_port):
+    return Rig(programs, observer, udp_port)
+
+
+def test_sensors_fail_and_come_back(rig):
+    for sensor in NODE:
+        rig.fault(f"sensor: {sensor}, kind: unplug, duration: 2.0")
+        rig.wait(lambda s=sensor: rig.complains(s), f"{sensor} to be missed")
+    rig.fault("sensor: sick, kind: pollution, duration: 600.0")
+    rig.wait_until_nominal()
+    rig.wait(lambda: rig.latest("sick_pls: pollution"), "the dirt to be seen")
+    rig.fault("sensor: can, kind: bus_off, duration: 0.5")
+    rig.wait(lambda: rig.complains("can"), "the bus to be missed")
+    rig.fault("sensor: sick, kind: power_cycle, duration: 0.3")
+    rig.wait(lambda: rig.complains("sick") or rig.value("sick_pls", "phase") != "streaming", "the scanner")
+    rig.wait_until_nominal()
+    assert rig.value("can_driver", "bus state") == "active"
+    assert int(rig.value("can_driver", "can: error frame")) >= 1
+    assert int(rig.value("watson_imu", "reconnects")) >= 1
+
+
+def test_nonsense_is_refused_and_counted(programs, observer, udp_port):
+    rig = Rig(programs, observer, udp_port)
+    for text in ("sensor: can", "sensor: can, kind: bus_off, duration: -1", "sensor: sonar, kind: stuck"):
+        rig.fault(text)
+    rig.wait(lambda: rig.value("emulator", "faults refused") == "3", "three refusals to be counted")
+    assert rig.value("emulator", "faults") == "none"
+    assert programs.alive()
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1500)
+def test_a_hundred_faults_in_a_row(rig):
+    """None ends a node, none leaks, none leaves a rate below nominal."""
+    choose = random.Random(1)
+    rig.wait_until_nominal()
+    before = None
+    for n in range(100):
+        kind = choose.choice(sorted(RANDOM_FAULTS))
+        sensors, value = RANDOM_FAULTS[kind]
+        sensor, duration = choose.choice(sensors), choose.uniform(0.2, 3.0)
+        extra = "" if value is None else f", value: {value}"
+        rig.fault(f"sensor: {sensor}, kind: {kind}, duration: {duration:.2f}{extra}")
+        rig.wait(lambda: rig.value("emulator", "faults") != "none", f"fault {n}: {sensor} {kind}")
+        rig.wait(lambda: rig.value("emulator", "faults") == "none", f"the end of fault {n}: {sensor} {kind}")
+        rig.wait_until_nominal()
+        if n == 9:  # what is allocated once has been by then
+            before = rig.memory()
+    growth = {name: kilobytes - before[name] for name, kilobytes in rig.memory().items()}
+    print(growth)
+    assert max(growth.values()) < 5000, growth

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a user does wrong with a node is told in one line; what ends a node ends it quietly."""
+
+import signal
+
+import pytest
+
+NODES = ("can_driver", "watson_imu", "sick_pls", "box_localizer", "slip_estimator", "record", "emulator")
+REFUSED = {
+    "can_driver": {"can_port": 80, "belt_ratio": "three", "dbc_file": "missing.dbc", "autostart": 5},
+    "watson_imu": {"serial_baud": 0, "parity": 7},
+    "sick_pls": {"range_max": -1.0, "parity": "X", "glare_is_nan": "yes, please", "serial_baud": 1200},
+    "box_localizer": {"range_stddev": -0.1, "laser_x": "here", "vehicle__box_length": 0.0},
+    "slip_estimator": {"history_window": 100.0, "use_heading": 1, "vehicle__tread": -1.0},
+    "record": {"more_topics": "((", "output": 1},
+    "emulator": {"lead_in": -1.0, "seed": "one", "soil": "cheese", "scenario": "moon", "mode": "magic"},
+}
+QUICK = {"emulator": {"scenario": "straight", "lead_in": 0.5}}  # what else a node needs to come up soon
+BAR = 3.0  # s from Ctrl-C to the end
+SLACK = 2.0  # on a busy machine
+
+
+def is_refused(program, *words):
+    """Exit code 2 and one line with all these words, nothing else."""
+    assert program.wait() == 2
+    lines = program.stderr.splitlines()
+    assert len(lines) == 1, program.stderr
+    assert [word for word in words if word not in lines[0]] == [], lines[0]
+    assert program.stdout == ""
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_unknown_parameter(programs, node):
+    is_refused(programs.node(node, nonsense=1), node, "'nonsense'", "accepted: ")
+
+
+@pytest.mark.parametrize(
+    ("node", "name"), [(node, name) for node, parameters in REFUSED.items() for name in parameters]
+)
+def test_refused_value(programs, node, name):
+    value = REFUSED[node][name]
+    shown = value if isinstance(value, str) else f"{value:g}"
+    is_refused(programs.node(node, **{name: value}), name.rpartition("__")[2], shown)
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_parameter_file_that_is_not_there(programs, node):
+    is_refused(programs.node(node, "--params-file", "missing.yaml"), "missing.yaml", "accepted: ")
+
+
+def test_parameter_file_that_is_not_yaml(programs):
+    (programs.folder / "bad.yaml").write_text("sick_pls: [", encoding="utf-8")
+    is_refused(programs.node("sick_pls", "--params-file", "bad.yaml"), "bad.yaml", "accepted: ")
+
+
+def test_unknown_parameter_in_a_file(programs):
+    (programs.folder / "one.yaml").write_text("/**: {ros__parameters: {nonsense: 1}}", encoding="utf-8")
+    is_refused(programs.node("watson_imu", "--params-file", "one.yaml"), "'nonsense'", "serial_port")
+
+
+def test_parameter_files_of_the_project_are_accepted(programs, observer):
+    """A node takes the file that ``config/`` has for it, and pc05.yaml where it has a vehicle."""
+    config = programs.folder / "mine.yaml"
+    config.write_text("/**: {ros__parameters: {vehicle: {tread: 0.8}}}", encoding="utf-8")
+    heard = observer.listen("slip_estimator/parameters")
+    programs.node("slip_estimator", "--params-file", "mine.yaml")
+    observer.wait(lambda: heard, "the parameters in use")
+    assert "vehicle.tread: 0.8" in heard[0].data
+
+
+def test_recorder_does_not_touch_what_exists(programs):
+    (programs.folder / "bag").mkdir()
+    is_refused(programs.node("record", output="bag"), "'bag'", "exists already", "accepted: ")
+    assert list((programs.folder / "bag").iterdir()) == []
+
+
+def test_recorder_that_cannot_write(programs):
+    (programs.folder / "file").write_text("", encoding="utf-8")
+    is_refused(programs.node("record", output="file/bag"), "'file/bag'")
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_running_node_ends_quietly(programs, observer, node, number):
+    given = QUICK.get(node, {})
+    if node == "emulator":
+        given = {**given, "device_directory": str(programs.folder / "dev")}
+    healths = observer.healths()
+    program = programs.node(node, **given)
+    observer.wait(lambda: [status for status in healths if status.name == node], f"diagnostics of {node}")
+    code, seconds = program.end(number)
+    assert "Traceback" not in program.stderr
+    assert [line for line in program.stderr.splitlines() if "[INFO]" not in line] == []
+    assert code == (130 if number == signal.SIGINT else 0)
+    assert seconds < BAR * SLACK
+    assert programs.alive() == {}
+    assert not (programs.folder / "dev" / "watson").is_symlink()
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("moment", ["_rclpy_pybind11", "typesupport"])
+def test_ctrl_c_while_a_node_starts(programs, node, moment):
+    program = programs.node(node, autostart=True)
+    program.until(lambda: program.has_loaded(moment), f"{node} to load {moment}")
+    code, seconds = program.end()
+    assert (code, program.stderr) == (130, "")
+    assert seconds < BAR * SLACK
+
+
+def test_ctrl_c_while_the_emulator_compiles(programs, observer):
+    programs.environment["NUMBA_CACHE_DIR"] = str(programs.folder / "empty")
+    program = programs.node("emulator", device_directory=str(programs.folder / "dev"))
+    observer.wait_for_ends("/diagnostics", "emulator")
+    code, seconds = program.end()
+    assert (code, program.stderr) == (130, "")
+    assert seconds < BAR * SLACK

@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sub-model 1: its Jacobians against differences, its step against fine steps, and results by hand."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from trackslip_estimation.filters.ekf import Gaussian, Linearised, wrap
+from trackslip_estimation.filters.model import POSE, YAW, X, Y, pose_residual
+from trackslip_estimation.filters.slip_model import (
+    GYRO_BIAS,
+    LEFT_SLIP,
+    RIGHT_SLIP,
+    SIZE,
+    SLIP_ANGLE,
+    SLIPS,
+    SlipModel,
+    SlipNoise,
+)
+from trackslip_estimation.motion import Motion, MotionState, Speeds
+
+FloatArray = NDArray[np.float64]
+
+RADIUS, TREAD, COUNT = 0.159, 0.73, 2.0 * math.pi / (3 * 4096)
+NOISE = SlipNoise(
+    encoder=0.01,
+    slip_steady=0.004,
+    slip_moving=0.1,
+    slip_angle_steady=0.003,
+    slip_angle_turning=0.05,
+    gyro_bias=1e-4,
+    initial_slip=0.05,
+    initial_slip_angle=0.02,
+    initial_gyro_bias=0.01,
+)
+MODEL = SlipModel(RADIUS, TREAD, COUNT, NOISE)
+ENCODER_ONLY = SlipModel(
+    RADIUS, TREAD, COUNT, replace(NOISE, slip_steady=0.0, slip_angle_steady=0.0, gyro_bias=0.0)
+)
+STRAIGHT = MotionState(Motion.STRAIGHT, changing=False)
+EDGE = 1e-6  # of the central differences
+
+states = st.tuples(
+    *[st.floats(-50.0, 50.0)] * 2,
+    st.floats(-math.pi, math.pi),
+    *[st.floats(-1.0, 0.99)] * 2,
+    st.floats(-0.8, 0.8),
+    st.floats(-0.1, 0.1),
+).map(np.array)
+speeds = st.floats(-4.0, 4.0)
+times = st.floats(0.0, 0.5)
+
+
+def differences(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+    """Central differences of a function whose third value is an angle."""
+    columns = []
+    for k in range(at.size):
+        step = np.zeros(at.size)
+        step[k] = EDGE
+        change = function(at + step) - function(at - step)
+        if change.size > YAW:
+            change[YAW] = wrap(change[YAW])
+        columns.append(change / (2.0 * EDGE))
+    return np.array(columns).T
+
+
+def state(**values: float) -> FloatArray:
+    x = np.zeros(SIZE)
+    names = {"yaw": YAW, "left": LEFT_SLIP, "right": RIGHT_SLIP, "angle": SLIP_ANGLE, "bias": GYRO_BIAS}
+    for name, value in values.items():
+        x[names[name]] = value
+    return x
+
+
+@given(states, speeds, speeds, times)
+def test_f_is_the_derivative_of_the_step_by_the_state(
+    x: FloatArray, left: float, right: float, dt: float
+) -> None:
+    _, F, _ = MODEL.move(x, left, right, dt)
+    expected = differences(lambda v: MODEL.move(v, left, right, dt)[0], x)
+    np.testing.assert_allclose(F, expected, atol=1e-7)
+
+
+@given(states, speeds, speeds, times)
+def test_g_is_the_derivative_of_the_step_by_the_speeds(
+    x: FloatArray, left: float, right: float, dt: float
+) -> None:
+    _, _, G = MODEL.move(x, left, right, dt)
+    expected = differences(lambda v: MODEL.move(x, v[0], v[1], dt)[0], np.array((left, right)))
+    np.testing.assert_allclose(G, expected, atol=1e-7)
+
+
+@given(states, speeds, speeds)
+def test_twist_jacobian(x: FloatArray, left: float, right: float) -> None:
+    expected = differences(lambda v: MODEL.twist(v, left, right), x)
+    np.testing.assert_allclose(MODEL.twist_jacobian(x, left, right), expected, atol=1e-7)
+
+
+def measured(left: float, right: float) -> Speeds:
+    return Speeds(left, right, 0.01, differenced=False)
+
+
+@given(states, speeds, speeds)
+def test_h_of_the_yaw_rate(x: FloatArray, left: float, right: float) -> None:
+    def seen(at: FloatArray) -> Linearised:
+        return MODEL.yaw_rate(Gaussian(at, np.eye(SIZE)), measured(left, right), 0.3, 1e-4)
+
+    expected = -differences(lambda v: seen(v).innovation, x)
+    np.testing.assert_allclose(seen(x).jacobian, expected, atol=1e-7)
+    np.testing.assert_array_equal(seen(x).noise, ((1e-4,),))
+
+
+def test_rounding_of_positions_adds_to_the_noise_of_the_yaw_rate() -> None:
+    """Two tracks, two counts each, uniform within ±½ count, 10 ms apart."""
+    counted = Speeds(1.0, 1.0, 0.01, differenced=True)
+    noise = MODEL.yaw_rate(Gaussian(state(), np.eye(SIZE)), counted, 0.0, 1e-4).noise
+    rounding = 4.0 * COUNT**2 / 12.0 * (RADIUS / TREAD / 0.01) ** 2
+    assert noise[0, 0] == pytest.approx(1e-4 + rounding)
+
+
+@pytest.mark.parametrize("use_heading", [True, False])
+@given(x=states, turn=st.floats(-3.1, 3.1))
+def test_h_of_a_pose(use_heading: bool, x: FloatArray, turn: float) -> None:
+    pose, R = x[POSE] + (1.0, -2.0, turn), np.diag((1.0, 2.0, 3.0))
+
+    def seen(at: FloatArray) -> Linearised:
+        return pose_residual(Gaussian(at, np.eye(SIZE)), pose, R, use_heading)
+
+    rows = 3 if use_heading else 2
+    np.testing.assert_allclose(seen(x).innovation, (1.0, -2.0, turn)[:rows], atol=1e-12)
+    np.testing.assert_allclose(seen(x).jacobian, -differences(lambda v: seen(v).innovation, x), atol=1e-7)
+    np.testing.assert_array_equal(seen(x).noise, R[:rows, :rows])
+
+
+def test_heading_innovation_takes_the_short_way_round() -> None:
+    at = Gaussian(state(yaw=3.1), np.eye(SIZE))
+    assert pose_residual(at, np.array((0.0, 0.0, -3.1)), np.eye(3), True).innovation[2] == pytest.approx(
+        2 * math.pi - 6.2
+    )
+
+
+@given(states, speeds, speeds)
+def test_outputs_are_the_twist_and_the_slips(x: FloatArray, left: float, right: float) -> None:
+    root = np.arange(49.0).reshape(7, 7) % 11.0
+    found = MODEL.outputs(Gaussian(x, root @ root.T), measured(left, right))
+    J = differences(lambda v: MODEL.twist(v, left, right), x)
+    np.testing.assert_array_equal(found.twist, MODEL.twist(x, left, right))
+    np.testing.assert_allclose(found.twist_covariance, J @ root @ root.T @ J.T, rtol=1e-5, atol=1e-4)
+    np.testing.assert_array_equal(found.slips, x[3:6])
+    np.testing.assert_array_equal(found.slip_covariance, (root @ root.T)[3:6, 3:6])
+
+
+def test_straight_on_with_slip_by_hand() -> None:
+    """1 rad/s at 10 and 10 % slip for 2 s: 2 · 0.159 · 0.9 m along the heading."""
+    x, _, _ = MODEL.move(state(yaw=math.pi / 6, left=0.1, right=0.1), 1.0, 1.0, 2.0)
+    np.testing.assert_allclose(x[POSE], (0.2862 * math.cos(math.pi / 6), 0.1431, math.pi / 6))
+    np.testing.assert_allclose(x[SLIPS], (0.1, 0.1, 0.0))
+
+
+def test_yaw_rate_is_the_difference_of_the_tracks() -> None:
+    """Erratum 1 of (3.26), (6.1): i_L = 0.2, i_R = −0.1 at equal speeds turn left, not right."""
+    v_x, v_y, rate = MODEL.twist(state(left=0.2, right=-0.1), 2.0, 2.0)
+    assert rate == pytest.approx(0.159 * 2.0 * 0.3 / 0.73)
+    assert v_x == pytest.approx(0.159 * 2.0 * 0.95)
+    assert v_y == 0.0
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, math.pi / 2, -2.5])
+def test_slip_angle_moves_to_the_left_of_the_heading(yaw: float) -> None:
+    """Erratum 1 again: y uses cos φ tan α. Direction of travel φ + α, to the left for α > 0."""
+    x, _, _ = MODEL.move(state(yaw=yaw, angle=0.2), 1.0, 1.0, 1.0)
+    assert math.atan2(x[Y], x[X]) == pytest.approx(wrap(yaw + 0.2))
+    assert math.hypot(x[X], x[Y]) == pytest.approx(0.159 / math.cos(0.2))
+
+
+def test_spot_turn_and_reverse() -> None:
+    x, _, _ = MODEL.move(state(), -1.0, 1.0, 1.0)
+    np.testing.assert_allclose(x[POSE], (0.0, 0.0, 2 * 0.159 / 0.73), atol=1e-15)
+    x, _, _ = MODEL.move(state(), -1.0, -1.0, 1.0)
+    np.testing.assert_allclose(x[POSE], (-0.159, 0.0, 0.0))
+
+
+def test_heading_stays_within_a_turn() -> None:
+    x, _, _ = MODEL.move(state(yaw=3.1), -1.0, 1.0, 1.0)
+    assert x[YAW] == pytest.approx(3.1 + 2 * 0.159 / 0.73 - 2 * math.pi)
+
+
+@given(states, speeds, speeds)
+def test_a_midpoint_step_is_near_many_fine_ones(x: FloatArray, left: float, right: float) -> None:
+    """Error of the chord: v dt (φ̇ dt)²/24 (1 + tan α …); an Euler step is off by v dt φ̇ dt/2."""
+    dt = 0.1
+    fine = x
+    for _ in range(200):
+        fine = MODEL.move(fine, left, right, dt / 200)[0]
+    once = MODEL.move(x, left, right, dt)[0]
+    v_x, v_y, rate = MODEL.twist(x, left, right)
+    bound = math.hypot(v_x, v_y) * dt * (rate * dt) ** 2 / 24.0
+    assert math.hypot(*(once - fine)[:2]) <= 1.01 * bound + 1e-12
+    assert wrap(once[YAW] - fine[YAW]) == pytest.approx(0.0, abs=1e-12)
+
+
+@given(states, speeds, speeds)
+def test_nothing_happens_in_no_time(x: FloatArray, left: float, right: float) -> None:
+    moved, F, G = MODEL.move(x, left, right, 0.0)
+    np.testing.assert_allclose(moved[POSE][:2], x[POSE][:2])
+    np.testing.assert_array_equal(F, np.eye(SIZE))
+    np.testing.assert_array_equal(G, 0.0)
+    assert np.trace(MODEL.process_noise(G, left, right, 0.0, STRAIGHT)) == 0.0
+
+
+def grown(
+    left: float, right: float, duration: float, steps: int, motion: MotionState, model: SlipModel = MODEL
+) -> FloatArray:
+    """The covariance that a start without doubt has after some time, in so many steps."""
+    known = Gaussian(state(left=0.1, right=0.05, angle=0.02), np.zeros((SIZE, SIZE)))
+    for _ in range(steps):
+        known = model.predict(known, measured(left, right), duration / steps, motion)
+    return known.covariance
+
+
+@pytest.mark.parametrize("motion", [STRAIGHT, MotionState(Motion.TURNING, changing=True)])
+@pytest.mark.parametrize(("left", "right"), [(2.0, 2.0), (1.0, 2.0), (2.0, -2.0)])
+def test_process_noise_does_not_depend_on_the_steps(left: float, right: float, motion: MotionState) -> None:
+    fine, coarse, single = (np.diag(grown(left, right, 0.1, n, motion)) for n in (40, 4, 1))
+    np.testing.assert_allclose(coarse[3:], fine[3:], rtol=1e-9)
+    np.testing.assert_allclose(single[3:], fine[3:], rtol=1e-9)
+    # Within a step the slips do not walk yet: σ² t³/3 in n steps lacks a share of about 3/(2n).
+    np.testing.assert_allclose(coarse[YAW], fine[YAW], rtol=0.3)
+    assert coarse[:2].sum() == pytest.approx(fine[:2].sum(), rel=0.3)
+
+
+@pytest.mark.parametrize(("left", "right"), [(2.0, 2.0), (1.0, 2.0), (2.0, -2.0)])
+def test_encoder_noise_does_not_depend_on_the_steps(left: float, right: float) -> None:
+    fine, single = (np.diag(grown(left, right, 0.1, n, STRAIGHT, ENCODER_ONLY)) for n in (100, 1))
+    np.testing.assert_allclose(single[YAW], fine[YAW], rtol=1e-9)
+    assert single[:2].sum() == pytest.approx(fine[:2].sum(), rel=0.002)
+
+
+def test_encoder_noise_grows_with_the_way_and_the_root_of_time() -> None:
+    """(3.21): one second at equal speeds gives encoder·v/√2 along x, four seconds twice that."""
+    for seconds, factor in ((1.0, 1.0), (4.0, 2.0)):
+        P = grown(2.0, 2.0, seconds, 400, STRAIGHT, ENCODER_ONLY)
+        slips = np.array((0.1, 0.05))
+        deviation = 0.01 * np.hypot(*(RADIUS * 2.0 * (1.0 - slips))) / 2.0
+        assert math.sqrt(P[X, X]) == pytest.approx(deviation * factor, rel=0.01)
+
+
+def walk(motion: MotionState) -> FloatArray:
+    _, _, G = MODEL.move(np.zeros(SIZE), 1.0, 1.0, 0.5)
+    return np.sqrt(np.diag(MODEL.process_noise(G, 1.0, 1.0, 0.5, motion))[3:] / 0.5)
+
+
+@pytest.mark.parametrize(
+    ("motion", "slip", "angle"),
+    [
+        (MotionState(Motion.STRAIGHT, changing=False), NOISE.slip_steady, NOISE.slip_angle_steady),
+        (MotionState(Motion.STRAIGHT, changing=True), NOISE.slip_moving, NOISE.slip_angle_turning),
+        (MotionState(Motion.TURNING, changing=False), NOISE.slip_moving, NOISE.slip_angle_turning),
+        (MotionState(Motion.STANDING, changing=False), 0.0, 0.0),
+        (MotionState(Motion.STANDING, changing=True), 0.0, 0.0),
+    ],
+)
+def test_the_jump_hypothesis_switches_the_noise(motion: MotionState, slip: float, angle: float) -> None:
+    np.testing.assert_allclose(walk(motion), (slip, slip, angle, NOISE.gyro_bias))
+
+
+def test_a_start_knows_its_pose_and_doubts_the_rest() -> None:
+    pose, R = np.array((1.0, 2.0, 3.0)), np.array(((4.0, 1.0, 0.5), (1.0, 5.0, 0.2), (0.5, 0.2, 6.0)))
+    mean, P = MODEL.initial(pose, R)
+    np.testing.assert_array_equal(mean, (1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0))
+    expected: Any = np.diag((0.0, 0.0, 0.0, 0.05**2, 0.05**2, 0.02**2, 0.01**2))
+    expected[:3, :3] = R
+    np.testing.assert_allclose(P, expected)

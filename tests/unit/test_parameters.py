@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters: each refusal is one line that names the thing, the value and what is accepted."""
+
+import math
+from dataclasses import FrozenInstanceError, dataclass
+from typing import Any
+
+import pytest
+
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, flat_fields, flatten, from_flat, parameter, to_flat
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wheel(Parameters):
+    """A nested group."""
+
+    radius: float = parameter("how large", unit="m", gt=0.0, lt=2.0)
+    colour: str = parameter("paint", choices=("red", "blue"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cart(Parameters):
+    """One of each kind."""
+
+    wheel: Wheel
+    name: str = parameter("what it is called")
+    seats: int = parameter("how many", ge=1, le=4)
+    mass: float = parameter("how heavy", unit="kg", ge=0.0)
+    drift: float = parameter("anything finite", unit="m/s")
+    open: bool = parameter("whether it has no roof")
+    gears: tuple[float, ...] = parameter("ratios", gt=0.0)
+    doors: tuple[str, ...] = parameter("their names")
+
+
+GOOD: dict[str, Any] = {
+    "wheel.radius": 0.5,
+    "wheel.colour": "red",
+    "name": "one",
+    "seats": 2,
+    "mass": 0.0,
+    "drift": -1.5,
+    "open": True,
+    "gears": [1.0, 2.5],
+    "doors": [],
+}
+
+
+def cart(**changes: Any) -> Cart:
+    """The good cart with dotted names changed; `__` stands for the dot."""
+    return from_flat(Cart, GOOD | {k.replace("__", "."): v for k, v in changes.items()}, "cart")
+
+
+def refusal(**changes: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        cart(**changes)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_flat_names_and_back_again() -> None:
+    made = cart()
+    assert made.wheel == Wheel(radius=0.5, colour="red")
+    assert made.gears == (1.0, 2.5)
+    assert to_flat(made) == GOOD
+    assert from_flat(Cart, to_flat(made), "again") == made
+
+
+def test_flat_fields_are_those_of_to_flat() -> None:
+    fields = {name: (kind, spec.unit) for name, kind, spec in flat_fields(Cart)}
+    assert list(fields) == list(to_flat(cart()))
+    assert fields["wheel.radius"] == (float, "m")
+    assert fields["seats"] == (int, "")
+
+
+def test_nested_mappings_flatten_to_dotted_names() -> None:
+    assert flatten({"a": {"b": {"c": 1}, "d": [2]}, "e": None}) == {"a.b.c": 1, "a.d": [2], "e": None}
+
+
+def test_whole_numbers_serve_as_numbers() -> None:
+    made = cart(mass=3, gears=[1, 2])
+    assert (type(made.mass), made.mass) == (float, 3.0)
+    assert [type(gear) for gear in made.gears] == [float, float]
+
+
+@pytest.mark.parametrize(
+    ("changes", "thing", "value", "accepted"),
+    [
+        ({"wheel__radius": 0.0}, "cart: wheel.radius", "0.0", "> 0 and < 2 m"),
+        ({"wheel__radius": 2.0}, "cart: wheel.radius", "2.0", "> 0 and < 2 m"),
+        ({"wheel__radius": "wide"}, "cart: wheel.radius", "'wide'", "> 0 and < 2 m"),
+        ({"wheel__colour": "green"}, "cart: wheel.colour", "'green'", "one of red, blue"),
+        ({"seats": 0}, "cart: seats", "0", ">= 1 and <= 4"),
+        ({"seats": 5}, "cart: seats", "5", ">= 1 and <= 4"),
+        ({"seats": 2.0}, "cart: seats", "2.0", "whole number"),
+        ({"seats": True}, "cart: seats", "True", "whole number"),
+        ({"mass": -1e-9}, "cart: mass", "-1e-09", ">= 0 kg"),
+        ({"mass": False}, "cart: mass", "False", "number"),
+        ({"mass": None}, "cart: mass", "None", ">= 0 kg"),
+        ({"drift": math.nan}, "cart: drift", "nan", "finite m/s"),
+        ({"drift": -math.inf}, "cart: drift", "-inf", "finite m/s"),
+        ({"drift": 10**400}, "cart: drift", "1000", "finite m/s"),
+        ({"open": 1}, "cart: open", "1", "true or false"),
+        ({"open": "yes"}, "cart: open", "'yes'", "true or false"),
+        ({"name": 7}, "cart: name", "7", "text"),
+        ({"name": "a\nb", "doors": 3}, "cart: doors", "3", "list of text"),
+        ({"doors": ["left", None]}, "cart: doors[1]", "None", "text"),
+        ({"gears": 1.0}, "cart: gears", "1.0", "list of a number"),
+        ({"gears": "12"}, "cart: gears", "'12'", "list of a number"),
+        ({"gears": [1.0, 0.0]}, "cart: gears[1]", "0.0", "> 0"),
+        ({"gears": [math.nan]}, "cart: gears[0]", "nan", "> 0"),
+        ({"gears": [True]}, "cart: gears[0]", "True", "> 0"),
+    ],
+)
+def test_a_bad_value_is_refused_by_name_value_and_range(
+    changes: dict[str, Any], thing: str, value: str, accepted: str
+) -> None:
+    message = refusal(**changes)
+    assert message.startswith(f"{thing}: {value}")
+    assert accepted in message.removeprefix(f"{thing}: {value}")
+
+
+@pytest.mark.parametrize("changes", [{"name": 7}, {"open": "yes"}])
+def test_no_range_is_made_up_for_text_and_flags(changes: dict[str, Any]) -> None:
+    assert "finite" not in refusal(**changes)
+
+
+@pytest.mark.parametrize("edge", [{"seats": 1}, {"seats": 4}, {"mass": 0.0}, {"wheel__radius": 1.999}])
+def test_limits_that_belong_to_the_range_are_taken(edge: dict[str, Any]) -> None:
+    cart(**edge)
+
+
+def test_unknown_names_are_refused_with_those_known() -> None:
+    message = refusal(wheel__radios=1.0)
+    assert message.startswith("cart: unknown parameter 'wheel.radios'; accepted: ")
+    assert set(message.partition("accepted: ")[2].split(", ")) == set(GOOD)
+
+
+@pytest.mark.parametrize("name", ["wheel", "name.first"])
+def test_a_group_is_no_value_and_a_value_no_group(name: str) -> None:
+    assert refusal(**{name: 1.0}).startswith(f"cart: unknown parameter '{name}'")
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_missing_names_are_refused_with_their_meaning(name: str) -> None:
+    with pytest.raises(InputError, match=f"^cart: parameter '{name}' is missing \\(.+\\)$"):
+        from_flat(Cart, {k: v for k, v in GOOD.items() if k != name}, "cart")
+
+
+def test_construction_checks_as_well() -> None:
+    with pytest.raises(InputError, match=r"^Wheel\.radius: -1\.0 is out of range; accepted: > 0 and < 2 m$"):
+        Wheel(radius=-1.0, colour="red")
+
+
+def test_parameters_cannot_be_changed() -> None:
+    with pytest.raises(FrozenInstanceError):
+        cart().seats = 3  # type: ignore[misc]

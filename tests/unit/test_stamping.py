@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps: the filter is never worse than raw, the host's clock may be set, order is kept."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_drivers.stamping import HostTime, InOrder, PeriodicStamps
+from trackslip_drivers.transports.host_clock import HostClock
+
+MS = 1_000_000
+S = 1_000_000_000
+PERIOD = 10 * MS
+TOLERANCE = 1e-3
+
+
+def filtered(raw, cycles=None):
+    stamps = PeriodicStamps(PERIOD, TOLERANCE, patience=200)
+    counts = [None] * len(raw) if cycles is None else cycles
+    return np.array([stamps.filter(int(r), c) for r, c in zip(raw, counts, strict=True)])
+
+
+@given(
+    delays=st.lists(st.integers(0, 200 * MS), min_size=2, max_size=80),
+    lost=st.lists(st.integers(0, 20), min_size=80, max_size=80),
+    drift=st.floats(-TOLERANCE, TOLERANCE),
+)
+def test_never_worse_than_raw_where_cycles_are_counted(delays, lost, drift):
+    cycles = [0] + [1 + n for n in lost[: len(delays) - 1]]
+    true = np.cumsum(np.array(cycles) * PERIOD * (1.0 + drift))
+    raw = np.ceil(true) + delays
+    stamps = filtered(raw, cycles)
+    assert (stamps <= raw).all()
+    assert (stamps >= true - 1.0).all()  # 1 ns of rounding
+
+
+@given(
+    delays=st.lists(st.integers(0, PERIOD // 2 - MS), min_size=2, max_size=80),
+    lost=st.lists(st.integers(0, 9), min_size=80, max_size=80),
+)
+def test_never_worse_than_raw_where_delays_are_below_half_a_period(delays, lost):
+    true = np.cumsum([(1 + n) * PERIOD for n in lost[: len(delays)]])
+    raw = true + delays
+    stamps = filtered(raw)
+    assert ((true <= stamps) & (stamps <= raw)).all()
+
+
+def recorded_like(rng, count):
+    """Delays as a busy host makes them, ns: prompt as a rule, now and then a stall that ends in a burst."""
+    delays = rng.exponential(0.4 * MS, count)
+    for begin in rng.integers(0, count, count // 100):
+        stall = rng.uniform(5, 60) * MS
+        for k in range(begin, min(count, begin + int(stall // PERIOD) + 1)):
+            delays[k] = max(delays[k], stall - (k - begin) * PERIOD)
+    return delays.astype(np.int64)
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 0.0, 1e-4])
+def test_takes_recorded_like_jitter_off(drift):
+    rng = np.random.default_rng(1)
+    true = (np.arange(5000) * PERIOD * (1.0 + drift)).astype(np.int64)
+    delays = recorded_like(rng, len(true))
+    assert np.percentile(delays, 99) > 20 * MS
+    errors = filtered(true + delays, [0] + [1] * (len(true) - 1)) - true
+    assert (errors <= delays).all()
+    assert np.percentile(errors, 99) < 0.5 * MS
+
+
+def test_a_wrong_period_is_noticed():
+    """1 % longer than believed: the filter runs ahead for no longer than its patience."""
+    true = (np.arange(3000) * PERIOD * 1.01).astype(np.int64)
+    errors = filtered(true) - true
+    assert errors.min() >= -200 * PERIOD * 0.01
+    assert (errors == 0).sum() >= 3000 // 201
+
+
+def test_a_sender_that_restarts_is_believed_again():
+    stamps = PeriodicStamps(PERIOD, TOLERANCE, patience=200)
+    for k in range(100):
+        stamps.filter(k * PERIOD, 1)
+    assert stamps.filter(100 * PERIOD + 3 * MS, 0) == 100 * PERIOD + 3 * MS  # 0: it says that it is new
+    assert stamps.filter(120 * PERIOD + 4 * MS, 20) == 120 * PERIOD + 4 * MS  # too long ago
+    stamps.restart()
+    assert stamps.filter(121 * PERIOD + 9 * MS, 1) == 121 * PERIOD + 9 * MS
+
+
+class Clocks:
+    """A host's clock and a steady one, and the driver's view of both."""
+
+    def __init__(self):
+        self.steady_ns = 5 * S
+        self.offset_ns = 1_700_000_000 * S
+        self.time = HostTime(self.offset_ns, self.steady_ns)
+        self.order = InOrder()
+        self.stamps = []
+
+    def run(self, seconds, slew=0.0):
+        for _ in range(round(seconds * 100)):
+            self.steady_ns += PERIOD
+            self.offset_ns += round(slew * PERIOD)
+            self.time.look(self.steady_ns + self.offset_ns, self.steady_ns)
+            arrival = self.time.steady(self.steady_ns + self.offset_ns - MS)
+            assert arrival == self.steady_ns - MS
+            self.stamps.append(self.order.next(self.time.stamp(arrival)))
+
+    def ahead(self):
+        """Last stamp less the host's time at the arrival."""
+        return self.stamps[-1] - (self.steady_ns - MS + self.offset_ns)
+
+
+@pytest.mark.parametrize("jump_s", [-3600.0, -10.0, -0.03, 0.03, 10.0, 86400.0])
+def test_a_jump_is_noticed_and_stamps_stay_in_order(jump_s):
+    clocks = Clocks()
+    clocks.run(1.0)
+    clocks.offset_ns += round(jump_s * S)
+    clocks.run(1.0)
+    assert clocks.time.jumps == 1
+    steps = np.diff(clocks.stamps)
+    assert (steps > 0).all()
+    assert (np.delete(steps, 99) == PERIOD).all()  # all but the one across the jump
+    assert clocks.ahead() == max(0, round(-jump_s * S))
+    clocks.offset_ns -= round(jump_s * S)
+    clocks.run(1.0)
+    assert (np.diff(clocks.stamps) > 0).all()
+    assert clocks.ahead() == max(0, round(jump_s * S))
+
+
+def test_slewing_is_followed_and_is_no_jump():
+    for slew in (-5e-4, 5e-4):
+        clocks = Clocks()
+        clocks.run(100.0, slew)
+        assert clocks.time.jumps == 0
+        assert clocks.ahead() == 0
+
+
+def test_arrival_from_before_a_jump_is_now():
+    clocks = Clocks()
+    clocks.run(0.1)
+    for jump in (-10 * S, 20 * S):
+        stale_ns = clocks.steady_ns + clocks.offset_ns - MS
+        clocks.offset_ns += jump
+        clocks.time.look(clocks.steady_ns + clocks.offset_ns, clocks.steady_ns)
+        assert clocks.time.steady(stale_ns) == clocks.steady_ns
+
+
+def test_order_is_kept_by_the_least_possible():
+    order = InOrder()
+    assert [order.next(stamp) for stamp in (5, 3, 6, 6, 10)] == [5, 6, 7, 8, 10]
+
+
+def test_host_clock_sees_the_host_set_back(monkeypatch):
+    clock = HostClock()
+    import time
+
+    real = time.time_ns
+    assert not any(clock.look() for _ in range(3))
+    before = clock.stamp(clock.steady(real()))
+    monkeypatch.setattr(time, "time_ns", lambda: real() - 60 * S)
+    jumped = [clock.look() for _ in range(20)]
+    assert sum(jumped) == 1
+    after = clock.stamp(clock.steady(time.time_ns()))
+    assert 0 < after - before < 20 * S
+    assert clock.lead_ns == pytest.approx(60 * S, abs=S)
