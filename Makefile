@@ -7,7 +7,7 @@ RUNS ?=
 VENV := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench fuzz figures clean
+.PHONY: help setup demo test soak lint bench fuzz figures clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -19,12 +19,16 @@ demo: setup ## drive the emulated excavator, record, replay, score; results in o
 	@exec $(VENV)/python -m trackslip_sim.demo.main $(if $(DURATION),--duration '$(DURATION)') $(if $(SOIL),--soil '$(SOIL)')
 
 test: setup ## all tests but the slow ones
-	@exec timeout --foreground --kill-after=10 900 $(VENV)/python -m pytest -n 2 --dist loadgroup -m 'not slow and not soak'
+	@timeout --foreground --kill-after=10 600 $(VENV)/python -m pytest -n 2 -m 'not slow and not soak' --ignore tests/graph
+	@timeout --foreground --kill-after=10 900 $(VENV)/python -m pytest -m 'not slow and not soak' tests/graph
 
 lint: setup ## ruff and mypy
 	$(VENV)/python -m ruff check .
 	$(VENV)/python -m ruff format --check .
 	$(VENV)/python -m mypy
+
+soak: setup ## a hundred faults in a row against the real nodes, for ten minutes and more
+	@exec $(VENV)/python -m pytest -s -m soak
 
 bench: setup ## speed of filters and drivers on this machine
 	@exec $(VENV)/python scripts/bench.py

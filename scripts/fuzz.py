@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Feeds every parser of foreign bytes with inputs that atheris (libFuzzer) breeds by coverage: ``make fuzz``.
 
-Each target of the other ``fuzz_….py`` runs in a process of its own, one per core at
-a time. What an input must not do there (raise, hold bytes, lose the second frame after garbage) is an
+Each target of the other ``fuzz_….py`` runs in a process of its own, as many at a time as there are cores.
+What an input must not do there (raise, hold bytes, lose the second frame after garbage) is an
 exception; atheris then keeps the input as ``out/fuzz/<target>/crash-…``, and the exit code is 1. To see a
 finding again: ``.venv/bin/python scripts/fuzz.py --target sick_session out/fuzz/sick_session/crash-…``.
 """

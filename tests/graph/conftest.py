@@ -246,12 +246,12 @@ class Observer:
 
 
 @pytest.fixture(autouse=True)
-def turn(request: pytest.FixtureRequest) -> Iterator[None]:
+def turn(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Those of the group ``graph`` load both processors: they take turns, whatever worker they are on."""
     if request.node.get_closest_marker("xdist_group") is None:
         yield
         return
-    with (Path(tempfile.gettempdir()) / "trackslip_test_turn.lock").open("a") as lock:
+    with (tmp_path_factory.getbasetemp().parent / "turn.lock").open("a") as lock:  # of all workers
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 

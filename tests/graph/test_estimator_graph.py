@@ -4,6 +4,7 @@
 import json
 import math
 import signal
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -129,6 +130,8 @@ class Line:
         }
         self.reports = observer.listen("measurement_reports")
         self.odometry = observer.listen("odometry")
+        self._sent = Counter()
+        self._healths = observer.healths()
         sources = ["box_pose", "gnss"]
         self._recorder = programs.node("record", output="bag", more_topics="/gnss")
         self._estimators = [
@@ -152,6 +155,7 @@ class Line:
             wanted = len(self.reports)
             for topic, message in script[k : k + BURST]:
                 self._publishers[topic].publish(message)
+                self._sent[topic] += 1
                 wanted += 1  # a scan's is that of its pose
             self._observer.wait(lambda n=wanted: len(self.reports) >= n, f"{wanted} reports")
 
@@ -159,6 +163,7 @@ class Line:
         """End all, the recorder last but one; the bag's path."""
         count = len(self.reports)
         self._observer.wait(lambda: [r.sequence for r in self.reports] == list(range(count)), "all reports")
+        self._observer.wait(self._is_recorded, "the recorder to have it all")
         assert self._recorder.end(signal.SIGINT)[0] == 130
         assert [program.end()[0] for program in self._estimators] == [130, 130]
         path = self.folder / "bag"
@@ -166,6 +171,13 @@ class Line:
             recorded = bag.topics["/odometry"].count
         self._observer.wait(lambda: len(self.odometry) >= recorded, "what the recorder has heard")
         return path
+
+    def _is_recorded(self):
+        """By the recorder's own count; what waits in its queues when it ends is not in the bag."""
+        counts = [h for h in self._healths if h.name == "record"][-1:]
+        found = {pair.key: pair.value for health in counts for pair in health.values}
+        wanted = {**self._sent, "measurement_reports": len(self.reports), "odometry": len(self.odometry)}
+        return all(found.get(f"/{topic}") == str(n) for topic, n in wanted.items())
 
 
 def drive(line):

@@ -144,8 +144,9 @@ def test_a_hundred_faults_in_a_row(rig):
         sensor, duration = choose.choice(sensors), choose.uniform(0.2, 3.0)
         extra = "" if value is None else f", value: {value}"
         rig.fault(f"sensor: {sensor}, kind: {kind}, duration: {duration:.2f}{extra}")
-        rig.wait(lambda: rig.value("emulator", "faults") != "none", f"fault {n}: {sensor} {kind}")
-        rig.wait(lambda: rig.value("emulator", "faults") == "none", f"the end of fault {n}: {sensor} {kind}")
+        this = f"fault {n}: {sensor} {kind}"
+        rig.wait(lambda n=n: rig.value("emulator", "faults accepted") == str(n + 1), this)
+        rig.wait(lambda: rig.value("emulator", "faults") == "none", f"the end of {this}")
         rig.wait_until_nominal()
         if n == 9:  # what is allocated once has been by then
             before = rig.memory()

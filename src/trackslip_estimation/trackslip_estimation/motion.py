@@ -49,8 +49,7 @@ class Speeds(NamedTuple):
 STANDSTILL = Speeds(0.0, 0.0, 0.0, differenced=False)
 
 
-@dataclass(frozen=True)
-class MotionState:
+class MotionState(NamedTuple):
     """What the classifier remembers; immutable, so that a filter can keep it in its history."""
 
     motion: Motion = Motion.UNKNOWN

@@ -5,21 +5,19 @@ Live node and replay run this same class. It knows no clock: time is in the stam
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from trackslip_estimation.filters import ekf
-from trackslip_estimation.filters.ekf import Gaussian, Linearised
-from trackslip_estimation.filters.model import POSE, Model, Outputs, pose_residual
-from trackslip_estimation.filters.slip_model import SlipModel
-from trackslip_estimation.filters.turning_model import TurningModel
+from trackslip_estimation.filters.filter import Held
+from trackslip_estimation.filters.model import POSE, Gaussian, Measured, Outputs, pose_measured, rate_measured
 from trackslip_estimation.measurements import Measurement, Outcome, PoseFix, Report, Sprockets, YawRate
 from trackslip_estimation.motion import STANDSTILL, Motion, MotionState, Speeds, classify
-from trackslip_estimation.slip_parameters import SlipEstimatorParameters
+from trackslip_estimation.slip_parameters import SlipEstimatorParameters, make_filter
 from trackslip_estimation.timeline import SprocketTrack, Timeline
 
 FloatArray = NDArray[np.float64]
@@ -36,32 +34,23 @@ class Estimate:
     motion: Motion
 
 
-@dataclass(frozen=True, eq=False)
-class FilterState:
+class FilterState(NamedTuple):
     """All that the filter carries from one measurement to the next."""
 
     stamp_ns: int
     gaussian: Gaussian
     motion: MotionState = MotionState()
     speeds: Speeds = STANDSTILL
-    rejected_in_a_row: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    rejected_in_a_row: Mapping[str, int] = MappingProxyType({})
     report: Report | None = None  # on the measurement that led here
 
 
-def make_model(p: SlipEstimatorParameters) -> Model:
-    """The motion model that the parameters choose."""
-    size = (p.vehicle.rolling_radius, p.vehicle.tread, p.encoder_resolution)
-    if p.model == "free_slips":
-        return SlipModel(*size, p.noise)
-    return TurningModel(*size, p.turning)
-
-
 class SlipEstimator:
-    """Kinematic EKF over a window of measurements kept in stamp order."""
+    """A filter over a window of measurements kept in stamp order."""
 
     def __init__(self, parameters: SlipEstimatorParameters) -> None:
         self.parameters = parameters
-        self._model = make_model(parameters)
+        self._filter = make_filter(parameters)
         self._gates = {dof: float(chi2.ppf(parameters.gate_probability, dof)) for dof in (1, 2, 3)}
         self._track = SprocketTrack()
         self._timeline: Timeline[FilterState] | None = None
@@ -115,7 +104,7 @@ class SlipEstimator:
 
     def _estimate(self, state: FilterState) -> Estimate:
         mean, covariance = state.gaussian
-        outputs = self._model.outputs(state.gaussian, state.speeds)
+        outputs = self._filter.outputs(state.gaussian, state.speeds)
         return Estimate(state.stamp_ns, mean[POSE], covariance[POSE, POSE], outputs, state.motion.motion)
 
     def _start(self, measurement: Measurement) -> Outcome:
@@ -133,7 +122,7 @@ class SlipEstimator:
             covariance = np.diag(np.square(deviations))
         else:
             return Outcome.WAITING
-        begin = self._latest = FilterState(measurement.stamp_ns, self._model.initial(pose, covariance))
+        begin = self._latest = FilterState(measurement.stamp_ns, self._filter.initial(pose, covariance))
         self._timeline = Timeline(window_ns, begin, measurement, self._step)
         return Outcome.ACCEPTED
 
@@ -141,34 +130,36 @@ class SlipEstimator:
         """Predict to the stamp of the measurement, then update with it."""
         moved = self._predict(state, measurement.stamp_ns)
         if isinstance(measurement, Sprockets):
-            moved = replace(moved, gaussian=self._model.drive(moved.gaussian, moved.speeds))
+            driven = self._filter.drive(moved.gaussian, moved.speeds)
             taken = Report(measurement.source, measurement.stamp_ns, Outcome.ACCEPTED)
-            return replace(moved, report=taken)
-        return self._update(moved, measurement, self._linearise(moved, measurement))
+            return moved._replace(gaussian=driven, report=taken)
+        return self._update(moved, measurement, self._hold(moved, measurement))
 
     def _predict(self, state: FilterState, stamp_ns: int) -> FilterState:
         """The model over the time since the state."""
         dt = (stamp_ns - state.stamp_ns) * 1e-9
         speeds = self._track.speeds(stamp_ns)
         motion = classify(state.motion, speeds.left, speeds.right, dt, self.parameters.motion)
-        gaussian = self._model.predict(state.gaussian, speeds, dt, motion)
-        return replace(state, stamp_ns=stamp_ns, gaussian=gaussian, motion=motion, speeds=speeds)
+        gaussian = self._filter.predict(state.gaussian, speeds, dt, motion)
+        return FilterState(stamp_ns, gaussian, motion, speeds, state.rejected_in_a_row)
 
-    def _linearise(self, state: FilterState, measurement: YawRate | PoseFix) -> Linearised:
+    def _hold(self, state: FilterState, measurement: YawRate | PoseFix) -> Held:
+        measured: Measured
         if isinstance(measurement, YawRate):
-            return self._model.yaw_rate(state.gaussian, state.speeds, measurement.rate, measurement.variance)
-        heading = self.parameters.use_heading
-        return pose_residual(state.gaussian, measurement.pose, measurement.covariance, heading)
+            measured = rate_measured(measurement.rate, measurement.variance)
+        else:
+            measured = pose_measured(measurement.pose, measurement.covariance, self.parameters.use_heading)
+        return self._filter.hold(state.gaussian, state.speeds, measured)
 
-    def _update(self, state: FilterState, measurement: Measurement, measured: Linearised) -> FilterState:
+    def _update(self, state: FilterState, measurement: Measurement, held: Held) -> FilterState:
         """Gate, then update; a source rejected too often in a row is believed again."""
-        innovation = ekf.weigh(state.gaussian, measured)
-        dof = measured.innovation.size
-        gate = self._gates[dof]
+        gate = self._gates[held.dof]
         run = state.rejected_in_a_row.get(measurement.source, 0)
-        accepted = innovation.nis <= gate or run >= self.parameters.gate_patience
-        gaussian = ekf.update(state.gaussian, measured, innovation) if accepted else state.gaussian
+        accepted = held.nis <= gate or run >= self.parameters.gate_patience
+        gaussian = held.updated if accepted else state.gaussian
         outcome = Outcome.ACCEPTED if accepted else Outcome.GATED
-        runs = {**state.rejected_in_a_row, measurement.source: 0 if accepted else run + 1}
-        report = Report(measurement.source, measurement.stamp_ns, outcome, innovation.nis, gate, dof)
-        return replace(state, gaussian=gaussian, rejected_in_a_row=MappingProxyType(runs), report=report)
+        runs = state.rejected_in_a_row
+        if run or not accepted:
+            runs = MappingProxyType({**runs, measurement.source: 0 if accepted else run + 1})
+        report = Report(measurement.source, measurement.stamp_ns, outcome, held.nis, gate, held.dof)
+        return state._replace(gaussian=gaussian, rejected_in_a_row=runs, report=report)

@@ -7,8 +7,11 @@ from typing import Any
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import Parameters, from_flat, parameter
-from trackslip_estimation.filters.slip_model import SlipNoise
-from trackslip_estimation.filters.turning_model import TurningNoise
+from trackslip_estimation.filters.filter import Filter
+from trackslip_estimation.filters.icr_model import IcrModel, IcrNoise
+from trackslip_estimation.filters.model import Model
+from trackslip_estimation.filters.slip_model import SlipModel, SlipNoise
+from trackslip_estimation.filters.turning_model import TurningModel, TurningNoise
 from trackslip_estimation.motion import MotionParameters
 from trackslip_estimation.vehicle import Vehicle
 
@@ -23,9 +26,13 @@ class SlipEstimatorParameters(Parameters):
     vehicle: Vehicle
     motion: MotionParameters
     model: str = parameter(
-        "motion model: sub-model 1b, or the thesis' (3.23)", choices=("turning", "free_slips")
+        "motion model: sub-model 1b, its ICR form, or the thesis' (3.23)",
+        choices=("turning", "icr", "free_slips"),
     )
+    filter: str = parameter("extended Kalman filter, or the thesis' Fig. 4.3", choices=("ekf", "daf"))
+    kappa: float = parameter("of the daf: scales the higher moments of its points", gt=-7.0, le=100.0)
     turning: TurningNoise
+    icr: IcrNoise
     noise: SlipNoise
     odom_frame: str = parameter("site frame of the estimate and of the pose sources")
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
@@ -57,3 +64,16 @@ def load_slip_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SlipE
     for layer in layers:
         values |= layer
     return from_flat(SlipEstimatorParameters, values, where)
+
+
+def make_filter(p: SlipEstimatorParameters) -> Filter:
+    """The filter and the motion model that the parameters choose."""
+    return Filter(make_model(p), p.kappa if p.filter == "daf" else None)
+
+
+def make_model(p: SlipEstimatorParameters) -> Model:
+    """The motion model that the parameters choose."""
+    size = (p.vehicle.rolling_radius, p.vehicle.tread, p.encoder_resolution)
+    if p.model == "free_slips":
+        return SlipModel(*size, p.noise)
+    return IcrModel(*size, p.icr) if p.model == "icr" else TurningModel(*size, p.turning)

@@ -146,17 +146,22 @@ class Faults:
     Args:
         faults: scripted beforehand.
         drive_start_ns: where the time of the faults is 0.
+
+    Attributes:
+        added: how many more have come since.
     """
 
     def __init__(self, faults: tuple[Fault, ...], drive_start_ns: int) -> None:
         self._faults = list(faults)
         self._start_ns = drive_start_ns
+        self.added = 0
 
     def add(self, fault: Fault, now_ns: int) -> None:
         """One more; those that are over are forgotten."""
         now = self.time(now_ns)
         self._faults = [known for known in self._faults if known.start + known.duration > now]
         self._faults.append(fault)
+        self.added += 1
 
     def time(self, now_ns: int) -> float:
         """Seconds of the drive."""

@@ -29,7 +29,7 @@ class _HeldBack(Generic[T]):
     def carry(self, things: Sequence[T], fault: Fault | None, now: float) -> list[T]:
         """What comes out now (s)."""
         self._held += things
-        burst = self._burst if fault is None else int((now - fault.start) / fault.value)
+        burst = 0 if fault is None else int((now - fault.start) / fault.value)
         if fault is not None and burst == self._burst:
             return []
         self._burst = burst

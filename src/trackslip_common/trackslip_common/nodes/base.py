@@ -74,6 +74,9 @@ class TrackslipNode(LifecycleNode, Generic[P]):
     def release(self) -> None:
         """Give back what ``configure`` took beside publishers, subscriptions, timers; safe to call twice."""
 
+    def drain(self, spin_once: Callable[[], None]) -> None:
+        """Before the end: take what has arrived but was not handled yet, if that matters."""
+
     def health(self) -> list[Health]:
         """What /diagnostics shall say; asked only while the node is active."""
         return [Health(OK, "running")]

@@ -17,6 +17,7 @@ from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.nodes.base import TrackslipNode
 
 _POLL = 0.1  # s, the longest that a signal waits to be seen
+_DRAIN_POLL = 0.02  # s
 _ARGUMENTS = "--ros-args with -p name:=value, --params-file <YAML file>, -r from:=to"
 
 
@@ -48,6 +49,7 @@ def run(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | None 
         executor.add_node(node)
         while not signals.received and rclpy.ok():
             executor.spin_once(timeout_sec=_POLL)
+        node.drain(lambda: executor.spin_once(timeout_sec=_DRAIN_POLL))
     except InputError as error:
         print(error, file=sys.stderr)
         return ExitCode.BAD_INPUT

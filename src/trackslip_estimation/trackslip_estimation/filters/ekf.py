@@ -1,64 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extended Kalman filter, generic over the model.
+"""Extended Kalman filter, compiled.
 
 x, P   mean and covariance of the state      (n,), (n, n)
 F, Q   transition Jacobian, process noise    (n, n), (n, n)
 z, R   measurement and its covariance        (m,), (m, m)
 h, H   predicted measurement, its Jacobian   (m,), (m, n)
 ν, S   innovation z − h and its covariance   (m,), (m, m)
+K      gain                                  (n, m)
+NIS    νᵀ S⁻¹ ν, χ² with m degrees of freedom if all is honest
 """
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.compiled import compiled
+from trackslip_estimation.filters.equations import expected, jacobian, move, process_noise, transition
+from trackslip_estimation.filters.linear_algebra import (
+    apply,
+    sandwich,
+    solve,
+    times,
+    weighted_square,
+    wrap,
+)
+from trackslip_estimation.filters.model import FULL_POSE, YAW
+
 FloatArray = NDArray[np.float64]
 
 
-class Gaussian(NamedTuple):
-    """Mean and covariance of the state."""
-
-    mean: FloatArray  # (n,)
-    covariance: FloatArray  # (n, n)
-
-
-class Linearised(NamedTuple):
-    """A measurement as the filter sees it at the present state."""
-
-    innovation: FloatArray  # (m,) ν, angles wrapped
-    jacobian: FloatArray  # (m, n) H
-    noise: FloatArray  # (m, m) R
+@compiled
+def predict(
+    x: FloatArray, P: FloatArray, left: float, right: float, dt: float, motion: int, changing: int, c: Any
+) -> tuple[FloatArray, FloatArray]:
+    """f(x) and P' = F P Fᵀ + Q."""
+    F = transition(x, left, right, dt, c)
+    Q = process_noise(x, left, right, dt, motion, changing, c)
+    return move(x, left, right, dt, c), sandwich(F, P) + Q
 
 
-class Innovation(NamedTuple):
-    """A measurement held against the prediction."""
-
-    covariance: FloatArray  # (m, m) S
-    nis: float  # νᵀ S⁻¹ ν, χ² with m degrees of freedom if all is honest
-
-
-def wrap(angle: float) -> float:
-    """The same angle in (−π, π]."""
-    return float(-((-angle + np.pi) % (2.0 * np.pi) - np.pi))
-
-
-def predict(state: Gaussian, mean: FloatArray, transition: FloatArray, noise: FloatArray) -> Gaussian:
-    """P' = F P Fᵀ + Q, around the mean that the model has already moved on."""
-    return Gaussian(mean, transition @ state.covariance @ transition.T + noise)
+@compiled
+def correct(
+    x: FloatArray, P: FloatArray, innovation: FloatArray, H: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """x', P' and NIS; Joseph form, which keeps P symmetric and positive whatever the gain."""
+    S = sandwich(H, P) + R
+    K = np.ascontiguousarray(solve(S, times(H, P)).T)
+    keep = np.eye(x.size) - times(K, H)
+    P = sandwich(keep, P) + sandwich(K, R)
+    return x + apply(K, innovation), P, weighted_square(S, innovation)
 
 
-def weigh(state: Gaussian, measured: Linearised) -> Innovation:
-    """S = H P Hᵀ + R and the normalised innovation squared."""
-    covariance = measured.jacobian @ state.covariance @ measured.jacobian.T + measured.noise
-    nis = float(measured.innovation @ np.linalg.solve(covariance, measured.innovation))
-    return Innovation(covariance, nis)
-
-
-def update(state: Gaussian, measured: Linearised, innovation: Innovation) -> Gaussian:
-    """Joseph form, which keeps P symmetric and positive whatever the gain."""
-    H = measured.jacobian
-    gain = np.linalg.solve(innovation.covariance, H @ state.covariance).T
-    keep = np.eye(state.mean.size) - gain @ H
-    covariance = keep @ state.covariance @ keep.T + gain @ measured.noise @ gain.T
-    return Gaussian(state.mean + gain @ measured.innovation, (covariance + covariance.T) / 2.0)
+@compiled
+def update(
+    kind: int, x: FloatArray, P: FloatArray, z: FloatArray, R: FloatArray, left: float, right: float, c: Any
+) -> tuple[FloatArray, FloatArray, float]:
+    """x', P' and NIS of a measurement of one kind."""
+    innovation = z - expected(kind, x, left, right, c)
+    if kind == FULL_POSE:
+        innovation[YAW] = wrap(innovation[YAW])
+    H = jacobian(kind, x, left, right, c)
+    x, P, nis = correct(x, P, innovation, H, R)
+    x[YAW] = wrap(x[YAW])
+    return x, P, nis

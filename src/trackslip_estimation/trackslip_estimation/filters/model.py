@@ -1,19 +1,60 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a motion model must tell a filter; the slip estimator runs on any of them."""
+"""What a motion model tells a filter, and what they pass to each other.
+
+Each model's state begins with x, y, φ and ends with the bias of the gyro; all but the pose is constant
+plus a walk. Its equations are compiled functions (``equations`` chooses between the models); its numbers
+reach them in one ``CONSTANTS`` record.
+"""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.filters.ekf import Gaussian, Linearised, wrap
 from trackslip_estimation.motion import MotionState, Speeds
 
 FloatArray = NDArray[np.float64]
 
 X, Y, YAW = range(3)  # of every model's state: site frame, m, m, rad
 POSE = slice(X, YAW + 1)
+LARGEST_STATE = 10
+
+FREE_SLIPS, TURNING, ICR = range(3)  # models
+SPROCKETS, YAW_RATE, POSITION, FULL_POSE = range(4)  # kinds of measurement
+
+CONSTANTS = np.dtype(
+    [
+        ("model", np.int64),
+        ("sigma_points", np.bool_),  # DAF, else EKF
+        ("kappa", np.float64),  # of the DAF
+        ("rolling_radius", np.float64),  # r, m
+        ("tread", np.float64),  # B, m
+        ("encoder_resolution", np.float64),  # rad
+        ("encoder", np.float64),  # (3.21), √s
+        ("straight_misfit", np.float64),
+        ("turning_misfit", np.float64),
+        ("standing_misfit", np.float64),  # m/s
+        ("misfit_time", np.float64),  # τ, s
+        ("walk", np.float64, (4, 2, LARGEST_STATE)),  # variance per s, by motion and whether it changes
+    ],
+    align=True,
+)
+
+
+class Gaussian(NamedTuple):
+    """Mean and covariance of the state."""
+
+    mean: FloatArray  # (n,)
+    covariance: FloatArray  # (n, n)
+
+
+class Measured(NamedTuple):
+    """A measurement as the filters take it."""
+
+    kind: int
+    value: FloatArray  # (m,) z
+    noise: FloatArray  # (m, m) R
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,35 +68,35 @@ class Outputs:
 
 
 class Model(Protocol):
-    """Motion and measurement equations over a state that begins with x, y, φ."""
+    """The numbers of a motion model; its equations are compiled."""
+
+    @property
+    def code(self) -> int:
+        """FREE_SLIPS, TURNING or ICR."""
 
     def initial(self, pose: FloatArray, pose_covariance: FloatArray) -> Gaussian:
         """A start with known pose (3,) and its covariance (3, 3)."""
 
-    def predict(self, state: Gaussian, speeds: Speeds, dt: float, motion: MotionState) -> Gaussian:
-        """The state ``dt`` s later."""
+    def constants(self) -> dict[str, float]:
+        """Fields of ``CONSTANTS``; what the model has no use for is left out."""
 
-    def drive(self, state: Gaussian, speeds: Speeds) -> Gaussian:
-        """What a sprocket sample says of the state, beyond driving the prediction."""
-
-    def yaw_rate(self, state: Gaussian, speeds: Speeds, rate: float, variance: float) -> Linearised:
-        """A gyro's rate, rad/s, held against the state."""
-
-    def outputs(self, state: Gaussian, speeds: Speeds) -> Outputs:
-        """Twist and slips."""
+    def walk(self, motion: MotionState) -> FloatArray:
+        """(n,) standard deviation per √s of each state."""
 
 
-def pose_residual(state: Gaussian, pose: FloatArray, covariance: FloatArray, use_heading: bool) -> Linearised:
-    """z = (x, y) and, where wanted, φ: the same for every model."""
+def rate_measured(rate: float, variance: float) -> Measured:
+    """z = φ̇ + b_g of a gyro."""
+    return Measured(YAW_RATE, np.array((rate,)), np.array(((variance,),)))
+
+
+def pose_measured(pose: FloatArray, covariance: FloatArray, use_heading: bool) -> Measured:
+    """z = (x, y) and, where wanted, φ."""
     rows = YAW + 1 if use_heading else YAW
-    innovation = (pose - state.mean[POSE])[:rows]
-    if use_heading:
-        innovation[YAW] = wrap(innovation[YAW])
-    return Linearised(innovation, np.eye(state.mean.size)[:rows], covariance[:rows, :rows])
+    kind = FULL_POSE if use_heading else POSITION
+    value = np.array(pose[:rows], dtype=np.float64, order="C")
+    return Measured(kind, value, np.array(covariance[:rows, :rows], dtype=np.float64, order="C"))
 
 
-def rounding_variance(resolution: float, speeds: Speeds) -> float:
-    """Variance of one sprocket speed differenced from two counts rounded to ``resolution`` rad, (rad/s)²."""
-    if not speeds.differenced or speeds.stretch <= 0.0:
-        return 0.0
-    return 2.0 * (resolution / speeds.stretch) ** 2 / 12.0
+def sprockets_measured(speeds: Speeds) -> Measured | None:
+    """0 = what the sprockets should do for the state, less what they do; None where nothing is known yet."""
+    return Measured(SPROCKETS, np.zeros(2), np.zeros((2, 2))) if speeds.stretch > 0.0 else None

@@ -5,6 +5,7 @@ import re
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -23,6 +24,8 @@ from trackslip_estimation.bags.qos import offered_qos
 from trackslip_estimation.bags.writer import BagWriter
 
 _DISCOVERY_PERIOD = 0.5  # s
+_LONGEST_DRAIN = 1.0  # s
+_IDLE_SPINS = 4  # without a message: a timer may take one of them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +75,15 @@ class RecordNode(TrackslipNode[RecordParameters]):
             self._bag.close()
             self.get_logger().info(f"{sum(self._bag.counts.values())} messages in {self._bag.path}")
             self._bag = None
+
+    def drain(self, spin_once: Callable[[], None]) -> None:
+        """What was received is written, also what came just before the end."""
+        give_up_s = time.monotonic() + _LONGEST_DRAIN
+        idle = 0
+        while self._bag is not None and idle < _IDLE_SPINS and time.monotonic() < give_up_s:
+            before = sum(self._bag.counts.values())
+            spin_once()
+            idle = idle + 1 if sum(self._bag.counts.values()) == before else 0
 
     def health(self) -> list[Health]:
         """Counts per topic; a warning if anything was lost."""

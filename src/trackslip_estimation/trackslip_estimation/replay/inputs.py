@@ -99,6 +99,13 @@ def in_live_order(arrivals: list[Arrival], journal: list[Taken]) -> Iterator[Mea
     yield from (arrival.measurement for arrival in others)
 
 
+def missing_inputs(arrivals: list[Arrival], journal: list[Taken]) -> int:
+    """How many measurements the journal names that the bag lacks."""
+    there = Counter((arrival.measurement.source, arrival.measurement.stamp_ns) for arrival in arrivals)
+    named = Counter((taken.source, taken.stamp_ns) for taken in journal)
+    return sum((named - there).values())
+
+
 def journal_gaps(journal: list[Taken]) -> int:
     """How many lines of the journal the bag lacks, those before its first line included."""
     lost = 0

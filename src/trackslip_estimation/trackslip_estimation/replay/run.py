@@ -21,6 +21,7 @@ from trackslip_estimation.replay.inputs import (
     Inputs,
     in_live_order,
     journal_gaps,
+    missing_inputs,
     numbers_of,
     read_inputs,
 )
@@ -50,6 +51,7 @@ class LiveComparison:
     common: int  # stamps that both have
     largest_difference: float
     lost_reports: int  # lines of the live journal that the bag lacks
+    lost_inputs: int  # measurements that the journal names and the bag lacks
 
     @property
     def matches(self) -> bool:
@@ -169,7 +171,8 @@ def _compare(result: Replay, p: SlipEstimatorParameters) -> LiveComparison:
             largest = max(largest, float(np.max(difference)))
         common = min(common, len(both))
     lost = journal_gaps(result.inputs.journal)
-    return LiveComparison(len(live.stamps_ns), len(replayed), common, largest, lost)
+    missing = missing_inputs(result.inputs.arrivals, result.inputs.journal)
+    return LiveComparison(len(live.stamps_ns), len(replayed), common, largest, lost, missing)
 
 
 def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:

@@ -81,6 +81,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             "finished": self._finished,
             "bytes that nobody read": self._cables.bytes_lost,
             "faults": "; ".join(map(str, at_work)) or "none",
+            "faults accepted": self._excavator.faults.added,
             "faults refused": self._faults_refused,
         }
         return [Health(OK, "finished" if self._finished else "driving", values)]
@@ -100,7 +101,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         """Pace the devices by the steady clock, from one reading of the system's."""
         began_ns = time.monotonic_ns()
         epoch_ns = time.time_ns() - began_ns
-        tick_ns = began_ns
+        # Ticks fall on the devices' own cycles, which are whole ticks apart from the start of the drive.
+        tick_ns = began_ns - (epoch_ns + began_ns - excavator.drive_start_ns) % _TICK_NS
         truth_ns = epoch_ns + began_ns
         try:
             while not self._stopping.is_set():
@@ -112,7 +114,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
                     self._tell_truth(excavator, truth_ns)
                     truth_ns += _TRUTH_PERIOD_NS
                 self._finished = now_ns > excavator.end_ns + _DRAIN_NS
-                tick_ns = max(tick_ns + _TICK_NS, time.monotonic_ns() - _TICK_NS)
+                tick_ns += _TICK_NS * max(1, (time.monotonic_ns() - tick_ns) // _TICK_NS)
                 self._stopping.wait(max(tick_ns - time.monotonic_ns(), 0) * 1e-9)
         except OSError as error:
             self._trouble = f"stopped: {error}"

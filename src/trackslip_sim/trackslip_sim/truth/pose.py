@@ -3,7 +3,7 @@
 
 import math
 
-from trackslip_sim.truth.compiled import compiled
+from trackslip_estimation.compiled import compiled
 from trackslip_sim.truth.record import FloatArray
 
 

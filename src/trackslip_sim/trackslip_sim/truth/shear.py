@@ -10,10 +10,10 @@ import math
 import numpy as np
 
 from trackslip_common.errors import InputError
+from trackslip_estimation.compiled import compiled
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
 from trackslip_estimation.vehicle import Vehicle
 from trackslip_sim.scenarios import Scenario
-from trackslip_sim.truth.compiled import compiled
 from trackslip_sim.truth.contact import carry, element_loads, element_positions, find_soils, forget, mobilise
 from trackslip_sim.truth.ground import Ground, soil_at
 from trackslip_sim.truth.lag import kept_error, top_speed

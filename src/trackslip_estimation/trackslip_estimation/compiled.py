@@ -4,6 +4,7 @@
 import hashlib
 import os
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -12,25 +13,22 @@ import numba
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def _cache_directory() -> str:
-    """One directory per state of this package's sources.
+@cache
+def _cache_directory(folder: Path) -> str:
+    """One directory per state of the sources in a folder.
 
     Numba looks only at the file of the function itself, so a kernel would keep stale machine code of
-    what it calls in other files.
+    what it calls in other files. Kernels call kernels of their own folder only.
     """
-    here = Path(__file__).parent
-    sources = b"".join(path.read_bytes() for path in sorted(here.glob("*.py")))
-    parent = Path(os.environ.get("NUMBA_CACHE_DIR") or here / "__pycache__")
+    sources = b"".join(path.read_bytes() for path in sorted(folder.glob("*.py")))
+    parent = Path(os.environ.get("NUMBA_CACHE_DIR") or folder / "__pycache__")
     return str(parent / hashlib.sha256(sources).hexdigest()[:16])
-
-
-_CACHE_DIRECTORY = _cache_directory()
 
 
 def compiled(function: F) -> F:
     """Compile at the first call and keep the result (strict IEEE arithmetic)."""
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _CACHE_DIRECTORY
+    numba.config.CACHE_DIR = _cache_directory(Path(function.__code__.co_filename).parent)
     try:
         return cast(F, numba.njit(cache=True, nogil=True)(function))
     finally:
