@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from trackslip_common.config_files import config_file, read_yaml
+from trackslip_common.config_files import config_file, node_defaults, read_yaml
 from trackslip_common.parameters import flat_fields, flatten, from_flat
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
@@ -18,7 +18,7 @@ from trackslip_sim.scan_model import ANGLE_INCREMENT, ANGLE_MIN, TIME_INCREMENT,
 
 PC05 = read_yaml(config_file("pc05.yaml"))["/**"]["ros__parameters"]["vehicle"]
 VEHICLE = from_flat(Vehicle, flatten(PC05), "pc05.yaml")
-NODE = read_yaml(config_file("box_localizer.yaml"))["box_localizer"]["ros__parameters"]
+NODE = node_defaults("box_localizer", "site.yaml", "box_localizer.yaml")
 NAMES = {name for name, _, _ in flat_fields(BoxLocalizerParameters)}
 PARAMETERS = dataclasses.replace(
     from_flat(BoxLocalizerParameters, {name: NODE[name] for name in NAMES}, "box_localizer.yaml"),

@@ -6,10 +6,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from trackslip_common.config_files import config_file, read_yaml
+from trackslip_common.config_files import config_file, node_defaults, read_yaml
 from trackslip_common.parameters import flat_fields, flatten, from_flat
+from trackslip_estimation.box import parameters as box_parameters
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer, Reason, Rejection
-from trackslip_estimation.box.parameters import BoxLocalizerParameters
+from trackslip_estimation.box.parameters import BoxNodeParameters
 from trackslip_estimation.box.sides import SideDoubt, half_turn_variance
 from trackslip_estimation.vehicle import Vehicle
 from trackslip_sim.scan_model import ANGLE_INCREMENT, ANGLE_MIN, TIME_INCREMENT, SiteParameters, SiteScanner
@@ -28,8 +29,10 @@ def load(cls, name, *path):
 
 
 VEHICLE = load(Vehicle, "pc05.yaml", "/**", "ros__parameters", "vehicle")
-PARAMETERS = load(BoxLocalizerParameters, "box_localizer.yaml", "box_localizer", "ros__parameters")
-SITE = load(SiteParameters, "emulator_site.yaml", "emulator", "ros__parameters", "site")
+PARAMETERS = from_flat(
+    BoxNodeParameters, node_defaults(box_parameters.NODE, *box_parameters.DEFAULT_FILES), "box_localizer"
+)
+SITE = load(SiteParameters, "site.yaml", "emulator", "ros__parameters", "site")
 BARE = dataclasses.replace(SITE, walls=(), posts=())
 
 

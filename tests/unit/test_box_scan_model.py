@@ -102,5 +102,5 @@ def test_incomplete_wall_is_refused_in_one_line():
 
 
 def test_configured_site_is_valid():
-    tree = read_yaml(config_file("emulator_site.yaml"))["emulator"]["ros__parameters"]["site"]
-    assert from_flat(SiteParameters, flatten(tree), "emulator_site.yaml").range_max == 50.0
+    tree = read_yaml(config_file("site.yaml"))["emulator"]["ros__parameters"]["site"]
+    assert from_flat(SiteParameters, flatten(tree), "site.yaml").range_max == 50.0

@@ -20,14 +20,14 @@ from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_estimation import slip_parameters
-from trackslip_estimation.nodes.box_localizer import BoxNodeParameters
+from trackslip_estimation.box import parameters as box_parameters
 from trackslip_estimation.nodes.record import RecordParameters
 from trackslip_sim import parameters as emulator_parameters
 
 ROOT = Path(__file__).parents[2]
 NODES: dict[str, tuple[type[Parameters], tuple[str, ...]]] = {
     "slip_estimator": (slip_parameters.SlipEstimatorParameters, slip_parameters.DEFAULT_FILES),
-    "box_localizer": (BoxNodeParameters, ("pc05.yaml", "box_localizer.yaml")),
+    "box_localizer": (box_parameters.BoxNodeParameters, box_parameters.DEFAULT_FILES),
     "record": (RecordParameters, ("record.yaml",)),
     "can_driver": (CanDriverParameters, ("can_driver.yaml",)),
     "watson_imu": (WatsonParameters, ("watson_imu.yaml",)),

@@ -152,5 +152,5 @@ def _full_scales(frames: FrameSet, layout: Layout, sick: SickParameters) -> Full
 
 
 def default_parameters(cls: type[T], node: str, *files: str) -> T:
-    """A node's own default parameters, from its file and any others in ``config/``."""
-    return from_flat(cls, node_defaults(node, f"{node}.yaml", *files), node)
+    """A node's own default parameters, from its file or these of ``config/``."""
+    return from_flat(cls, node_defaults(node, *(files or (f"{node}.yaml",))), node)

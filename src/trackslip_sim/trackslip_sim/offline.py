@@ -27,17 +27,19 @@ from trackslip_estimation import conversions as of_estimates
 from trackslip_estimation.bags.messages import make, serialize
 from trackslip_estimation.bags.reader import absolute
 from trackslip_estimation.bags.writer import BagWriter
+from trackslip_estimation.box import parameters as box_parameters
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import BoxNodeParameters
 from trackslip_estimation.measurements import PoseFix
 from trackslip_sim.excavator import EmulatedExcavator, default_parameters
 from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.truth.record import Truth
-from trackslip_sim.truth_estimates import as_estimate
+from trackslip_sim.truth_estimates import as_estimate, soil_message
 
 START_NS = 1_000_000_000  # of the counted clock
 _TICK_NS = 2_000_000
 _TRUTH_NS = 10_000_000
+_SOIL_NS = 1_000_000_000
 _BODY_FRAME, _SITE_FRAME = "base_link", "odom"
 
 
@@ -72,7 +74,8 @@ class _Host:
         self._sick = default_parameters(SickParameters, "sick_pls")
         self._session = SickSession(self._sick, self._tally)
         self._baud = self._session.baud
-        box = default_parameters(BoxNodeParameters, "box_localizer", "pc05.yaml")
+        box = default_parameters(BoxNodeParameters, box_parameters.NODE, *box_parameters.DEFAULT_FILES)
+        self._vehicle = box.vehicle
         self._localizer = BoxLocalizer(box, box.vehicle)
 
     def step(self, now_ns: int) -> None:
@@ -123,6 +126,9 @@ class _Host:
         message = of_estimates.odometry(make, estimate, _SITE_FRAME, _BODY_FRAME)
         self._write("truth/odometry", message, now_ns)
         self._write("truth/track_slip", of_estimates.track_slip(make, estimate, _BODY_FRAME), now_ns)
+        if (now_ns - START_NS) % _SOIL_NS == 0:
+            soil = soil_message(make, at, now_ns, self._vehicle, _BODY_FRAME)
+            self._write("truth/soil", soil, now_ns)
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:
         self._bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), now_ns)

@@ -13,7 +13,7 @@ from trackslip_sim.scan_model import SiteParameters
 from trackslip_sim.sensors import SensorNoise
 
 NODE = "emulator"
-DEFAULT_FILES = ("pc05.yaml", "emulator_site.yaml", "emulator.yaml")
+DEFAULT_FILES = ("pc05.yaml", "site.yaml", "emulator.yaml")
 
 
 @dataclass(frozen=True, kw_only=True)

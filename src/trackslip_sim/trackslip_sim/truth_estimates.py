@@ -1,11 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The truth in the shape of an estimate, so that the same conversions publish both."""
+"""The truth in the shape of what the estimators publish."""
+
+import array
+from typing import Any
 
 import numpy as np
 
+from trackslip_common.make import Make, header
 from trackslip_estimation.filters.model import Outputs
 from trackslip_estimation.motion import Motion
 from trackslip_estimation.slip_estimator import Estimate
+from trackslip_estimation.soils import load_soils
+from trackslip_estimation.terramechanics.strength import thrust_limit
+from trackslip_estimation.vehicle import Vehicle
 from trackslip_sim.truth.record import Truth
 
 _STANDING = 1e-3  # rad/s, both sprockets
@@ -32,3 +39,31 @@ def _motion(at: Truth) -> Motion:
     if fastest < _STANDING:
         return Motion.STANDING
     return Motion.STRAIGHT if abs(right - left) < _STRAIGHT * fastest else Motion.TURNING
+
+
+def soil_message(make: Make, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_id: str) -> Any:
+    """trackslip_msgs/SoilEstimate of the ground under C: intervals of no width, one class for certain."""
+    soil = load_soils()[at.soil_name()]
+    area = 2.0 * vehicle.track_width * vehicle.contact_length
+    limit = float(thrust_limit(soil.cohesion, soil.friction_angle, area, vehicle.weight))
+    modulus = soil.value("shear_modulus")
+    return make(
+        "trackslip_msgs/msg/SoilEstimate",
+        header=header(make, stamp_ns, frame_id),
+        mu_r=soil.value("mu_r"),
+        mu_r_variance=0.0,
+        mu_l=3.0
+        * float(at.turning_moment[0])
+        / (vehicle.weight * vehicle.contact_length),  # (3.8), mobilised
+        mu_l_variance=0.0,
+        shear_modulus=modulus,
+        shear_modulus_lower=modulus,
+        shear_modulus_upper=modulus,
+        max_tractive_effort=limit,
+        max_tractive_effort_lower=limit,
+        max_tractive_effort_upper=limit,
+        identifiable=True,
+        reason="",
+        class_names=[soil.name],
+        class_probabilities=array.array("d", (1.0,)),
+    )

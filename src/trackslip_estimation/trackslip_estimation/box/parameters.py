@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the box localizer must be told (``config/box_localizer.yaml`` holds the values)."""
+"""What the box localizer must be told (values: ``config/site.yaml``, ``config/box_localizer.yaml``)."""
 
 from dataclasses import dataclass
 
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.vehicle import Vehicle
+
+NODE = "box_localizer"
+DEFAULT_FILES = ("pc05.yaml", "site.yaml", "box_localizer.yaml")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation import conversions
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
-from trackslip_estimation.box.parameters import BoxNodeParameters
+from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_estimation.measurements import PoseFix
 
 
@@ -20,7 +20,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
     """Converts, calls the localizer, publishes."""
 
     def __init__(self) -> None:
-        super().__init__("box_localizer", BoxNodeParameters, "pc05.yaml", "box_localizer.yaml")
+        super().__init__(NODE, BoxNodeParameters, *DEFAULT_FILES)
 
     def configure(self) -> None:
         """Make the localizer."""

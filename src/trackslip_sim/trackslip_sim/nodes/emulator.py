@@ -16,10 +16,11 @@ from trackslip_sim.cables import Cables
 from trackslip_sim.excavator import EmulatedExcavator, drive
 from trackslip_sim.faults import Fault, parse_fault
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
-from trackslip_sim.truth_estimates import as_estimate
+from trackslip_sim.truth_estimates import as_estimate, soil_message
 
 _TICK_NS = 2_000_000  # how finely the serial lines are dripped
 _TRUTH_PERIOD_NS = 10_000_000
+_SOIL_PERIOD_NS = 1_000_000_000
 _DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
 _FRAMES = ("odom", "base_link")
 
@@ -38,6 +39,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         self._excavator: EmulatedExcavator | None = None
         self._odometry = self.announce(topic_class("truth/odometry"), "truth/odometry")
         self._track_slip = self.announce(topic_class("truth/track_slip"), "truth/track_slip")
+        self._soil = self.announce(topic_class("truth/soil"), "truth/soil")
         self._cables = Cables(p)
         self._ordered: queue.SimpleQueue[Fault] = queue.SimpleQueue()
         self._faults_refused = 0
@@ -121,9 +123,12 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             self.get_logger().error(self._trouble)
 
     def _tell_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
-        estimate = as_estimate(self._truth.at(excavator.sensors.time(stamp_ns)), stamp_ns)
+        at = self._truth.at(excavator.sensors.time(stamp_ns))
+        estimate = as_estimate(at, stamp_ns)
         self._odometry.publish(conversions.odometry(make, estimate, *_FRAMES))
         self._track_slip.publish(conversions.track_slip(make, estimate, _FRAMES[1]))
+        if (stamp_ns - excavator.drive_start_ns) % _SOIL_PERIOD_NS < _TRUTH_PERIOD_NS:
+            self._soil.publish(soil_message(make, at, stamp_ns, self.settings.vehicle, _FRAMES[1]))
 
 
 def main() -> None:
