@@ -39,7 +39,8 @@ def test_the_bag_holds_what_the_sensors_see(tmp_path: Path) -> None:
     scenario = tmp_path / "short.yaml"
     scenario.write_text("name: short\nsoil: sand\nsegments: [{duration: 3.0, left: 2.0, right: 1.6}]\n")
     bag = tmp_path / "bag"
-    assert run(parse("--scenario", str(scenario), "--mode", "thesis", "--seed", "7", "--output", str(bag))) == 0
+    options = ("--scenario", str(scenario), "--mode", "thesis", "--seed", "7", "--output", str(bag))
+    assert run(parse(*options)) == 0
     with open_bag(bag) as opened:
         counts = {topic: info.count for topic, info in opened.topics.items()}
         p = load_slip_parameters()

@@ -46,6 +46,7 @@ def soil_message(make: Make, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_i
     soil = load_soils()[at.soil_name()]
     area = 2.0 * vehicle.track_width * vehicle.contact_length
     limit = float(thrust_limit(soil.cohesion, soil.friction_angle, area, vehicle.weight))
+    mobilised = float(at.turning_moment[0]) * 3.0 / (vehicle.weight * vehicle.contact_length)  # (3.8)
     modulus = soil.value("shear_modulus")
     return make(
         "trackslip_msgs/msg/SoilEstimate",
