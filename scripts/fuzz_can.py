@@ -16,7 +16,7 @@ from trackslip_drivers.protocols.can_frames import (
     Frame,
     FrameDecoder,
     FrameSet,
-    crc8_j1850,
+    sealed,
 )
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.records import SprocketSample
@@ -43,8 +43,8 @@ def can_frames() -> Target:
             now_ns += 1_000_000 * int.from_bytes(silence, "little")
             chosen = kind & 3
             identifier = ids[chosen] if chosen < len(ids) else int.from_bytes(payload[:4], "big")
-            if kind & SEALED and payload:
-                payload = payload[:-1] + bytes([crc8_j1850(identifier.to_bytes(4, "big") + payload[:-1])])
+            if kind & SEALED and len(payload) > 1:
+                payload = sealed(identifier, payload)
             decoder.decode(identifier, payload, now_ns)
             sample = can.receive(identifier, payload, now_ns)
             if isinstance(sample, SprocketSample):

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from trackslip_estimation.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters, load_slip_parameters
-from trackslip_estimation.timeline import SprocketTrack, Timeline
+from trackslip_estimation.sprocket_track import SprocketTrack
+from trackslip_estimation.timeline import Timeline
 
 MS = 1_000_000
 WINDOW_MS = 1000
@@ -233,7 +234,7 @@ def test_timeline_orders_what_comes_and_leaves_what_is_settled(stamps: list[int]
 def test_forgetting_samples_does_not_change_later_speeds(
     stamps: list[int], horizon: int, positions: bool, random: Any
 ) -> None:
-    whole, short = SprocketTrack(), SprocketTrack()
+    whole, short = SprocketTrack(10**9, 1e12), SprocketTrack(10**9, 1e12)
     for stamp in stamps:
         p = (random.random(), random.random()) if positions else None
         sample = Sprockets("sprockets", stamp, random.random(), random.random(), p)
@@ -241,28 +242,28 @@ def test_forgetting_samples_does_not_change_later_speeds(
         short.add(sample)
     short.forget_before(horizon)
     for end in range(horizon, 70):
-        assert short.speeds(end) == whole.speeds(end)
+        assert short.stretch(end)[0] == whole.stretch(end)[0]
         assert short.last_before(end) == whole.last_before(end) or end == horizon
 
 
 def test_speeds_are_those_of_the_stretch_around_the_time() -> None:
-    track = SprocketTrack()
-    assert tuple(track.speeds(5)[:2]) == (0.0, 0.0)
+    track = SprocketTrack(10**9, 1e12)
+    assert tuple(track.stretch(5)[0][:2]) == (0.0, 0.0)
     for ms, angles in ((200, (3.0, 0.2)), (0, (1.0, 0.0)), (100, (2.0, 0.4))):  # in no order
         track.add(Sprockets("sprockets", ms * MS, 9.0, 9.0, angles))
-    assert track.speeds(0)[:2] == (9.0, 9.0)  # nothing before it to difference from
+    assert track.stretch(0)[0][:2] == (9.0, 9.0)  # nothing before it to difference from
     for ms in (1, 50, 100):
-        assert track.speeds(ms * MS)[:2] == pytest.approx((10.0, 4.0))
+        assert track.stretch(ms * MS)[0][:2] == pytest.approx((10.0, 4.0))
     for ms in (101, 200, 300):  # and beyond the last, as before it
-        assert track.speeds(ms * MS)[:2] == pytest.approx((10.0, -2.0))
+        assert track.stretch(ms * MS)[0][:2] == pytest.approx((10.0, -2.0))
     track.add(Sprockets("sprockets", 200 * MS, 9.0, 9.0, (7.0, 7.0)))  # a repeat changes nothing
-    assert track.speeds(300 * MS)[:2] == pytest.approx((10.0, -2.0))
+    assert track.stretch(300 * MS)[0][:2] == pytest.approx((10.0, -2.0))
     assert track.last_before(100 * MS) == 0
     assert track.last_before(0) is None
 
 
 def test_without_positions_the_closing_sample_tells_the_speed() -> None:
-    track = SprocketTrack()
+    track = SprocketTrack(10**9, 1e12)
     for ms, speed in ((0, 1.0), (100, 2.0)):
         track.add(Sprockets("sprockets", ms * MS, speed, -speed))
-    assert [track.speeds(ms * MS)[:2] for ms in (0, 50, 100, 200)] == [(1.0, -1.0), *[(2.0, -2.0)] * 3]
+    assert [track.stretch(ms * MS)[0][:2] for ms in (0, 50, 100, 200)] == [(1.0, -1.0), *[(2.0, -2.0)] * 3]

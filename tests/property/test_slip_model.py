@@ -12,15 +12,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from trackslip_estimation.filters.ekf import Gaussian, Linearised, wrap
-from trackslip_estimation.filters.model import POSE, YAW, X, Y, pose_residual
+from trackslip_estimation.filters import equations
+from trackslip_estimation.filters.filter import Filter
+from trackslip_estimation.filters.linear_algebra import wrap
+from trackslip_estimation.filters.model import (
+    DRIVEN,
+    FULL_POSE,
+    POSE,
+    POSITION,
+    YAW,
+    YAW_RATE,
+    Gaussian,
+    X,
+    Y,
+    pose_measured,
+    rate_measured,
+)
 from trackslip_estimation.filters.slip_model import (
     GYRO_BIAS,
     LEFT_SLIP,
     RIGHT_SLIP,
     SIZE,
     SLIP_ANGLE,
-    SLIPS,
     SlipModel,
     SlipNoise,
 )
@@ -46,6 +59,8 @@ ENCODER_ONLY = SlipModel(
 )
 STRAIGHT = MotionState(Motion.STRAIGHT, changing=False)
 EDGE = 1e-6  # of the central differences
+FILTER = Filter(MODEL)
+C = FILTER.constants[0]
 
 states = st.tuples(
     *[st.floats(-50.0, 50.0)] * 2,
@@ -79,79 +94,84 @@ def state(**values: float) -> FloatArray:
     return x
 
 
+def move(x: FloatArray, left: float, right: float, dt: float) -> FloatArray:
+    return equations.move(x, left, right, dt, C)
+
+
+def twist(x: FloatArray, left: float, right: float) -> FloatArray:
+    return np.array(equations.twist(x, left, right, C))
+
+
 @given(states, speeds, speeds, times)
 def test_f_is_the_derivative_of_the_step_by_the_state(
     x: FloatArray, left: float, right: float, dt: float
 ) -> None:
-    _, F, _ = MODEL.move(x, left, right, dt)
-    expected = differences(lambda v: MODEL.move(v, left, right, dt)[0], x)
-    np.testing.assert_allclose(F, expected, atol=1e-7)
+    F = equations.transition(x, left, right, dt, C)
+    np.testing.assert_allclose(F, differences(lambda v: move(v, left, right, dt), x), atol=1e-7)
 
 
-@given(states, speeds, speeds, times)
-def test_g_is_the_derivative_of_the_step_by_the_speeds(
+@given(states, speeds, speeds, st.floats(0.01, 0.5))
+def test_encoder_noise_enters_by_the_derivative_of_the_step_by_the_speeds(
     x: FloatArray, left: float, right: float, dt: float
 ) -> None:
-    _, _, G = MODEL.move(x, left, right, dt)
-    expected = differences(lambda v: MODEL.move(x, v[0], v[1], dt)[0], np.array((left, right)))
-    np.testing.assert_allclose(G, expected, atol=1e-7)
+    G = differences(lambda v: move(x, v[0], v[1], dt), np.array((left, right)))
+    variance = np.square((NOISE.encoder * left, NOISE.encoder * right)) / dt
+    c = Filter(ENCODER_ONLY).constants[0]
+    Q = equations.process_noise(x, left, right, dt, int(Motion.STRAIGHT), 0, c)
+    np.testing.assert_allclose(Q, (G * variance) @ G.T, atol=1e-8)
 
 
 @given(states, speeds, speeds)
 def test_twist_jacobian(x: FloatArray, left: float, right: float) -> None:
-    expected = differences(lambda v: MODEL.twist(v, left, right), x)
-    np.testing.assert_allclose(MODEL.twist_jacobian(x, left, right), expected, atol=1e-7)
+    expected = differences(lambda v: twist(v, left, right), x)
+    np.testing.assert_allclose(equations.twist_jacobian(x, left, right, C), expected, atol=1e-7)
 
 
 def measured(left: float, right: float) -> Speeds:
     return Speeds(left, right, 0.01, differenced=False)
 
 
-@given(states, speeds, speeds)
-def test_h_of_the_yaw_rate(x: FloatArray, left: float, right: float) -> None:
-    def seen(at: FloatArray) -> Linearised:
-        return MODEL.yaw_rate(Gaussian(at, np.eye(SIZE)), measured(left, right), 0.3, 1e-4)
+@pytest.mark.parametrize("kind", [YAW_RATE, POSITION, FULL_POSE])
+@given(x=states, left=speeds, right=speeds)
+def test_h_is_the_derivative_of_the_measurement(kind: int, x: FloatArray, left: float, right: float) -> None:
+    expected = differences(lambda v: equations.expected(kind, v, left, right, C), x)
+    np.testing.assert_allclose(equations.jacobian(kind, x, left, right, C), expected, atol=1e-7)
 
-    expected = -differences(lambda v: seen(v).innovation, x)
-    np.testing.assert_allclose(seen(x).jacobian, expected, atol=1e-7)
-    np.testing.assert_array_equal(seen(x).noise, ((1e-4,),))
+
+@given(states, speeds, speeds)
+def test_what_is_measured(x: FloatArray, left: float, right: float) -> None:
+    rate = twist(x, left, right)[2] + x[GYRO_BIAS]
+    np.testing.assert_array_equal(equations.expected(YAW_RATE, x, left, right, C), (rate,))
+    np.testing.assert_array_equal(equations.expected(POSITION, x, left, right, C), x[:2])
+    np.testing.assert_array_equal(equations.expected(FULL_POSE, x, left, right, C), x[POSE])
 
 
 def test_rounding_of_positions_adds_to_the_noise_of_the_yaw_rate() -> None:
     """Two tracks, two counts each, uniform within ±½ count, 10 ms apart."""
-    counted = Speeds(1.0, 1.0, 0.01, differenced=True)
-    noise = MODEL.yaw_rate(Gaussian(state(), np.eye(SIZE)), counted, 0.0, 1e-4).noise
+    given_noise = np.array(((1e-4,),))
+    noise = equations.noise(YAW_RATE, given_noise, 1.0, 1.0, 0.01, True, C)
     rounding = 4.0 * COUNT**2 / 12.0 * (RADIUS / TREAD / 0.01) ** 2
     assert noise[0, 0] == pytest.approx(1e-4 + rounding)
+    np.testing.assert_array_equal(equations.noise(YAW_RATE, given_noise, 1.0, 1.0, 0.01, False, C), 1e-4)
 
 
-@pytest.mark.parametrize("use_heading", [True, False])
-@given(x=states, turn=st.floats(-3.1, 3.1))
-def test_h_of_a_pose(use_heading: bool, x: FloatArray, turn: float) -> None:
-    pose, R = x[POSE] + (1.0, -2.0, turn), np.diag((1.0, 2.0, 3.0))
-
-    def seen(at: FloatArray) -> Linearised:
-        return pose_residual(Gaussian(at, np.eye(SIZE)), pose, R, use_heading)
-
-    rows = 3 if use_heading else 2
-    np.testing.assert_allclose(seen(x).innovation, (1.0, -2.0, turn)[:rows], atol=1e-12)
-    np.testing.assert_allclose(seen(x).jacobian, -differences(lambda v: seen(v).innovation, x), atol=1e-7)
-    np.testing.assert_array_equal(seen(x).noise, R[:rows, :rows])
-
-
-def test_heading_innovation_takes_the_short_way_round() -> None:
-    at = Gaussian(state(yaw=3.1), np.eye(SIZE))
-    assert pose_residual(at, np.array((0.0, 0.0, -3.1)), np.eye(3), True).innovation[2] == pytest.approx(
-        2 * math.pi - 6.2
-    )
+@pytest.mark.parametrize("kappa", [None, 0.0])
+def test_heading_innovation_takes_the_short_way_round(kappa: float | None) -> None:
+    """From 3.1 a fix at −3.1 is 0.083 rad on; halfway lies at 3.1416."""
+    at = Gaussian(state(yaw=3.1), np.eye(SIZE) * 1e-4)
+    fix = pose_measured(np.array((0.0, 0.0, -3.1)), np.eye(3) * 1e-4, True)
+    held = Filter(MODEL, kappa).step(at, measured(0.0, 0.0), 0.0, STRAIGHT, fix)
+    way = 2 * math.pi - 6.2
+    assert held.nis == pytest.approx(way**2 / 2e-4)
+    assert wrap(held.updated.mean[YAW] - 3.1) == pytest.approx(way / 2.0)
 
 
 @given(states, speeds, speeds)
 def test_outputs_are_the_twist_and_the_slips(x: FloatArray, left: float, right: float) -> None:
     root = np.arange(49.0).reshape(7, 7) % 11.0
-    found = MODEL.outputs(Gaussian(x, root @ root.T), measured(left, right))
-    J = differences(lambda v: MODEL.twist(v, left, right), x)
-    np.testing.assert_array_equal(found.twist, MODEL.twist(x, left, right))
+    found = FILTER.outputs(Gaussian(x, root @ root.T), measured(left, right))
+    J = differences(lambda v: twist(v, left, right), x)
+    np.testing.assert_array_equal(found.twist, twist(x, left, right))
     np.testing.assert_allclose(found.twist_covariance, J @ root @ root.T @ J.T, rtol=1e-5, atol=1e-4)
     np.testing.assert_array_equal(found.slips, x[3:6])
     np.testing.assert_array_equal(found.slip_covariance, (root @ root.T)[3:6, 3:6])
@@ -159,14 +179,14 @@ def test_outputs_are_the_twist_and_the_slips(x: FloatArray, left: float, right: 
 
 def test_straight_on_with_slip_by_hand() -> None:
     """1 rad/s at 10 and 10 % slip for 2 s: 2 · 0.159 · 0.9 m along the heading."""
-    x, _, _ = MODEL.move(state(yaw=math.pi / 6, left=0.1, right=0.1), 1.0, 1.0, 2.0)
+    x = move(state(yaw=math.pi / 6, left=0.1, right=0.1), 1.0, 1.0, 2.0)
     np.testing.assert_allclose(x[POSE], (0.2862 * math.cos(math.pi / 6), 0.1431, math.pi / 6))
-    np.testing.assert_allclose(x[SLIPS], (0.1, 0.1, 0.0))
+    np.testing.assert_allclose(x[3:6], (0.1, 0.1, 0.0))
 
 
 def test_yaw_rate_is_the_difference_of_the_tracks() -> None:
     """Erratum 1 of (3.26), (6.1): i_L = 0.2, i_R = −0.1 at equal speeds turn left, not right."""
-    v_x, v_y, rate = MODEL.twist(state(left=0.2, right=-0.1), 2.0, 2.0)
+    v_x, v_y, rate = twist(state(left=0.2, right=-0.1), 2.0, 2.0)
     assert rate == pytest.approx(0.159 * 2.0 * 0.3 / 0.73)
     assert v_x == pytest.approx(0.159 * 2.0 * 0.95)
     assert v_y == 0.0
@@ -175,20 +195,20 @@ def test_yaw_rate_is_the_difference_of_the_tracks() -> None:
 @pytest.mark.parametrize("yaw", [0.0, 1.0, math.pi / 2, -2.5])
 def test_slip_angle_moves_to_the_left_of_the_heading(yaw: float) -> None:
     """Erratum 1 again: y uses cos φ tan α. Direction of travel φ + α, to the left for α > 0."""
-    x, _, _ = MODEL.move(state(yaw=yaw, angle=0.2), 1.0, 1.0, 1.0)
+    x = move(state(yaw=yaw, angle=0.2), 1.0, 1.0, 1.0)
     assert math.atan2(x[Y], x[X]) == pytest.approx(wrap(yaw + 0.2))
     assert math.hypot(x[X], x[Y]) == pytest.approx(0.159 / math.cos(0.2))
 
 
 def test_spot_turn_and_reverse() -> None:
-    x, _, _ = MODEL.move(state(), -1.0, 1.0, 1.0)
+    x = move(state(), -1.0, 1.0, 1.0)
     np.testing.assert_allclose(x[POSE], (0.0, 0.0, 2 * 0.159 / 0.73), atol=1e-15)
-    x, _, _ = MODEL.move(state(), -1.0, -1.0, 1.0)
+    x = move(state(), -1.0, -1.0, 1.0)
     np.testing.assert_allclose(x[POSE], (-0.159, 0.0, 0.0))
 
 
 def test_heading_stays_within_a_turn() -> None:
-    x, _, _ = MODEL.move(state(yaw=3.1), -1.0, 1.0, 1.0)
+    x = move(state(yaw=3.1), -1.0, 1.0, 1.0)
     assert x[YAW] == pytest.approx(3.1 + 2 * 0.159 / 0.73 - 2 * math.pi)
 
 
@@ -198,9 +218,9 @@ def test_a_midpoint_step_is_near_many_fine_ones(x: FloatArray, left: float, righ
     dt = 0.1
     fine = x
     for _ in range(200):
-        fine = MODEL.move(fine, left, right, dt / 200)[0]
-    once = MODEL.move(x, left, right, dt)[0]
-    v_x, v_y, rate = MODEL.twist(x, left, right)
+        fine = move(fine, left, right, dt / 200)
+    once = move(x, left, right, dt)
+    v_x, v_y, rate = twist(x, left, right)
     bound = math.hypot(v_x, v_y) * dt * (rate * dt) ** 2 / 24.0
     assert math.hypot(*(once - fine)[:2]) <= 1.01 * bound + 1e-12
     assert wrap(once[YAW] - fine[YAW]) == pytest.approx(0.0, abs=1e-12)
@@ -208,11 +228,39 @@ def test_a_midpoint_step_is_near_many_fine_ones(x: FloatArray, left: float, righ
 
 @given(states, speeds, speeds)
 def test_nothing_happens_in_no_time(x: FloatArray, left: float, right: float) -> None:
-    moved, F, G = MODEL.move(x, left, right, 0.0)
-    np.testing.assert_allclose(moved[POSE][:2], x[POSE][:2])
-    np.testing.assert_array_equal(F, np.eye(SIZE))
-    np.testing.assert_array_equal(G, 0.0)
-    assert np.trace(MODEL.process_noise(G, left, right, 0.0, STRAIGHT)) == 0.0
+    np.testing.assert_allclose(move(x, left, right, 0.0)[POSE][:2], x[POSE][:2])
+    np.testing.assert_array_equal(equations.transition(x, left, right, 0.0, C), np.eye(SIZE))
+    Q = equations.process_noise(x, left, right, 0.0, int(Motion.STRAIGHT), 0, C)
+    np.testing.assert_array_equal(Q, 0.0)
+
+
+@given(states, speeds, speeds, times)
+def test_a_sprocket_sample_says_no_more_than_it_drove(
+    x: FloatArray, left: float, right: float, dt: float
+) -> None:
+    held = FILTER.step(Gaussian(x, np.eye(SIZE)), measured(left, right), dt, STRAIGHT, DRIVEN)
+    assert math.isnan(held.nis)
+    for one, other in zip(held.predicted, held.updated, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@given(states, speeds, speeds, times)
+def test_a_step_is_the_kalman_filter_in_numpy(x: FloatArray, left: float, right: float, dt: float) -> None:
+    root = np.random.default_rng(0).normal(size=(SIZE, SIZE)) * 0.1
+    P, R = root @ root.T, np.array(((1e-4,),))
+    held = FILTER.step(Gaussian(x, P), measured(left, right), dt, STRAIGHT, rate_measured(0.3, 1e-4))
+    F = equations.transition(x, left, right, dt, C)
+    P = F @ P @ F.T + equations.process_noise(x, left, right, dt, int(Motion.STRAIGHT), 0, C)
+    np.testing.assert_allclose(held.predicted.covariance, P, rtol=1e-12, atol=1e-12)
+    x = move(x, left, right, dt)
+    H = equations.jacobian(YAW_RATE, x, left, right, C)
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    keep = np.eye(SIZE) - K @ H
+    corrected = x + K @ (0.3 - equations.expected(YAW_RATE, x, left, right, C))
+    corrected[YAW] = wrap(corrected[YAW])
+    np.testing.assert_allclose(held.updated.mean, corrected, rtol=1e-12, atol=1e-12)
+    joseph = keep @ P @ keep.T + K @ R @ K.T
+    np.testing.assert_allclose(held.updated.covariance, joseph, rtol=1e-12, atol=1e-12)
 
 
 def grown(
@@ -220,8 +268,9 @@ def grown(
 ) -> FloatArray:
     """The covariance that a start without doubt has after some time, in so many steps."""
     known = Gaussian(state(left=0.1, right=0.05, angle=0.02), np.zeros((SIZE, SIZE)))
+    filter_ = Filter(model)
     for _ in range(steps):
-        known = model.predict(known, measured(left, right), duration / steps, motion)
+        known = filter_.step(known, measured(left, right), duration / steps, motion, DRIVEN).updated
     return known.covariance
 
 
@@ -253,8 +302,10 @@ def test_encoder_noise_grows_with_the_way_and_the_root_of_time() -> None:
 
 
 def walk(motion: MotionState) -> FloatArray:
-    _, _, G = MODEL.move(np.zeros(SIZE), 1.0, 1.0, 0.5)
-    return np.sqrt(np.diag(MODEL.process_noise(G, 1.0, 1.0, 0.5, motion))[3:] / 0.5)
+    at = np.zeros(SIZE)
+    Q = equations.process_noise(at, 1.0, 1.0, 0.5, int(motion.motion), int(motion.changing), C)
+    deviations: FloatArray = np.sqrt(np.diag(Q)[3:] / 0.5)
+    return deviations
 
 
 @pytest.mark.parametrize(

@@ -98,10 +98,10 @@ def call(*arguments: object) -> int:
     return main([str(argument) for argument in arguments])
 
 
-def summary(tmp_path: Path, *arguments: object) -> dict[str, Any]:
-    """The JSON of a replay that succeeds."""
+def summary(tmp_path: Path, *arguments: object, code: int = ExitCode.DONE) -> dict[str, Any]:
+    """The JSON of a replay."""
     out = tmp_path / "out.json"
-    assert call("replay", *arguments, "--json", out) == ExitCode.DONE
+    assert call("replay", *arguments, "--json", out) == code
     found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
     return found
 
@@ -134,7 +134,7 @@ def refuse(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
         ("--set slip_estimator.history_window=.nan", "nan is out of range"),
         ("--set slip_estimator.history_window=long", "'long' is not a number; accepted: > 0"),
         ("--set slip_estimator.history_window=", "None is not a number"),
-        ("--set slip_estimator.gate_patience=2.5", "2.5 is not a whole number; accepted: >= 1"),
+        ("--set slip_estimator.jump_confirmations=2.5", "2.5 is not a whole number; accepted: >= 2"),
         ("--set slip_estimator.use_heading=1", "1 is not true or false"),
         ("--set slip_estimator.start=now", "accepted: one of first_fix, initial_pose"),
         ("--set slip_estimator.pose_sources=box_pose", "'box_pose' is not a list of text"),
@@ -306,7 +306,7 @@ def test_a_window_cuts_by_log_time(bag: Path, tmp_path: Path) -> None:
 def test_a_window_beyond_the_bag_holds_nothing(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = summary(tmp_path, bag, "--start", "1000")
+    found = summary(tmp_path, bag, "--start", "1000", code=ExitCode.FAILED)
     assert (found["final"], found["messages"], found["nees"]) == (None, {}, None)
     assert "no estimate" in capsys.readouterr().out
 
@@ -316,7 +316,7 @@ def test_withheld_fixes_are_not_used_but_score(bag: Path, tmp_path: Path) -> Non
     without = summary(tmp_path, bag, "--withhold", "box_pose:4:9", "--withhold", "imu/data_raw:4:9")
     assert without["rmse"]["filter"] > whole["rmse"]["filter"]
     assert without["rmse"]["dead_reckoning"] == whole["rmse"]["dead_reckoning"]
-    assert summary(tmp_path, bag, "--withhold", "/box_pose")["final"] is None
+    assert summary(tmp_path, bag, "--withhold", "/box_pose", code=ExitCode.FAILED)["final"] is None
 
 
 def test_another_reference_is_scored_whole(bag: Path, tmp_path: Path) -> None:
@@ -350,7 +350,7 @@ def test_parameters_come_in_layers(bag: Path, tmp_path: Path) -> None:
 def test_a_replay_of_a_recorded_run_matches_it(bag: Path, tmp_path: Path, lines: list[Line]) -> None:
     """What a replay wrote, put beside its inputs, is a recording; it replays to the same numbers."""
     made = tmp_path / "made"
-    summary(tmp_path, bag, "--output", made, "--set", "slip_estimator.gate_patience=9")
+    summary(tmp_path, bag, "--output", made, "--set", "slip_estimator.pose_timeouts=[9.0]")
     with open_bag(made) as estimates:
         assert {t.removeprefix("/"): i.type_name for t, i in estimates.topics.items()} == {
             topic: TOPICS[topic].type_name

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frames of the excavator: exact bytes, each rejection, and the samples made of them."""
 
+import itertools
+
 import pytest
 from cantools.database.errors import EncodeError
 
@@ -19,7 +21,7 @@ from trackslip_drivers.protocols.can_frames import (
     FrameDecoder,
     FrameSet,
     Rejection,
-    crc8_j1850,
+    sealed,
 )
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.records import HydraulicsSample, SprocketSample
@@ -51,23 +53,17 @@ def excavator(frames, tally):
     return ExcavatorCan(from_flat(CanDriverParameters, values, "can_driver.yaml"), frames, tally)
 
 
-def test_crc_of_the_catalogue():
-    assert crc8_j1850(b"123456789") == 0x4B
-
-
 @pytest.mark.parametrize(
-    ("name", "values", "alive", "expected_id", "head"),
+    ("name", "values", "alive", "expected_id", "expected"),
     [
-        (ENCODERS, COUNTS, 0, 0x0CFF1080, "bc 0a 23 01 00 00 00"),
-        (SPOOLS, SPOOL, 15, 0x0CFF1180, "f0 d8 88 13 00 00 0f"),
-        (PRESSURES, PRESSURE, 17, 0x0CFF1280, "58 b7 a8 61 39 30 01"),
+        (ENCODERS, COUNTS, 0, 0x0CFF1080, "bc 0a 23 01 00 00 c0 a7"),
+        (SPOOLS, SPOOL, 15, 0x0CFF1180, "f0 d8 88 13 00 00 ef 9f"),
+        (PRESSURES, PRESSURE, 17, 0x0CFF1280, "58 b7 a8 61 39 30 b1 42"),
     ],
 )
-def test_exact_bytes(frames, decoder, name, values, alive, expected_id, head):
+def test_exact_bytes(frames, decoder, name, values, alive, expected_id, expected):
     arbitration_id, data = frames.encode(name, values, alive)
-    payload = bytes.fromhex(head)
-    assert arbitration_id == expected_id
-    assert data == payload + bytes([crc8_j1850(expected_id.to_bytes(4, "big") + payload)])
+    assert (arbitration_id, data) == (expected_id, bytes.fromhex(expected))
     frame = decoder.decode(arbitration_id, data, 5)
     assert isinstance(frame, Frame)
     assert (frame.name, frame.stamp_ns, frame.cycles) == (name, 5, 0)
@@ -94,21 +90,19 @@ def test_strangers_and_error_frames(decoder, tally, frames):
 def test_damage_is_rejected_and_commits_nothing(decoder, tally, frames):
     arbitration_id, data = frames.encode(ENCODERS, COUNTS, 3)
     assert decoder.decode(arbitration_id, data[:7], 0) is Rejection.WRONG_LENGTH
-    for bit in range(64):
+    for place, error in itertools.product(range(8), range(1, 256)):
         damaged = bytearray(data)
-        damaged[bit // 8] ^= 1 << bit % 8
+        damaged[place] ^= error
         assert decoder.decode(arbitration_id, bytes(damaged), 0) is Rejection.CHECKSUM
     other_id, _ = frames.encode(SPOOLS, SPOOL, 3)
     assert decoder.decode(other_id, data, 0) is Rejection.CHECKSUM  # right bytes under a wrong id
     assert isinstance(decoder.decode(arbitration_id, data, 0), Frame)
-    assert tally.total[ENCODERS, "checksum"] == 64
+    assert tally.total[ENCODERS, "checksum"] == 8 * 255
 
 
 def test_raw_value_outside_the_contract(decoder, tally):
-    payload = bytes.fromhex("00 80 00 00 00 00 00")  # the left pressure's -32768 kPa: "not available"
-    frame_id = 0x0CFF1280
-    data = payload + bytes([crc8_j1850(frame_id.to_bytes(4, "big") + payload)])
-    assert decoder.decode(frame_id, data, 0) is Rejection.OUT_OF_RANGE
+    frame_id, payload = 0x0CFF1280, bytes.fromhex("00 80 00 00 00 00 00 00")  # -32768 kPa: "not available"
+    assert decoder.decode(frame_id, sealed(frame_id, payload), 0) is Rejection.OUT_OF_RANGE
     assert tally.total[PRESSURES, "out of range"] == 1
 
 
@@ -180,7 +174,8 @@ def test_pressures_without_recent_spools(excavator, frames, tally):
         ("right_count : 16|12", "right_count : 4|12", "not a usable DBC"),
         (" pressures: 8", " pressure: 8", "frame 'pressures' is missing"),
         ("BO_ 2365526144 10", "BO_ 2365526144 20", "the same for all frames"),
-        ("alive_counter : 48|4", "alive_counter : 52|4", "must end in alive_counter and checksum"),
+        ("alive_counter : 48|4", "alive_counter : 48|3", "must end in 4 bits alive_counter, 12 bits"),
+        ("checksum : 52|12", "checksum : 56|8", "must end in 4 bits alive_counter, 12 bits"),
     ],
 )
 def test_broken_contract_is_refused_in_one_line(tmp_path, old, new, message):

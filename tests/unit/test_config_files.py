@@ -143,7 +143,7 @@ def test_the_parameters_of_a_mapping_are_those_of_the_estimator(name: str) -> No
 
 def test_layers_lie_over_the_defaults_the_last_on_top() -> None:
     p = slip_parameters.load_slip_parameters(
-        {"gate_patience": 7, "start": "initial_pose"}, {"gate_patience": 8}
+        {"jump_confirmations": 7, "start": "initial_pose"}, {"jump_confirmations": 8}
     )
-    assert (p.gate_patience, p.start) == (8, "initial_pose")
+    assert (p.jump_confirmations, p.start) == (8, "initial_pose")
     assert p.vehicle.tread == 0.73

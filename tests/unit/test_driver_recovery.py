@@ -53,12 +53,15 @@ def can_device():
     return CanDevice(FRAMES, CAN.belt_ratio, sprockets, hydraulics, 0)
 
 
-def reads(seed, seconds):
+GATHER = 5.0  # ms that a serial port waits from the first byte to the read
+
+
+def reads(seed, seconds, gather=0.0):
     """When a host's reads return, ns: 1 ms apart as a rule, with a stall of up to 40 ms each second or so."""
     random, now = np.random.default_rng(seed), 0
     while now < seconds * S:
         stall = random.uniform(5.0, 40.0) if random.random() < 1e-3 else 0.0
-        now += round((0.2 + random.exponential(1.0) + stall) * MS)
+        now += round((gather + 0.2 + random.exponential(1.0) + stall) * MS)
         yield now
 
 
@@ -86,7 +89,7 @@ def test_stamps_of_frames():
 def test_stamps_of_the_inertial_unit():
     device = WatsonDevice(LAYOUT, BaudLine(9600, 10), inertia, True, 0)
     stream, stamps = WatsonStream(LAYOUT, 9600, 0, Tally()), []
-    for now in reads(2, 120):
+    for now in reads(2, 120, GATHER):
         data = device.step(now)
         stamps += [sample.stamp_ns for sample in stream.feed(data, now)] if data else []
     assert p99(np.array(stamps), device) < 5.0
@@ -122,7 +125,7 @@ class Scanner:
 @pytest.mark.parametrize("baud", [38400, 500000])
 def test_stamps_of_scans(baud):
     scanner, stamps = Scanner(baud), []
-    for now in reads(3, 60):
+    for now in reads(3, 60, GATHER):
         stamps += scanner.exchange(now)
     assert p99(np.array(stamps), scanner.device) < 5.0
 
@@ -168,7 +171,7 @@ def test_no_wrong_telegram_passes_one_percent_of_corruption():
 
 
 def test_no_wrong_frame_passes_one_percent_of_corruption():
-    """Of 30000. In the long run three in a million do (CRC-8); a real bus has its own CRC-15 beneath."""
+    """Of 30000. In the long run three in ten million do; a real bus has its own CRC-15 beneath."""
     random = np.random.default_rng(6)
     device, decoder, outcome = can_device(), FrameDecoder(FRAMES, Tally()), Counter()
     for now in range(0, 100 * S, 10 * MS):

@@ -27,7 +27,8 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
 }
 # No key in rosdep (numba: none for Ubuntu 24.04): requirements/with-apt-ros.txt has them.
-PIP_ONLY = {"mcap", "mcap_ros2", "numba", "rich", "rosbags"}
+# crccheck comes with cantools.
+PIP_ONLY = {"crccheck", "mcap", "mcap_ros2", "numba", "rich", "rosbags"}
 
 
 def imported(package: str) -> dict[str, set[str]]:

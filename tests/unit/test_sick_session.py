@@ -184,12 +184,17 @@ def test_outlives_a_scanner_slow_to_change_its_mode(monkeypatch: pytest.MonkeyPa
     assert len(bench.scans) > 2
 
 
-def test_a_refused_password_ends_it() -> None:
+def test_a_refused_password_is_tried_again_after_a_pause() -> None:
     bench = Bench(PLS, device_parameters=replace(LMS, parity="E"))
     bench.run_until(Phase.FAILED, within=3.0)
-    bench.run(1.0)
+    bench.run(9.0)
     assert bench.session.phase is Phase.FAILED
+    bench.run(5.0)
+    assert bench.count(SessionFault.PASSWORD) == 2
     assert bench.device.scans_emitted == 0
+    start = SickDeviceParameters(boot_delay=0.0, power_on_baud=9600)
+    bench.device = SickDevice(PLS, start, room, bench.now_ns)
+    bench.run_until(Phase.STREAMING, within=10.0)
 
 
 def test_stops_the_scanner_before_leaving() -> None:

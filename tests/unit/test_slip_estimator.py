@@ -32,7 +32,7 @@ def parameters(**changes: Any) -> SlipEstimatorParameters:
         "noise.initial_slip_angle": 0.01,
         "noise.initial_gyro_bias": 0.01,
     }
-    start = {"start": "initial_pose", "initial_position_stddev": 0.03, "gate_patience": 5}
+    start = {"start": "initial_pose", "initial_position_stddev": 0.03, "pose_timeouts": [1.0]}
     return load_slip_parameters(noise | start, {k.replace("__", "."): v for k, v in changes.items()})
 
 
@@ -190,24 +190,56 @@ def test_a_spike_is_gated_and_leaves_no_trace(drive: Callable[..., Any]) -> None
     assert abs(last.pose - driven.truth[last.stamp_ns][:3])[0] < 0.08
 
 
-def test_a_source_that_insists_is_believed(drive: Callable[..., Any]) -> None:
-    """A true jump: as many rejections as ``gate_patience``, then the filter goes there."""
-    driven = drive([(8.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
+@pytest.mark.parametrize("model", ["turning", "free_slips"])
+@pytest.mark.parametrize(("jump", "seconds"), [(1.0, 4.0), (-5.0, 5.5), (50.0, 7.5)])
+def test_a_source_that_insists_is_believed(
+    drive: Callable[..., Any], model: str, jump: float, seconds: float
+) -> None:
+    """A true jump: the gate widens tenfold a second after the first, and the filter goes there at once.
+
+    What it learned of the slips stays, and its covariance is that of one that knows its place again.
+    """
+    driven = drive([(15.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     fixes = sum(isinstance(m, PoseFix) for m in driven.measurements)
-    steps = run(spiked(driven.measurements, range(20, fixes), jump=1.0), gate_patience=3)
+    steps = run(spiked(driven.measurements, range(20, fixes), jump), model=model)
     outcomes = [r.outcome for r, _ in steps if r.source == "box_pose"]
-    assert outcomes[20:24] == [Outcome.GATED] * 3 + [Outcome.ACCEPTED]
-    last = estimates(steps)[-1]
-    assert last.pose[0] - driven.truth[last.stamp_ns][0] == pytest.approx(1.0, abs=0.2)
+    gated = [k for k, outcome in enumerate(outcomes) if outcome is Outcome.GATED]
+    assert gated == list(range(20, 20 + len(gated)))  # in a row, and no more once it is believed
+    assert 1.0 <= len(gated) / 5.0 <= seconds
+    believed_ns = next(m.stamp_ns for m in driven.measurements if isinstance(m, PoseFix)) + int(
+        (20 + len(gated)) * 0.2 * S
+    )
+    for e in estimates(steps):
+        if e.stamp_ns > believed_ns + S:
+            assert e.pose[0] - driven.truth[e.stamp_ns][0] == pytest.approx(jump, abs=0.1)
+            assert np.sqrt(np.diag(e.pose_covariance)[:2]).max() < 0.05
+            np.testing.assert_allclose(e.outputs.slips[:2], 0.1, atol=0.08)
 
 
-def test_patience_counts_rejections_in_a_row_and_by_source(drive: Callable[..., Any]) -> None:
-    driven = drive([(8.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
-    wrong = spiked(spiked(driven.measurements, range(20, 22)), range(23, 25))
-    steps = run(wrong, gate_patience=2)
-    outcomes = [r.outcome for r, _ in steps if r.source == "box_pose"]
-    assert [k for k, o in enumerate(outcomes) if o is Outcome.GATED] == [20, 21, 23, 24]
-    assert {r.outcome for r, _ in steps if r.source == "imu/data_raw"} == {Outcome.ACCEPTED}
+def test_the_gate_widens_by_source_and_closes_again(drive: Callable[..., Any]) -> None:
+    driven = drive([(12.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
+    outage = [m for m in driven.measurements if not isinstance(m, PoseFix) or not 4 * S < m.stamp_ns < 8 * S]
+    reports = [r for r, _ in run(outage, gate_relaxation=7.0)]
+    closed = chi2.ppf(0.9999, 3)
+    after = [r.gate for r in reports if r.source == "box_pose" and r.stamp_ns >= 8 * S]
+    assert after[0] == pytest.approx(closed * 7.0 ** (4.0 - 1.0))
+    assert set(after[1:]) == {closed}
+    assert {r.gate for r in reports if r.source == "imu/data_raw" and r.dof} == {chi2.ppf(0.9999, 1)}
+
+
+def test_a_gyro_that_insists_has_another_bias(drive: Callable[..., Any]) -> None:
+    """A step of 0.3 rad/s: refused for the timeout and a little more, then learned in one go."""
+    driven = drive([(20.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
+    stepped = [
+        replace(m, rate=m.rate + 0.3) if isinstance(m, YawRate) and m.stamp_ns > 10 * S else m
+        for m in driven.measurements
+    ]
+    steps = run(stepped, yaw_rate_timeouts=[2.0])
+    gated = [r.stamp_ns for r, _ in steps if r.source == "imu/data_raw" and r.outcome is Outcome.GATED]
+    assert 10 * S < min(gated) < 10.2 * S
+    assert 12 * S < max(gated) < 16 * S
+    for e in estimates(steps):
+        assert abs(e.pose[2] - driven.truth[e.stamp_ns][2]) < 0.06
 
 
 def test_reports_state_the_gate(drive: Callable[..., Any]) -> None:

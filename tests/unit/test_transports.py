@@ -168,6 +168,31 @@ def test_socket_url(heard, start_link):
         client.close()
 
 
+def test_silence_is_told_only_after_a_read_in_vain(heard, start_link):
+    """Bytes that wait while the reader is busy are no silence."""
+    reads = [[(b"a", 1)], [(b"b", 2)], [], [(b"c", 3)], []]
+    told = []
+
+    class Port(BrokenPort):
+        def read(self):
+            if not reads:
+                raise self.error
+            return reads.pop(0)
+
+    link = Link(
+        "test",
+        lambda: Port(OSError("gone"), []),
+        heard.on_data,
+        heard.on_open,
+        math.inf,
+        lambda: told.append(list(heard.data)),
+    )
+    link.start()
+    wait_for(lambda: link.state().errors >= 1)
+    link.stop()
+    assert told == [[b"a", b"b"], [b"a", b"b", b"c"]]
+
+
 def test_silent_port_is_reopened(pty_port, heard, start_link):
     link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"), silence_s=0.2)
     wait_for(lambda: link.state().openings >= 2)

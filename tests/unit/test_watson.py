@@ -194,6 +194,18 @@ def test_stamp_is_the_start_of_transmission(layout):
     assert sample.stamp_ns == pytest.approx(expected, abs=2)
 
 
+@pytest.mark.parametrize("before", [b"", b"\n", b"  "])
+def test_one_prompt_read_of_a_line_is_enough(layout, before):
+    """The others were late; what ended the line before came long ago."""
+    line, parser, began_ns = encode_line("R", {}, layout), stream(layout), 50_000_000_000
+    parser.feed(before, began_ns - 15_000_000)
+    late, begin = {10: 9_000_000, 40: 100_000, len(line) - 1: 30_000_000, len(line): 40_000_000}, 0
+    for end, late_ns in late.items():
+        samples = parser.feed(line[begin:end], began_ns + round(end * CHAR_NS) + late_ns)
+        begin = end
+    assert samples[0].stamp_ns == pytest.approx(began_ns + 100_000, abs=2)
+
+
 def test_format_may_change_on_the_fly(layout):
     parser = stream(layout)
     values = {"ZA": -1.0}

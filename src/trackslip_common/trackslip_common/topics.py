@@ -33,6 +33,7 @@ TOPICS = {
     "track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),
     "soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),
     "measurement_reports": Topic("trackslip_msgs/msg/MeasurementReport", Flow.RELIABLE),
+    "slip_estimator/set_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
     "slip_estimator/parameters": Topic("std_msgs/msg/String", Flow.LATCHED),
     "truth/odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "truth/track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),

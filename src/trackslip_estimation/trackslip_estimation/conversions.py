@@ -81,6 +81,23 @@ def odometry(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -
     )
 
 
+def transforms(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:
+    """tf2_msgs/TFMessage of an estimate."""
+    pose = planar_pose_message(make, estimate.pose)
+    transform = make(
+        "geometry_msgs/msg/Transform",
+        translation=_vector(make, pose.position.x, pose.position.y, 0.0),
+        rotation=pose.orientation,
+    )
+    stamped = make(
+        "geometry_msgs/msg/TransformStamped",
+        header=header(make, estimate.stamp_ns, odom_frame),
+        child_frame_id=base_frame,
+        transform=transform,
+    )
+    return make("tf2_msgs/msg/TFMessage", transforms=[stamped])
+
+
 def track_slip(make: Make, estimate: Estimate, base_frame: str) -> Any:
     """trackslip_msgs/TrackSlip of an estimate."""
     left, right, angle = (float(v) for v in estimate.outputs.slips)

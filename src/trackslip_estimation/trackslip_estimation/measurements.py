@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the slip estimator takes in, and what it says it did with each piece."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,11 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # of a correlation of 1
+
+# What a user asks of the node stands in the journal under these names, beside the topics of the sensors.
+SET_POSE = "slip_estimator/set_pose"
+RESET, FREEZE, UNFREEZE = "slip_estimator/reset", "slip_estimator/freeze", "slip_estimator/unfreeze"
+RELOAD = "slip_estimator/parameters"
 
 
 @dataclass(frozen=True)
@@ -29,7 +36,7 @@ class Sprockets:
 
     def is_finite(self) -> bool:
         """Whether every number given is a number."""
-        return bool(np.isfinite((self.left_speed, self.right_speed, *(self.positions or ()))).all())
+        return all(map(math.isfinite, (self.left_speed, self.right_speed, *(self.positions or ()))))
 
 
 @dataclass(frozen=True)
@@ -43,31 +50,56 @@ class YawRate:
 
     def is_finite(self) -> bool:
         """Whether the rate is a number and its variance a positive one."""
-        return bool(np.isfinite(self.rate) and np.isfinite(self.variance) and self.variance > 0.0)
+        return math.isfinite(self.rate) and math.isfinite(self.variance) and self.variance > 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class PoseFix:
-    """Pose of base_link in the site frame."""
+    """Pose of a sensor in the site frame; of base_link where the sensor has no offset.
+
+    From the source ``SET_POSE`` it is a user's word: it replaces the estimated pose.
+    """
 
     source: str
-    stamp_ns: int
+    stamp_ns: int  # of SET_POSE, 0 stands for now
     pose: FloatArray  # (3,) x m, y m, heading rad
     covariance: FloatArray  # (3, 3)
 
-    def is_finite(self) -> bool:
-        """Whether pose and covariance are numbers, and the variance positive in every direction."""
-        if not (np.isfinite(self.pose).all() and np.isfinite(self.covariance).all()):
+    def is_finite(self, heading: bool = True) -> bool:
+        """Whether it is all numbers, with a positive variance in every direction; with or without heading."""
+        rows = 3 if heading else 2
+        pose, covariance = self.pose[:rows], self.covariance[:rows, :rows]
+        if not (np.isfinite(pose).all() and np.isfinite(covariance).all()):
             return False
-        variances = np.diag(self.covariance)
+        variances = np.diag(covariance)
         if not (variances > 0.0).all():
             return False
         deviations = np.sqrt(variances)
-        correlation = self.covariance / np.outer(deviations, deviations)
+        correlation = covariance / np.outer(deviations, deviations)
         return bool(np.linalg.eigvalsh(correlation)[0] > -_ROUNDING)
 
 
 Measurement: TypeAlias = Sprockets | YawRate | PoseFix
+
+
+@dataclass(frozen=True)
+class Command:
+    """``RESET``, ``FREEZE`` or ``UNFREEZE``: acts when it comes, on what comes after it."""
+
+    source: str
+    stamp_ns: int = 0  # commands have none
+
+
+@dataclass(frozen=True, eq=False)
+class Reload:
+    """New values of parameters that may change while the estimator runs; acts when it comes."""
+
+    values: Mapping[str, Any]  # dotted name → value
+    source: str = RELOAD
+    stamp_ns: int = 0
+
+
+Input: TypeAlias = Measurement | Command | Reload
 
 
 class Outcome(IntEnum):
@@ -79,6 +111,15 @@ class Outcome(IntEnum):
     DUPLICATE = 3  # same source and stamp as one taken before
     INVALID = 4  # holds nan or infinity, or a variance that is not positive
     WAITING = 5  # no estimate yet: it starts with the first fix
+    AHEAD = 6  # far ahead of the sprockets, or a sprocket sample that the next ones must confirm
+    JUMPED = 7  # taken, but the sprocket positions jump: its measured speeds count
+    RESTARTED = 8  # the clock went back: the estimate begins anew with this sample
+    FROZEN = 9  # poses are not wanted now
+
+    @property
+    def refused(self) -> bool:
+        """Whether the measurement has not touched the state."""
+        return self not in (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.RESTARTED)
 
 
 @dataclass(frozen=True)

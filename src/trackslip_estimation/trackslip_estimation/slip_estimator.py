@@ -4,23 +4,37 @@
 Live node and replay run this same class. It knows no clock: time is in the stamps.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
-from typing import NamedTuple
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
-from trackslip_estimation.filters.filter import Held
-from trackslip_estimation.filters.model import POSE, Gaussian, Measured, Outputs, pose_measured, rate_measured
-from trackslip_estimation.measurements import Measurement, Outcome, PoseFix, Report, Sprockets, YawRate
-from trackslip_estimation.motion import STANDSTILL, Motion, MotionState, Speeds, classify
-from trackslip_estimation.slip_parameters import SlipEstimatorParameters, make_filter
-from trackslip_estimation.timeline import SprocketTrack, Timeline
+from trackslip_estimation.continuity import Continuity, Course
+from trackslip_estimation.filters.model import POSE, YAW, Gaussian, Outputs
+from trackslip_estimation.measurements import (
+    FREEZE,
+    RESET,
+    SET_POSE,
+    Command,
+    Input,
+    Measurement,
+    Outcome,
+    PoseFix,
+    Reload,
+    Report,
+    Sprockets,
+    YawRate,
+)
+from trackslip_estimation.motion import Motion
+from trackslip_estimation.slip_parameters import SlipEstimatorParameters
+from trackslip_estimation.sprocket_track import SprocketTrack
+from trackslip_estimation.stepping import FilterState, Stepper
+from trackslip_estimation.timeline import Timeline
 
 FloatArray = NDArray[np.float64]
+
+_NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,62 +48,91 @@ class Estimate:
     motion: Motion
 
 
-class FilterState(NamedTuple):
-    """All that the filter carries from one measurement to the next."""
-
-    stamp_ns: int
-    gaussian: Gaussian
-    motion: MotionState = MotionState()
-    speeds: Speeds = STANDSTILL
-    rejected_in_a_row: Mapping[str, int] = MappingProxyType({})
-    report: Report | None = None  # on the measurement that led here
-
-
 class SlipEstimator:
     """A filter over a window of measurements kept in stamp order."""
 
+    _timeline: Timeline[FilterState] | None
+    _latest: FilterState  # the one that the newest input made
+    _published_ns: int  # stamp of the newest estimate
+    _track: SprocketTrack
+    _stepper: Stepper
+    _continuity: Continuity
+
     def __init__(self, parameters: SlipEstimatorParameters) -> None:
-        self.parameters = parameters
-        self._filter = make_filter(parameters)
-        self._gates = {dof: float(chi2.ppf(parameters.gate_probability, dof)) for dof in (1, 2, 3)}
-        self._track = SprocketTrack()
-        self._timeline: Timeline[FilterState] | None = None
-        self._newest_sprocket_ns = -1
+        self.frozen = False
+        self.restarts = 0  # since the clock went back, not those a user asked for
+        self._use(parameters)
+        self._begin_anew()
 
     @property
     def started(self) -> bool:
         """Whether there is an estimate."""
         return self._timeline is not None
 
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest sprocket sample, which is the time of the estimate."""
+        return self._continuity.head_ns
+
+    def obey(self, asked: Command | Reload) -> Report:
+        """Do what a user asks.
+
+        Raises:
+            InputError: a new value of a parameter is refused; then nothing changes.
+        """
+        if isinstance(asked, Reload):
+            self._use(self.parameters.changed(asked.values))
+            self._stepper.use(self.parameters)
+        elif asked.source == RESET:
+            self._begin_anew()
+        else:
+            self.frozen = asked.source == FREEZE
+        return Report(asked.source, asked.stamp_ns, Outcome.ACCEPTED)
+
     def take(self, measurement: Measurement) -> Report:
         """Use one measurement, in its place by stamp, and say what became of it."""
+        given = measurement
 
         def refused(outcome: Outcome) -> Report:
-            return Report(measurement.source, measurement.stamp_ns, outcome)
+            return Report(given.source, given.stamp_ns, outcome)
 
-        if not measurement.is_finite():
+        if not self._is_usable(measurement):
             return refused(Outcome.INVALID)
+        if self.frozen and isinstance(measurement, PoseFix) and measurement.source != SET_POSE:
+            return refused(Outcome.FROZEN)
+        measurement = self._prepared(measurement)
+        if measurement.stamp_ns == 0 and measurement.source == SET_POSE:
+            return refused(Outcome.WAITING)  # for the first sprocket sample: now is not known yet
+        course = self._course(measurement)
+        if course is Course.AHEAD:
+            return refused(Outcome.AHEAD)
+        if course is Course.BEHIND:
+            return refused(Outcome.TOO_LATE)
+        if course is Course.BACK:
+            self._begin_anew()
+            self.restarts += 1
+            self._course(measurement)
         if self._timeline is None:
-            return refused(self._start(measurement))
+            outcome = self._start(measurement)
+            return refused(Outcome.RESTARTED if course is Course.BACK else outcome)
         reason = self._timeline.refusal(measurement)
         if reason is not None:
             return refused(reason)
-        redo_from_ns = None
-        if isinstance(measurement, Sprockets):
-            self._track.add(measurement)
-            redo_from_ns = self._track.last_before(measurement.stamp_ns)
-        self._latest = self._timeline.insert(measurement, redo_from_ns)
+        self._latest = self._timeline.insert(measurement, self._redo_from(measurement))
         self._track.forget_before(self._timeline.oldest_ns)
-        assert self._latest.report is not None
-        return self._latest.report
+        report = self._latest.report
+        assert report is not None
+        return report if report.stamp_ns == given.stamp_ns else replace(report, stamp_ns=given.stamp_ns)
 
-    def advance(self, measurement: Measurement) -> tuple[Report, Estimate | None]:
-        """``take``, and the estimate to publish if this was the newest sprocket sample."""
-        report = self.take(measurement)
-        newest = isinstance(measurement, Sprockets) and measurement.stamp_ns > self._newest_sprocket_ns
-        if report.outcome is not Outcome.ACCEPTED or not newest:
+    def advance(self, given: Input) -> tuple[Report, Estimate | None]:
+        """``take`` or ``obey``, and the estimate to publish if this was the newest sprocket sample."""
+        if isinstance(given, (Command, Reload)):
+            return self.obey(given), None
+        report = self.take(given)
+        newest = isinstance(given, Sprockets) and given.stamp_ns > self._published_ns
+        if report.outcome.refused or not newest or not self.started:
             return report, None
-        self._newest_sprocket_ns = measurement.stamp_ns
+        self._published_ns = given.stamp_ns
         return report, self._estimate(self._latest)
 
     def estimate(self) -> Estimate:
@@ -102,64 +145,83 @@ class SlipEstimator:
             raise RuntimeError("no estimate yet")
         return self._estimate(self._timeline.newest)
 
+    def _use(self, p: SlipEstimatorParameters) -> None:
+        self.parameters = p
+        self._poses, self._gyros = p.poses(), p.gyros()
+
+    def _begin_anew(self) -> None:
+        """Forget all measurements and all that was learned."""
+        p = self.parameters
+        self._published_ns = -1
+        self._timeline = None
+        self._track = SprocketTrack(round(p.sprocket_timeout * 1e9), p.max_sprocket_speed)
+        self._stepper = Stepper(p, self._track)
+        self._continuity = Continuity(round(p.max_gap * 1e9), p.jump_confirmations)
+
+    def _is_usable(self, measurement: Measurement) -> bool:
+        if isinstance(measurement, PoseFix) and measurement.source != SET_POSE:
+            return measurement.is_finite(self._poses[measurement.source].use_heading)
+        return measurement.is_finite()
+
+    def _prepared(self, measurement: Measurement) -> Measurement:
+        """As its source's parameters want it."""
+        if isinstance(measurement, Sprockets):
+            return measurement
+        if isinstance(measurement, YawRate):
+            return self._gyros[measurement.source].prepared(measurement)
+        if measurement.source != SET_POSE:
+            return self._poses[measurement.source].prepared(measurement)
+        now_ns = self.newest_ns if measurement.stamp_ns == 0 else None
+        return measurement if now_ns is None else replace(measurement, stamp_ns=now_ns)
+
+    def _course(self, measurement: Measurement) -> Course:
+        if not isinstance(measurement, Sprockets):
+            return self._continuity.other(measurement.stamp_ns)
+        oldest_ns = None if self._timeline is None else self._timeline.oldest_ns
+        return self._continuity.sprockets(measurement.stamp_ns, oldest_ns)
+
+    def _redo_from(self, measurement: Measurement) -> int | None:
+        """A sprocket sample tells what was extrapolated from the one before it on, or from the start."""
+        if not isinstance(measurement, Sprockets):
+            return None
+        self._track.add(measurement)
+        last_ns = self._track.last_before(measurement.stamp_ns)
+        return -1 if last_ns is None else last_ns
+
     def _estimate(self, state: FilterState) -> Estimate:
         mean, covariance = state.gaussian
-        outputs = self._filter.outputs(state.gaussian, state.speeds)
+        outputs = self._stepper.filter.outputs(state.gaussian, state.speeds)
+        if outputs.slip_covariance[2, 2] == 0.0:  # at a standstill it has none
+            outputs = replace(
+                outputs, slip_covariance=np.diag((0.0, 0.0, _NO_DIRECTION)) + outputs.slip_covariance
+            )
         return Estimate(state.stamp_ns, mean[POSE], covariance[POSE, POSE], outputs, state.motion.motion)
 
     def _start(self, measurement: Measurement) -> Outcome:
-        """Begin with a fix, or with the initial pose at the first sprocket sample; else wait."""
+        """Begin with a fix, a user's word, or the initial pose at the first sprocket sample; else wait."""
         p = self.parameters
         window_ns = round(p.history_window * 1e9)
         if isinstance(measurement, Sprockets):
             self._track.add(measurement)
             self._track.forget_before(measurement.stamp_ns - window_ns)
-        if p.start == "first_fix" and isinstance(measurement, PoseFix):
-            pose, covariance = measurement.pose, measurement.covariance
-        elif p.start == "initial_pose" and isinstance(measurement, Sprockets):
-            pose = np.array((p.initial_x, p.initial_y, p.initial_yaw))
-            deviations = (p.initial_position_stddev, p.initial_position_stddev, p.initial_yaw_stddev)
-            covariance = np.diag(np.square(deviations))
+        given = isinstance(measurement, PoseFix) and measurement.source == SET_POSE
+        if isinstance(measurement, PoseFix) and (given or p.start == "first_fix"):
+            gaussian = self._start_at(measurement)
+        elif isinstance(measurement, Sprockets) and p.start == "initial_pose":
+            gaussian = self._stepper.filter.initial(*p.initial_pose())
         else:
             return Outcome.WAITING
-        begin = self._latest = FilterState(measurement.stamp_ns, self._filter.initial(pose, covariance))
-        self._timeline = Timeline(window_ns, begin, measurement, self._step)
+        agreed_ns = dict.fromkeys((*self._poses, *self._gyros), measurement.stamp_ns)
+        begin = self._latest = FilterState(measurement.stamp_ns, gaussian, agreed_ns)
+        self._timeline = Timeline(window_ns, begin, measurement, self._stepper.step)
         return Outcome.ACCEPTED
 
-    def _step(self, state: FilterState, measurement: Measurement) -> FilterState:
-        """Predict to the stamp of the measurement, then update with it."""
-        moved = self._predict(state, measurement.stamp_ns)
-        if isinstance(measurement, Sprockets):
-            driven = self._filter.drive(moved.gaussian, moved.speeds)
-            taken = Report(measurement.source, measurement.stamp_ns, Outcome.ACCEPTED)
-            return moved._replace(gaussian=driven, report=taken)
-        return self._update(moved, measurement, self._hold(moved, measurement))
-
-    def _predict(self, state: FilterState, stamp_ns: int) -> FilterState:
-        """The model over the time since the state."""
-        dt = (stamp_ns - state.stamp_ns) * 1e-9
-        speeds = self._track.speeds(stamp_ns)
-        motion = classify(state.motion, speeds.left, speeds.right, dt, self.parameters.motion)
-        gaussian = self._filter.predict(state.gaussian, speeds, dt, motion)
-        return FilterState(stamp_ns, gaussian, motion, speeds, state.rejected_in_a_row)
-
-    def _hold(self, state: FilterState, measurement: YawRate | PoseFix) -> Held:
-        measured: Measured
-        if isinstance(measurement, YawRate):
-            measured = rate_measured(measurement.rate, measurement.variance)
-        else:
-            measured = pose_measured(measurement.pose, measurement.covariance, self.parameters.use_heading)
-        return self._filter.hold(state.gaussian, state.speeds, measured)
-
-    def _update(self, state: FilterState, measurement: Measurement, held: Held) -> FilterState:
-        """Gate, then update; a source rejected too often in a row is believed again."""
-        gate = self._gates[held.dof]
-        run = state.rejected_in_a_row.get(measurement.source, 0)
-        accepted = held.nis <= gate or run >= self.parameters.gate_patience
-        gaussian = held.updated if accepted else state.gaussian
-        outcome = Outcome.ACCEPTED if accepted else Outcome.GATED
-        runs = state.rejected_in_a_row
-        if run or not accepted:
-            runs = MappingProxyType({**runs, measurement.source: 0 if accepted else run + 1})
-        report = Report(measurement.source, measurement.stamp_ns, outcome, held.nis, gate, held.dof)
-        return state._replace(gaussian=gaussian, rejected_in_a_row=runs, report=report)
+    def _start_at(self, fix: PoseFix) -> Gaussian:
+        """At a fix; a heading that it does not have is that of the parameters."""
+        pose, covariance = fix.pose.copy(), fix.covariance.copy()
+        if not (fix.is_finite() and covariance[YAW, YAW] <= math.pi**2):
+            initial_pose, initial_covariance = self.parameters.initial_pose()
+            covariance[YAW, :] = covariance[:, YAW] = 0.0
+            pose[YAW], covariance[YAW, YAW] = initial_pose[YAW], initial_covariance[YAW, YAW]
+        gaussian = self._stepper.filter.initial(pose, covariance)
+        return gaussian if fix.source == SET_POSE else self._poses[fix.source].from_sensor(gaussian)

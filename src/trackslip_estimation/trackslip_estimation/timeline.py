@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from trackslip_estimation.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
-from trackslip_estimation.motion import STANDSTILL, Speeds
 
 State = TypeVar("State")
 Key = tuple[int, int, str]
@@ -22,49 +21,6 @@ _RANK = {Sprockets: 0, YawRate: 1, PoseFix: 2}
 def key_of(measurement: Measurement) -> Key:
     """The one order of all measurements: stamp, then kind, then source."""
     return measurement.stamp_ns, _RANK[type(measurement)], measurement.source
-
-
-class SprocketTrack:
-    """The sprocket samples in stamp order, to be asked for the mean speed over a stretch."""
-
-    def __init__(self) -> None:
-        self._stamps: list[int] = []
-        self._samples: list[Sprockets] = []
-
-    def add(self, sample: Sprockets) -> None:
-        """Put a sample in its place; of two with the same stamp the first counts."""
-        at = bisect_left(self._stamps, sample.stamp_ns)
-        if self._stamps[at : at + 1] == [sample.stamp_ns]:
-            return
-        self._stamps.insert(at, sample.stamp_ns)
-        self._samples.insert(at, sample)
-
-    def forget_before(self, stamp_ns: int) -> None:
-        """Drop what the speeds from ``stamp_ns`` on do not need: all before the stretch around it."""
-        keep = max(min(bisect_left(self._stamps, stamp_ns) - 1, len(self._stamps) - 2), 0)
-        del self._stamps[:keep], self._samples[:keep]
-
-    def last_before(self, stamp_ns: int) -> int | None:
-        """Stamp of the last sample strictly before ``stamp_ns``."""
-        at = bisect_left(self._stamps, stamp_ns)
-        return self._stamps[at - 1] if at else None
-
-    def speeds(self, end_ns: int) -> Speeds:
-        """Mean speeds over the stretch between two samples in which ``end_ns`` lies.
-
-        From the difference of positions where there are positions; else the speed of the sample that
-        closes the stretch. Beyond the newest sample the newest stretch is taken to go on.
-        """
-        after = min(bisect_left(self._stamps, end_ns), len(self._stamps) - 1)
-        if after < 0:
-            return STANDSTILL
-        b = self._samples[after]
-        a = self._samples[after - 1] if after else b
-        dt = (b.stamp_ns - a.stamp_ns) * 1e-9
-        if dt > 0.0 and a.positions is not None and b.positions is not None:
-            left, right = ((end - start) / dt for start, end in zip(a.positions, b.positions, strict=True))
-            return Speeds(left, right, dt, differenced=True)
-        return Speeds(b.left_speed, b.right_speed, dt, differenced=False)
 
 
 class Timeline(Generic[State]):

@@ -53,9 +53,7 @@ def soil_message(make: Make, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_i
         header=header(make, stamp_ns, frame_id),
         mu_r=soil.value("mu_r"),
         mu_r_variance=0.0,
-        mu_l=3.0
-        * float(at.turning_moment[0])
-        / (vehicle.weight * vehicle.contact_length),  # (3.8), mobilised
+        mu_l=mobilised,
         mu_l_variance=0.0,
         shear_modulus=modulus,
         shear_modulus_lower=modulus,

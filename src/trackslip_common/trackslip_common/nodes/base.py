@@ -92,7 +92,7 @@ class TrackslipNode(LifecycleNode, Generic[P]):
 
     def announce(self, message_type: type, topic: str) -> Any:
         """A lifecycle publisher with the topic's own quality of service."""
-        publisher = self.create_lifecycle_publisher(message_type, topic, offered(topic))
+        publisher = self.create_lifecycle_publisher(message_type, topic, offered(topic.removeprefix("/")))
         self._announced.append(publisher)
         return publisher
 

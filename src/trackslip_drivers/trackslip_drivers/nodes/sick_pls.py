@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 
-from trackslip_common.nodes.base import WARN, Health
+from trackslip_common.nodes.base import ERROR, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
@@ -43,6 +43,7 @@ class SickNode(DriverNode[SickParameters]):
             self._on_bytes,
             self._begin,
             float("inf"),
+            self._on_silence,
         )
 
     def activate(self) -> None:
@@ -64,9 +65,12 @@ class SickNode(DriverNode[SickParameters]):
         super().deactivate()
 
     def health(self) -> list[Health]:
-        """The link's health, with the phase of the dialogue and a dirty front."""
+        """The link's health, with the phase of the dialogue, a refused password and a dirty front."""
         entries = super().health()
-        entries[0].values["phase"] = self._session.phase.value
+        phase = self._session.phase
+        entries[0].values["phase"] = phase.value
+        if phase is Phase.FAILED:
+            entries.append(Health(ERROR, phase.value, part="password"))
         if self._polluted:
             entries.append(Health(WARN, "front window is dirty", part="pollution"))
         return entries
@@ -84,7 +88,6 @@ class SickNode(DriverNode[SickParameters]):
         """Tell the session the time, and do what it asks of the port."""
         now_ns = time.monotonic_ns()
         with self._lock:
-            self._session.receive(b"", now_ns)  # so that it gives up on a telegram cut short
             action = self._session.step(now_ns)
         link = self._link
         if link is None:
@@ -96,8 +99,14 @@ class SickNode(DriverNode[SickParameters]):
             link.write(action.write)
 
     def _on_bytes(self, data: bytes, arrival_ns: int) -> None:
+        self._receive(data, self.arrived(arrival_ns))
+
+    def _on_silence(self) -> None:
+        self._receive(b"", time.monotonic_ns())  # so that a telegram cut short is given up
+
+    def _receive(self, data: bytes, steady_ns: int) -> None:
         with self._lock:
-            scans = self._session.receive(data, self.arrived(arrival_ns))
+            scans = self._session.receive(data, steady_ns)
         for scan in scans:
             self._polluted = scan.status.pollution
             self._scans.publish(

@@ -2,7 +2,7 @@
 """Frames of ``config/excavator.dbc``: decode whole, check, then commit; and the encode half.
 
 The DBC is the contract: ids, lengths, scaling, ranges, cycle time. Two checks that a DBC cannot express
-are here: the checksum (its last payload byte) and the alive counter.
+are here: the alive counter and the checksum behind it, the last 4 + 12 bits of a payload.
 """
 
 from collections.abc import Mapping
@@ -13,6 +13,7 @@ from pathlib import Path
 import cantools
 from cantools.database import Database, Message
 from cantools.database.errors import Error as CantoolsError
+from crccheck.crc import Crc12Gsm
 
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
@@ -31,7 +32,9 @@ BUS = "can"  # what a rejection is counted under when the frame cannot be named
 
 _ALIVE = "alive_counter"
 _CHECKSUM = "checksum"
-_MODULUS = 16
+_ALIVE_BITS = 4
+_CHECKSUM_BITS = 12
+_MODULUS = 1 << _ALIVE_BITS
 # A silence may hide whole turns of the counter; one more turn is assumed from this share of it on. A sender
 # that stalls and catches up looks the same, hence above one half.
 _TURN_SHARE = 0.75
@@ -60,22 +63,15 @@ class Frame:
     values: Mapping[str, float]  # signal name → value in the DBC's unit (SI, or raw counts)
 
 
-def _shifted_out(crc: int) -> int:
-    """The register of the checksum after eight shifts."""
-    for _ in range(8):
-        crc = (crc << 1) ^ 0x1D if crc & 0x80 else crc << 1
-    return crc & 0xFF
+def sealed(frame_id: int, payload: bytes) -> bytes:
+    """The payload with the checksum that belongs to its other bits, whatever it had.
 
-
-_SHIFTED_OUT = bytes(map(_shifted_out, range(256)))
-
-
-def crc8_j1850(data: bytes) -> int:
-    """CRC-8 SAE J1850: polynomial 0x1D, start 0xFF, inverted at the end."""
-    crc = 0xFF
-    for byte in data:
-        crc = _SHIFTED_OUT[crc ^ byte]
-    return crc ^ 0xFF
+    CRC-12/GSM over the id and what precedes the checksum. It finds every wrong byte and any three wrong
+    bits; of two or more wrong bytes it misses one pattern in 4096. No checksum of 12 bits finds all those.
+    """
+    alive = payload[-2] & (_MODULUS - 1)
+    crc = int(Crc12Gsm.calc(frame_id.to_bytes(4, "big") + payload[:-2] + bytes((alive,))))
+    return payload[:-2] + (alive | crc << _ALIVE_BITS).to_bytes(2, "little")
 
 
 class FrameSet:
@@ -109,7 +105,7 @@ class FrameSet:
         """
         message = self.by_name[name]
         payload = message.encode({**values, _ALIVE: alive_counter % _MODULUS, _CHECKSUM: 0})
-        return message.frame_id, payload[:-1] + bytes([_checksum(message.frame_id, payload)])
+        return message.frame_id, sealed(message.frame_id, payload)
 
 
 class FrameDecoder:
@@ -128,7 +124,7 @@ class FrameDecoder:
             return self._reject(BUS, Rejection.ERROR_FRAME if is_error else Rejection.UNKNOWN_ID)
         if len(data) != message.length:
             return self._reject(message.name, Rejection.WRONG_LENGTH)
-        if data[-1] != _checksum(arbitration_id, data):
+        if data != sealed(arbitration_id, data):
             return self._reject(message.name, Rejection.CHECKSUM)
         if int.from_bytes(data, "little") & self._frames.unused[message.name]:
             return self._reject(message.name, Rejection.UNUSED_BITS)
@@ -181,13 +177,16 @@ def _find(database: Database, name: str, path: Path) -> Message:
         message = database.get_message_by_name(name)
     except KeyError as error:
         raise InputError(f"dbc_file {path}: frame '{name}' is missing") from error
-    starts = {signal.name: signal.start for signal in message.signals}
+    places = {s.name: (s.start, s.length, s.byte_order) for s in message.signals}
     for signal in SIGNALS[name]:
-        if signal not in starts:
+        if signal not in places:
             raise InputError(f"dbc_file {path}: signal '{signal}' of frame '{name}' is missing")
-    end = 8 * message.length
-    if (starts.get(_ALIVE), starts.get(_CHECKSUM)) != (end - 16, end - 8):
-        raise InputError(f"dbc_file {path}: frame '{name}' must end in alive_counter and checksum bytes")
+    behind = 8 * message.length
+    for signal, bits in ((_CHECKSUM, _CHECKSUM_BITS), (_ALIVE, _ALIVE_BITS)):
+        behind -= bits
+        if places.get(signal) != (behind, bits, "little_endian"):
+            layout = f"{_ALIVE_BITS} bits alive_counter, {_CHECKSUM_BITS} bits checksum"
+            raise InputError(f"dbc_file {path}: frame '{name}' must end in {layout}")
     return message
 
 
@@ -195,10 +194,6 @@ def _used_bits(message: Message) -> int:
     """The bits of a payload, read as a little-endian number, that belong to a signal."""
     full = {s.name: -1 if s.is_signed else (1 << s.length) - 1 for s in message.signals}
     return int.from_bytes(message.encode(full, scaling=False, strict=False), "little")
-
-
-def _checksum(frame_id: int, payload: bytes) -> int:
-    return crc8_j1850(frame_id.to_bytes(4, "big") + payload[:-1])
 
 
 def _in_range(message: Message, values: Mapping[str, float]) -> bool:

@@ -2,10 +2,11 @@
 """The host's side of the talk with a SICK scanner, from any state it may be in to streaming scans.
 
     stop (0x25) at each rate until it answers → installation mode → set the rate → switch the host
-    → pause → stop → stream all values (0x24); from the start again when the scanner falls silent.
+    → pause → stop → stream all values (0x24); from the start again when the scanner falls silent, and
+    a while after it refused the password.
 
 The owner has the port and the clock. It gives what it read to ``receive``, then calls ``step`` and does
-what that says, at least every 20 ms:
+what that says, at least every 20 ms. No bytes are received only where a read has waited in vain:
 
     scans = session.receive(port.read(), now_ns)
     action = session.step(now_ns)
@@ -55,6 +56,7 @@ _INBOX = 16
 _ALL_VALUES = 732  # bytes of a telegram with 361 values
 _MIRROR_TOLERANCE = 0.01  # of the time of one turn
 _PATIENCE = 50  # scans
+_PASSWORD_PAUSE = 10.0  # s from a refusal, which may be a wrong scanner or a wrong byte, to the next attempt
 _NS_PER_S = 1_000_000_000
 
 
@@ -68,7 +70,7 @@ class Phase(Enum):
     STREAMING = "streaming"
     STOPPING = "stopping"
     STOPPED = "stopped"
-    FAILED = "password refused"
+    FAILED = "password refused, to be tried again"
 
 
 class SessionFault(Enum):
@@ -76,6 +78,7 @@ class SessionFault(Enum):
 
     NO_ANSWER = "no answer at any rate"
     REFUSED = "start-up refused or not answered"
+    PASSWORD = "password refused"
     SILENT = "scans stopped coming"
     RESTARTED = "scanner restarted"
 
@@ -98,7 +101,7 @@ class SickSession:
     """Brings a scanner to streaming and keeps it there.
 
     ``baud`` is the rate the port must have; open it at that. Nothing more happens once ``phase`` is
-    STOPPED or FAILED. ``tally`` counts what was rejected, and each new start.
+    STOPPED. ``tally`` counts what was rejected, and each new start.
     """
 
     def __init__(self, parameters: SickParameters, tally: Tally) -> None:
@@ -158,19 +161,24 @@ class SickSession:
         return decode_scan(telegram, self._parameters)
 
     def _run(self) -> Script[None]:
-        while self.phase is not Phase.FAILED:
+        while True:
             fault = yield from self._start_up()
             if fault is None:
                 fault = yield from self._stream()
             self.tally.add(_SOURCE, fault)
+            if fault is SessionFault.PASSWORD:
+                self.phase = Phase.FAILED
+                yield from self._pause(_PASSWORD_PAUSE)
 
     def _start_up(self) -> Script[SessionFault | None]:
         """From anything to streaming; gives why that did not work, None when it did."""
         self.phase = Phase.PROBING
         if not (yield from self._find_baud()):
             return SessionFault.NO_ANSWER
-        if self.baud != self._parameters.serial_baud and not (yield from self._change_baud()):
-            return SessionFault.REFUSED
+        if self.baud != self._parameters.serial_baud:
+            fault = yield from self._change_baud()
+            if fault is not None:
+                return fault
         self.phase = Phase.STARTING
         if (yield from self._request(commands.STREAM_ALL)) != _OK:
             return SessionFault.REFUSED
@@ -196,25 +204,25 @@ class SickSession:
                 return True
         return False
 
-    def _change_baud(self) -> Script[bool]:
+    def _change_baud(self) -> Script[SessionFault | None]:
         """Bring scanner and host to the rate wanted; the scanner still acknowledges at the old one."""
         if self._parameters.model == "pls":
             self.phase = Phase.INSTALLING
             password = commands.PASSWORDS[self._parameters.model]
             answer = yield from self._request(commands.installation_mode(password))
             if answer == ModeChanged(ModeResult.WRONG_PASSWORD):
-                self.phase = Phase.FAILED
+                return SessionFault.PASSWORD
             if answer != _OK:
-                return False
+                return SessionFault.REFUSED
         self.phase = Phase.CHANGING_RATE
         command = commands.set_baud(self._parameters.serial_baud)
         # Whether its reply, too, comes at the old rate is not certain: wait for it no longer than the pause.
         answer = yield from self._request(command, self._parameters.baud_pause)
         if answer not in (_OK, Control.ACK):
-            return False
+            return SessionFault.REFUSED
         self._switch_host(self._parameters.serial_baud)
         yield from self._pause(self._parameters.baud_pause)
-        return (yield from self._request(commands.STOP)) == _OK
+        return None if (yield from self._request(commands.STOP)) == _OK else SessionFault.REFUSED
 
     def _stream(self) -> Script[SessionFault]:
         """Stay while scans come; gives why they do no more."""

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cuts the byte stream of a Watson unit into lines or frames, stamps and decodes them."""
 
+import math
+
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.watson import (
     BITS_PER_CHAR,
@@ -32,8 +34,8 @@ class WatsonStream:
 
     Args:
         layout: channels of the unit.
-        baud: line rate; a line was measured when its first character left, so its transfer time is taken
-            off the arrival of its last.
+        baud: line rate; a line was measured when its first character left, so the transfer time of what
+            has come is taken off its arrival.
         time_offset_ns: added to each stamp.
         tally: counts what was rejected.
     """
@@ -45,6 +47,7 @@ class WatsonStream:
         self._baud = baud
         self._time_offset_ns = time_offset_ns
         self._pending = bytearray()
+        self._begun_ns = math.inf  # the line that is pending began no later
         self._overlong = False
         self._stamps = PeriodicStamps(_LINE_PERIOD_NS, _CLOCK_TOLERANCE, _PATIENCE)
 
@@ -54,17 +57,24 @@ class WatsonStream:
         return len(self._pending)
 
     def feed(self, data: bytes, arrival_ns: int) -> list[ImuSample]:
-        """What one read returned; ``arrival_ns`` is when its last byte was there."""
+        """What one read returned, and when: its last byte was there by ``arrival_ns``.
+
+        A line began no later than any of its reads leaves time for, at the line's rate. One prompt read
+        among them is enough.
+        """
         samples = []
         *ended, rest = data.split(TERMINATOR)
         left = len(data)
         for part in ended:
             left -= len(part) + 1
             self._hold(part)
-            sample = self._finish(arrival_ns - self._transfer_ns(left))
+            self._bound(arrival_ns - self._transfer_ns(left + 1))
+            sample = self._finish()
             if sample is not None:
                 samples.append(sample)
         self._hold(rest)
+        if self._pending:
+            self._bound(arrival_ns)
         return samples
 
     def reset(self) -> None:
@@ -74,25 +84,34 @@ class WatsonStream:
 
     def _clear(self) -> None:
         self._pending.clear()
+        self._begun_ns = math.inf
         self._overlong = False
 
+    def _bound(self, arrived_ns: int) -> None:
+        """What is pending had come by then."""
+        self._begun_ns = min(self._begun_ns, arrived_ns - self._transfer_ns(len(self._pending)))
+
     def _hold(self, part: bytes) -> None:
-        """Keep bytes of an unfinished line, unless it has grown past any line's length."""
+        """Keep bytes of an unfinished line, unless it has grown past any line's length.
+
+        White space before it is not part of it: it may have come long before.
+        """
+        part = part if self._pending else part.lstrip()
         if self._overlong or len(self._pending) + len(part) > self.limit:
             self._overlong = True
             self._pending.clear()
         else:
             self._pending += part
 
-    def _finish(self, ended_ns: int) -> ImuSample | None:
+    def _finish(self) -> ImuSample | None:
         """A CR has arrived: decode what it ends."""
-        line, overlong = bytes(self._pending), self._overlong
+        line, overlong, stamp_ns = bytes(self._pending), self._overlong, round(self._begun_ns)
         self._clear()
         if overlong:
             self.tally.add(IMU, Rejection.OVERLONG)
             return None
-        stamp_ns = ended_ns - self._transfer_ns(len(line) + 1) + self._time_offset_ns
-        if not line.strip():
+        stamp_ns += self._time_offset_ns
+        if not line:
             return None
         reading = self._decode(line)
         if isinstance(reading, Reading) and line[0] < _BIT_7:  # frames come as fast as the line allows

@@ -57,6 +57,8 @@ class Link(Generic[T]):
             half-received messages and to start a dialogue.
         silence_s: a port that stays silent for longer is closed and opened again, as a line that hangs
             half-open reports no error; infinite to wait for ever.
+        on_silence: called in the link's thread after a read that found nothing for READ_TIMEOUT_S. Only such
+            a read proves that nothing is there: on a busy host, bytes wait in the kernel.
     """
 
     def __init__(
@@ -66,11 +68,13 @@ class Link(Generic[T]):
         on_data: Callable[[T, int], None],
         on_open: Callable[[], None],
         silence_s: float,
+        on_silence: Callable[[], None] = lambda: None,
     ) -> None:
         self._open_port = open_port
         self._on_data = on_data
         self._on_open = on_open
         self._silence_s = silence_s
+        self._on_silence = on_silence
         self._lock = threading.Lock()  # guards what follows
         self._port: Port[T] | None = None
         self._changed_s = time.monotonic()
@@ -158,8 +162,10 @@ class Link(Generic[T]):
             if arrived:
                 heard_s = time.monotonic()
                 yield from arrived
-            elif time.monotonic() - heard_s > self._silence_s:
-                raise TimeoutError(f"nothing received for {self._silence_s:g} s")
+            else:
+                self._on_silence()
+                if time.monotonic() - heard_s > self._silence_s:
+                    raise TimeoutError(f"nothing received for {self._silence_s:g} s")
 
     def _set_port(self, port: Port[T] | None) -> None:
         with self._lock:

@@ -10,6 +10,7 @@ import serial
 from trackslip_drivers.transports.link import READ_TIMEOUT_S
 
 _MOST_BYTES = 4096  # handed on at once
+_GATHER_S = 0.005  # from the first byte to the read, or a dripping line would wake the process for each drop
 _WRITE_TIMEOUT_S = 0.5
 
 
@@ -42,8 +43,14 @@ class SerialPort:
             self._tell_parity(url, parity)
 
     def read(self) -> Sequence[tuple[bytes, int]]:
-        """All that is there, once there is something; the time is that of its last byte."""
+        """All that is there a moment after the first of it; the time is that of the read.
+
+        By then the last byte has been there for up to that moment, where the line fell silent in it. Who
+        needs to know better looks at several reads: one in the midst of a telegram is prompt.
+        """
         data = self._serial.read(1)
+        if data:
+            time.sleep(_GATHER_S)
         while data and len(data) < _MOST_BYTES and (waiting := self._serial.in_waiting):
             data += self._serial.read(min(waiting, _MOST_BYTES))
         return [(data, time.time_ns())] if data else []

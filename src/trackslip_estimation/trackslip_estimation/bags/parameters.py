@@ -25,16 +25,24 @@ def parameters_text(parameters: Mapping[str, Any]) -> str:
 
 
 def bag_parameters(bag: Bag) -> dict[str, Any]:
-    """Dotted name → value of the parameters in a bag; empty where it holds none. The latest message counts.
+    """Dotted name → value of the parameters that a bag begins with; empty where it holds none.
+
+    Later messages tell what was changed while the estimator ran.
 
     Raises:
         InputError: what is on the topic is no parameter file.
     """
-    text = None
     for message in bag.messages([PARAMETERS_TOPIC]):
-        text = bag.deserialize(message.raw, message.type_name).data
-    if text is None:
-        return {}
+        return read_parameters(bag, bag.deserialize(message.raw, message.type_name).data)
+    return {}
+
+
+def read_parameters(bag: Bag, text: str) -> dict[str, Any]:
+    """Dotted name → value of one such message.
+
+    Raises:
+        InputError: it is no parameter file.
+    """
     try:
         return flatten(yaml.safe_load(text)[_NODE]["ros__parameters"])
     except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:

@@ -22,7 +22,7 @@ from trackslip_estimation.replay.run import replay
 from trackslip_estimation.slip_parameters import NODE, SlipEstimatorParameters, load_slip_parameters
 
 DESCRIPTION = "Run the slip estimator over a bag, in process, in the order in which it ran live."
-EXAMPLE = "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.gate_patience=10"
+EXAMPLE = "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.pose_timeouts=[3.0]"
 
 _LONGEST = 1e9  # s, some thirty years
 _POSES = (TOPICS["box_pose"].type_name, TOPICS["odometry"].type_name)
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"estimates: {args.output}")
     if args.json is not None:
         _write_json(args.json, summary(result))
-    return ExitCode.DONE
+    return ExitCode.DONE if result.estimates else ExitCode.FAILED
 
 
 def _seed(text: str) -> int:
@@ -91,9 +91,18 @@ def _seed(text: str) -> int:
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
     try:
-        path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"--json: '{path}' cannot be written ({error.strerror})") from error
+
+
+def _without_nan(value: Any) -> Any:
+    """null for what is not a finite number, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _require_named(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None) -> None:
@@ -136,7 +145,11 @@ def _parameters(bag: Bag, args: argparse.Namespace) -> SlipEstimatorParameters:
     layers: list[Mapping[str, Any]] = [{n: v for n, v in carried.items() if n in known}]
     for name in args.params:
         path = config_file(name)
-        layers.append(node_parameters(read_yaml(path), NODE, str(path)))
+        layer = node_parameters(read_yaml(path), NODE, str(path))
+        if not layer:
+            accepted = f"{NODE}: {{ros__parameters: {{...}}}}, or /** for {NODE}"
+            raise InputError(f"--params {path}: nothing for {NODE} in it; accepted: {accepted}")
+        layers.append(layer)
     layers.append(dict(map(parse_set, args.set)))
     return load_slip_parameters(*layers)
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.compiled import compiled
-from trackslip_estimation.filters.filter import Filter, RecordArray, predict, update
-from trackslip_estimation.filters.model import FREE_SLIPS, SPROCKETS, Gaussian, Measured
+from trackslip_estimation.filters.filter import Filter, RecordArray, step
+from trackslip_estimation.filters.model import SPROCKETS, Gaussian, Measured
 from trackslip_estimation.motion import MotionState, Speeds
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Row(NamedTuple):
     speeds: Speeds
     motion: MotionState
     source: int
-    measured: Measured  # a sprocket sample's value and noise are not read
+    measured: Measured
 
 
 class Log(NamedTuple):
@@ -81,9 +81,7 @@ def run(log: Log, filter_: Filter, start: Gaussian, gates: Gates = EVERYTHING) -
     return Run(*_loop(*log, *start, sources, *gates, filter_.constants))
 
 
-def run_all(
-    runs: Iterable[tuple[Log, Filter, Gaussian, Gates]], threads: int | None = None
-) -> Iterator[Run]:
+def run_all(runs: Iterable[tuple[Log, Filter, Gaussian, Gates]], threads: int | None = None) -> Iterator[Run]:
     """``run`` of each, in their order; any number of them may share a log or a filter."""
     with ThreadPoolExecutor(threads) as pool:
         yield from pool.map(lambda arguments: run(*arguments), runs)
@@ -119,17 +117,15 @@ def _loop(
         dt, stretch = times[k]
         left, right = speeds[k]
         kind, source, motion, changing, differenced = flags[k]
-        x, P = predict(x, P, left, right, dt, motion, changing, c)
-        measures = kind != SPROCKETS or (c.model != FREE_SLIPS and stretch > 0.0)
-        if measures:
-            m = 2 if kind == SPROCKETS else kind  # the kinds are numbered so
-            z, R = values[k, :m].copy(), noises[k, :m, :m].copy()
-            updated = update(kind, x, P, z, R, left, right, stretch, differenced == 1, c)
-            nis[k] = updated[2]
-            if kind != SPROCKETS:
-                accepted[k] = nis[k] <= limits[m] or rejected_in_a_row[source] >= patience
-                rejected_in_a_row[source] = 0 if accepted[k] else rejected_in_a_row[source] + 1
-            if accepted[k]:
-                x, P = updated[0], updated[1]
+        m = 2 if kind == SPROCKETS else kind  # the kinds are numbered so
+        z, R = values[k, :m].copy(), noises[k, :m, :m].copy()
+        x, P, x_updated, P_updated, nis[k] = step(
+            kind, x, P, z, R, left, right, stretch, differenced == 1, dt, motion, changing, c
+        )
+        if kind != SPROCKETS:
+            accepted[k] = nis[k] <= limits[m] or rejected_in_a_row[source] >= patience
+            rejected_in_a_row[source] = 0 if accepted[k] else rejected_in_a_row[source] + 1
+        if accepted[k]:
+            x, P = x_updated, P_updated
         means[k], covariances[k] = x, P
     return means, covariances, nis, accepted

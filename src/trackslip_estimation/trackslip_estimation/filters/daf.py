@@ -100,12 +100,12 @@ def update(
         seen[i] = expected(kind, points[i], left, right, c)
     z_mean, z_departures, w = moments(seen, weights)
     x_departures = moments(points, weights)[1]
-    S = sandwich(z_departures, np.diag(w)) + R
-    K = np.ascontiguousarray(solve(S, times(z_departures * w, x_departures.T.copy())).T)
+    root_of_S = root(sandwich(z_departures, np.diag(w)) + R)
+    K = np.ascontiguousarray(solve(root_of_S, times(z_departures * w, x_departures.T.copy())).T)
     innovation = z - z_mean
     if z.size > YAW:
         innovation[YAW] = wrap(innovation[YAW])
     mean = x + apply(K, innovation)
     mean[YAW] = wrap(mean[YAW])
     P = sandwich(x_departures - times(K, z_departures), np.diag(w)) + sandwich(K, R)
-    return mean, P, weighted_square(S, innovation)
+    return mean, P, weighted_square(root_of_S, innovation)

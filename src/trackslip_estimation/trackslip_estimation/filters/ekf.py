@@ -19,6 +19,8 @@ from trackslip_estimation.compiled import compiled
 from trackslip_estimation.filters.equations import expected, jacobian, move, process_noise, transition
 from trackslip_estimation.filters.linear_algebra import (
     apply,
+    joseph,
+    root,
     sandwich,
     solve,
     times,
@@ -45,11 +47,10 @@ def correct(
     x: FloatArray, P: FloatArray, innovation: FloatArray, H: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """x', P' and NIS; Joseph form, which keeps P symmetric and positive whatever the gain."""
-    S = sandwich(H, P) + R
-    K = np.ascontiguousarray(solve(S, times(H, P)).T)
-    keep = np.eye(x.size) - times(K, H)
-    P = sandwich(keep, P) + sandwich(K, R)
-    return x + apply(K, innovation), P, weighted_square(S, innovation)
+    HP = times(H, P)
+    root_of_S = root(times(HP, np.ascontiguousarray(H.T)) + R)
+    K = np.ascontiguousarray(solve(root_of_S, HP).T)
+    return x + apply(K, innovation), joseph(P, K, H, R), weighted_square(root_of_S, innovation)
 
 
 @compiled

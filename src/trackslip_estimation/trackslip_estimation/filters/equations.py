@@ -151,7 +151,7 @@ def noise(
             return turning_model.sprockets_noise(left, right, stretch, rounding, c)
         return icr_model.sprockets_noise(left, right, stretch, rounding, c)
     if kind == YAW_RATE and c.model == FREE_SLIPS:  # φ̇ as predicted comes from the sprockets
-        return R + 2.0 * rounding / c.tread**2
+        R = R + 2.0 * rounding / c.tread**2
     return R
 
 

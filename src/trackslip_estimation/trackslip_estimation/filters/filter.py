@@ -11,11 +11,11 @@ from trackslip_estimation.filters import daf, ekf, equations
 from trackslip_estimation.filters.model import (
     CONSTANTS,
     FREE_SLIPS,
+    SPROCKETS,
     Gaussian,
     Measured,
     Model,
     Outputs,
-    sprockets_measured,
 )
 from trackslip_estimation.motion import Motion, MotionState, Speeds
 
@@ -26,9 +26,9 @@ RecordArray = NDArray[np.void]
 class Held(NamedTuple):
     """A measurement held against the prediction."""
 
+    predicted: Gaussian  # the state without it
+    updated: Gaussian  # the state, should it be taken
     nis: float  # normalised innovation squared, χ² if all is honest
-    dof: int  # degrees of freedom
-    updated: Gaussian  # the state, should the measurement be taken
 
 
 class Filter:
@@ -43,24 +43,26 @@ class Filter:
         """A start with known pose (3,) and its covariance (3, 3)."""
         return self.model.initial(pose, pose_covariance)
 
-    def predict(self, state: Gaussian, speeds: Speeds, dt: float, motion: MotionState) -> Gaussian:
-        """The state ``dt`` s later."""
-        x, P = state
-        left, right, _, _ = speeds
-        return Gaussian(
-            *_predict(x, P, left, right, dt, int(motion.motion), int(motion.changing), self.constants)
-        )
-
-    def hold(self, state: Gaussian, speeds: Speeds, measured: Measured) -> Held:
-        """What a measurement would make of the state."""
+    def step(
+        self, state: Gaussian, speeds: Speeds, dt: float, motion: MotionState, measured: Measured
+    ) -> Held:
+        """The state ``dt`` s later, and what a measurement would make of it."""
         kind, z, R = measured
-        x, P, nis = _update(kind, *state, z, R, *speeds, self.constants)
-        return Held(nis, z.size, Gaussian(x, P))
-
-    def drive(self, state: Gaussian, speeds: Speeds) -> Gaussian:
-        """What a sprocket sample says of the state, beyond driving the prediction."""
-        measured = None if self.model.code == FREE_SLIPS else sprockets_measured(speeds)
-        return state if measured is None else self.hold(state, speeds, measured).updated
+        x, P, x_updated, P_updated, nis = _step(
+            kind,
+            *state,
+            z,
+            R,
+            speeds.left,
+            speeds.right,
+            speeds.stretch,
+            speeds.differenced,
+            dt,
+            int(motion.motion),
+            int(motion.changing),
+            self.constants,
+        )
+        return Held(Gaussian(x, P), Gaussian(x_updated, P_updated), nis)
 
     def outputs(self, state: Gaussian, speeds: Speeds) -> Outputs:
         """Twist and slips."""
@@ -111,22 +113,7 @@ def update(
 
 
 @compiled
-def _predict(
-    x: FloatArray,
-    P: FloatArray,
-    left: float,
-    right: float,
-    dt: float,
-    motion: int,
-    changing: int,
-    constants: RecordArray,
-) -> tuple[FloatArray, FloatArray]:
-    """``predict`` as called from Python: arrays cross over faster than records."""
-    return predict(x, P, left, right, dt, motion, changing, constants[0])
-
-
-@compiled
-def _update(
+def step(
     kind: int,
     x: FloatArray,
     P: FloatArray,
@@ -136,10 +123,37 @@ def _update(
     right: float,
     stretch: float,
     counted: bool,
+    dt: float,
+    motion: int,
+    changing: int,
+    c: Any,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """Predicted x and P, then x', P' and NIS; nan where sprockets say no more than they drove."""
+    x, P = predict(x, P, left, right, dt, motion, changing, c)
+    if kind == SPROCKETS and (c.model == FREE_SLIPS or stretch <= 0.0):
+        return x, P, x, P, np.nan
+    x_updated, P_updated, nis = update(kind, x, P, z, R, left, right, stretch, counted, c)
+    return x, P, x_updated, P_updated, nis
+
+
+@compiled
+def _step(
+    kind: int,
+    x: FloatArray,
+    P: FloatArray,
+    z: FloatArray,
+    R: FloatArray,
+    left: float,
+    right: float,
+    stretch: float,
+    counted: bool,
+    dt: float,
+    motion: int,
+    changing: int,
     constants: RecordArray,
-) -> tuple[FloatArray, FloatArray, float]:
-    """``update`` as called from Python."""
-    return update(kind, x, P, z, R, left, right, stretch, counted, constants[0])
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """``step`` as called from Python: arrays cross over faster than records."""
+    return step(kind, x, P, z, R, left, right, stretch, counted, dt, motion, changing, constants[0])
 
 
 @compiled

@@ -78,10 +78,10 @@ def root(P: FloatArray) -> FloatArray:
 
 
 @compiled
-def solve(S: FloatArray, B: FloatArray) -> FloatArray:
-    """S⁻¹ B, nothing along directions in which S is singular."""
-    L, X = root(S), B.copy()
-    n = S.shape[0]
+def solve(L: FloatArray, B: FloatArray) -> FloatArray:
+    """(L Lᵀ)⁻¹ B, nothing along directions in which L is singular."""
+    X = B.copy()
+    n = L.shape[0]
     for column in range(B.shape[1]):
         for i in range(n):
             for k in range(i):
@@ -95,10 +95,24 @@ def solve(S: FloatArray, B: FloatArray) -> FloatArray:
 
 
 @compiled
-def weighted_square(S: FloatArray, v: FloatArray) -> float:
-    """vᵀ S⁻¹ v."""
-    weighed = solve(S, v.copy().reshape((-1, 1)))
+def weighted_square(L: FloatArray, v: FloatArray) -> float:
+    """vᵀ (L Lᵀ)⁻¹ v."""
     total = 0.0
+    weighed = solve(L, v.copy().reshape((-1, 1)))
     for i in range(v.size):
         total += v[i] * weighed[i, 0]
     return total
+
+
+@compiled
+def joseph(P: FloatArray, K: FloatArray, H: FloatArray, R: FloatArray) -> FloatArray:
+    """(I − K H) P (I − K H)ᵀ + K R Kᵀ."""
+    keep = times(K, H)
+    for i in range(keep.shape[0]):
+        for j in range(keep.shape[1]):
+            keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]
+    kept, learned = sandwich(keep, P), sandwich(K, R)
+    for i in range(kept.shape[0]):
+        for j in range(kept.shape[1]):
+            kept[i, j] += learned[i, j]
+    return kept

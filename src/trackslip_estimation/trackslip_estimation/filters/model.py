@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.motion import MotionState, Speeds
+from trackslip_estimation.motion import MotionState
 
 FloatArray = NDArray[np.float64]
 
@@ -57,6 +57,9 @@ class Measured(NamedTuple):
     noise: FloatArray  # (m, m) R
 
 
+DRIVEN = Measured(SPROCKETS, np.zeros(2), np.zeros((2, 2)))  # a sprocket sample: its noise is the model's
+
+
 @dataclass(frozen=True, eq=False)
 class Outputs:
     """What a model's state means, with covariances."""
@@ -95,8 +98,3 @@ def pose_measured(pose: FloatArray, covariance: FloatArray, use_heading: bool) -
     kind = FULL_POSE if use_heading else POSITION
     value = np.array(pose[:rows], dtype=np.float64, order="C")
     return Measured(kind, value, np.array(covariance[:rows, :rows], dtype=np.float64, order="C"))
-
-
-def sprockets_measured(speeds: Speeds) -> Measured | None:
-    """0 = what the sprockets should do for the state, less what they do; None where nothing is known yet."""
-    return Measured(SPROCKETS, np.zeros(2), np.zeros((2, 2))) if speeds.stretch > 0.0 else None

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the models share whose states are speeds: sprockets and gyro are both *measurements* of v and ω.
 
-    x, y, φ    position of the track-contact centre C, heading            m, m, rad (site frame)
-    v, ω       speed of C along x, yaw rate: states, not inputs           m/s, rad/s
-    a, b       how the vehicle turns: each model has its own pair
-    i₀         slip common to both tracks                                 1
-    x_I        centre of rotation ahead of C, v_y = −ω x_I                m
-    b_g        bias of the yaw-rate gyro                                  rad/s
-    i_L, i_R   1 − (v ∓ ω B/2)/(r ω_j), what follows for the slips        1
-    V, D       r (ω_L + ω_R)/2, r (ω_R − ω_L), from the sprockets         m/s
-    τ          correlation time of what a model's equations leave out     s
+x, y, φ    position of the track-contact centre C, heading            m, m, rad (site frame)
+v, ω       speed of C along x, yaw rate: states, not inputs           m/s, rad/s
+a, b       how the vehicle turns: each model has its own pair
+i₀         slip common to both tracks                                 1
+x_I        centre of rotation ahead of C, v_y = −ω x_I                m
+b_g        bias of the yaw-rate gyro                                  rad/s
+i_L, i_R   1 − (v ∓ ω B/2)/(r ω_j), what follows for the slips        1
+V, D       r (ω_L + ω_R)/2, r (ω_R − ω_L), from the sprockets         m/s
+τ          correlation time of what a model's equations leave out     s
 """
 
 import math
@@ -120,8 +120,8 @@ def twist_jacobian(x: FloatArray) -> FloatArray:
 def misfit_variance(left: float, right: float, stretch: float, c: Any) -> float:
     """What a model's equations leave out of a speed over a stretch of time, (m/s)²."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
-    misfit = (c.straight_misfit * abs(V) + c.turning_misfit * abs(D)) ** 2 + c.standing_misfit**2
-    return misfit * c.misfit_time / stretch
+    misfit: float = (c.straight_misfit * abs(V) + c.turning_misfit * abs(D)) ** 2 + c.standing_misfit**2
+    return misfit * float(c.misfit_time) / stretch
 
 
 @compiled

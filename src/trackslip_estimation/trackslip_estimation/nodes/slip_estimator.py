@@ -2,19 +2,35 @@
 """``slip_estimator``: sprockets, yaw rates and poses in; odometry, slips and a report on each input out."""
 
 import sys
+import time
 from functools import partial
 from typing import Any
 
-import yaml
+from rcl_interfaces.msg import SetParametersResult
+from std_srvs.srv import SetBool, Trigger
 
-from trackslip_common.nodes.base import OK, WARN, Health, TrackslipNode
+from trackslip_common.errors import InputError
+from trackslip_common.nodes.base import ERROR, OK, WARN, Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import to_flat
 from trackslip_estimation import conversions
-from trackslip_estimation.measurements import Measurement, Outcome
-from trackslip_estimation.slip_estimator import SlipEstimator
-from trackslip_estimation.slip_parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
+from trackslip_estimation.bags.parameters import parameters_text
+from trackslip_estimation.measurements import (
+    FREEZE,
+    RELOAD,
+    RESET,
+    SET_POSE,
+    UNFREEZE,
+    Command,
+    Input,
+    Outcome,
+    Reload,
+)
+from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip_parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters, reloadable
+from trackslip_estimation.source_watch import SourceWatch
+from trackslip_estimation.sources import named
 
 
 class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
@@ -22,39 +38,61 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def __init__(self) -> None:
         super().__init__(NODE, SlipEstimatorParameters, *DEFAULT_FILES)
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self._services = (
+            self.create_service(Trigger, "~/reset", self._on_reset),
+            self.create_service(SetBool, "~/freeze", self._on_freeze),
+        )
 
     def configure(self) -> None:
         """Make the estimator, its outputs and its inputs."""
         p = self.settings
         self._estimator = SlipEstimator(p)
-        self._taken = 0
-        self._published = 0
+        self._watch = SourceWatch(p.timeouts_ns())
+        self._taken = self._estimates = 0
+        self._heard: float | None = None  # s, steady: when the last sprocket sample came
         self._odometry = self.announce(topic_class("odometry"), "odometry")
         self._track_slip = self.announce(topic_class("track_slip"), "track_slip")
         self._reports = self.announce(topic_class("measurement_reports"), "measurement_reports")
-        self._parameters_used = self.announce(
-            topic_class("slip_estimator/parameters"), "slip_estimator/parameters"
-        )
+        self._parameters_used = self.announce(topic_class(RELOAD), RELOAD)
+        self._tf = self._announce_tf() if p.publish_tf else None
         self.listen(topic_class("sprockets"), "sprockets", self._on_sprockets)
-        for source in filter(None, p.yaw_rate_sources):
+        self.listen(topic_class(SET_POSE), SET_POSE, partial(self._on_pose, source=SET_POSE))
+        for source in named(p.yaw_rate_sources):
             self.listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
-        for source in filter(None, p.pose_sources):
+        for source in named(p.pose_sources):
             self.listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
 
     def activate(self) -> None:
         """Say with which parameters the estimates of this run were made: a bag carries them along."""
-        text = yaml.safe_dump({NODE: {"ros__parameters": to_flat(self.settings)}}, sort_keys=False)
-        self._parameters_used.publish(make("std_msgs/msg/String", data=text))
+        self._tell_parameters()
 
     def health(self) -> list[Health]:
-        """Waiting for a first fix, or running; what was not accepted, by source and reason."""
-        refused = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
-        values = {"measurements": self._taken, "estimates": self._published, **refused}
-        if not self._estimator.started:
-            return [Health(WARN, f"waiting for a fix on {', '.join(self.settings.pose_sources)}", values)]
+        """Waiting, running, or what is missing; what was not accepted, by source and reason; innovations."""
+        estimator, now_ns = self._estimator, self._estimator.newest_ns or 0
+        values: dict[str, Any] = {
+            "measurements": self._taken,
+            "estimates": self._estimates,
+            "restarts": estimator.restarts,
+        }
+        values |= {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
+        values |= {f"{source} nis": text for source, text in self._watch.innovations(now_ns).items()}
+        silent = time.monotonic() - (self._heard or 0.0)
+        lost = self._watch.lost(now_ns)
+        if self._heard is not None and silent > max(self.settings.sprocket_timeout, 0.2):
+            return [Health(ERROR, f"sprockets silent for {silent:.1f} s", values)]
+        if not estimator.started:
+            wanted = "sprockets" if self._heard is None else ", ".join(named(self.settings.pose_sources))
+            return [Health(WARN, f"waiting for {wanted}", values)]
+        if estimator.frozen:
+            return [Health(WARN, "frozen: poses are ignored", values)]
+        if lost:
+            text = ", ".join(f"{source} for {s:.1f} s" for source, s in lost.items())
+            return [Health(WARN, f"nothing taken of {text}", values)]
         return [Health(OK, "running", values)]
 
     def _on_sprockets(self, message: Any) -> None:
+        self._heard = time.monotonic()
         self._take(conversions.sprockets(message, "sprockets"))
 
     def _on_imu(self, message: Any, source: str) -> None:
@@ -63,18 +101,61 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def _on_pose(self, message: Any, source: str) -> None:
         self._take(conversions.pose_fix(message, source))
 
-    def _take(self, measurement: Measurement) -> None:
-        report, estimate = self._estimator.advance(measurement)
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        return self._obey(Command(RESET), response, "the estimate begins anew")
+
+    def _on_freeze(self, request: Any, response: Any) -> Any:
+        text = "poses are ignored from now on" if request.data else "poses are taken again"
+        return self._obey(Command(FREEZE if request.data else UNFREEZE), response, text)
+
+    def _obey(self, command: Command, response: Any, text: str) -> Any:
+        if self.active:
+            self._take(command)
+            self._watch.clear()
+        response.success, response.message = self.active, text if self.active else "the node is not active"
+        return response
+
+    def _on_parameters(self, parameters: list[Any]) -> SetParametersResult:
+        """Those that may change while it runs; ROS itself refuses the others."""
+        values = {p.name: p.value for p in parameters if p.name in reloadable()}
+        try:
+            self.settings = self.settings.changed(values)
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        if values and self.active:
+            self._tell_parameters()
+            self._take(Reload(values))
+            self._watch.expect(self.settings.timeouts_ns())
+        return SetParametersResult(successful=True)
+
+    def _tell_parameters(self) -> None:
+        text = parameters_text(to_flat(self.settings))
+        self._parameters_used.publish(make("std_msgs/msg/String", data=text))
+
+    def _announce_tf(self) -> Any:
+        try:
+            return self.announce(topic_class("tf"), "/tf")
+        except ModuleNotFoundError:
+            self.get_logger().info("tf2_msgs is not installed: no tf")
+            return None
+
+    def _take(self, given: Input) -> None:
+        report, estimate = self._estimator.advance(given)
+        self._watch.add(report)
         if report.outcome is not Outcome.ACCEPTED:
             self.tally.add(report.source, report.outcome)
         self._reports.publish(conversions.measurement_report(make, report, self._taken))
         self._taken += 1
-        if estimate is None:
-            return
-        p = self.settings
-        self._odometry.publish(conversions.odometry(make, estimate, p.odom_frame, p.base_frame))
-        self._track_slip.publish(conversions.track_slip(make, estimate, p.base_frame))
-        self._published += 1
+        if estimate is not None:
+            self._publish(estimate)
+
+    def _publish(self, estimate: Estimate) -> None:
+        frames = self.settings.odom_frame, self.settings.base_frame
+        self._odometry.publish(conversions.odometry(make, estimate, *frames))
+        self._track_slip.publish(conversions.track_slip(make, estimate, frames[1]))
+        if self._tf is not None:
+            self._tf.publish(conversions.transforms(make, estimate, *frames))
+        self._estimates += 1
 
 
 def main() -> None:

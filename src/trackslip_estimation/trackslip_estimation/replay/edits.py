@@ -12,17 +12,17 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.measurements import Measurement, PoseFix
+from trackslip_estimation.measurements import Input, PoseFix
 
 _RATES = (1e-6, 1e6)  # Hz; beyond them a period is no whole number of ns, or longer than any log
 _LARGEST_SIGMA = 1e6  # m
 
 
 class Arrival(NamedTuple):
-    """A measurement and the log time of its message."""
+    """A measurement, or what a user asked, and the log time of its message."""
 
     log_time_ns: int
-    measurement: Measurement
+    measurement: Input
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def _thinned(thin: Thin, arrivals: Iterable[Arrival], rng: np.random.Generator) 
         yield arrival._replace(measurement=_noisy(measurement, thin.sigma, rng))
 
 
-def _noisy(measurement: Measurement, sigma: float | None, rng: np.random.Generator) -> Measurement:
+def _noisy(measurement: Input, sigma: float | None, rng: np.random.Generator) -> Input:
     """Position noise of ``sigma`` added, and said so in the covariance."""
     if sigma is None or not isinstance(measurement, PoseFix):
         return measurement

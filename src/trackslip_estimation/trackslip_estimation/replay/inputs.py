@@ -14,15 +14,28 @@ from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.topics import TOPICS
 from trackslip_estimation import conversions
+from trackslip_estimation.bags.parameters import bag_parameters, read_parameters
 from trackslip_estimation.bags.reader import Bag, require_topics
-from trackslip_estimation.measurements import Measurement
+from trackslip_estimation.measurements import (
+    FREEZE,
+    RELOAD,
+    RESET,
+    SET_POSE,
+    UNFREEZE,
+    Command,
+    Input,
+    Measurement,
+    Reload,
+)
 from trackslip_estimation.replay.edits import Arrival, Edits, relative
 from trackslip_estimation.replay.scoring import Series
-from trackslip_estimation.slip_parameters import SlipEstimatorParameters
+from trackslip_estimation.slip_parameters import SlipEstimatorParameters, reloadable
 
 FloatArray = NDArray[np.float64]
 
 SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
+
+_COMMANDS = (RESET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
 
 
 class Taken(NamedTuple):
@@ -71,18 +84,21 @@ def read_inputs(bag: Bag, p: SlipEstimatorParameters, edits: Edits, series: tupl
             inputs.journal.append(Taken(message.log_time_ns, content.sequence, content.source, stamp_ns))
         if name in series:
             collected[name].append((stamp_ns_of(content), numbers_of(content)))
+    inputs.arrivals = sorted(
+        (*inputs.arrivals, *_reloads(bag, start_ns, stop_ns)), key=lambda a: a.log_time_ns
+    )
     inputs.series = {name: _series(rows) for name, rows in collected.items()}
     return inputs
 
 
-def in_live_order(arrivals: list[Arrival], journal: list[Taken]) -> Iterator[Measurement]:
+def in_live_order(arrivals: list[Arrival], journal: list[Taken]) -> Iterator[Input]:
     """The order in which the live estimator took its measurements.
 
-    Its journal tells it exactly. A source that the journal does not know (another bag's, a remapped one)
-    is merged in by log time; without a journal, log time orders everything.
+    Its journal tells it exactly, what a user asked meanwhile included. A source that the journal does not
+    know (another bag's, a remapped one) is merged in by log time; without a journal, log time orders all.
     """
     journaled = {taken.source for taken in journal}
-    shelf: dict[tuple[str, int], deque[Measurement]] = defaultdict(deque)
+    shelf: dict[tuple[str, int], deque[Input]] = defaultdict(deque)
     others: deque[Arrival] = deque()
     for arrival in arrivals:
         m = arrival.measurement
@@ -93,6 +109,8 @@ def in_live_order(arrivals: list[Arrival], journal: list[Taken]) -> Iterator[Mea
     for taken in journal:
         while others and others[0].log_time_ns <= taken.log_time_ns:
             yield others.popleft().measurement
+        if taken.source in _COMMANDS:
+            yield Command(taken.source, taken.stamp_ns)
         waiting = shelf[taken.source, taken.stamp_ns]
         if waiting:
             yield waiting.popleft()
@@ -102,7 +120,7 @@ def in_live_order(arrivals: list[Arrival], journal: list[Taken]) -> Iterator[Mea
 def missing_inputs(arrivals: list[Arrival], journal: list[Taken]) -> int:
     """How many measurements the journal names that the bag lacks."""
     there = Counter((arrival.measurement.source, arrival.measurement.stamp_ns) for arrival in arrivals)
-    named = Counter((taken.source, taken.stamp_ns) for taken in journal)
+    named = Counter((taken.source, taken.stamp_ns) for taken in journal if taken.source not in _COMMANDS)
     return sum((named - there).values())
 
 
@@ -135,13 +153,25 @@ def numbers_of(message: Any) -> FloatArray:
 
 def _readers(p: SlipEstimatorParameters) -> dict[str, Callable[[Any], Measurement]]:
     readers: dict[str, Callable[[Any], Measurement]] = {
-        SPROCKETS: partial(conversions.sprockets, source=SPROCKETS)
+        SPROCKETS: partial(conversions.sprockets, source=SPROCKETS),
+        SET_POSE: partial(conversions.pose_fix, source=SET_POSE),
     }
     for source in filter(None, p.yaw_rate_sources):
         readers[source] = partial(conversions.yaw_rate, source=source, default_variance=p.yaw_rate_stddev**2)
     for source in filter(None, p.pose_sources):
         readers[source] = partial(conversions.pose_fix, source=source)
     return readers
+
+
+def _reloads(bag: Bag, start_ns: int | None, stop_ns: int | None) -> Iterator[Arrival]:
+    """What was changed of the parameters while the estimator ran, as the bag's later messages tell it."""
+    before = bag_parameters(bag)
+    for message in bag.messages([RELOAD], start_ns, stop_ns):
+        now = read_parameters(bag, bag.deserialize(message.raw, message.type_name).data)
+        changed = {name: now[name] for name in reloadable() & now.keys() if now[name] != before.get(name)}
+        if changed:
+            yield Arrival(message.log_time_ns, Reload(changed))
+        before = now
 
 
 def _require_types(bag: Bag, names: dict[str, str], p: SlipEstimatorParameters) -> None:

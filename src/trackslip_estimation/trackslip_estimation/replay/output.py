@@ -31,9 +31,11 @@ def write_estimates(path: Path, result: Replay, p: SlipEstimatorParameters) -> N
 
         if result.steps:
             text = make("std_msgs/msg/String", data=parameters_text(to_flat(p)))
-            write(PARAMETERS_TOPIC, text, min(report.stamp_ns for report, _ in result.steps))
+            logged_ns = min((r.stamp_ns for r, _ in result.steps if r.stamp_ns), default=0)
+            write(PARAMETERS_TOPIC, text, logged_ns)
         for sequence, (report, estimate) in enumerate(result.steps):
-            write(REPORTS, conversions.measurement_report(make, report, sequence), report.stamp_ns)
+            logged_ns = report.stamp_ns or logged_ns  # commands have no stamp
+            write(REPORTS, conversions.measurement_report(make, report, sequence), logged_ns)
             if estimate is not None:
                 for topic in (ODOMETRY, TRACK_SLIP):
                     write(topic, message_of(topic, estimate, p), estimate.stamp_ns)

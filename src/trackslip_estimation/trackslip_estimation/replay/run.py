@@ -12,7 +12,7 @@ from trackslip_estimation import conversions
 from trackslip_estimation.bags.messages import make
 from trackslip_estimation.bags.reader import Bag
 from trackslip_estimation.dead_reckoning import Path, dead_reckon
-from trackslip_estimation.measurements import Measurement, Outcome, Report, Sprockets, YawRate
+from trackslip_estimation.measurements import Input, Outcome, PoseFix, Report, Sprockets, YawRate
 from trackslip_estimation.replay import edits as editing
 from trackslip_estimation.replay.edits import Edits
 from trackslip_estimation.replay.inputs import (
@@ -28,6 +28,7 @@ from trackslip_estimation.replay.inputs import (
 from trackslip_estimation.replay.scoring import (
     Score,
     Series,
+    in_order,
     mean_nees,
     moving_slips,
     path_of,
@@ -110,9 +111,9 @@ def replay(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | 
     return result
 
 
-def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Measurement]) -> None:
+def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Input]) -> None:
     """Paths of filter and dead reckoning, and their errors against the reference."""
-    estimates = result.estimates
+    estimates = in_order(result.estimates)
     if estimates:
         result.paths["filter"] = path_of(estimates)
     result.slip_rmse = _slip_error(result, p.vehicle.tread)
@@ -138,7 +139,7 @@ def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Measur
 def _slip_error(result: Replay, tread: float) -> float | None:
     """Against the true slips, where the bag has them; while the machine moves."""
     slips, odometry = (result.inputs.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
-    estimates = result.estimates
+    estimates = in_order(result.estimates)
     if slips is None or odometry is None or not estimates:
         return None
     stamps = np.array([e.stamp_ns for e in estimates], dtype=np.int64)
@@ -158,7 +159,7 @@ def _compare(result: Replay, p: SlipEstimatorParameters) -> LiveComparison:
     """Every live number against the replayed one of the same stamp, as messages carry them."""
     live = result.inputs.series[ODOMETRY]
     first, last = int(live.stamps_ns[0]), int(live.stamps_ns[-1])
-    replayed = [e for e in result.estimates if first <= e.stamp_ns <= last]
+    replayed = [e for e in in_order(result.estimates) if first <= e.stamp_ns <= last]
     common, largest = len(live.stamps_ns), 0.0
     for topic in (ODOMETRY, TRACK_SLIP):
         recorded = result.inputs.series.get(topic)
@@ -184,5 +185,6 @@ def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> An
 
 def _duration(inputs: Inputs) -> float:
     """Seconds from the first to the last measurement, by stamp."""
-    stamps = [arrival.measurement.stamp_ns for arrival in inputs.arrivals]
+    kinds = (Sprockets, YawRate, PoseFix)
+    stamps = [a.measurement.stamp_ns for a in inputs.arrivals if isinstance(a.measurement, kinds)]
     return (max(stamps) - min(stamps)) * 1e-9 if stamps else 0.0

@@ -37,6 +37,12 @@ class Score:
     heading: float  # rad
 
 
+def in_order(estimates: Sequence[Estimate]) -> list[Estimate]:
+    """By stamp; of two with the same one, before and after a restart, the later one counts."""
+    by_stamp = {e.stamp_ns: e for e in estimates}
+    return [by_stamp[stamp] for stamp in sorted(by_stamp)]
+
+
 def path_of(estimates: Sequence[Estimate]) -> Path:
     """The published poses as a path with continuous heading."""
     poses = np.array([e.pose for e in estimates])
