@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of the filters beside filterpy's EKF, in one run on one thread: ``make bench`` prints the rows.
 
-All run the same measurements through the same model; filterpy is given the model's compiled functions, so that
-its own algebra is what is timed. It is compared where it is installed (``requirements/bench.txt``).
+All run the same measurements through the same model. filterpy is given its compiled functions, so that its
+own algebra is what is timed; it is compared where it is installed (``requirements/bench.txt``).
 """
 
 import importlib

@@ -5,6 +5,7 @@ import itertools
 import math
 import threading
 import time
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -83,9 +84,10 @@ def at_rest(stamp_ns):
     return ImuSample(stamp_ns, (0.0, 0.0, G), (0.0, 0.0, RATE), FIELD, False)
 
 
-def plug_sick(path):
+def plug_sick(path, model="pls"):
     start = SickDeviceParameters(boot_delay=0.2, power_on_baud=9600)
-    device = SickDevice(defaults(SickParameters, "sick_pls"), start, yard, time.time_ns())
+    parameters = replace(defaults(SickParameters, "sick_pls"), model=model)
+    device = SickDevice(parameters, start, yard, time.time_ns())
     port = PtyPort(path)
 
     def step(now_ns):
@@ -223,6 +225,17 @@ def test_sick(bench, programs, observer):
         assert np.isposinf(ranges[340:]).all()  # REP-117: nothing within reach
         inside = ranges[np.isfinite(ranges)]
         assert ((inside >= message.range_min) & (inside <= message.range_max)).all()
+
+
+def test_refused_password_is_told(programs, observer, device):
+    device(plug_sick, programs.folder / "tty", "lms").plug()
+    healths = observer.healths()
+    programs.node("sick_pls", serial_port=str(programs.folder / "tty"))
+    observer.wait(
+        lambda: any(h.name == "sick_pls: password" and h.level == b"\x02" for h in healths), "its refusal"
+    )
+    node = [h for h in healths if h.name == "sick_pls"][-1]
+    assert {pair.key: pair.value for pair in node.values}["scan: password refused"] == "1"
 
 
 def test_can(bench, programs, observer):

@@ -90,6 +90,32 @@ def test_any_order_within_the_window_ends_in_the_same_state(
     assert_same(shuffled.estimate(), ordered.estimate())
 
 
+@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
+@settings(max_examples=6)
+@given(seed=seeds)
+def test_silence_and_jumping_positions_depend_on_no_order_either(
+    drive: Callable[..., Any], model: str, seed: int
+) -> None:
+    """Stretches of up to 250 ms without sprockets, 120 ms of them silence; what closes one comes in time."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for m in measurements(drive, "initial_pose"):
+        if isinstance(m, Sprockets) and m.positions is not None:
+            if m.stamp_ns % (500 * MS) > 300 * MS and m.stamp_ns > 0:
+                continue
+            if m.stamp_ns > 1_200 * MS:
+                m = replace(m, positions=(m.positions[0] + 90.0, m.positions[1]))
+        found.append(m)
+    late = rng.integers(0, WINDOW_MS - 300, len(found)) * MS
+    late[0] = -1
+    arrivals = [found[k] for k in np.argsort([m.stamp_ns + d for m, d in zip(found, late, strict=True)])]
+    short = {"sprocket_timeout": 0.13, "model": model, "start": "initial_pose", "history_window": 1.0}
+    ordered, shuffled = (SlipEstimator(load_slip_parameters(short)) for _ in range(2))
+    assert Outcome.JUMPED in {outcome for outcome, _ in taken(ordered, found)}
+    assert Outcome.TOO_LATE not in {outcome for outcome, _ in taken(shuffled, arrivals)}
+    assert_same(shuffled.estimate(), ordered.estimate())
+
+
 @settings(max_examples=20)
 @given(seed=seeds)
 def test_published_stamps_increase(drive: Callable[..., Any], seed: int) -> None:

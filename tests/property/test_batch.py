@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from trackslip_common.errors import InputError
+from trackslip_estimation.filters import filter as kernels
 from trackslip_estimation.filters.batch import EVERYTHING, Gates, Run, run, run_all
 from trackslip_estimation.filters.model import Gaussian
 from trackslip_estimation.measurement_log import MeasurementLog, read_measurements
@@ -118,3 +119,15 @@ def test_a_log_without_a_start_is_refused(drive: Callable[..., Any]) -> None:
     sprockets = [m for m in measurements(drive) if isinstance(m, Sprockets)]
     with pytest.raises(InputError, match="no PoseFix to start from"):
         prepare(sprockets, p)
+
+
+@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
+def test_nothing_is_compiled_while_driving(drive: Callable[..., Any], model: str) -> None:
+    """Arrays of another layout would stop the estimator for seconds."""
+    p = parameters(model=model, use_heading=False, pose_lever_arms_x=[0.3])
+    estimator = SlipEstimator(p)
+    before = list(kernels._step.signatures), list(kernels._outputs.signatures)
+    steps = [estimator.advance(m) for m in measurements(drive)]
+    assert any(r.outcome is Outcome.GATED for r, _ in steps)
+    assert (list(kernels._step.signatures), list(kernels._outputs.signatures)) == before
+    assert len(before[0]) == len(before[1]) == 1

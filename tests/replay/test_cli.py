@@ -374,3 +374,23 @@ def test_info_lists_the_topics(bag: Path, capsys: pytest.CaptureFixture[str]) ->
     shown = capsys.readouterr().out
     for topic in ("/sprockets", "/imu/data_raw", "/box_pose", "/reference_pose"):
         assert topic in shown
+
+
+def test_a_parameter_file_without_anything_for_the_estimator_is_refused(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text("can_driver: {ros__parameters: {can_channel: can0}}\n", encoding="utf-8")
+    error = refuse(capsys, "replay", bag, "--params", other)
+    assert f"--params {other}: nothing for slip_estimator in it; accepted: " in error
+
+
+def test_json_holds_null_for_what_is_no_number(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: object) -> dict[str, Any]:
+        return {"final": {"x": float("nan")}, "K_interval": [0.1, float("inf")], "nees": None, "n": 3}
+
+    monkeypatch.setattr("trackslip_estimation.cli.replay_command.summary", broken)
+    found = summary(tmp_path, bag)
+    assert found == {"final": {"x": None}, "K_interval": [0.1, None], "nees": None, "n": 3}

@@ -2,6 +2,7 @@
 """Parameters: each refusal is one line that names the thing, the value and what is accepted."""
 
 import math
+from array import array
 from dataclasses import FrozenInstanceError, dataclass
 from typing import Any
 
@@ -79,6 +80,7 @@ def test_nested_mappings_flatten_to_dotted_names() -> None:
 
 def test_whole_numbers_serve_as_numbers() -> None:
     made = cart(mass=3, gears=[1, 2])
+    assert cart(gears=array("d", (1.0, 2.0))).gears == (1.0, 2.0)  # as ROS hands them over
     assert (type(made.mass), made.mass) == (float, 3.0)
     assert [type(gear) for gear in made.gears] == [float, float]
 

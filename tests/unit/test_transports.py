@@ -124,6 +124,20 @@ def test_read_times_out_empty(pty_port):
     port.close()
 
 
+def test_what_drips_is_read_at_one_go(pty_port, monkeypatch):
+    port, sleep = SerialPort(str(pty_port.link), 9600, "N"), time.sleep
+
+    def drip(duration):
+        pty_port.write(b"def")
+        sleep(duration + 0.1)  # the kernel hands it over in its own time
+
+    monkeypatch.setattr(time, "sleep", drip)
+    pty_port.write(b"abc")
+    ((data, _),) = port.read()
+    assert data == b"abcdef"
+    port.close()
+
+
 def test_baud_is_changed_through_the_link(pty_port, start_link):
     link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"))
     wait_for(lambda: link.state().connected)

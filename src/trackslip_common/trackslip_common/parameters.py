@@ -13,6 +13,7 @@ import dataclasses
 import math
 import sys
 import typing
+from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -161,7 +162,7 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _coerce(name: str, value: Any, kind: Any, spec: Spec) -> Any:
     """Give a value read from YAML, ROS or a command line its declared type, then check it."""
-    if typing.get_origin(kind) is tuple and isinstance(value, (list, tuple)):
+    if typing.get_origin(kind) is tuple and isinstance(value, (list, tuple, array)):  # ROS: array
         item_kind = typing.get_args(kind)[0]
         value = tuple(_floated(item) if item_kind is float else item for item in value)
     elif kind is float:

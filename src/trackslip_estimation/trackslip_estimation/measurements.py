@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the slip estimator takes in, and what it says it did with each piece."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # of a correlation of 1
+_LARGEST = 1e9  # m, rad, rad/s: beyond it is no measurement, and its square no number to reckon with
 
 # What a user asks of the node stands in the journal under these names, beside the topics of the sensors.
 SET_POSE = "slip_estimator/set_pose"
@@ -35,8 +35,8 @@ class Sprockets:
     positions: tuple[float, float] | None = None  # rad, left and right
 
     def is_finite(self) -> bool:
-        """Whether every number given is a number."""
-        return all(map(math.isfinite, (self.left_speed, self.right_speed, *(self.positions or ()))))
+        """Whether every number given is a number, and not beyond reason."""
+        return all(abs(v) < _LARGEST for v in (self.left_speed, self.right_speed, *(self.positions or ())))
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class YawRate:
 
     def is_finite(self) -> bool:
         """Whether the rate is a number and its variance a positive one."""
-        return math.isfinite(self.rate) and math.isfinite(self.variance) and self.variance > 0.0
+        return abs(self.rate) < _LARGEST and 0.0 < self.variance < _LARGEST**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class PoseFix:
         """Whether it is all numbers, with a positive variance in every direction; with or without heading."""
         rows = 3 if heading else 2
         pose, covariance = self.pose[:rows], self.covariance[:rows, :rows]
-        if not (np.isfinite(pose).all() and np.isfinite(covariance).all()):
+        if not ((np.abs(pose) < _LARGEST).all() and (np.abs(covariance) < _LARGEST**2).all()):
             return False
         variances = np.diag(covariance)
         if not (variances > 0.0).all():

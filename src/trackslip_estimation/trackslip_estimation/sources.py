@@ -33,7 +33,8 @@ class PoseSource:
 
     def prepared(self, fix: PoseFix) -> PoseFix:
         """The fix with no variance below the floors."""
-        floors = np.square((self.position_floor, self.position_floor, self.heading_floor))
+        heading_floor = self.heading_floor if self.use_heading else 0.0
+        floors = np.square((self.position_floor, self.position_floor, heading_floor))
         missing = np.maximum(floors - np.diag(fix.covariance), 0.0)
         return replace(fix, covariance=fix.covariance + np.diag(missing)) if missing.any() else fix
 

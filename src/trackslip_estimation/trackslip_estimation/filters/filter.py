@@ -10,6 +10,7 @@ from trackslip_estimation.compiled import compiled
 from trackslip_estimation.filters import daf, ekf, equations
 from trackslip_estimation.filters.model import (
     CONSTANTS,
+    DRIVEN,
     FREE_SLIPS,
     SPROCKETS,
     Gaussian,
@@ -17,7 +18,7 @@ from trackslip_estimation.filters.model import (
     Model,
     Outputs,
 )
-from trackslip_estimation.motion import Motion, MotionState, Speeds
+from trackslip_estimation.motion import STANDSTILL, Motion, MotionState, Speeds
 
 FloatArray = NDArray[np.float64]
 RecordArray = NDArray[np.void]
@@ -38,6 +39,9 @@ class Filter:
         """EKF, or with a ``kappa`` DAF."""
         self.model = model
         self.constants = _constants(model, kappa)
+        start = self.initial(np.zeros(3), np.eye(3))
+        self.step(start, STANDSTILL, 0.0, MotionState(), DRIVEN)  # compiles now, not at the first measurement
+        self.outputs(start, STANDSTILL)
 
     def initial(self, pose: FloatArray, pose_covariance: FloatArray) -> Gaussian:
         """A start with known pose (3,) and its covariance (3, 3)."""

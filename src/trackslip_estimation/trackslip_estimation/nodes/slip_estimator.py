@@ -10,7 +10,7 @@ from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
 
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.base import ERROR, OK, WARN, Health, TrackslipNode
+from trackslip_common.nodes.base import Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import to_flat
@@ -27,6 +27,7 @@ from trackslip_estimation.measurements import (
     Outcome,
     Reload,
 )
+from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip_parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters, reloadable
 from trackslip_estimation.source_watch import SourceWatch
@@ -39,10 +40,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def __init__(self) -> None:
         super().__init__(NODE, SlipEstimatorParameters, *DEFAULT_FILES)
         self.add_on_set_parameters_callback(self._on_parameters)
-        self._services = (
-            self.create_service(Trigger, "~/reset", self._on_reset),
-            self.create_service(SetBool, "~/freeze", self._on_freeze),
-        )
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/freeze", self._on_freeze)
 
     def configure(self) -> None:
         """Make the estimator, its outputs and its inputs."""
@@ -69,27 +68,10 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def health(self) -> list[Health]:
         """Waiting, running, or what is missing; what was not accepted, by source and reason; innovations."""
-        estimator, now_ns = self._estimator, self._estimator.newest_ns or 0
-        values: dict[str, Any] = {
-            "measurements": self._taken,
-            "estimates": self._estimates,
-            "restarts": estimator.restarts,
-        }
-        values |= {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
-        values |= {f"{source} nis": text for source, text in self._watch.innovations(now_ns).items()}
-        silent = time.monotonic() - (self._heard or 0.0)
-        lost = self._watch.lost(now_ns)
-        if self._heard is not None and silent > max(self.settings.sprocket_timeout, 0.2):
-            return [Health(ERROR, f"sprockets silent for {silent:.1f} s", values)]
-        if not estimator.started:
-            wanted = "sprockets" if self._heard is None else ", ".join(named(self.settings.pose_sources))
-            return [Health(WARN, f"waiting for {wanted}", values)]
-        if estimator.frozen:
-            return [Health(WARN, "frozen: poses are ignored", values)]
-        if lost:
-            text = ", ".join(f"{source} for {s:.1f} s" for source, s in lost.items())
-            return [Health(WARN, f"nothing taken of {text}", values)]
-        return [Health(OK, "running", values)]
+        refused = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
+        counts = {"measurements": self._taken, "estimates": self._estimates, **refused}
+        silent = None if self._heard is None else time.monotonic() - self._heard
+        return [estimator_health(self._estimator, self._watch, silent, counts)]
 
     def _on_sprockets(self, message: Any) -> None:
         self._heard = time.monotonic()

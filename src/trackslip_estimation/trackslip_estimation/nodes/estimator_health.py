@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What /diagnostics says of the slip estimator: waiting, running, or what is missing."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from trackslip_common.nodes.base import ERROR, OK, WARN, Health
+from trackslip_estimation.slip_estimator import SlipEstimator
+from trackslip_estimation.source_watch import SourceWatch
+from trackslip_estimation.sources import named
+
+_PATIENCE = 0.2  # s, the shortest silence worth a word
+
+
+def estimator_health(
+    estimator: SlipEstimator, watch: SourceWatch, silent: float | None, counts: Mapping[str, Any]
+) -> Health:
+    """``silent``: seconds since a sprocket sample came, None before the first one."""
+    p, now_ns = estimator.parameters, estimator.newest_ns or 0
+    values = {**counts, "restarts": estimator.restarts}
+    values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
+    if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
+        return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
+    if not estimator.started:
+        wanted = "sprockets" if silent is None else "a fix on " + ", ".join(named(p.pose_sources))
+        return Health(WARN, f"waiting for {wanted}", values)
+    if estimator.frozen:
+        return Health(WARN, "frozen: poses are ignored", values)
+    lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost(now_ns).items()]
+    return (
+        Health(WARN, f"nothing taken of {', '.join(lost)}", values) if lost else Health(OK, "running", values)
+    )

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reset, freeze, a given pose, new gates, a jumping clock on the live node; the bag gives it all back."""
+
+import json
+import signal
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trackslip_msgs.msg import MeasurementReport as R
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+MS = 1_000_000
+BEGIN_NS = 1_700_000_000_000 * MS
+SPEED, RADIUS = 1.5, 0.159  # rad/s, m
+SET_POSE = "slip_estimator/set_pose"
+
+
+def stamped(kind, at_ms):
+    message = kind()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(BEGIN_NS + at_ms * MS, 1000 * MS)
+    return message
+
+
+def sprockets(at_ms):
+    message = stamped(JointState, at_ms)
+    message.name = ["left_sprocket", "right_sprocket"]
+    message.position, message.velocity = [SPEED * at_ms * 1e-3] * 2, [SPEED] * 2
+    return message
+
+
+def pose(at_ms, x=None, stamp=True):
+    message = stamped(PoseWithCovarianceStamped, at_ms)
+    if not stamp:
+        message.header.stamp.sec = message.header.stamp.nanosec = 0
+    message.pose.pose.position.x = SPEED * RADIUS * at_ms * 1e-3 if x is None else x
+    message.pose.pose.orientation.w = 1.0
+    message.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
+    return message
+
+
+def number(name, value):
+    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
+
+
+def numbers(name, *values):
+    kind = ParameterType.PARAMETER_DOUBLE_ARRAY
+    return Parameter(name=name, value=ParameterValue(type=kind, double_array_value=values))
+
+
+class Machine:
+    """Estimator and recorder, driven by this test."""
+
+    def __init__(self, programs, observer):
+        self.folder, self._programs, self._observer = programs.folder, programs, observer
+        self._topics = {
+            "sprockets": observer.publisher("sprockets"),
+            "box_pose": observer.publisher("box_pose"),
+            SET_POSE: observer.publisher(SET_POSE),
+        }
+        self.reports = observer.listen("measurement_reports")
+        self.odometry = observer.listen("odometry")
+        self.healths = observer.healths()
+        self._recorder = programs.node("record", output="bag")
+        self._estimator = programs.node("slip_estimator", jump_confirmations=5)
+        for topic in self._topics:
+            observer.wait_for_ends(topic, "record", "slip_estimator")
+        observer.wait_for_ends("slip_estimator/parameters", "slip_estimator", "record")
+        observer.wait_for_ends("measurement_reports", "slip_estimator", "record")
+        for node in ("record", "slip_estimator"):
+            observer.wait(lambda name=node: observer.state(name) == "active", f"{node} to be active")
+
+    def feed(self, topic, message):
+        """One message, and the outcome reported on it."""
+        wanted = len(self.reports) + 1
+        self._topics[topic].publish(message)
+        self._observer.wait(lambda: len(self.reports) >= wanted, f"a report on {topic}")
+        return self.reports[-1].outcome
+
+    def drive(self, start_ms, stop_ms):
+        for at_ms in range(start_ms, stop_ms, 20):
+            self.feed("sprockets", sprockets(at_ms))
+            if at_ms % 200 == 0:
+                self.feed("box_pose", pose(at_ms))
+
+    def ask(self, service, name, request):
+        return self._observer._ask(service, f"slip_estimator/{name}", request)
+
+    def health(self, text):
+        """The next entry of /diagnostics that says this."""
+        self.healths.clear()
+
+        def found():
+            return [h for h in self.healths if h.name == "slip_estimator" and text in h.message]
+
+        self._observer.wait(found, text)
+        return found()[0]
+
+    def end(self):
+        """The bag, and what a replay of it says."""
+        assert self._recorder.end(signal.SIGINT)[0] == 130
+        assert self._estimator.end()[0] == 130
+        program = self._programs.tool("trackslip", "replay", str(self.folder / "bag"), "--json", "found.json")
+        assert program.wait() == 0, program.stderr
+        return json.loads((self.folder / "found.json").read_text(encoding="utf-8"))
+
+
+def test_all_that_a_user_asks_is_done_told_and_given_back(programs, observer):
+    machine = Machine(programs, observer)
+    assert machine.health("waiting for sprockets").level == DiagnosticStatus.WARN
+    machine.drive(200, 1000)
+    at_ms = 1000
+
+    answer = machine.ask(SetBool, "freeze", SetBool.Request(data=True))
+    assert answer.success
+    assert machine.feed("box_pose", pose(at_ms)) == R.FROZEN
+    assert machine.feed("sprockets", sprockets(at_ms)) == R.ACCEPTED
+    assert machine.ask(SetBool, "freeze", SetBool.Request(data=False)).success
+    machine.drive(at_ms + 20, 1400)
+
+    assert machine.feed(SET_POSE, pose(0, x=20.0, stamp=False)) == R.ACCEPTED
+    machine.feed("sprockets", sprockets(1400))
+    observer.wait(lambda: abs(machine.odometry[-1].pose.pose.position.x - 20.0) < 0.01, "the given pose")
+    assert machine.feed("box_pose", pose(1400)) == R.GATED
+
+    half, longer, tread = (
+        number("gate_probability", 0.5),
+        numbers("pose_timeouts", 3.0),
+        number("vehicle.tread", 0.7),
+    )
+    for wanted, successful in (
+        (half, True),
+        (longer, True),
+        (tread, False),
+        (number("gate_probability", 2.0), False),
+    ):
+        (found,) = machine.ask(
+            SetParameters, "set_parameters", SetParameters.Request(parameters=[wanted])
+        ).results
+        assert found.successful is successful, found.reason
+    machine.feed("box_pose", pose(1410))
+    assert machine.reports[-1].gate < 3.0
+
+    assert machine.ask(Trigger, "reset", Trigger.Request()).success
+    assert machine.feed("sprockets", sprockets(1420)) == R.WAITING
+    machine.drive(1600, 6000)
+    outcomes = [
+        machine.feed("sprockets", sprockets(at)) for at in range(100, 200, 20)
+    ]  # the bag begins again
+    assert outcomes == [R.TOO_LATE] * 4 + [R.RESTARTED]
+    machine.drive(200, 1500)
+
+    silent = machine.health("sprockets silent")
+    assert silent.level == DiagnosticStatus.ERROR
+    values = {entry.key: entry.value for entry in silent.values}
+    assert values["restarts"] == "1"
+    assert int(values["sprockets too_late"]) == 4
+    assert "if honest" in values["box_pose nis"]
+
+    told = [r.source for r in machine.reports if r.source.startswith("slip_estimator/")]
+    names = ("freeze", "unfreeze", "set_pose", "parameters", "parameters", "reset")
+    assert told == [f"slip_estimator/{name}" for name in names]
+    stamps = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in machine.odometry])
+    assert np.count_nonzero(np.diff(stamps) <= 0.0) == 1
+    found = machine.end()
+    assert found["replay_matches"] is True
+    assert found["rejected"]["box_pose"]["frozen"] == 1
