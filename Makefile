@@ -31,6 +31,7 @@ soak: setup ## a hundred faults in a row against the real nodes, for ten minutes
 	@exec $(VENV)/python -m pytest -s -m soak
 
 bench: setup ## speed of filters and drivers on this machine
+	@$(VENV)/python -m pip install -q -r requirements/bench.txt
 	@exec $(VENV)/python scripts/bench.py
 
 fuzz: setup ## random bytes into every decoder and reader (RUNS=1000000 per byte parser)

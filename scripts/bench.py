@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import bench_filters
 import bench_nodes
 from trackslip_estimation.bags.parameters import bag_parameters
 from trackslip_estimation.bags.reader import Bag, open_bag
@@ -35,6 +36,8 @@ def main() -> int:
     show("", "here", "beside", "bar")
     seconds = _median(drive_seconds)
     show("truth, 60 s at 1 ms, 30 elements a track", f"{seconds:.2f} s", "", "≤ 2 s")
+    for row in bench_filters.rows():
+        show(*row)
     with tempfile.TemporaryDirectory(prefix="trackslip_bench_") as directory:
         _drivers(Path(directory))
         _graph(Path(directory))

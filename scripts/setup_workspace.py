@@ -78,6 +78,8 @@ def set_up(requested: str) -> None:
     if recorded(WORKSPACE_STAMP).get("digest") != workspace_digest:
         build_workspace(ros)
         install_hook(ros, workspace_digest)
+        with Step("kernels compiled"):
+            run([str(VENV / "bin" / "python"), "-m", "trackslip_sim.warm_up"])
         WORKSPACE_STAMP.write_text(json.dumps({"digest": workspace_digest}))
 
 

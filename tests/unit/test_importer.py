@@ -202,7 +202,7 @@ BAD_MAPPINGS = {
     "no column speed; the columns are: t, wl, wr": changed(topics__sprockets__left_velocity__column="speed"),
     "no column m;": changed(topics__reference_pose__new_when_changes="m"),
     "column 'gx' never changes": changed(topics__reference_pose__new_when_changes="gx"),
-    "reference_pose begins at -0.300 s; accepted: a 'start'": changed(start=-1.0),
+    "the log begins at -1.000 s; accepted: a 'start'": changed(start=-2.0),
 }
 
 
@@ -268,12 +268,14 @@ def test_the_commands_show_what_they_made(tmp_path: Path, capsys: pytest.Capture
 
 @pytest.mark.skipif(not WARTHOG.is_file(), reason="the recorded log is not here")
 def test_the_warthog_log(tmp_path: Path) -> None:
-    counts = import_log(WARTHOG, read_mapping(config_file("mappings/warthog.yaml")), tmp_path / "bag")
+    mapping = read_mapping(config_file("mappings/warthog.yaml"))
+    counts, left_out = import_log(WARTHOG, mapping, tmp_path / "bag")
+    assert left_out == {"/sprockets": 4}  # moved back by 0.15 s
     with open_bag(tmp_path / "bag") as bag:
         assert bag.damage == ""
         assert {name: info.count for name, info in bag.topics.items()} == counts
-        assert counts["/sprockets"] == counts["/imu/data_raw"] == 7259
-        assert bag.duration_s == pytest.approx(363.05, abs=0.1)
+        assert counts["/sprockets"] + 4 == counts["/imu/data_raw"] == 7259
+        assert bag.duration_s == pytest.approx(362.9, abs=0.01)
         rate = counts["/reference_pose"] / bag.duration_s
         assert 4.0 < rate < 5.5
         accelerations = [m.linear_acceleration.z for m in contents(bag, "imu/data_raw")]

@@ -20,7 +20,7 @@ LEVER = (0.8, -0.4)
 
 
 def source(lever: tuple[float, float] = LEVER) -> PoseSource:
-    return PoseSource(True, lever, 0.001, 0.001, S)
+    return PoseSource(True, lever, 0.001, 0.001, 0.3, S)
 
 
 def state(seed: int = 0, size: int = 10) -> Gaussian:
@@ -209,3 +209,12 @@ def test_covariances_stay_positive_with_a_lever_arm(drive: Callable[..., Any]) -
             covariance = estimator.estimate().pose_covariance
             np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
             assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
+def test_a_doubtful_heading_is_not_a_measurement() -> None:
+    """The box may be seen the wrong way round; then its localizer says that it is in doubt."""
+    told = [
+        source().tells_heading(PoseFix("box_pose", 0, np.zeros(3), np.diag((1e-4, 1e-4, stddev**2))))
+        for stddev in (0.05, 0.29, 0.31, 0.6)
+    ]
+    assert told == [True, True, False, False]

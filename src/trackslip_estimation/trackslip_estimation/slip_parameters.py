@@ -55,6 +55,9 @@ class SlipEstimatorParameters(Parameters):
     pose_heading_floors: tuple[float, ...] = parameter(
         f"smallest standard deviation of the heading that is believed; {_EACH}", unit="rad", gt=0.0
     )
+    pose_heading_ceilings: tuple[float, ...] = parameter(
+        f"standard deviation of a heading beyond which it is not used; {_EACH}", unit="rad", gt=0.0
+    )
     pose_timeouts: tuple[float, ...] = parameter(
         f"with nothing taken for so long it counts as lost and its gate widens; {_EACH}",
         unit="s",
@@ -137,6 +140,7 @@ class SlipEstimatorParameters(Parameters):
             ),
             self._each("pose_position_floors", self.pose_sources),
             self._each("pose_heading_floors", self.pose_sources),
+            self._each("pose_heading_ceilings", self.pose_sources),
             (round(t * 1e9) for t in self._each("pose_timeouts", self.pose_sources)),
         )
         rows = zip(sources, *columns, strict=True)

@@ -29,6 +29,7 @@ class PoseSource:
     lever: tuple[float, float]  # m, l
     position_floor: float  # m, smallest standard deviation that is believed
     heading_floor: float  # rad
+    heading_ceiling: float  # rad, standard deviation beyond which a fix's heading is not used
     timeout_ns: int
 
     def prepared(self, fix: PoseFix) -> PoseFix:
@@ -37,6 +38,10 @@ class PoseSource:
         floors = np.square((self.position_floor, self.position_floor, heading_floor))
         missing = np.maximum(floors - np.diag(fix.covariance), 0.0)
         return replace(fix, covariance=fix.covariance + np.diag(missing)) if missing.any() else fix
+
+    def tells_heading(self, fix: PoseFix) -> bool:
+        """Whether the fix's heading is a measurement: a doubtful one may be wrong by whole quarter turns."""
+        return self.use_heading and fix.covariance[YAW, YAW] <= self.heading_ceiling**2
 
     @property
     def is_apart(self) -> bool:

@@ -125,14 +125,15 @@ class Stepper:
         if source.is_apart:
             gaussian = source.to_sensor(self._predicted(gaussian, state.speeds, dt, state.motion))
             dt = 0.0
-        measured = pose_measured(fix.pose, fix.covariance, source.use_heading)
+        heading = source.tells_heading(fix)
+        measured = pose_measured(fix.pose, fix.covariance, heading)
         held = self.filter.step(gaussian, state.speeds, dt, state.motion, measured)
         report, surprising = self._gated(state, fix, held.nis, measured.value.size, source.timeout_ns)
         if report.outcome is Outcome.GATED:
             return state._replace(gaussian=source.from_sensor(held.predicted), report=report)
         if surprising:
             innovation = fix.pose - held.predicted.mean[POSE]
-            innovation[YAW] = wrap(innovation[YAW]) if source.use_heading else 0.0
+            innovation[YAW] = wrap(innovation[YAW]) if heading else 0.0
             wide = admit_pose(held.predicted, innovation)
             held = self.filter.step(wide, state.speeds, 0.0, state.motion, measured)
             return state._replace(gaussian=source.from_sensor(held.updated), report=report)

@@ -6,6 +6,7 @@ of the reference, z, roll and pitch are zero.
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,32 +37,41 @@ class _Entry(NamedTuple):
     data: bytes
 
 
-def import_log(log: Path, mapping: LogMapping, output: Path) -> dict[str, int]:
-    """Write the bag; returns the number of messages per topic.
+class Imported(NamedTuple):
+    """What became of a log."""
+
+    counts: dict[str, int]  # messages in the bag, by topic
+    left_out: dict[str, int]  # messages whose stamps an offset makes negative: no bag can hold them
+
+
+def import_log(log: Path, mapping: LogMapping, output: Path) -> Imported:
+    """Write the bag; what a ``time_offset`` moves to before 0 is left out and counted.
 
     Raises:
         InputError: the log cannot be read or does not fit the mapping, or the bag exists already.
     """
     columns = read_columns(log, mapping.column_names())
     stamps_ns = _stamps(log, columns[mapping.time.name], mapping)
-    entries = [
+    begin_ns = int(stamps_ns[0])
+    if begin_ns < 0:
+        raise InputError(
+            f"{mapping.path}: the log begins at {begin_ns * 1e-9:.3f} s; "
+            "accepted: a 'start' that makes it 0 or later"
+        )
+    found = [
         entry
         for name, topic in mapping.topics.items()
         for entry in _entries(log, name, topic, columns, stamps_ns)
     ]
-    entries.sort(key=lambda entry: entry.stamp_ns)
-    if entries[0].stamp_ns < 0:
-        raise InputError(
-            f"{mapping.path}: {entries[0].topic[1:]} begins at {entries[0].stamp_ns * 1e-9:.3f} s; "
-            "accepted: a 'start' that makes every stamp 0 or later"
-        )
+    entries = sorted((e for e in found if e.stamp_ns >= 0), key=lambda entry: entry.stamp_ns)
+    left_out = Counter(entry.topic for entry in found if entry.stamp_ns < 0)
     with BagWriter(output) as bag:
         if mapping.parameters:
             text = serialize(make(PARAMETERS_TYPE, data=parameters_text(mapping.parameters)))
             bag.write(absolute(PARAMETERS_TOPIC), PARAMETERS_TYPE, text, entries[0].stamp_ns)
         for entry in entries:
             bag.write(entry.topic, entry.type_name, entry.data, entry.stamp_ns)
-    return bag.counts
+    return Imported(bag.counts, dict(left_out))
 
 
 def _stamps(log: Path, times: FloatArray, mapping: LogMapping) -> IntArray:

@@ -33,7 +33,9 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the log, the mapping or the output cannot be used.
     """
-    import_log(args.log, read_mapping(config_file(args.mapping)), args.output)
+    imported = import_log(args.log, read_mapping(config_file(args.mapping)), args.output)
     with open_bag(args.output) as bag:
         print(describe(bag))
+    for topic, count in imported.left_out.items():
+        print(f"left out: {count} of {topic}, which time_offset moves to before 0 s")
     return ExitCode.DONE
