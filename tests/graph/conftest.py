@@ -224,6 +224,16 @@ class Observer:
 
         self.wait(all_there, f"{nodes} on {topic}")
 
+    def wait_for_recorder(self, healths: list[Any], *topics: str) -> None:
+        """Until the recorder itself has found a publisher of each of these topics."""
+
+        def found() -> bool:
+            told = [health for health in healths if health.name == "record: publishers"][-1:]
+            counts = {pair.key: int(pair.value) for health in told for pair in health.values}
+            return all(counts.get(f"/{topic}", 0) > 0 for topic in topics)
+
+        self.wait(found, f"the recorder to find {', '.join(topics)}")
+
     def state(self, node: str) -> str:
         """Label of a node's lifecycle state."""
         label: str = self._ask(GetState, f"{node}/get_state", GetState.Request()).current_state.label

@@ -75,6 +75,8 @@ class Machine:
         observer.wait_for_ends("measurement_reports", "slip_estimator", "record")
         for node in ("record", "slip_estimator"):
             observer.wait(lambda name=node: observer.state(name) == "active", f"{node} to be active")
+        outputs = ("odometry", "track_slip", "measurement_reports")
+        observer.wait_for_recorder(self.healths, *outputs, *self._topics)
 
     def feed(self, topic, message):
         """One message, and the outcome reported on it."""

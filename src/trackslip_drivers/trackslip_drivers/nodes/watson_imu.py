@@ -13,7 +13,7 @@ from trackslip_drivers.transports.link import Link
 from trackslip_drivers.transports.serial_port import SerialPort
 from trackslip_drivers.watson_parameters import WatsonParameters
 
-_SILENCE = 2.0  # s without a byte after which the port is opened anew
+_SILENCE = 8.0  # s without a byte after which the port is opened anew; starting up takes the unit 5 s
 
 
 class WatsonNode(DriverNode[WatsonParameters]):

@@ -19,8 +19,8 @@ _HEADER = 4
 _OVERHEAD = _HEADER + 2
 MAX_TELEGRAM = MAX_PAYLOAD + _OVERHEAD
 
-# A telegram comes without gaps. Once a poll has found nothing for this long, its rest is lost.
-SILENCE_NS = 200_000_000
+# A telegram comes without gaps, but a busy host may pause in reading. After this long its rest is lost.
+SILENCE_NS = 400_000_000
 _NS_PER_S = 1_000_000_000
 
 

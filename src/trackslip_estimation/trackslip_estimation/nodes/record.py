@@ -50,7 +50,8 @@ class RecordNode(TrackslipNode[RecordParameters]):
         """
         self._lost: Counter[str] = Counter()
         self._subscribed: set[str] = set()
-        self._reliable: dict[str, Any] = {}
+        self._taps: dict[str, Any] = {}  # subscription of each topic
+        self._reliable: set[str] = set()
         self._bag: BagWriter | None = None
         try:
             self._more = re.compile(self.settings.more_topics or r"(?!)")
@@ -70,6 +71,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         """Finish the bag; the next activation begins another."""
         self.drop_subscriptions()
         self._subscribed.clear()
+        self._taps.clear()
         self._reliable.clear()
         if self._bag is not None:
             self._bag.close()
@@ -91,7 +93,11 @@ class RecordNode(TrackslipNode[RecordParameters]):
         counts: dict[str, Any] = dict(self._bag.counts)
         lost = {f"{topic} lost": n for topic, n in self._lost.items()}
         level, word = (WARN, "messages were lost") if lost else (OK, "recording")
-        return [Health(level, f"{word}: {self._bag.path}", counts | lost)]
+        matched: dict[str, Any] = {topic: tap.get_publisher_count() for topic, tap in self._taps.items()}
+        return [
+            Health(level, f"{word}: {self._bag.path}", counts | lost),
+            Health(OK, f"{sum(matched.values())} publishers found", matched, part="publishers"),
+        ]
 
     def _record(self, full_name: str, type_name: str, name: str) -> None:
         self._subscribed.add(full_name)
@@ -103,10 +109,11 @@ class RecordNode(TrackslipNode[RecordParameters]):
         latched = name in TOPICS and TOPICS[name].flow is Flow.LATCHED
         self._bag.add_topic(full_name, type_name, offered_qos(latched))
         qos = wanted(name) if latched else reliable()
-        self._reliable[full_name] = self._listen_raw(kind, full_name, type_name, qos)
+        self._reliable.add(full_name)
+        self._tap(kind, full_name, type_name, qos)
 
-    def _listen_raw(self, kind: type, topic: str, type_name: str, qos: QoSProfile) -> Any:
-        return self.create_subscription(
+    def _tap(self, kind: type, topic: str, type_name: str, qos: QoSProfile) -> None:
+        self._taps[topic] = self.create_subscription(
             kind,
             topic,
             partial(self._write, topic, type_name),
@@ -117,13 +124,13 @@ class RecordNode(TrackslipNode[RecordParameters]):
 
     def _yield_to_best_effort(self) -> None:
         """Ask for no more than a topic's publishers offer, or nothing would come at all."""
-        for topic, subscription in list(self._reliable.items()):
+        for topic in list(self._reliable):
             offers = [info.qos_profile.reliability for info in self.get_publishers_info_by_topic(topic)]
             if ReliabilityPolicy.BEST_EFFORT in offers:
-                del self._reliable[topic]
-                kind, type_name = subscription.msg_type, type_name_of(subscription.msg_type)
-                self.destroy_subscription(subscription)
-                self._listen_raw(kind, topic, type_name, best_effort())
+                self._reliable.remove(topic)
+                kind = self._taps[topic].msg_type
+                self.destroy_subscription(self._taps[topic])
+                self._tap(kind, topic, type_name_of(kind), best_effort())
 
     def _write(self, topic: str, type_name: str, data: bytes) -> None:
         if self.active and self._bag is not None:

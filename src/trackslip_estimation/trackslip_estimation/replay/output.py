@@ -110,9 +110,7 @@ def _live(result: Replay) -> list[str]:
     live = result.live
     if live is None:
         return []
-    verdict = "yes" if live.matches else "NO"
-    stamps, difference = f"{live.common} of {live.live} stamps in both", f"{live.largest_difference:.1e}"
-    lines = [f"replay = live: {verdict} ({stamps}, largest difference {difference})"]
+    lines = [str(live)]
     if live.lost_inputs:
         lines.append(f"  the bag lacks {live.lost_inputs} measurements that the live estimator took")
     if live.lost_reports:

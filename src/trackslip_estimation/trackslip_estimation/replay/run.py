@@ -17,6 +17,7 @@ from trackslip_estimation.replay import edits as editing
 from trackslip_estimation.replay.edits import Edits
 from trackslip_estimation.replay.inputs import (
     ODOMETRY,
+    SPROCKETS,
     TRACK_SLIP,
     Inputs,
     in_live_order,
@@ -47,9 +48,8 @@ TOLERANCE = 1e-9  # between a live and a replayed number
 class LiveComparison:
     """The live estimates in the bag against the replayed ones."""
 
-    live: int  # estimates in the bag
-    replayed: int  # estimates of the replay between the first and the last of those
-    common: int  # stamps that both have
+    compared: int  # live estimates
+    unmatched: int  # messages of one side at a stamp that the other does not have
     largest_difference: float
     lost_reports: int  # lines of the live journal that the bag lacks
     lost_inputs: int  # measurements that the journal names and the bag lacks
@@ -57,8 +57,12 @@ class LiveComparison:
     @property
     def matches(self) -> bool:
         """Same stamps, same numbers."""
-        same_stamps = self.common == self.live == self.replayed > 0
-        return same_stamps and self.largest_difference <= TOLERANCE
+        return self.compared > 0 and self.unmatched == 0 and self.largest_difference <= TOLERANCE
+
+    def __str__(self) -> str:
+        verdict = "yes" if self.matches else "NO"
+        numbers = f"{self.compared} estimates, {self.unmatched} unmatched"
+        return f"replay = live: {verdict} ({numbers}, largest difference {self.largest_difference:.1e})"
 
 
 @dataclass
@@ -156,24 +160,29 @@ def _reference_path(series: Series, from_ns: int) -> Path:
 
 
 def _compare(result: Replay, p: SlipEstimatorParameters) -> LiveComparison:
-    """Every live number against the replayed one of the same stamp, as messages carry them."""
-    live = result.inputs.series[ODOMETRY]
-    first, last = int(live.stamps_ns[0]), int(live.stamps_ns[-1])
-    replayed = [e for e in in_order(result.estimates) if first <= e.stamp_ns <= last]
-    common, largest = len(live.stamps_ns), 0.0
+    """Every live number against the replayed one of the same stamp, as messages carry them.
+
+    A recording ends in the middle of things: what it holds beyond its last journal line is left out.
+    """
+    journal = result.inputs.journal
+    end_ns = max((taken.stamp_ns for taken in journal if taken.source == SPROCKETS), default=None)
+    estimates = in_order(result.estimates)
+    compared = unmatched = 0
+    largest = 0.0
     for topic in (ODOMETRY, TRACK_SLIP):
         recorded = result.inputs.series.get(topic)
         if recorded is None:
             continue
-        mine = {e.stamp_ns: numbers_of(message_of(topic, e, p)) for e in replayed}
-        both = [i for i, stamp in enumerate(recorded.stamps_ns) if int(stamp) in mine]
-        for i in both:
-            difference = np.abs(recorded.values[i] - mine[int(recorded.stamps_ns[i])])
+        live = dict(zip(recorded.stamps_ns.tolist(), recorded.values, strict=True))
+        live = {stamp: row for stamp, row in live.items() if end_ns is None or stamp <= end_ns}
+        mine = {e.stamp_ns: e for e in estimates if live and min(live) <= e.stamp_ns <= max(live)}
+        unmatched += len(live.keys() ^ mine.keys())
+        for stamp in live.keys() & mine.keys():
+            difference = np.abs(live[stamp] - numbers_of(message_of(topic, mine[stamp], p)))
             largest = max(largest, float(np.max(difference)))
-        common = min(common, len(both))
-    lost = journal_gaps(result.inputs.journal)
-    missing = missing_inputs(result.inputs.arrivals, result.inputs.journal)
-    return LiveComparison(len(live.stamps_ns), len(replayed), common, largest, lost, missing)
+        compared = max(compared, len(live))
+    missing = missing_inputs(result.inputs.arrivals, journal)
+    return LiveComparison(compared, unmatched, largest, journal_gaps(journal), missing)
 
 
 def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:

@@ -50,9 +50,4 @@ def report(console: Console, result: DemoResult) -> None:
     for topic, n in result.topics.items():
         counts.add_row(topic, str(n.emitted), str(n.received), str(n.recorded), f"{100 * n.share:.2f}")
     console.print(counts)
-    live = result.live
-    verdict = "yes" if live.matches else "NO"
-    console.print(
-        f"replay = live: {verdict} ({live.common} of {live.live} stamps, "
-        f"largest difference {live.largest_difference:.1e})"
-    )
+    console.print(str(result.live))
