@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -42,7 +42,7 @@ class Processes:
         arguments = [str(executable(node.package, node.executable)), "--ros-args"]
         for name, value in node.parameters.items():
             arguments += ["-p", f"{name}:={yaml.safe_dump(value, default_flow_style=True).splitlines()[0]}"]
-        with (self._logs / f"{node.executable}.log").open("wb") as log, _unbroken():
+        with (self._logs / f"{node.executable}.log").open("wb") as log, interrupts_noted():
             self._running[node.executable] = subprocess.Popen(
                 arguments,
                 stdin=subprocess.DEVNULL,
@@ -64,7 +64,7 @@ class Processes:
 
     def stop(self, names: Iterable[str] | None = None) -> None:
         """Interrupt these (or all), and kill what does not end in time; a further Ctrl-C waits until then."""
-        with _unbroken():
+        with interrupts_noted():
             self._stop(names)
 
     def _stop(self, names: Iterable[str] | None) -> None:
@@ -96,16 +96,23 @@ def executable(package: str, name: str) -> Path:
 
 
 @contextmanager
-def _unbroken() -> Iterator[None]:
-    """Ctrl-C waits until this is done: raised within a fork it would get lost, and its child with it."""
+def interrupts_noted() -> Iterator[Callable[[], None]]:
+    """Ctrl-C is raised only where the function given asks for it, and at the end.
+
+    Raised wherever it happens to come, it could get lost in a fork or break off the executor's own work.
+    """
     asked: list[int] = []
+
+    def check() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
     before = signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
     try:
-        yield
+        yield check
     finally:
         signal.signal(signal.SIGINT, before)
-    if asked:
-        raise KeyboardInterrupt
+    check()
 
 
 def _signal(process: "subprocess.Popen[bytes]", number: int) -> None:

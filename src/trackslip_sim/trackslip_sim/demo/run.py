@@ -17,7 +17,7 @@ from trackslip_common.errors import ExitCode, InputError
 from trackslip_estimation.bags.reader import open_bag
 from trackslip_estimation.soils import load_soils
 from trackslip_sim.demo.picture import draw
-from trackslip_sim.demo.processes import DemoFailure, Processes
+from trackslip_sim.demo.processes import DemoFailure, Processes, interrupts_noted
 from trackslip_sim.demo.results import evaluate
 from trackslip_sim.demo.session import Session
 from trackslip_sim.demo.show import report
@@ -88,17 +88,18 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         f"look in with ROS_DOMAIN_ID={domain}"
     )
     processes = Processes(output, os.environ)
-    try:
-        session = Session(processes, console)
+    with interrupts_noted() as check:
         try:
-            session.bring_up(demo_nodes(nodes))
-            session.watch(options.duration)
+            session = Session(processes, console, check)
+            try:
+                session.bring_up(demo_nodes(nodes))
+                session.watch(options.duration)
+            finally:
+                session.close()
+                processes.stop(["record"])  # first, so that nothing it should hear is cut off
         finally:
-            session.close()
-            processes.stop(["record"])  # first, so that nothing it should hear is cut off
-    finally:
-        processes.stop()
-        shutil.rmtree(nodes.devices, ignore_errors=True)
+            processes.stop()
+            shutil.rmtree(nodes.devices, ignore_errors=True)
     return _conclude(options, session, nodes.bag, console)
 
 

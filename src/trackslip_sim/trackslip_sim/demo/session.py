@@ -19,14 +19,15 @@ _APPEAR = 60.0  # s for the nodes to find each other, on a busy machine
 _LINE_PERIOD = 0.5  # s
 _PLAIN_PERIOD = 5.0  # s, where the output is no terminal
 _RATES = ("sprockets", "imu/data_raw", "scan", "odometry")
-_PATIENCE = 1.0  # s between looks at whether the nodes still run
+_PATIENCE = 0.2  # s between looks at whether the nodes still run
 _LATE = 30.0  # s after the drive should have ended
 
 
 class Session:
     """One drive; afterwards ``emitted``, ``received`` and ``drive_start_ns`` tell of it."""
 
-    def __init__(self, processes: Processes, console: Console) -> None:
+    def __init__(self, processes: Processes, console: Console, check: Callable[[], None]) -> None:
+        self._check = check  # raises KeyboardInterrupt, if it was asked for
         self._processes = processes
         self._console = console
         join_graph()
@@ -55,11 +56,12 @@ class Session:
         """
         self._console.print(f"starting {len(nodes)} nodes …")
         for node in nodes:
+            self._check()
             self._processes.start(node)
         self._ask_emulator("configure", self._monitor.lay_cables, _COMPILE)
         until = time.monotonic() + _APPEAR
         while missing := self._monitor.missing_ends():
-            self._refuse_ended()
+            self._look_around()
             if time.monotonic() > until:
                 raise DemoFailure(f"nodes did not find each other: {', '.join(sorted(missing))}")
             self._monitor.spin_for(0.05)
@@ -79,7 +81,7 @@ class Session:
         with Live(console=self._console, auto_refresh=False, transient=True) as live:
             while not self._monitor.finished:
                 self._monitor.spin_for(0.1)
-                self._refuse_ended()
+                self._look_around()
                 now = time.monotonic()
                 if now > until:
                     raise DemoFailure(f"emulator: not finished {_LATE:g} s after the drive's end")
@@ -101,12 +103,13 @@ class Session:
     def _ask_emulator(self, verb: str, ask: Callable[[float], bool], timeout: float) -> None:
         until = time.monotonic() + timeout
         while not ask(_PATIENCE):
-            self._refuse_ended()
+            self._look_around()
             if time.monotonic() > until:
                 raise DemoFailure(f"emulator did not {verb}: {self._processes.log('emulator')[-300:]}")
 
-    def _refuse_ended(self) -> None:
-        """A node that has ended is the end of the demo."""
+    def _look_around(self) -> None:
+        """The user's wish, or a node that has ended, is the end of the demo."""
+        self._check()
         for name, code in self._processes.ended().items():
             last = (self._processes.log(name).splitlines() or ["(it said nothing)"])[-1]
             raise DemoFailure(f"{name} ended with exit code {code}: {last}")

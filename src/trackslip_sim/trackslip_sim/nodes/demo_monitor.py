@@ -89,7 +89,7 @@ class DemoMonitor(Node):
 
     def close(self) -> None:
         """Leave the graph."""
-        self._spinner.shutdown()
+        self._spinner.shutdown(timeout_sec=1.0)
         self.destroy_node()
 
     def _change_emulator(self, transition: int, timeout: float) -> bool:
