@@ -18,9 +18,10 @@ setup: ## make .venv and build ros2_ws; nothing where nothing changed (ROS=kilte
 demo: setup ## drive the emulated excavator, record, replay, score; results in out/demo (DURATION=40 SOIL=sand)
 	@exec $(VENV)/python -m trackslip_sim.demo.main $(if $(DURATION),--duration '$(DURATION)') $(if $(SOIL),--soil '$(SOIL)')
 
+# The graph's tests run one by one and may be tried twice, which is told: a busy machine can stall a process for seconds.
 test: setup ## all tests but the slow ones
 	@timeout --foreground --kill-after=10 600 $(VENV)/python -m pytest -n 2 -m 'not slow and not soak' --ignore tests/graph
-	@timeout --foreground --kill-after=10 900 $(VENV)/python -m pytest -m 'not slow and not soak' tests/graph
+	@timeout --foreground --kill-after=10 900 $(VENV)/python -m pytest -m 'not slow and not soak' --reruns 1 -rR tests/graph
 
 lint: setup ## ruff and mypy
 	$(VENV)/python -m ruff check .

@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.clock import Clock, ClockType
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from trackslip_common.config_files import node_defaults
@@ -194,6 +195,14 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         while self._announced:
             self.destroy_lifecycle_publisher(self._announced.pop())
         self._attempt(self.release)
+
+    def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:
+        """rclpy's own, but that an impossible transition is answered: in Jazzy it would end the process."""
+        try:
+            return super()._LifecycleNodeMixin__change_state(transition_id)
+        except rclpy_implementation.RCLError as error:
+            self.get_logger().error(" ".join(str(error).split()))
+            return TransitionCallbackReturn.ERROR
 
     def _declare(self, parameters: type[P], default_files: tuple[str, ...]) -> P:
         """Defaults of ``config/``, what the user gave on top, checked, then declared to ROS."""
