@@ -13,6 +13,7 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys import get_types_from_msg
 
 from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
 from trackslip_estimation.bags import messages, types
 
 STANDARD = (
@@ -127,7 +128,10 @@ def test_the_same_definition_shares_the_store() -> None:
 
 @pytest.mark.parametrize("stamp_ns", [0, 1, 999_999_999, 1_000_000_000, 1_731_000_000_123_456_789])
 def test_stamps_survive(stamp_ns: int) -> None:
-    assert messages.stamp_ns(messages.header(stamp_ns, "odom")) == stamp_ns
+    assert (
+        stamp_ns_of(messages.make("sensor_msgs/msg/Imu", header=messages.header(stamp_ns, "odom")))
+        == stamp_ns
+    )
 
 
 def test_a_few_bytes_behind_a_message_are_accepted() -> None:

@@ -14,9 +14,9 @@ import yaml
 
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
 from trackslip_estimation.bags.importer import import_log
 from trackslip_estimation.bags.mapping import read_mapping
-from trackslip_estimation.bags.messages import stamp_ns
 from trackslip_estimation.bags.parameters import PARAMETERS_TOPIC, bag_parameters
 from trackslip_estimation.bags.reader import Bag, open_bag
 from trackslip_estimation.cli import import_command, info_command
@@ -93,14 +93,14 @@ def test_units_signs_and_offsets(tmp_path: Path) -> None:
         sprockets = contents(bag, "sprockets")
         imu = contents(bag, "imu/data_raw")
         poses = contents(bag, "reference_pose")
-    assert [stamp_ns(m.header) for m in sprockets] == [(101_020 + 50 * i) * 1_000_000 for i in range(5)]
+    assert [stamp_ns_of(m) for m in sprockets] == [(101_020 + 50 * i) * 1_000_000 for i in range(5)]
     assert sprockets[0].name == ["left_sprocket", "right_sprocket"]
     np.testing.assert_allclose(sprockets[2].velocity, [2.0 * math.pi, math.pi / 2.0])
     assert len(sprockets[0].position) == len(sprockets[0].effort) == 0
     assert imu[0].angular_velocity.z == pytest.approx(math.pi / 2.0)
     assert imu[0].orientation_covariance[0] == imu[0].linear_acceleration_covariance[0] == -1.0
     assert (imu[0].header.frame_id, poses[0].header.frame_id) == ("imu_link", "odom")
-    assert [stamp_ns(m.header) for m in poses] == [100_700_000_000, 100_800_000_000]
+    assert [stamp_ns_of(m) for m in poses] == [100_700_000_000, 100_800_000_000]
     position, turn = poses[0].pose.pose.position, poses[0].pose.pose.orientation
     assert (position.x, position.y, position.z) == (1.5, -0.25, 0.0)
     assert 2.0 * math.atan2(turn.z, turn.w) == pytest.approx(math.pi / 2.0)
@@ -112,7 +112,7 @@ def test_the_bag_is_in_the_order_of_stamps(tmp_path: Path) -> None:
     with open_bag(import_text(tmp_path)) as bag:
         logged = [m.log_time_ns for m in bag.messages()]
         stamped = [
-            (m.log_time_ns, stamp_ns(bag.deserialize(m.raw, m.type_name).header))
+            (m.log_time_ns, stamp_ns_of(bag.deserialize(m.raw, m.type_name)))
             for m in bag.messages(["sprockets", "imu/data_raw", "reference_pose"])
         ]
         assert next(bag.messages()).topic == f"/{PARAMETERS_TOPIC}"
@@ -280,6 +280,6 @@ def test_the_warthog_log(tmp_path: Path) -> None:
         assert 4.0 < rate < 5.5
         accelerations = [m.linear_acceleration.z for m in contents(bag, "imu/data_raw")]
         assert np.mean(accelerations) == pytest.approx(9.81, abs=0.1)
-        stamps = np.diff([stamp_ns(m.header) for m in contents(bag, "reference_pose")])
+        stamps = np.diff([stamp_ns_of(m) for m in contents(bag, "reference_pose")])
         assert stamps.min() > 0
         assert bag_parameters(bag)["vehicle.tread"] == 1.08

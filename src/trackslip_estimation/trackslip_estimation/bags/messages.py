@@ -7,9 +7,8 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc
 
+from trackslip_common.make import header as common_header
 from trackslip_estimation.bags.types import decode, ensure, field_parts
-
-NANOSECONDS = 1_000_000_000
 
 _DTYPES = {"bool": "bool", "byte": "uint8", "char": "uint8", "octet": "uint8"}
 _TEXT = ("string", "wstring")
@@ -42,20 +41,9 @@ def deserialize(raw: bytes | memoryview, type_name: str) -> Any:
     return decode(ensure(type_name), raw, type_name)
 
 
-def time_message(stamp_ns: int) -> Any:
-    """builtin_interfaces/Time of a stamp (ns)."""
-    seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
-    return make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-
-
 def header(stamp_ns: int, frame_id: str) -> Any:
     """std_msgs/Header of a stamp (ns) and a frame."""
-    return make("std_msgs/msg/Header", stamp=time_message(stamp_ns), frame_id=frame_id)
-
-
-def stamp_ns(header: Any) -> int:
-    """The stamp of a header, ns."""
-    return int(header.stamp.sec) * NANOSECONDS + int(header.stamp.nanosec)
+    return common_header(make, stamp_ns, frame_id)
 
 
 def _zero(description: FieldDesc) -> Any:
