@@ -95,7 +95,7 @@ def state(**values: float) -> FloatArray:
 
 
 def move(x: FloatArray, left: float, right: float, dt: float) -> FloatArray:
-    return equations.move(x, left, right, dt, C)
+    return equations.move(x, left, right, dt, int(Motion.STRAIGHT), C)
 
 
 def twist(x: FloatArray, left: float, right: float) -> FloatArray:
@@ -106,7 +106,7 @@ def twist(x: FloatArray, left: float, right: float) -> FloatArray:
 def test_f_is_the_derivative_of_the_step_by_the_state(
     x: FloatArray, left: float, right: float, dt: float
 ) -> None:
-    F = equations.transition(x, left, right, dt, C)
+    F = equations.transition(x, left, right, dt, int(Motion.STRAIGHT), C)
     np.testing.assert_allclose(F, differences(lambda v: move(v, left, right, dt), x), atol=1e-7)
 
 
@@ -117,7 +117,7 @@ def test_encoder_noise_enters_by_the_derivative_of_the_step_by_the_speeds(
     G = differences(lambda v: move(x, v[0], v[1], dt), np.array((left, right)))
     variance = np.square((NOISE.encoder * left, NOISE.encoder * right)) / dt
     c = Filter(ENCODER_ONLY).constants[0]
-    Q = equations.process_noise(x, left, right, dt, int(Motion.STRAIGHT), 0, c)
+    Q = equations.process_noise(x, np.zeros((SIZE, SIZE)), left, right, dt, int(Motion.STRAIGHT), 0, 0.0, c)
     np.testing.assert_allclose(Q, (G * variance) @ G.T, atol=1e-8)
 
 
@@ -149,10 +149,11 @@ def test_what_is_measured(x: FloatArray, left: float, right: float) -> None:
 def test_rounding_of_positions_adds_to_the_noise_of_the_yaw_rate() -> None:
     """Two tracks, two counts each, uniform within ±½ count, 10 ms apart."""
     given_noise = np.array(((1e-4,),))
-    noise = equations.noise(YAW_RATE, given_noise, 1.0, 1.0, 0.01, True, C)
+    x = state()
+    noise = equations.noise(YAW_RATE, x, given_noise, 1.0, 1.0, 0.01, True, C)
     rounding = 4.0 * COUNT**2 / 12.0 * (RADIUS / TREAD / 0.01) ** 2
     assert noise[0, 0] == pytest.approx(1e-4 + rounding)
-    np.testing.assert_array_equal(equations.noise(YAW_RATE, given_noise, 1.0, 1.0, 0.01, False, C), 1e-4)
+    np.testing.assert_array_equal(equations.noise(YAW_RATE, x, given_noise, 1.0, 1.0, 0.01, False, C), 1e-4)
 
 
 @pytest.mark.parametrize("kappa", [None, 0.0])
@@ -229,8 +230,10 @@ def test_a_midpoint_step_is_near_many_fine_ones(x: FloatArray, left: float, righ
 @given(states, speeds, speeds)
 def test_nothing_happens_in_no_time(x: FloatArray, left: float, right: float) -> None:
     np.testing.assert_allclose(move(x, left, right, 0.0)[POSE][:2], x[POSE][:2])
-    np.testing.assert_array_equal(equations.transition(x, left, right, 0.0, C), np.eye(SIZE))
-    Q = equations.process_noise(x, left, right, 0.0, int(Motion.STRAIGHT), 0, C)
+    np.testing.assert_array_equal(
+        equations.transition(x, left, right, 0.0, int(Motion.STRAIGHT), C), np.eye(SIZE)
+    )
+    Q = equations.process_noise(x, np.zeros((SIZE, SIZE)), left, right, 0.0, int(Motion.STRAIGHT), 0, 0.0, C)
     np.testing.assert_array_equal(Q, 0.0)
 
 
@@ -249,8 +252,10 @@ def test_a_step_is_the_kalman_filter_in_numpy(x: FloatArray, left: float, right:
     root = np.random.default_rng(0).normal(size=(SIZE, SIZE)) * 0.1
     P, R = root @ root.T, np.array(((1e-4,),))
     held = FILTER.step(Gaussian(x, P), measured(left, right), dt, STRAIGHT, rate_measured(0.3, 1e-4))
-    F = equations.transition(x, left, right, dt, C)
-    P = F @ P @ F.T + equations.process_noise(x, left, right, dt, int(Motion.STRAIGHT), 0, C)
+    F = equations.transition(x, left, right, dt, int(Motion.STRAIGHT), C)
+    P = F @ P @ F.T + equations.process_noise(
+        x, np.zeros((SIZE, SIZE)), left, right, dt, int(Motion.STRAIGHT), 0, 0.0, C
+    )
     np.testing.assert_allclose(held.predicted.covariance, P, rtol=1e-12, atol=1e-12)
     x = move(x, left, right, dt)
     H = equations.jacobian(YAW_RATE, x, left, right, C)
@@ -303,7 +308,9 @@ def test_encoder_noise_grows_with_the_way_and_the_root_of_time() -> None:
 
 def walk(motion: MotionState) -> FloatArray:
     at = np.zeros(SIZE)
-    Q = equations.process_noise(at, 1.0, 1.0, 0.5, int(motion.motion), int(motion.changing), C)
+    Q = equations.process_noise(
+        at, np.zeros((SIZE, SIZE)), 1.0, 1.0, 0.5, int(motion.motion), int(motion.changing), 0.0, C
+    )
     deviations: FloatArray = np.sqrt(np.diag(Q)[3:] / 0.5)
     return deviations
 

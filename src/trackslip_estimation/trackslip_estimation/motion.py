@@ -14,6 +14,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.compiled import compiled
+
+_SIGNIFICANT = 3.0  # standard deviations
 
 
 class Motion(IntEnum):
@@ -23,6 +26,10 @@ class Motion(IntEnum):
     STANDING = 1
     STRAIGHT = 2
     TURNING = 3
+
+
+_MOTIONS = tuple(Motion)
+_UNKNOWN, _STANDING, _STRAIGHT, _TURNING = map(int, Motion)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +65,7 @@ class MotionState(NamedTuple):
     right: float = 0.0
     left_mean: float = 0.0  # rad/s, low-passed further
     right_mean: float = 0.0
+    departure: float = 0.0  # rad/s, of the present speeds from those, the larger of both
 
     @property
     def slips_move(self) -> bool:
@@ -69,25 +77,89 @@ def classify(
     state: MotionState, left_speed: float, right_speed: float, dt: float, limits: MotionParameters
 ) -> MotionState:
     """The state of motion after ``dt`` seconds with these mean sprocket speeds (rad/s)."""
+    motion, changing, *speeds = classified(
+        int(state.motion),
+        *state[1:],
+        left_speed,
+        right_speed,
+        dt,
+        limits.standing_speed,
+        limits.turning_ratio,
+        limits.change_ratio,
+        limits.hysteresis,
+        limits.smoothing_time,
+        limits.memory_time,
+    )
+    return MotionState(_MOTIONS[motion], changing, *speeds)
+
+
+@compiled
+def classified(
+    motion: int,
+    changing: bool,
+    left: float,
+    right: float,
+    left_mean: float,
+    right_mean: float,
+    departure: float,
+    left_speed: float,
+    right_speed: float,
+    dt: float,
+    standing_speed: float,
+    turning_ratio: float,
+    change_ratio: float,
+    hysteresis: float,
+    smoothing_time: float,
+    memory_time: float,
+) -> tuple[int, bool, float, float, float, float, float]:
+    """The fields of the next ``MotionState``, from those of the last and of ``MotionParameters``."""
     if dt <= 0.0:
-        return state
-    if state.motion is Motion.UNKNOWN:
+        return motion, changing, left, right, left_mean, right_mean, departure
+    if motion == _UNKNOWN:
         left, right, left_mean, right_mean = left_speed, right_speed, left_speed, right_speed
     else:
-        fast = -math.expm1(-dt / limits.smoothing_time)
-        slow = -math.expm1(-dt / limits.memory_time)
-        left = state.left + fast * (left_speed - state.left)
-        right = state.right + fast * (right_speed - state.right)
-        left_mean = state.left_mean + slow * (left_speed - state.left_mean)
-        right_mean = state.right_mean + slow * (right_speed - state.right_mean)
-
-    def exceeds(value: float, limit: float, already: bool) -> bool:
-        return value > (limits.hysteresis * limit if already else limit)
-
+        fast = -math.expm1(-dt / smoothing_time)
+        slow = -math.expm1(-dt / memory_time)
+        left += fast * (left_speed - left)
+        right += fast * (right_speed - right)
+        left_mean += slow * (left_speed - left_mean)
+        right_mean += slow * (right_speed - right_mean)
     fastest, mean = max(abs(left), abs(right)), (abs(left) + abs(right)) / 2.0
-    moves = exceeds(fastest, limits.standing_speed, state.motion in (Motion.STRAIGHT, Motion.TURNING))
-    turns = exceeds(abs(right - left), limits.turning_ratio * mean, state.motion is Motion.TURNING)
-    departure = max(abs(left - left_mean), abs(right - right_mean))
-    changing = exceeds(departure, limits.change_ratio * max(mean, limits.standing_speed), state.changing)
-    motion = Motion.STANDING if not moves else Motion.TURNING if turns else Motion.STRAIGHT
-    return MotionState(motion, changing, left, right, left_mean, right_mean)
+    moved, turned = motion in (_STRAIGHT, _TURNING), motion == _TURNING
+    moves = fastest > standing_speed * (hysteresis if moved else 1.0)
+    turns = abs(right - left) > turning_ratio * mean * (hysteresis if turned else 1.0)
+    smooth = max(abs(left - left_mean), abs(right - right_mean))
+    changing = smooth > change_ratio * max(mean, standing_speed) * (hysteresis if changing else 1.0)
+    motion = _STANDING if not moves else _TURNING if turns else _STRAIGHT
+    now = max(abs(left_speed - left_mean), abs(right_speed - right_mean))
+    return motion, changing, left, right, left_mean, right_mean, now
+
+
+def smoothed(speeds: Speeds, state: MotionState, resolution: float, limits: MotionParameters) -> Speeds:
+    """Low-passed, where the speeds hold still but for the rounding of the counts they are differenced from.
+
+    ``resolution`` is the angle of a count, rad.
+    """
+    now = steadied(*speeds, state.left, state.right, state.departure, resolution, limits.smoothing_time)
+    return Speeds(*now, speeds.differenced)
+
+
+@compiled
+def steadied(
+    left: float,
+    right: float,
+    stretch: float,
+    differenced: bool,
+    smooth_left: float,
+    smooth_right: float,
+    departure: float,
+    resolution: float,
+    smoothing_time: float,
+) -> tuple[float, float, float]:
+    """Left, right and stretch of ``smoothed``."""
+    if not differenced or stretch <= 0.0 or stretch >= smoothing_time:
+        return left, right, stretch
+    rounding = resolution / math.sqrt(6.0) / stretch  # its standard deviation, rad/s
+    if departure > _SIGNIFICANT * rounding:
+        return left, right, stretch
+    return smooth_left, smooth_right, math.sqrt(2.0) * smoothing_time

@@ -5,17 +5,17 @@
     τ       how long an unknown speed lasts                 s
     x, P    mean and covariance of the state
 
-The pose is held where it was and its uncertainty grows as that of a walk, by v̂ √(2 τ t). Where speed and
-yaw rate are states they are forgotten after each step, so that a gyro that still works carries the heading
-on; over the first step the yaw rate may have changed by ω̂ √(t/τ).
+The pose is held where it was and its uncertainty grows as that of a walk, by v̂ √(2 τ t). Where the misfits of
+speed and yaw rate are states, all of both is misfit now. They are forgotten after each step, so that a gyro
+that still works carries the heading on; over the first step the yaw rate may have changed by ω̂ √(t/τ).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from trackslip_estimation.filters.model import YAW, Gaussian, X, Y
-from trackslip_estimation.filters.speed_model import RATE, SPEED
+from trackslip_estimation.filters.model import YAW, Gaussian, Outputs, X, Y
+from trackslip_estimation.filters.speed_model import RATE_MISFIT, SPEED_MISFIT
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters
 
 _LASTS = 1.0  # s, τ
@@ -27,24 +27,22 @@ class Reach:
 
     speed: float  # m/s
     yaw_rate: float  # rad/s
-    velocity: slice  # of the state: speed and yaw rate; empty where they are no states
+    velocity: slice  # of the state: misfits of speed and yaw rate; empty where they are no states
 
     @property
     def unseen_yaw_rate(self) -> float:
         """Standard deviation of a yaw rate that no state holds, rad/s."""
         return self.yaw_rate if self.velocity.start == self.velocity.stop else 0.0
 
-    def enter(self, state: Gaussian, dt: float) -> Gaussian:
+    def enter(self, state: Gaussian, known: Outputs, dt: float) -> Gaussian:
         """At the end of what is known, ``dt`` s before the next that is."""
         entered = self.forget(state)
         if self.velocity.start == self.velocity.stop:
             return entered
         rate = self.velocity.stop - 1
         mean, covariance = entered
-        mean[rate] = state.mean[rate]
-        covariance[rate, :], covariance[:, rate] = state.covariance[rate, :], state.covariance[:, rate]
-        covariance[rate, self.velocity.start] = covariance[self.velocity.start, rate] = 0.0
-        covariance[rate, rate] += self.yaw_rate**2 * min(dt / _LASTS, 1.0)
+        mean[rate] = known.twist[2]
+        covariance[rate, rate] = known.twist_covariance[2, 2] + self.yaw_rate**2 * min(dt / _LASTS, 1.0)
         return entered
 
     def forget(self, state: Gaussian) -> Gaussian:
@@ -67,5 +65,5 @@ class Reach:
 def make_reach(p: SlipEstimatorParameters) -> Reach:
     """What the sprockets can do at the most."""
     fastest = p.vehicle.rolling_radius * p.max_sprocket_speed
-    velocity = slice(0, 0) if p.model == "free_slips" else slice(SPEED, RATE + 1)
+    velocity = slice(0, 0) if p.model == "free_slips" else slice(SPEED_MISFIT, RATE_MISFIT + 1)
     return Reach(fastest, 2.0 * fastest / p.vehicle.tread, velocity)

@@ -10,8 +10,9 @@ X̃, Z̃   departures of χ_i and Z_i from their centres, as columns     (n, 2n 
 z, R    measurement and its covariance                               (m,), (m, m)
 S, K    covariance of the innovation, gain                           (m, m), (n, m)
 
-Process noise joins P before the points are drawn (step 1 of the figure). The points are drawn anew for
-each measurement, because several may come between two steps. With κ < 0 the centre has a negative
+Process noise joins P' after the points have moved, not P before (step 1 of the figure): it is what the whole
+step adds, and must not be moved by it again. The points are drawn anew for each measurement, because several
+may come between two steps. With κ < 0 the centre has a negative
 weight; departures are then taken from the centre point, not from the mean (Julier's repair).
 """
 
@@ -75,15 +76,23 @@ def moments(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatA
 
 @compiled
 def predict(
-    x: FloatArray, P: FloatArray, left: float, right: float, dt: float, motion: int, changing: int, c: Any
+    x: FloatArray,
+    P: FloatArray,
+    left: float,
+    right: float,
+    dt: float,
+    motion: int,
+    changing: int,
+    departure: float,
+    c: Any,
 ) -> tuple[FloatArray, FloatArray]:
     """Steps 1 to 3: x' and P'."""
-    Q = process_noise(x, left, right, dt, motion, changing, c)
-    points, weights = sigma_points(x, P + Q, c.kappa)
+    points, weights = sigma_points(x, P, c.kappa)
     for i in range(weights.size):
-        points[i] = move(points[i], left, right, dt, c)
+        points[i] = move(points[i], left, right, dt, motion, c)
     mean, departures, weights = moments(points, weights)
-    return mean, sandwich(departures, np.diag(weights))
+    Q = process_noise(x, P, left, right, dt, motion, changing, departure, c)
+    return mean, sandwich(departures, np.diag(weights)) + Q
 
 
 @compiled

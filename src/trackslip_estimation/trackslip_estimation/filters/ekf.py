@@ -34,12 +34,20 @@ FloatArray = NDArray[np.float64]
 
 @compiled
 def predict(
-    x: FloatArray, P: FloatArray, left: float, right: float, dt: float, motion: int, changing: int, c: Any
+    x: FloatArray,
+    P: FloatArray,
+    left: float,
+    right: float,
+    dt: float,
+    motion: int,
+    changing: int,
+    departure: float,
+    c: Any,
 ) -> tuple[FloatArray, FloatArray]:
     """f(x) and P' = F P Fᵀ + Q."""
-    F = transition(x, left, right, dt, c)
-    Q = process_noise(x, left, right, dt, motion, changing, c)
-    return move(x, left, right, dt, c), sandwich(F, P) + Q
+    F = transition(x, left, right, dt, motion, c)
+    Q = process_noise(x, P, left, right, dt, motion, changing, departure, c)
+    return move(x, left, right, dt, motion, c), sandwich(F, P) + Q
 
 
 @compiled

@@ -7,6 +7,7 @@
     h, H       predicted measurement of one kind, its Jacobian       (m,), (m, n)
     R          covariance of that measurement                        (m, m)
     ω_L, ω_R   sprocket speeds ``left`` and ``right``                rad/s
+    d          their ``departure`` from their recent mean            rad/s
     c          ``model.CONSTANTS``
 
 Noise densities are in continuous time, so that splitting a step does not change what it adds.
@@ -23,17 +24,18 @@ from trackslip_estimation.filters import icr_model, slip_model, speed_model, tur
 from trackslip_estimation.filters.linear_algebra import sandwich, times, wrap
 from trackslip_estimation.filters.model import (
     FREE_SLIPS,
-    FULL_POSE,
     POSITION,
-    SPROCKETS,
     TURNING,
     YAW,
     YAW_RATE,
     X,
     Y,
 )
+from trackslip_estimation.filters.speed_model import RATE_MISFIT, SPEED_MISFIT
 
 FloatArray = NDArray[np.float64]
+
+MISFITS = slice(SPEED_MISFIT, RATE_MISFIT + 1)
 
 
 @compiled
@@ -41,7 +43,11 @@ def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, floa
     """v_x m/s, v_y m/s, yaw rate rad/s of C."""
     if c.model == FREE_SLIPS:
         return slip_model.twist(x, left, right, c)
-    return speed_model.twist(x)
+    if c.model == TURNING:
+        v, rate = turning_model.equations(x, left, right, c)
+    else:
+        v, rate = icr_model.equations(x, left, right, c)
+    return speed_model.twist(x, v, rate)
 
 
 @compiled
@@ -49,25 +55,43 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArr
     """(3, n) derivative of ``twist`` by the state."""
     if c.model == FREE_SLIPS:
         return slip_model.twist_jacobian(x, left, right, c)
-    return speed_model.twist_jacobian(x)
+    if c.model == TURNING:
+        rate, J = (
+            turning_model.equations(x, left, right, c)[1],
+            turning_model.equations_jacobian(left, right, c),
+        )
+    else:
+        rate, J = icr_model.equations(x, left, right, c)[1], icr_model.equations_jacobian(x, left, right, c)
+    return speed_model.twist_jacobian(x, rate, J)
 
 
 @compiled
-def move(x: FloatArray, left: float, right: float, dt: float, c: Any) -> FloatArray:
+def _meanwhile(x: FloatArray, dt: float, motion: int, c: Any) -> FloatArray:
+    """The state with its misfits as they are on average over the step."""
+    mean = x.copy()
+    if c.model != FREE_SLIPS:
+        mean[MISFITS] *= speed_model.persistence(dt, motion, c)[1]
+    return mean
+
+
+@compiled
+def move(x: FloatArray, left: float, right: float, dt: float, motion: int, c: Any) -> FloatArray:
     """f: the heading halfway through the step turns the velocity into the site frame."""
-    v_x, v_y, rate = twist(x, left, right, c)
+    v_x, v_y, rate = twist(_meanwhile(x, dt, motion, c), left, right, c)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway), math.sin(halfway)
     moved = x.copy()
     moved[X] += (v_x * cos - v_y * sin) * dt
     moved[Y] += (v_x * sin + v_y * cos) * dt
     moved[YAW] = wrap(x[YAW] + rate * dt)
+    if c.model != FREE_SLIPS:
+        moved[MISFITS] *= speed_model.persistence(dt, motion, c)[0]
     return moved
 
 
 @compiled
 def _pose_by_twist(x: FloatArray, left: float, right: float, dt: float, c: Any) -> FloatArray:
-    """(3, 3) derivative of the pose after the step by the twist."""
+    """(3, 3) derivative of the pose after the step by the mean twist over it."""
     v_x, v_y, rate = twist(x, left, right, c)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway), math.sin(halfway)
@@ -82,29 +106,62 @@ def _pose_by_twist(x: FloatArray, left: float, right: float, dt: float, c: Any) 
 
 
 @compiled
-def transition(x: FloatArray, left: float, right: float, dt: float, c: Any) -> FloatArray:
+def transition(x: FloatArray, left: float, right: float, dt: float, motion: int, c: Any) -> FloatArray:
     """F."""
     F = np.eye(x.size)
-    F[X : YAW + 1] += times(_pose_by_twist(x, left, right, dt, c), twist_jacobian(x, left, right, c))
-    moved = move(x, left, right, dt, c)
-    F[X, YAW] -= moved[Y] - x[Y]
-    F[Y, YAW] += moved[X] - x[X]
+    mean = _meanwhile(x, dt, motion, c)
+    G = times(_pose_by_twist(mean, left, right, dt, c), twist_jacobian(mean, left, right, c))
+    if c.model != FREE_SLIPS:
+        left_over, share = speed_model.persistence(dt, motion, c)
+        G[:, MISFITS] *= share
+        F[SPEED_MISFIT, SPEED_MISFIT] = F[RATE_MISFIT, RATE_MISFIT] = left_over
+    F[X : YAW + 1] += G
+    v_x, v_y, rate = twist(mean, left, right, c)
+    halfway = x[YAW] + rate * dt / 2.0
+    F[X, YAW] -= (v_x * math.sin(halfway) + v_y * math.cos(halfway)) * dt
+    F[Y, YAW] += (v_x * math.cos(halfway) - v_y * math.sin(halfway)) * dt
     return F
 
 
 @compiled
 def process_noise(
-    x: FloatArray, left: float, right: float, dt: float, motion: int, changing: int, c: Any
+    x: FloatArray,
+    P: FloatArray,
+    left: float,
+    right: float,
+    dt: float,
+    motion: int,
+    changing: int,
+    departure: float,
+    c: Any,
 ) -> FloatArray:
-    """Q: each state's walk, and for sprocket speeds that are inputs their noise (3.21)."""
+    """Q: each state's walk, and the misfits'; for sprocket speeds that are inputs their noise (3.21).
+
+    P, what is known of x, or zeros; it matters where Q depends on x.
+    """
     n = x.size
     Q = np.zeros((n, n))
     for i in range(n):
         Q[i, i] = c.walk[motion, changing, i] * dt
-    if c.model == FREE_SLIPS and dt > 0.0:
+    if dt <= 0.0:
+        return Q
+    if c.model == FREE_SLIPS:
         G = times(_pose_by_twist(x, left, right, dt, c), slip_model.twist_by_speed(x, c))
         speeds = np.array((((c.encoder * left) ** 2 / dt, 0.0), (0.0, (c.encoder * right) ** 2 / dt)))
         Q[X : YAW + 1, X : YAW + 1] += sandwich(G, speeds)
+        return Q
+    variance = speed_model.misfit_variance(x, P, left, right, motion, departure, c)
+    sizes = (variance, variance / c.tread**2)
+    meanwhile, both, after = speed_model.misfit_growth(dt, motion, c)
+    mean = _meanwhile(x, dt, motion, c)
+    J = np.ascontiguousarray(twist_jacobian(mean, left, right, c)[:, MISFITS])
+    G = times(_pose_by_twist(mean, left, right, dt, c), J)
+    for j in range(2):
+        k = SPEED_MISFIT + j
+        column = G[:, j].copy()
+        Q[X : YAW + 1, X : YAW + 1] += np.outer(column, column) * sizes[j] * meanwhile
+        Q[X : YAW + 1, k] = Q[k, X : YAW + 1] = column * sizes[j] * both
+        Q[k, k] += sizes[j] * after
     return Q
 
 
@@ -115,11 +172,7 @@ def expected(kind: int, x: FloatArray, left: float, right: float, c: Any) -> Flo
         return np.array((twist(x, left, right, c)[2] + x[-1],))
     if kind == POSITION:
         return x[X : Y + 1].copy()
-    if kind == FULL_POSE:
-        return x[X : YAW + 1].copy()
-    if c.model == TURNING:
-        return turning_model.sprockets(x, left, right, c)
-    return icr_model.sprockets(x, left, right, c)
+    return x[X : YAW + 1].copy()
 
 
 @compiled
@@ -129,42 +182,59 @@ def jacobian(kind: int, x: FloatArray, left: float, right: float, c: Any) -> Flo
         H = np.ascontiguousarray(twist_jacobian(x, left, right, c)[2:])
         H[0, -1] = 1.0
         return H
-    if kind == POSITION:
-        return np.eye(2, x.size)
-    if kind == FULL_POSE:
-        return np.eye(3, x.size)
-    if c.model == TURNING:
-        return turning_model.sprockets_jacobian(left, right, c)
-    return icr_model.sprockets_jacobian(x, left, right, c)
+    return np.eye(2 if kind == POSITION else 3, x.size)
+
+
+@compiled
+def _rounding(stretch: float, counted: bool, c: Any) -> float:
+    """Standard deviation of a sprocket speed differenced from two rounded counts, rad/s."""
+    if counted and stretch > 0.0:
+        return math.sqrt(2.0 / 12.0) * float(c.encoder_resolution) / stretch
+    return 0.0
 
 
 @compiled
 def noise(
-    kind: int, R: FloatArray, left: float, right: float, stretch: float, counted: bool, c: Any
+    kind: int, x: FloatArray, R: FloatArray, left: float, right: float, stretch: float, counted: bool, c: Any
 ) -> FloatArray:
-    """R with what the sprockets add: over ``stretch`` s, their positions ``counted`` in whole steps."""
-    rounding = 0.0
-    if counted and stretch > 0.0:  # of one track's speed, differenced from two rounded counts, (m/s)²
-        rounding = 2.0 * (c.rolling_radius * c.encoder_resolution / stretch) ** 2 / 12.0
-    if kind == SPROCKETS:
-        if c.model == TURNING:
-            return turning_model.sprockets_noise(left, right, stretch, rounding, c)
-        return icr_model.sprockets_noise(left, right, stretch, rounding, c)
-    if kind == YAW_RATE and c.model == FREE_SLIPS:  # φ̇ as predicted comes from the sprockets
-        R = R + 2.0 * rounding / c.tread**2
-    return R
+    """R; the yaw rate is predicted from sprocket speeds over ``stretch`` s, ``counted`` in whole steps."""
+    e = _rounding(stretch, counted, c)
+    if kind != YAW_RATE or e == 0.0:
+        return R
+    by_left = twist(x, left + e, right, c)[2] - twist(x, left - e, right, c)[2]
+    by_right = twist(x, left, right + e, c)[2] - twist(x, left, right - e, c)[2]
+    return R + (by_left**2 + by_right**2) / 4.0
+
+
+@compiled
+def _told(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+    """(6,) v_x, v_y, yaw rate; left slip, right slip, slip angle."""
+    v_x, v_y, rate = twist(x, left, right, c)
+    told = np.empty(6)
+    told[0], told[1], told[2] = v_x, v_y, rate
+    if c.model == FREE_SLIPS:
+        told[3:] = slip_model.slips(x)
+    else:
+        told[3:] = speed_model.slips(x, v_x, v_y, rate, left, right, c)
+    return told
 
 
 @compiled
 def outputs(
-    x: FloatArray, P: FloatArray, left: float, right: float, c: Any
+    x: FloatArray, P: FloatArray, left: float, right: float, stretch: float, counted: bool, c: Any
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Twist and slips, (3,) each, with their covariances, (3, 3) each: ``model.Outputs``."""
-    if c.model == FREE_SLIPS:
-        slips, S = slip_model.slips(x), slip_model.slips_jacobian()
-    else:
-        slips = speed_model.slips(x, left, right, c)
-        S = speed_model.slips_jacobian(x, left, right, c)
-    v_x, v_y, rate = twist(x, left, right, c)
+    told = _told(x, left, right, c)
     J = twist_jacobian(x, left, right, c)
-    return np.array((v_x, v_y, rate)), sandwich(J, P), slips, sandwich(S, P)
+    if c.model == FREE_SLIPS:
+        S = slip_model.slips_jacobian()
+    else:
+        S = speed_model.slips_jacobian(told[0], told[1], J, left, right, c)
+    twist_covariance, slip_covariance = sandwich(J, P), sandwich(S, P)
+    e = _rounding(stretch, counted, c)
+    if e > 0.0:
+        by_left = (_told(x, left + e, right, c) - _told(x, left - e, right, c)) / 2.0
+        by_right = (_told(x, left, right + e, c) - _told(x, left, right - e, c)) / 2.0
+        twist_covariance += np.outer(by_left[:3], by_left[:3]) + np.outer(by_right[:3], by_right[:3])
+        slip_covariance += np.outer(by_left[3:], by_left[3:]) + np.outer(by_right[3:], by_right[3:])
+    return told[:3].copy(), twist_covariance, told[3:].copy(), slip_covariance

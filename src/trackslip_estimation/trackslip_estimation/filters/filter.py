@@ -11,7 +11,6 @@ from trackslip_estimation.filters import daf, ekf, equations
 from trackslip_estimation.filters.model import (
     CONSTANTS,
     DRIVEN,
-    FREE_SLIPS,
     SPROCKETS,
     Gaussian,
     Measured,
@@ -64,13 +63,16 @@ class Filter:
             dt,
             int(motion.motion),
             int(motion.changing),
+            motion.departure,
             self.constants,
         )
         return Held(Gaussian(x, P), Gaussian(x_updated, P_updated), nis)
 
     def outputs(self, state: Gaussian, speeds: Speeds) -> Outputs:
         """Twist and slips."""
-        return Outputs(*_outputs(*state, speeds.left, speeds.right, self.constants))
+        return Outputs(
+            *_outputs(*state, speeds.left, speeds.right, speeds.stretch, speeds.differenced, self.constants)
+        )
 
 
 def _constants(model: Model, kappa: float | None) -> RecordArray:
@@ -88,12 +90,20 @@ def _constants(model: Model, kappa: float | None) -> RecordArray:
 
 @compiled
 def predict(
-    x: FloatArray, P: FloatArray, left: float, right: float, dt: float, motion: int, changing: int, c: Any
+    x: FloatArray,
+    P: FloatArray,
+    left: float,
+    right: float,
+    dt: float,
+    motion: int,
+    changing: int,
+    departure: float,
+    c: Any,
 ) -> tuple[FloatArray, FloatArray]:
     """x' and P' by the filter that c names."""
     if c.sigma_points:
-        return daf.predict(x, P, left, right, dt, motion, changing, c)
-    return ekf.predict(x, P, left, right, dt, motion, changing, c)
+        return daf.predict(x, P, left, right, dt, motion, changing, departure, c)
+    return ekf.predict(x, P, left, right, dt, motion, changing, departure, c)
 
 
 @compiled
@@ -110,7 +120,7 @@ def update(
     c: Any,
 ) -> tuple[FloatArray, FloatArray, float]:
     """x', P' and NIS by the filter that c names."""
-    R = equations.noise(kind, R, left, right, stretch, counted, c)
+    R = equations.noise(kind, x, R, left, right, stretch, counted, c)
     if c.sigma_points:
         return daf.update(kind, x, P, z, R, left, right, c)
     return ekf.update(kind, x, P, z, R, left, right, c)
@@ -130,11 +140,12 @@ def step(
     dt: float,
     motion: int,
     changing: int,
+    departure: float,
     c: Any,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
-    """Predicted x and P, then x', P' and NIS; nan where sprockets say no more than they drove."""
-    x, P = predict(x, P, left, right, dt, motion, changing, c)
-    if kind == SPROCKETS and (c.model == FREE_SLIPS or stretch <= 0.0):
+    """Predicted x and P, then x', P' and NIS; sprockets say no more than they drove: nan."""
+    x, P = predict(x, P, left, right, dt, motion, changing, departure, c)
+    if kind == SPROCKETS:
         return x, P, x, P, np.nan
     x_updated, P_updated, nis = update(kind, x, P, z, R, left, right, stretch, counted, c)
     return x, P, x_updated, P_updated, nis
@@ -154,15 +165,24 @@ def _step(
     dt: float,
     motion: int,
     changing: int,
+    departure: float,
     constants: RecordArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
     """``step`` as called from Python: arrays cross over faster than records."""
-    return step(kind, x, P, z, R, left, right, stretch, counted, dt, motion, changing, constants[0])
+    return step(
+        kind, x, P, z, R, left, right, stretch, counted, dt, motion, changing, departure, constants[0]
+    )
 
 
 @compiled
 def _outputs(
-    x: FloatArray, P: FloatArray, left: float, right: float, constants: RecordArray
+    x: FloatArray,
+    P: FloatArray,
+    left: float,
+    right: float,
+    stretch: float,
+    counted: bool,
+    constants: RecordArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """``equations.outputs`` as called from Python."""
-    return equations.outputs(x, P, left, right, constants[0])
+    return equations.outputs(x, P, left, right, stretch, counted, constants[0])

@@ -19,19 +19,17 @@ from trackslip_estimation.filters.model import ICR, Gaussian
 from trackslip_estimation.filters.speed_model import (
     COMMON_SLIP,
     FIRST,
-    RATE,
     SECOND,
     SIZE,
-    SPEED,
     SpeedModel,
     SpeedNoise,
-    misfit_variance,
 )
 from trackslip_estimation.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
 LEFT_CENTRE, RIGHT_CENTRE = FIRST, SECOND
+_NARROWEST = 0.1  # m between the two centres, however little the vehicle resists to turn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,34 +62,29 @@ class IcrModel(SpeedModel):
         """The centres move in turns only."""
         walk = super().walk(motion)
         if motion.motion is Motion.TURNING:
-            walk[LEFT_CENTRE] = walk[RIGHT_CENTRE] = self.noise.centre
+            walk[LEFT_CENTRE] = walk[RIGHT_CENTRE] = self.noise.centre * self.hurry(motion)
         return walk
 
 
 @compiled
-def sprockets(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
-    """(2,) v − ω y_j − r ω_j (1 − i₀) in m/s, left and right, both measured as zero."""
+def equations(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float]:
+    """v in m/s and ω in rad/s but for the misfits: r ω_j (1 − i₀) = v − ω y_j solved for them."""
     hold = c.rolling_radius * (1.0 - x[COMMON_SLIP])
-    return np.array(
-        (
-            x[SPEED] - x[RATE] * x[LEFT_CENTRE] - left * hold,
-            x[SPEED] - x[RATE] * x[RIGHT_CENTRE] - right * hold,
-        )
-    )
+    rate = hold * (right - left) / max(x[LEFT_CENTRE] - x[RIGHT_CENTRE], _NARROWEST)
+    return hold * (left + right) / 2.0 + rate * (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0, rate
 
 
 @compiled
-def sprockets_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
-    """(2, 10) derivative of ``sprockets`` by the state."""
-    H = np.zeros((2, SIZE))
-    H[0, SPEED] = H[1, SPEED] = 1.0
-    H[0, RATE], H[1, RATE] = -x[LEFT_CENTRE], -x[RIGHT_CENTRE]
-    H[0, LEFT_CENTRE] = H[1, RIGHT_CENTRE] = -x[RATE]
-    H[0, COMMON_SLIP], H[1, COMMON_SLIP] = c.rolling_radius * left, c.rolling_radius * right
-    return H
-
-
-@compiled
-def sprockets_noise(left: float, right: float, stretch: float, rounding: float, c: Any) -> FloatArray:
-    """R (2, 2); ``rounding`` is the variance of one track's speed from counting, (m/s)²."""
-    return np.eye(2) * (misfit_variance(left, right, stretch, c) + rounding)
+def equations_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+    """(3, 10) derivative of v and ω by the state, in the first and last row."""
+    J = np.zeros((3, SIZE))
+    apart, middle = x[LEFT_CENTRE] - x[RIGHT_CENTRE], (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0
+    rate = equations(x, left, right, c)[1]
+    if apart > _NARROWEST:
+        J[2, LEFT_CENTRE], J[2, RIGHT_CENTRE] = -rate / apart, rate / apart
+    J[2, COMMON_SLIP] = -c.rolling_radius * (right - left) / max(apart, _NARROWEST)
+    J[0] = middle * J[2]
+    J[0, LEFT_CENTRE] += rate / 2.0
+    J[0, RIGHT_CENTRE] += rate / 2.0
+    J[0, COMMON_SLIP] -= c.rolling_radius * (left + right) / 2.0
+    return J

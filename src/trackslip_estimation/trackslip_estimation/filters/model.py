@@ -34,7 +34,9 @@ CONSTANTS = np.dtype(
         ("encoder", np.float64),  # (3.21), √s
         ("straight_misfit", np.float64),
         ("turning_misfit", np.float64),
+        ("changing_misfit", np.float64),
         ("standing_misfit", np.float64),  # m/s
+        ("yielding_slip", np.float64),
         ("misfit_time", np.float64),  # τ, s
         ("walk", np.float64, (4, 2, LARGEST_STATE)),  # variance per s, by motion and whether it changes
     ],
@@ -57,7 +59,7 @@ class Measured(NamedTuple):
     noise: FloatArray  # (m, m) R
 
 
-DRIVEN = Measured(SPROCKETS, np.zeros(2), np.zeros((2, 2)))  # a sprocket sample: its noise is the model's
+DRIVEN = Measured(SPROCKETS, np.empty(0), np.empty((0, 0)))  # a sprocket sample: drives the prediction
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sub-model 1b: not the slips are constant on a soil, but how the vehicle turns (symbols: ``speed_model``).
 
-    κ    turning efficiency, ω = κ D/B                  1
-    η    speed lost in a turn, v = (1 − i₀) V − η |D|/2 1
+    κ    turning efficiency, ω = κ D/B + m_ω                   1
+    η    speed lost in a turn, v = (1 − i₀) V − η |D|/2 + m_v  1
 
 κ, η and x_I learn in turns only, i₀ while driving. The equations are the same in left and right turns:
 outer and inner track keep their roles.
@@ -20,13 +20,10 @@ from trackslip_estimation.filters.model import TURNING, Gaussian
 from trackslip_estimation.filters.speed_model import (
     COMMON_SLIP,
     FIRST,
-    RATE,
     SECOND,
     SIZE,
-    SPEED,
     SpeedModel,
     SpeedNoise,
-    misfit_variance,
 )
 from trackslip_estimation.motion import Motion, MotionState
 
@@ -68,34 +65,23 @@ class TurningModel(SpeedModel):
         """κ and η change in turns only."""
         walk = super().walk(motion)
         if motion.motion is Motion.TURNING:
-            walk[EFFICIENCY], walk[LOSS] = self.noise.efficiency, self.noise.loss
+            hurry = self.hurry(motion)
+            walk[EFFICIENCY], walk[LOSS] = self.noise.efficiency * hurry, self.noise.loss * hurry
         return walk
 
 
 @compiled
-def sprockets(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
-    """(2,) v − (1 − i₀) V + η |D|/2 in m/s and ω − κ D/B in rad/s, both measured as zero."""
+def equations(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float]:
+    """v in m/s and ω in rad/s but for the misfits."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
-    return np.array(
-        (
-            x[SPEED] - (1.0 - x[COMMON_SLIP]) * V + x[LOSS] * abs(D) / 2.0,
-            x[RATE] - x[EFFICIENCY] * D / c.tread,
-        )
-    )
+    return (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * abs(D) / 2.0, x[EFFICIENCY] * D / c.tread
 
 
 @compiled
-def sprockets_jacobian(left: float, right: float, c: Any) -> FloatArray:
-    """(2, 10) derivative of ``sprockets`` by the state."""
+def equations_jacobian(left: float, right: float, c: Any) -> FloatArray:
+    """(3, 10) derivative of v and ω by the state, in the first and last row."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
-    H = np.zeros((2, SIZE))
-    H[0, SPEED], H[0, COMMON_SLIP], H[0, LOSS] = 1.0, V, abs(D) / 2.0
-    H[1, RATE], H[1, EFFICIENCY] = 1.0, -D / c.tread
-    return H
-
-
-@compiled
-def sprockets_noise(left: float, right: float, stretch: float, rounding: float, c: Any) -> FloatArray:
-    """R (2, 2); ``rounding`` is the variance of one track's speed from counting, (m/s)²."""
-    misfit = misfit_variance(left, right, stretch, c)
-    return np.array(((misfit + rounding / 2.0, 0.0), (0.0, (misfit + 2.0 * rounding) / c.tread**2)))
+    J = np.zeros((3, SIZE))
+    J[0, COMMON_SLIP], J[0, LOSS] = -V, -abs(D) / 2.0
+    J[2, EFFICIENCY] = D / c.tread
+    return J
