@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a study varies and holds (``config/study.yaml``), and one cell of its grid."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, from_flat, parameter
+
+NODE = "study"
+SHEAR, MATCHED = "shear", "matched"
+TRUTHS = (SHEAR, MATCHED)
+FILTERS = ("ekf", "daf")
+_SHORTEST = 1.0  # s to be scored
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyParameters(Parameters):
+    """The drive, its sensors, and the grid."""
+
+    scenario: str = parameter("name in config/scenarios, or a file")
+    duration: float = parameter("of the drive, the scenario repeated or cut", unit="s", gt=1.0, le=3600.0)
+    settling: float = parameter("time at the start that is not scored", unit="s", ge=0.0)
+    truths: tuple[str, ...] = parameter("how the truth comes about", choices=TRUTHS)
+    soils: tuple[str, ...] = parameter("names in config/soils.yaml")
+    filters: tuple[str, ...] = parameter("which filters", choices=FILTERS)
+    sigma_xy: tuple[float, ...] = parameter("noise of the fixes, x and y", unit="m", gt=0.0, le=100.0)
+    sigma_omega: tuple[float, ...] = parameter("noise of the gyro", unit="rad/s", gt=0.0, le=100.0)
+    sigma_heading: float = parameter("noise of the fixes' heading", unit="rad", gt=0.0, le=3.0)
+    seeds: int = parameter("runs of each cell", ge=1, le=100_000)
+    sprocket_rate: float = parameter("sprocket samples", unit="Hz", ge=1.0, le=1000.0)
+    gyro_rate: float = parameter("yaw rates", unit="Hz", ge=1.0, le=1000.0)
+    fix_rate: float = parameter("poses", unit="Hz", ge=1.0, le=1000.0)
+
+    def __post_init__(self) -> None:
+        """Check also what belongs together.
+
+        Raises:
+            InputError: a value is refused, or nothing is left to score.
+        """
+        super().__post_init__()
+        if self.settling > self.duration - _SHORTEST:
+            accepted = f"up to {_SHORTEST:g} s less than the duration, {self.duration:g} s"
+            raise InputError(f"{NODE}: settling: {self.settling:g} s is refused; accepted: {accepted}")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One combination; its seeds are its runs."""
+
+    truth: str
+    soil: str
+    filter: str
+    sigma_xy: float  # m
+    sigma_omega: float  # rad/s
+
+
+def load_study_parameters(given: dict[str, object]) -> StudyParameters:
+    """The defaults of ``config/`` with names over them.
+
+    Raises:
+        InputError: a name is unknown or a value refused.
+    """
+    return from_flat(StudyParameters, node_defaults(NODE, "study.yaml") | given, NODE)
+
+
+def cells(p: StudyParameters) -> Iterator[Cell]:
+    """The grid, what varies fastest last."""
+    for combination in product(p.truths, p.soils, p.filters, p.sigma_omega, p.sigma_xy):
+        truth, soil, filter_, sigma_omega, sigma_xy = combination
+        yield Cell(truth, soil, filter_, sigma_xy, sigma_omega)
