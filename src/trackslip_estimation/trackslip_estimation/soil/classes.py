@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which of the known soils the strength posterior points to, if any.
+
+    P(class) ∝ π Σ p/p₀ N(ln K; class) N(ln F_max; class)        'none of these': flat over the grid, like p₀
+
+    c, ϕ     apparent cohesion, angle of internal shearing resistance       Pa, rad
+    A, W     contact area of both tracks 2 b l, weight                      m², N
+
+c and ϕ are not to be told apart at one load: all pairs on the line A c + W tan ϕ = 2 F_max have that F_max.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.soils import Soil
+from trackslip_estimation.terramechanics.strength import thrust_limit
+from trackslip_estimation.vehicle import Vehicle
+
+FloatArray = NDArray[np.float64]
+
+NONE = "none of these"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClassesParameters(Parameters):
+    """How far a soil of a class may be from its table, and how many soils are in no table."""
+
+    modulus_spread: float = parameter("standard deviation of ln K within a class", gt=0.0)
+    limit_spread: float = parameter("standard deviation of ln F_max within a class", gt=0.0)
+    none_prior: float = parameter("probability that a soil is none of the known", gt=0.0, lt=1.0)
+
+
+class SoilClasses:
+    """The known soils, as densities over the grid of a ``StrengthPosterior``."""
+
+    def __init__(
+        self,
+        parameters: ClassesParameters,
+        soils: Iterable[Soil],
+        vehicle: Vehicle,
+        log_moduli: FloatArray,
+        log_limits: FloatArray,
+    ) -> None:
+        known = tuple(soils)
+        self.names = (*(soil.name for soil in known), NONE)
+        flat = np.ones((log_moduli.size, log_limits.size))
+        each = (1.0 - parameters.none_prior) / max(len(known), 1)
+        densities = [each * _density(parameters, s, vehicle, log_moduli, log_limits) for s in known]
+        self._densities = np.stack((*densities, parameters.none_prior * flat))
+
+    def probabilities(self, grid: FloatArray) -> dict[str, float]:
+        """Probability of each name; ``grid`` (moduli, limits) is that of the posterior, of a flat prior."""
+        evidence = np.tensordot(self._densities, grid, axes=2)
+        return dict(zip(self.names, (evidence / evidence.sum()).tolist(), strict=True))
+
+
+def limit_of(soil: Soil, vehicle: Vehicle) -> float:
+    """F_max of one track on a soil, N."""
+    area = 2.0 * vehicle.track_width * vehicle.contact_length
+    return float(thrust_limit(soil.cohesion, soil.friction_angle, area, vehicle.weight))
+
+
+def strength_line(limit: float, vehicle: Vehicle) -> tuple[float, float]:
+    """Ends of the line in (c, ϕ): c in Pa where ϕ = 0, and ϕ in rad where c = 0."""
+    area = 2.0 * vehicle.track_width * vehicle.contact_length
+    return 2.0 * limit / area, math.atan(2.0 * limit / vehicle.weight)
+
+
+def _density(
+    p: ClassesParameters, soil: Soil, vehicle: Vehicle, log_moduli: FloatArray, log_limits: FloatArray
+) -> FloatArray:
+    """(moduli, limits) density of a class over that of the flat prior; a soil without K may have any."""
+    along_limits = _normal(log_limits, math.log(limit_of(soil, vehicle)), p.limit_spread)
+    if soil.shear_modulus is None:
+        along_moduli = np.ones(log_moduli.size)
+    else:
+        along_moduli = _normal(log_moduli, math.log(soil.shear_modulus), p.modulus_spread)
+    return np.outer(along_moduli, along_limits)
+
+
+def _normal(centres: FloatArray, mean: float, stddev: float) -> FloatArray:
+    """Density of each cell (n,) over that of an even spread."""
+    width = centres.size * (centres[1] - centres[0])
+    density = np.exp(-0.5 * ((centres - mean) / stddev) ** 2) / (stddev * math.sqrt(2.0 * math.pi))
+    return np.asarray(width * density)

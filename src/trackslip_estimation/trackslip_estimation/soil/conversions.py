@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between messages and the records of the soil estimator. Knows both sides; holds no logic."""
+
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.make import Make, header, stamp_ns_of
+from trackslip_estimation.conversions import PLANE_IN_6
+from trackslip_estimation.motion import Motion
+from trackslip_estimation.soil.records import Hydraulics, Slips, TrackForces, Twist
+from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
+
+
+def hydraulics(message: Any) -> Hydraulics:
+    """From trackslip_msgs/TrackHydraulics."""
+    return Hydraulics(
+        stamp_ns_of(message),
+        float(message.left_pressure),
+        float(message.right_pressure),
+        float(message.left_spool),
+        float(message.right_spool),
+    )
+
+
+def twist(message: Any) -> Twist:
+    """From nav_msgs/Odometry, the planar part."""
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    covariance = np.asarray(message.twist.covariance, dtype=np.float64).reshape(6, 6)[PLANE_IN_6]
+    return Twist(stamp_ns_of(message), np.array((linear.x, linear.y, angular.z)), covariance)
+
+
+def slips(message: Any) -> Slips:
+    """From trackslip_msgs/TrackSlip; a state of motion that is none of its constants is unknown."""
+    mean = np.array((message.left_slip, message.right_slip, message.slip_angle))
+    known = {int(state): state for state in Motion}
+    return Slips(stamp_ns_of(message), mean, known.get(int(message.motion_state), Motion.UNKNOWN))
+
+
+def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
+    """The message for an output: trackslip_msgs/TrackForces or trackslip_msgs/SoilEstimate."""
+    if isinstance(output, TrackForces):
+        return track_forces(make, output, base_frame)
+    return soil_estimate(make, output, base_frame)
+
+
+def track_forces(make: Make, forces: TrackForces, base_frame: str) -> Any:
+    """trackslip_msgs/TrackForces."""
+    numbers = {
+        "thrust": forces.thrust,
+        "resistance": forces.resistance,
+        "thrust_variance": forces.thrust_variance,
+        "resistance_variance": forces.resistance_variance,
+        "thrust_reserve": forces.reserve,
+    }
+    fields = {
+        f"{side}_{name}": pair[k]
+        for name, pair in numbers.items()
+        for k, side in enumerate(("left", "right"))
+    }
+    return make("trackslip_msgs/msg/TrackForces", header=header(make, forces.stamp_ns, base_frame), **fields)
+
+
+def soil_estimate(make: Make, state: SoilState, base_frame: str) -> Any:
+    """trackslip_msgs/SoilEstimate."""
+    found = state.strength
+    (k_low, k_high), (f_low, f_high) = found.shear_modulus_interval, found.thrust_limit_interval
+    return make(
+        "trackslip_msgs/msg/SoilEstimate",
+        header=header(make, state.stamp_ns, base_frame),
+        mu_r=state.mu_r,
+        mu_r_variance=state.mu_r_variance,
+        mu_l=state.mu_l,
+        mu_l_variance=state.mu_l_variance,
+        shear_modulus=found.shear_modulus,
+        shear_modulus_lower=k_low,
+        shear_modulus_upper=k_high,
+        max_tractive_effort=found.thrust_limit,
+        max_tractive_effort_lower=f_low,
+        max_tractive_effort_upper=f_high,
+        identifiable=found.identifiable,
+        reason=found.reason,
+        class_names=list(state.classes),
+        class_probabilities=list(state.classes.values()),
+    )

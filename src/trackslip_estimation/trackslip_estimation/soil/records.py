@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the soil estimator takes in and gives out, and why it refuses an input."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.motion import Motion
+from trackslip_estimation.slip_estimator import Estimate
+
+FloatArray = NDArray[np.float64]
+
+HYDRAULICS, TWIST, SLIPS = "hydraulics", "odometry", "track_slip"  # sources: the topics they come on
+_ROUNDING = 1e-9
+_LARGEST = 1e12  # Pa, m/s, …: beyond it is no measurement
+
+
+@dataclass(frozen=True)
+class Hydraulics:
+    """Travel hydraulics of both tracks; positive drives forward."""
+
+    stamp_ns: int
+    left_pressure: float  # Pa, differential
+    right_pressure: float
+    left_spool: float  # −1 … 1
+    right_spool: float
+    source: str = HYDRAULICS
+
+    def is_finite(self) -> bool:
+        """Whether all are numbers."""
+        values = (self.left_pressure, self.right_pressure, self.left_spool, self.right_spool)
+        return all(abs(v) < _LARGEST for v in values)
+
+
+@dataclass(frozen=True, eq=False)
+class Twist:
+    """Velocity of the machine at C, as the slip estimator gives it."""
+
+    stamp_ns: int
+    mean: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s
+    covariance: FloatArray  # (3, 3)
+    source: str = TWIST
+
+    def is_finite(self) -> bool:
+        """Whether all are numbers, and the covariance of v_x and yaw rate can be one."""
+        if not _are_numbers(self.mean, self.covariance):
+            return False
+        (v_x, _, both), _, (_, _, rate) = self.covariance.tolist()
+        return bool(v_x >= 0.0 and rate >= 0.0 and both**2 <= v_x * rate * (1.0 + _ROUNDING))
+
+
+@dataclass(frozen=True, eq=False)
+class Slips:
+    """Slips of the tracks at the same stamp; how certain they are follows from the twist."""
+
+    stamp_ns: int
+    mean: FloatArray  # (3,) left, right, slip angle rad
+    motion: Motion
+    source: str = SLIPS
+
+    def is_finite(self) -> bool:
+        """Whether all are numbers."""
+        return _are_numbers(self.mean)
+
+
+SoilInput: TypeAlias = Hydraulics | Twist | Slips
+
+
+def inputs_of(estimate: Estimate) -> tuple[Twist, Slips]:
+    """What the slip estimator publishes of an estimate, as the soil estimator takes it."""
+    of = estimate.outputs
+    return (
+        Twist(estimate.stamp_ns, of.twist, of.twist_covariance),
+        Slips(estimate.stamp_ns, of.slips, estimate.motion),
+    )
+
+
+class Refusal(Enum):
+    """Why an input was not used."""
+
+    INVALID = "holds nan or infinity"
+    DUPLICATE = "same stamp as one before"
+    TOO_LATE = "older than what is done already"
+    AHEAD = "far ahead of the others"
+    UNPAIRED = "odometry and track_slip are not both there"
+    RESTARTED = "the clock went back: all begins anew"
+
+
+@dataclass(frozen=True)
+class TrackForces:
+    """Forces between the tracks and the ground; pairs are left, right."""
+
+    stamp_ns: int
+    thrust: tuple[float, float]  # N
+    thrust_variance: tuple[float, float]  # N²
+    resistance: tuple[float, float]  # N
+    resistance_variance: tuple[float, float]  # N²
+    reserve: tuple[float, float]  # 1 − |F|/F_max; nan while F_max is unknown
+
+
+def _are_numbers(*arrays: FloatArray) -> bool:
+    return all(bool((np.abs(array) < _LARGEST).all()) for array in arrays)

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the soil estimator (defaults: ``config/soil_estimator.yaml`` and ``config/pc05.yaml``)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.parameters import Parameters, flat_fields, from_flat, parameter, to_flat
+from trackslip_estimation.soil.classes import ClassesParameters
+from trackslip_estimation.soil.dynamics import DynamicsParameters
+from trackslip_estimation.soil.moments import MomentParameters
+from trackslip_estimation.soil.pressure_watch import WatchParameters
+from trackslip_estimation.soil.strength_parameters import StrengthParameters
+from trackslip_estimation.soil.thrust import ThrustParameters
+from trackslip_estimation.vehicle import Vehicle
+
+NODE = "soil_estimator"
+PARAMETERS = "soil_estimator/parameters"  # topic that carries them into bags
+DEFAULT_FILES = ("pc05.yaml", "soil_estimator.yaml")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoilEstimatorParameters(Parameters):
+    """Everything the soil estimator can be told."""
+
+    vehicle: Vehicle
+    moments: MomentParameters
+    thrust: ThrustParameters
+    watch: WatchParameters
+    dynamics: DynamicsParameters
+    strength: StrengthParameters
+    classes: ClassesParameters
+    base_frame: str = parameter("frame of the machine, at the track-contact centre")
+    forces_period: float = parameter("between two messages on track_forces", unit="s", gt=0.0, le=10.0)
+    soil_period: float = parameter("between two messages on soil", unit="s", gt=0.0, le=60.0)
+    low_reserve: float = parameter(
+        "share of F_max that a track should keep in reserve", ge=0.0, lt=1.0, read_only=False
+    )
+    high_slip: float = parameter("slip of a track that digs in", gt=0.0, le=1.0, read_only=False)
+    stuck_time: float = parameter(
+        "without reserve and at high slip for so long, a track is getting stuck",
+        unit="s",
+        gt=0.0,
+        read_only=False,
+    )
+
+    def changed(self, values: Mapping[str, Any]) -> "SoilEstimatorParameters":
+        """These parameters with other values; dotted names.
+
+        Raises:
+            InputError: a name is unknown or a value refused.
+        """
+        return from_flat(SoilEstimatorParameters, to_flat(self) | dict(values), NODE)
+
+
+def reloadable() -> frozenset[str]:
+    """The parameters that may change while the estimator runs; dotted names."""
+    return frozenset(name for name, _, spec in flat_fields(SoilEstimatorParameters) if not spec.read_only)
+
+
+def load_soil_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SoilEstimatorParameters:
+    """The defaults of ``config/`` with layers of dotted names over them, the last one on top.
+
+    Raises:
+        InputError: a name is unknown or a value refused.
+    """
+    values = node_defaults(NODE, *DEFAULT_FILES)
+    for layer in layers:
+        values |= layer
+    return from_flat(SoilEstimatorParameters, values, where)

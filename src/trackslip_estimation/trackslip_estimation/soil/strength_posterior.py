@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shear modulus and strength of the soil, from slip and thrust, as a distribution over a grid.
+
+    K        shear deformation modulus                                     m
+    F_max    maximal tractive effort of one track                          N
+    u        track speed r ω                                               m/s
+    τ        time after which the errors of slip are new ones              s
+    w        weight of a sample of duration dt: dt/τ
+    n        effective samples: how many independent ones are remembered
+
+    p ← (1 − h) p + h p₀        the soil may have changed on the way: h = 1 − e^(−way/mean way on one soil)
+    p ← p L^w                   L: ``strength_grid``
+
+p₀ is flat in ln K and ln F_max. Where the ground stays, p sharpens for good; where it changes, the little
+that flows back from p₀ grows to all of p within a few independent samples.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.soil.shear_field import carry, element_places
+from trackslip_estimation.soil.strength_grid import NODES, log_likelihood
+from trackslip_estimation.soil.strength_parameters import StrengthParameters
+from trackslip_estimation.vehicle import Vehicle
+
+FloatArray = NDArray[np.float64]
+
+LOW, MEDIAN, HIGH = 0.05, 0.5, 0.95
+_LARGEST = 1e6  # m/s, and what else there is but thrusts: beyond it is no measurement
+_LARGEST_THRUST = 1e9  # N
+_EDGE = 1.2  # how near an interval may come to an end of the grid
+_LONGEST = 1.0  # s between two samples; beyond it, what the tracks did meanwhile is not known
+
+
+class Use(Enum):
+    """What became of a sample."""
+
+    GATHERED = "gathered"  # averaged with the next ones
+    USED = "used"  # it completed an average, which was used
+    STANDING = "standing"
+    INVALID = "invalid"  # not finite, a covariance that is none, or a duration out of range
+
+
+@dataclass(frozen=True, eq=False)
+class StrengthSample:
+    """What the slip estimator and the pressures say of one moment."""
+
+    dt: float  # s since the sample before
+    tracks: FloatArray  # (2,) track speeds r ω, left and right, m/s
+    twist: FloatArray  # (3,) v_x, v_y, yaw rate at C
+    twist_covariance: FloatArray  # (3, 3)
+    thrusts: FloatArray  # (2,) of the soil on each track, resistance included, N; nan where not known
+    thrust_variances: FloatArray  # (2,) N²
+
+
+@dataclass(frozen=True)
+class StrengthSummary:
+    """The posterior in numbers: medians, and the interval from 5 to 95 %."""
+
+    shear_modulus: float  # m
+    shear_modulus_interval: tuple[float, float]
+    thrust_limit: float  # N
+    thrust_limit_interval: tuple[float, float]
+    effective_samples: float
+    identifiable: bool
+    reason: str  # why not; empty where it is
+
+
+class StrengthPosterior:
+    """Recursive posterior over (ln K, ln F_max); both tracks share the soil."""
+
+    def __init__(self, parameters: StrengthParameters, vehicle: Vehicle) -> None:
+        p = self.parameters = parameters
+        lowest, highest = p.lowest_limit * vehicle.weight, p.highest_limit * vehicle.weight
+        self._modulus_edges = _edges(p.lowest_modulus, p.highest_modulus, p.modulus_cells)
+        self._limit_edges = _edges(lowest, highest, p.limit_cells)
+        self.log_moduli, self.log_limits = _centres(self._modulus_edges), _centres(self._limit_edges)
+        self._moduli, self._limits = np.exp(self.log_moduli), np.exp(self.log_limits)
+        lasting = p.slip_bias_stddev * vehicle.contact_length / self._moduli
+        self._modulus_blur = _blur(self.log_moduli, lasting)
+        self._limit_blur = _blur(self.log_limits, np.full(p.limit_cells, p.thrust_scale_stddev))
+        self._prior = np.full((p.modulus_cells, p.limit_cells), 1.0 / (p.modulus_cells * p.limit_cells))
+        self._x_e = element_places(vehicle.contact_length, p.elements)
+        self._half_tread = 0.5 * vehicle.tread
+        self.reset()
+
+    def reset(self) -> None:
+        """Know nothing."""
+        self._grid = self._prior.copy()
+        self._age = np.zeros_like(self._grid)  # effective samples since the soil became that of the cell
+        self.effective_samples = 0.0
+        self._leave_ground()
+
+    def _leave_ground(self) -> None:
+        self._displacement = np.zeros((2, self.parameters.elements, 2))
+        self._time, self._sum = 0.0, np.zeros(18)
+
+    def update(self, sample: StrengthSample) -> Use:
+        """Use one sample of slip and thrust."""
+        if not _is_usable(sample):
+            if not 0.0 < sample.dt <= _LONGEST:
+                self._leave_ground()
+            return Use.INVALID
+        self._time += sample.dt
+        self._sum += sample.dt * np.concatenate(
+            (
+                sample.tracks,
+                sample.twist,
+                sample.thrusts,
+                sample.thrust_variances,
+                sample.twist_covariance.ravel(),
+            )
+        )
+        if self._time < self.parameters.interval * (1.0 - 1e-6):
+            return Use.GATHERED
+        tracks, twist, thrusts, variances, covariance = np.split(self._sum / self._time, (2, 5, 7, 9))
+        dt, self._time, self._sum = self._time, 0.0, np.zeros(18)
+        return self._use(dt, tracks, twist, covariance.reshape(3, 3), thrusts, variances)
+
+    def _use(
+        self,
+        dt: float,
+        tracks: FloatArray,
+        twist: FloatArray,
+        covariance: FloatArray,
+        thrusts: FloatArray,
+        variances: FloatArray,
+    ) -> Use:
+        """An average over dt."""
+        p = self.parameters
+        self._displacement = carry(self._displacement, twist, tracks, self._x_e, self._half_tread, dt)
+        rolls = np.abs(tracks) >= p.slowest_track
+        likely = (np.abs(thrusts) < _LARGEST_THRUST) & (variances > 0.0) & (variances < _LARGEST_THRUST**2)
+        thrusts = np.where(rolls & likely, thrusts, np.nan)
+        change = -math.expm1(-abs(float(tracks.mean())) * dt / p.change_distance)
+        if not np.isfinite(thrusts).any():
+            self._learn(np.zeros_like(self._grid), 0.0, change)  # on the way the soil may change unseen
+            return Use.STANDING
+        weight = min(dt / p.correlation_time, 1.0)
+        log = log_likelihood(
+            self._displacement,
+            twist,
+            self._spread(covariance, tracks),
+            tracks,
+            thrusts,
+            variances + p.thrust_stddev**2,
+            self._x_e,
+            self._half_tread,
+            self._moduli,
+            self._limits,
+            NODES,
+            p.thrust_share_stddev * math.sqrt(self._shared()),
+            p.degrees_of_freedom,
+        )
+        self._learn(weight * log, weight, change)
+        return Use.USED
+
+    def _spread(self, covariance: FloatArray, tracks: FloatArray) -> FloatArray:
+        """Upper triangular factor of the twist's covariance, with what it does not know of."""
+        p = self.parameters
+        own = np.square((p.speed_stddev, p.speed_stddev, p.yaw_rate_stddev))
+        slip = p.slip_bias_stddev * float(np.abs(tracks).mean())
+        lasting = np.square((slip, 0.0, slip / self._half_tread))
+        whole = covariance + np.diag(own + self._shared() * lasting)
+        return np.ascontiguousarray(np.linalg.cholesky(whole[::-1, ::-1])[::-1, ::-1])
+
+    def _shared(self) -> float:
+        """How many samples share an error that lasts: it enters each of them as often.
+
+        Together they then are worth hardly more than one sample with this error alone. No more than
+        ``lasting_samples``, lest after a long drive another soil be taken for such an error.
+        """
+        return 1.0 + min(self.effective_samples, self.parameters.lasting_samples)
+
+    def _learn(self, log: FloatArray, weight: float, change: float) -> None:
+        """Both lines of the recursion, and for how long the soil of each cell has been there."""
+        likelihood = np.exp(log - log.max())
+        kept = (1.0 - change) * self._grid * likelihood
+        both = kept + change * self._prior * likelihood
+        self._age = self._age * np.divide(kept, both, out=np.zeros_like(both), where=both > 0.0) + weight
+        self._grid = both / both.sum()
+        self.effective_samples = float(np.sum(self._grid * self._age))
+
+    @property
+    def grid(self) -> FloatArray:
+        """Probability of each cell (moduli, limits); sums to 1.
+
+        Errors that never average come in here: one of the thrust's scale is one of F_max, and one of slip, b,
+        shifts each shear displacement by up to b l, and K with it.
+        """
+        return np.asarray(self._modulus_blur.T @ self._grid @ self._limit_blur)
+
+    def summary(self) -> StrengthSummary:
+        """Medians, intervals, and whether they say something."""
+        grid = self.grid
+        moduli = np.exp(_quantiles(grid.sum(axis=1), self._modulus_edges))
+        limits = np.exp(_quantiles(grid.sum(axis=0), self._limit_edges))
+        reason = self._reason(moduli, limits)
+        return StrengthSummary(
+            float(moduli[1]),
+            (float(moduli[0]), float(moduli[2])),
+            float(limits[1]),
+            (float(limits[0]), float(limits[2])),
+            self.effective_samples,
+            not reason,
+            reason,
+        )
+
+    def _reason(self, moduli: FloatArray, limits: FloatArray) -> str:
+        """Why the posterior does not identify the soil; empty where it does."""
+        p = self.parameters
+        if self.effective_samples < 1.0:
+            return "too little driving yet"
+        if limits[2] > p.widest_ratio * limits[0]:
+            return "F_max: thrusts far below it tell no more than K/F_max; a turn would"
+        if moduli[2] > p.widest_ratio * moduli[0]:
+            return "K: the slips are within their own errors"
+        if moduli[0] < _EDGE * p.lowest_modulus or moduli[2] * _EDGE > p.highest_modulus:
+            return "K: at the end of the range looked for"
+        return ""
+
+
+def _is_usable(sample: StrengthSample) -> bool:
+    needed = (sample.tracks, sample.twist, sample.twist_covariance)
+    if not (0.0 < sample.dt <= _LONGEST and all((np.abs(a) < _LARGEST).all() for a in needed)):
+        return False
+    return bool(np.linalg.eigvalsh(sample.twist_covariance)[0] > -1e-12)
+
+
+def _edges(lowest: float, highest: float, cells: int) -> FloatArray:
+    """Of cells of even width in the logarithm (cells + 1,)."""
+    return np.linspace(math.log(lowest), math.log(highest), cells + 1)
+
+
+def _centres(edges: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (edges[1:] + edges[:-1]))
+
+
+def _blur(centres: FloatArray, stddevs: FloatArray) -> FloatArray:
+    """(n, n) matrix whose rows spread each cell like a Gaussian of its own width; they sum to 1."""
+    width = centres[1] - centres[0]
+    steps = (centres[None, :] - centres[:, None]) / np.maximum(stddevs, 1e-3 * width)[:, None]
+    weights = np.exp(-0.5 * steps**2)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _quantiles(mass: FloatArray, edges: FloatArray) -> FloatArray:
+    """Where the cumulated mass (n,), spread evenly within each cell, passes LOW, MEDIAN and HIGH."""
+    return np.interp((LOW, MEDIAN, HIGH), np.concatenate(((0.0,), np.cumsum(mass))) / mass.sum(), edges)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The soil estimator as a node: what it publishes, what it says is wrong, and that nothing ends it."""
+
+import math
+import signal
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from trackslip_msgs.msg import TrackHydraulics, TrackSlip
+
+from trackslip_estimation.slip_parameters import load_slip_parameters
+from trackslip_estimation.soil.records import Hydraulics, Twist
+from trackslip_estimation.soil.soil_estimator import SoilEstimator
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_sim.scenarios import Scenario, Segment
+from trackslip_sim.soil_inputs import Sensing, soil_inputs
+from trackslip_sim.truth.simulate import simulate
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+INPUTS = ("odometry", "track_slip", "hydraulics")
+_BURST = 50  # inputs sent at a time
+PRESSURES = ("left_pressure", "right_pressure", "left_spool", "right_spool")
+
+
+def message_of(given):
+    """The message that carries an input."""
+    if isinstance(given, Hydraulics):
+        message = TrackHydraulics(**{name: getattr(given, name) for name in PRESSURES})
+    elif isinstance(given, Twist):
+        message = Odometry()
+        v, rate = message.twist.twist.linear, message.twist.twist.angular
+        v.x, v.y, rate.z = map(float, given.mean)
+        covariance = np.zeros((6, 6))
+        covariance[np.ix_((0, 1, 5), (0, 1, 5))] = given.covariance
+        message.twist.covariance = covariance.flatten()
+    else:
+        left, right, angle = map(float, given.mean)
+        message = TrackSlip(left_slip=left, right_slip=right, slip_angle=angle)
+        message.motion_state = int(given.motion)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(given.stamp_ns, 1_000_000_000)
+    return message
+
+
+class Machine:
+    """The node, driven by this test."""
+
+    def __init__(self, programs, observer):
+        self._observer = observer
+        self._topics = {topic: observer.publisher(topic) for topic in INPUTS}
+        self.forces, self.soils = observer.listen("track_forces"), observer.listen("soil")
+        self.healths = observer.healths()
+        self.program = programs.node("soil_estimator")
+        for topic in (*INPUTS, "track_forces", "soil"):
+            observer.wait_for_ends(topic, "soil_estimator")
+        observer.wait(lambda: observer.state("soil_estimator") == "active", "the node to be active")
+
+    def send(self, inputs):
+        """Without waiting for what comes of them."""
+        for given in inputs:
+            self._topics[given.source].publish(message_of(given))
+
+    def feed(self, inputs):
+        """Send them in bursts, each taken before the next one."""
+        taken = 0
+        for k in range(0, len(inputs), _BURST):
+            self.send(inputs[k : k + _BURST])
+            reference = [i for i in inputs[: k + _BURST] if isinstance(i, Twist)]
+            due = math.floor((reference[-1].stamp_ns - reference[0].stamp_ns) / 1e8) if reference else 0
+            taken = max(taken, due - 5)  # the patience of the estimator
+            self._observer.wait(lambda n=taken: len(self.forces) >= n, "forces")
+
+    def until_it_says(self, level, *words):
+        def says(health):
+            return health.name == "soil_estimator" and all(word in health.message for word in words)
+
+        self._observer.wait(lambda: any(says(h) and h.level == level for h in self.healths), f"{words}")
+
+
+@pytest.fixture
+def inputs():
+    segments = (Segment(2.0, 0.0, 0.0), Segment(4.0, 2.0, 2.0), Segment(4.0, 1.0, 2.2))
+    truth = simulate(Scenario(name="test", soil="sand", segments=segments))
+    p = load_soil_parameters()
+    return list(soil_inputs(truth, p.vehicle, load_slip_parameters().motion, Sensing()))
+
+
+def test_the_node_gives_what_the_estimator_gives(programs, observer, inputs):
+    machine = Machine(programs, observer)
+    machine.feed(inputs)
+    estimator = SoilEstimator(load_soil_parameters())
+    outputs = {o.stamp_ns: o for given in inputs for o in estimator.advance(given) if hasattr(o, "thrust")}
+    assert len(machine.forces) >= 0.9 * len(outputs)
+    for message in machine.forces:
+        own = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
+        assert (message.left_thrust, message.right_thrust) == own.thrust
+        assert (message.left_resistance, message.right_resistance) == own.resistance
+    assert machine.soils[-1].mu_r == pytest.approx(0.2, rel=0.05)
+    assert machine.soils[-1].header.frame_id == "base_link"
+    assert sum(machine.soils[-1].class_probabilities) == pytest.approx(1.0)
+    machine.until_it_says(DiagnosticStatus.OK, "running")
+
+
+def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs):
+    machine = Machine(programs, observer)
+    machine.until_it_says(DiagnosticStatus.WARN, "waiting for odometry")
+    nan = float("nan")
+    bad = [
+        Hydraulics(1, nan, nan, nan, nan),
+        Twist(1, np.full(3, nan), np.full((3, 3), -1.0)),
+        Twist(10**15, np.zeros(3), np.zeros((3, 3))),
+    ]
+    machine.send(bad)
+    machine.feed([one for one in inputs if not isinstance(one, Hydraulics)])
+    machine.until_it_says(DiagnosticStatus.ERROR, "hydraulics silent", "held")
+    machine.until_it_says(DiagnosticStatus.ERROR, "slip estimator silent")
+    code, _ = machine.program.end(signal.SIGINT)
+    assert code == 130
+    assert machine.program.stderr.count("Traceback") == 0
+
+
+def test_only_the_limits_of_the_warning_change_while_it_runs(programs, observer):
+    Machine(programs, observer)
+    client = observer.node.create_client(SetParameters, "soil_estimator/set_parameters")
+    observer.wait(client.service_is_ready, "the service")
+    for name, value, accepted in (
+        ("stuck_time", 2.0, True),
+        ("high_slip", 2.0, False),
+        ("vehicle.mass", 1.0, False),
+    ):
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        answer = client.call_async(request)
+        observer.wait(answer.done, "an answer")
+        assert answer.result().results[0].successful is accepted, name
