@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator's parameters inside a bag: one std_msgs/String holding a ROS parameter file.
+"""An estimator's parameters inside a bag: one std_msgs/String holding a ROS parameter file.
 
 A bag then replays with the vehicle it was recorded on, wherever its files have gone.
 """
@@ -11,20 +11,20 @@ import yaml
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
-from trackslip_estimation.bags.reader import Bag
+from trackslip_estimation.bags.reader import Bag, BagMessage
 
 PARAMETERS_TOPIC = "slip_estimator/parameters"
 PARAMETERS_TYPE = "std_msgs/msg/String"
 _NODE = "slip_estimator"
 
 
-def parameters_text(parameters: Mapping[str, Any]) -> str:
-    """The YAML text to put on ``PARAMETERS_TOPIC``; nested or dotted names, as a parameter file has them."""
-    text: str = yaml.safe_dump({_NODE: {"ros__parameters": dict(parameters)}}, sort_keys=False)
+def parameters_text(parameters: Mapping[str, Any], node: str = _NODE) -> str:
+    """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them."""
+    text: str = yaml.safe_dump({node: {"ros__parameters": dict(parameters)}}, sort_keys=False)
     return text
 
 
-def bag_parameters(bag: Bag) -> dict[str, Any]:
+def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
     """Dotted name → value of the parameters that a bag begins with; empty where it holds none.
 
     Later messages tell what was changed while the estimator ran.
@@ -32,18 +32,19 @@ def bag_parameters(bag: Bag) -> dict[str, Any]:
     Raises:
         InputError: what is on the topic is no parameter file.
     """
-    for message in bag.messages([PARAMETERS_TOPIC]):
-        return read_parameters(bag, bag.deserialize(message.raw, message.type_name).data)
+    for message in bag.messages([f"{node}/parameters"]):
+        return read_parameters(bag, message, node)
     return {}
 
 
-def read_parameters(bag: Bag, text: str) -> dict[str, Any]:
+def read_parameters(bag: Bag, message: BagMessage, node: str = _NODE) -> dict[str, Any]:
     """Dotted name → value of one such message.
 
     Raises:
         InputError: it is no parameter file.
     """
+    content = bag.deserialize(message.raw, message.type_name)
     try:
-        return flatten(yaml.safe_load(text)[_NODE]["ros__parameters"])
+        return flatten(yaml.safe_load(content.data)[node]["ros__parameters"])
     except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"bag '{bag.path}': {PARAMETERS_TOPIC} holds no parameters of {_NODE}") from error
+        raise InputError(f"bag '{bag.path}': {node}/parameters holds no parameters of {node}") from error

@@ -18,6 +18,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys.store import Typestore
 
 from trackslip_common.errors import InputError
+from trackslip_estimation.bags.metadata import METADATA
 from trackslip_estimation.bags.salvage import Salvage, salvage
 from trackslip_estimation.bags.types import decode, store_for
 
@@ -104,7 +105,8 @@ class Bag:
         try:
             yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=attrgetter("log_time_ns"))
         except Exception as error:
-            raise InputError(f"bag '{self.path}' is damaged inside ({_line(error)})") from error
+            text = f"bag '{self.path}' is damaged inside ({_line(error)}); trackslip recover saves the rest"
+            raise InputError(text) from error
 
     def deserialize(self, raw: bytes, type_name: str) -> Any:
         """A message object (a dataclass of rosbags), by the bag's own definition of its type.
@@ -112,10 +114,22 @@ class Bag:
         Raises:
             InputError: the type is defined neither in the bag nor here, or ``raw`` is not of it.
         """
+        store = self.store(type_name)
+        try:
+            return decode(store, raw, type_name)
+        except Exception as error:
+            raise InputError(f"bag '{self.path}': bad {type_name} ({_line(error)})") from error
+
+    def store(self, type_name: str) -> Typestore:
+        """What reads a type, by the bag's own definition of it.
+
+        Raises:
+            InputError: the type is defined neither in the bag nor here, or its definition cannot be parsed.
+        """
         try:
             if type_name not in self._stores:
                 self._stores[type_name] = store_for(type_name, self._definition(type_name))
-            return decode(self._stores[type_name], raw, type_name)
+            return self._stores[type_name]
         except InputError as error:
             raise InputError(f"bag '{self.path}': {error}") from error
         except Exception as error:
@@ -157,9 +171,9 @@ def open_bag(path: Path | str) -> Bag:
     try:
         return Bag(path, [_Whole(path)])
     except Exception as error:  # noqa: BLE001 (foreign bytes can raise anything in the parsers)
-        indexed = path.is_file() or (path / "metadata.yaml").exists()
+        indexed = path.is_file() or (path / METADATA).exists()
         reason = _line(error) if indexed else "no metadata.yaml"
-    parts = [_open_file(file) for file in _files(path)]
+    parts = [_open_file(file) for file in bag_files(path)]
     sources = [source for source, _ in parts if source is not None]
     if not sources:
         raise InputError(f"bag '{path}' cannot be read ({reason}); accepted: {ACCEPTED}")
@@ -240,7 +254,7 @@ class _Salvaged:
         pass
 
 
-def _files(path: Path) -> list[Path]:
+def bag_files(path: Path) -> list[Path]:
     """The files of a bag without its metadata, split recordings in order: name_2 before name_10."""
     if not path.is_dir():
         return [path]

@@ -22,8 +22,8 @@ from trackslip_common.errors import InputError
 DEFAULT_DISTRO = "kilted"
 
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*")
-_CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
-_CDR_SLACK = 64  # bytes accepted behind a message
+CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
+CDR_SLACK = 64  # bytes accepted behind a message
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
 
@@ -105,12 +105,12 @@ def decode(store: Typestore, raw: bytes | memoryview, type_name: str) -> Any:
     Raises:
         ValueError: the bytes are not CDR, or far too many. Too few raise whatever rosbags does.
     """
-    if len(raw) < _CDR_HEADER or raw[0] != 0 or raw[1] > 1:
+    if len(raw) < CDR_HEADER or raw[0] != 0 or raw[1] > 1:
         raise ValueError("no CDR header")
     definition = store.get_msgdef(type_name)
     read = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
-    message, end = read(raw[_CDR_HEADER:], 0, definition.cls, store)
-    if len(raw) - _CDR_HEADER - end > _CDR_SLACK:
+    message, end = read(raw[CDR_HEADER:], 0, definition.cls, store)
+    if len(raw) - CDR_HEADER - end > CDR_SLACK:
         raise ValueError("more bytes than the message has")
     return message
 

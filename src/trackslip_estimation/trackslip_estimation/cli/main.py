@@ -11,10 +11,17 @@ from trackslip_common.errors import ExitCode, InputError
 
 # name → module with DESCRIPTION, EXAMPLE, add_arguments and run; those of the simulator where it is installed
 _COMMANDS = {
+    "calibrate": "trackslip_estimation.cli.calibrate_command",
     "import": "trackslip_estimation.cli.import_command",
     "info": "trackslip_estimation.cli.info_command",
+    "record": "trackslip_estimation.cli.record_command",
+    "recover": "trackslip_estimation.cli.recover_command",
     "replay": "trackslip_estimation.cli.replay_command",
+    "report": "trackslip_estimation.cli.report_command",
     "simulate": "trackslip_sim.cli",
+    "study": "trackslip_sim.study.cli",
+    "smooth": "trackslip_estimation.cli.smooth_command",
+    "tune": "trackslip_estimation.cli.tune_command",
 }
 
 

@@ -123,13 +123,13 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _take(self, given: Input) -> None:
         report, estimate = self._estimator.advance(given)
+        if estimate is not None:  # first: somebody steers by it
+            self._publish(estimate)
+        self._reports.publish(conversions.measurement_report(make, report, self._taken))
+        self._taken += 1
         self._watch.add(report)
         if report.outcome is not Outcome.ACCEPTED:
             self.tally.add(report.source, report.outcome)
-        self._reports.publish(conversions.measurement_report(make, report, self._taken))
-        self._taken += 1
-        if estimate is not None:
-            self._publish(estimate)
 
     def _publish(self, estimate: Estimate) -> None:
         frames = self.settings.odom_frame, self.settings.base_frame

@@ -59,6 +59,10 @@ class Edits:
         """Whether the estimator sees anything else than it saw live."""
         return self != Edits(seed=self.seed)
 
+    def hides(self, topic: str, t: float) -> bool:
+        """Whether a topic is withheld at a time, s."""
+        return any(w.topic == topic and w.start_s <= t < w.stop_s for w in self.withhold)
+
 
 def parse_withhold(text: str) -> Withhold:
     """``TOPIC`` or ``TOPIC:T0:T1``.
@@ -112,16 +116,14 @@ def relative(topic: str) -> str:
 
 def apply(edits: Edits, arrivals: Iterable[Arrival], origin_ns: int) -> list[Arrival]:
     """The arrivals as the estimator shall see them; ``origin_ns`` is the bag's first log time."""
-    kept = [arrival for arrival in arrivals if not _withheld(edits, arrival, origin_ns)]
+    kept = [
+        arrival
+        for arrival in arrivals
+        if not edits.hides(arrival.measurement.source, (arrival.log_time_ns - origin_ns) * 1e-9)
+    ]
     for thin in edits.thin:
         kept = list(_thinned(thin, kept, np.random.default_rng(edits.seed)))
     return kept
-
-
-def _withheld(edits: Edits, arrival: Arrival, origin_ns: int) -> bool:
-    t = (arrival.log_time_ns - origin_ns) * 1e-9
-    source = arrival.measurement.source
-    return any(w.topic == source and w.start_s <= t < w.stop_s for w in edits.withhold)
 
 
 def _thinned(thin: Thin, arrivals: Iterable[Arrival], rng: np.random.Generator) -> Iterator[Arrival]:

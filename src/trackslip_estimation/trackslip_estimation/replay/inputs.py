@@ -4,7 +4,7 @@
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,8 @@ from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.topics import TOPICS
 from trackslip_estimation import conversions
+from trackslip_estimation.bags.column_cache import read_columns
+from trackslip_estimation.bags.columns import Columns, IrregularError
 from trackslip_estimation.bags.parameters import bag_parameters, read_parameters
 from trackslip_estimation.bags.reader import Bag, require_topics
 from trackslip_estimation.measurements import (
@@ -27,6 +29,7 @@ from trackslip_estimation.measurements import (
     Measurement,
     Reload,
 )
+from trackslip_estimation.replay import columns as by_column
 from trackslip_estimation.replay.edits import Arrival, Edits, relative
 from trackslip_estimation.replay.scoring import Series
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters, reloadable
@@ -45,6 +48,20 @@ class Taken(NamedTuple):
     sequence: int
     source: str
     stamp_ns: int
+
+
+class _Reader(NamedTuple):
+    """How a source's measurements are read."""
+
+    message: Callable[[Any], Measurement]
+    columns: Callable[[Columns], list[Measurement]]
+
+
+class _Span(NamedTuple):
+    """Log times; None for no limit."""
+
+    start_ns: int | None
+    stop_ns: int | None
 
 
 @dataclass
@@ -67,27 +84,65 @@ def read_inputs(bag: Bag, p: SlipEstimatorParameters, edits: Edits, series: tupl
     backwards = {after: before for before, after in edits.remap.items()}
     require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
     readers = _readers(p)
+    names = {topic: edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+    names = {topic: name for topic, name in names.items() if name in readers or name in (REPORTS, *series)}
+    _require_types(bag, names, p)
+    span = _Span(*(absolute_time(bag, t) for t in (edits.start_s, edits.stop_s)))
+    try:
+        inputs = _from_columns(bag, names, readers, series, span)
+    except IrregularError:
+        inputs = _from_messages(bag, names, readers, series, span)
+    inputs.arrivals = sorted((*inputs.arrivals, *_reloads(bag, *span)), key=lambda a: a.log_time_ns)
+    return inputs
+
+
+def _from_columns(
+    bag: Bag, names: dict[str, str], readers: dict[str, _Reader], series: tuple[str, ...], span: _Span
+) -> Inputs:
+    """All messages of a topic at once.
+
+    Raises:
+        IrregularError: a topic makes no columns.
+    """
+    inputs = Inputs(bag.start_ns)
+    arrivals: list[tuple[int, Arrival]] = []
+    for topic, whole in read_columns(bag, names).items():
+        name, (order, log_times_ns, columns) = names[topic], whole.between(*span)
+        times = log_times_ns.tolist()
+        inputs.messages[name] += len(times)
+        if name in readers:
+            given = map(Arrival, times, readers[name].columns(columns))
+            arrivals += zip(order.tolist(), given, strict=True)
+        stamps_ns = by_column.stamps_ns(columns)
+        if name == REPORTS:
+            rows = (times, columns["sequence"].tolist(), columns["source"].tolist(), stamps_ns.tolist())
+            inputs.journal += map(Taken, *rows)
+        if name in series:
+            inputs.series[name] = _series(stamps_ns, by_column.numbers(columns))
+    inputs.arrivals = [arrival for _, arrival in sorted(arrivals, key=itemgetter(0))]
+    return inputs
+
+
+def _from_messages(
+    bag: Bag, names: dict[str, str], readers: dict[str, _Reader], series: tuple[str, ...], span: _Span
+) -> Inputs:
+    """One message after the other."""
     inputs = Inputs(bag.start_ns)
     collected: dict[str, list[tuple[int, FloatArray]]] = defaultdict(list)
-    names = {topic: edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
-    wanted = {topic for topic, name in names.items() if name in readers or name in (REPORTS, *series)}
-    _require_types(bag, {topic: names[topic] for topic in wanted}, p)
-    start_ns, stop_ns = (_absolute(bag, t) for t in (edits.start_s, edits.stop_s))
-    for message in bag.messages(wanted, start_ns, stop_ns):
+    for message in bag.messages(names, *span):
         name = names[message.topic]
         content = bag.deserialize(message.raw, message.type_name)
         inputs.messages[name] += 1
         if name in readers:
-            inputs.arrivals.append(Arrival(message.log_time_ns, readers[name](content)))
+            inputs.arrivals.append(Arrival(message.log_time_ns, readers[name].message(content)))
         if name == REPORTS:
             stamp_ns = stamp_ns_of(content)
             inputs.journal.append(Taken(message.log_time_ns, content.sequence, content.source, stamp_ns))
         if name in series:
             collected[name].append((stamp_ns_of(content), numbers_of(content)))
-    inputs.arrivals = sorted(
-        (*inputs.arrivals, *_reloads(bag, start_ns, stop_ns)), key=lambda a: a.log_time_ns
-    )
-    inputs.series = {name: _series(rows) for name, rows in collected.items()}
+    for name, rows in collected.items():
+        stamps, numbers = zip(*rows, strict=True)
+        inputs.series[name] = _series(np.array(stamps, dtype=np.int64), np.array(numbers))
     return inputs
 
 
@@ -151,15 +206,25 @@ def numbers_of(message: Any) -> FloatArray:
     return np.concatenate((pose, velocity, message.pose.covariance, message.twist.covariance))
 
 
-def _readers(p: SlipEstimatorParameters) -> dict[str, Callable[[Any], Measurement]]:
-    readers: dict[str, Callable[[Any], Measurement]] = {
-        SPROCKETS: partial(conversions.sprockets, source=SPROCKETS),
-        SET_POSE: partial(conversions.pose_fix, source=SET_POSE),
-    }
+def _readers(p: SlipEstimatorParameters) -> dict[str, _Reader]:
+    def of(
+        source: str, message: Callable[..., Measurement], columns: Callable[..., Any], *told: float
+    ) -> None:
+        def from_message(content: Any) -> Measurement:
+            return message(content, source, *told)
+
+        def from_columns(content: Columns) -> list[Measurement]:
+            found: list[Measurement] = columns(content, source, *told)
+            return found
+
+        readers[source] = _Reader(from_message, from_columns)
+
+    readers: dict[str, _Reader] = {}
+    of(SPROCKETS, conversions.sprockets, by_column.sprockets)
     for source in filter(None, p.yaw_rate_sources):
-        readers[source] = partial(conversions.yaw_rate, source=source, default_variance=p.yaw_rate_stddev**2)
-    for source in filter(None, p.pose_sources):
-        readers[source] = partial(conversions.pose_fix, source=source)
+        of(source, conversions.yaw_rate, by_column.yaw_rates, p.yaw_rate_stddev**2)
+    for source in (SET_POSE, *filter(None, p.pose_sources)):
+        of(source, conversions.pose_fix, by_column.pose_fixes)
     return readers
 
 
@@ -167,7 +232,7 @@ def _reloads(bag: Bag, start_ns: int | None, stop_ns: int | None) -> Iterator[Ar
     """What was changed of the parameters while the estimator ran, as the bag's later messages tell it."""
     before = bag_parameters(bag)
     for message in bag.messages([RELOAD], start_ns, stop_ns):
-        now = read_parameters(bag, bag.deserialize(message.raw, message.type_name).data)
+        now = read_parameters(bag, message)
         changed = {name: now[name] for name in reloadable() & now.keys() if now[name] != before.get(name)}
         if changed:
             yield Arrival(message.log_time_ns, Reload(changed))
@@ -184,13 +249,12 @@ def _require_types(bag: Bag, names: dict[str, str], p: SlipEstimatorParameters) 
             raise InputError(f"bag '{bag.path}': {topic} is a {found}; accepted: {known.type_name}")
 
 
-def _series(rows: list[tuple[int, FloatArray]]) -> Series:
-    """Rows in the order of their stamps, one of each stamp."""
-    by_stamp = dict(rows)
-    stamps = sorted(by_stamp)
-    return Series(np.array(stamps, dtype=np.int64), np.array([by_stamp[stamp] for stamp in stamps]))
+def _series(stamps_ns: NDArray[np.int64], numbers: FloatArray) -> Series:
+    """Rows in the order of their stamps; of several with the same stamp the last."""
+    stamps, from_the_end = np.unique(stamps_ns[::-1], return_index=True)
+    return Series(stamps, numbers[::-1][from_the_end])
 
 
-def _absolute(bag: Bag, seconds: float) -> int | None:
+def absolute_time(bag: Bag, seconds: float) -> int | None:
     """Log time of a time from the bag's first message; None for no limit."""
     return bag.start_ns + round(seconds * 1e9) if np.isfinite(seconds) else None

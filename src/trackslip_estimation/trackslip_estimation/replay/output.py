@@ -13,6 +13,7 @@ from trackslip_estimation.bags.reader import absolute
 from trackslip_estimation.bags.writer import BagWriter
 from trackslip_estimation.replay.inputs import ODOMETRY, REPORTS, TRACK_SLIP
 from trackslip_estimation.replay.run import Replay, message_of
+from trackslip_estimation.replay.soil_output import soil_lines, soil_messages, soil_summary
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters
 
 _NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
@@ -39,6 +40,9 @@ def write_estimates(path: Path, result: Replay, p: SlipEstimatorParameters) -> N
             if estimate is not None:
                 for topic in (ODOMETRY, TRACK_SLIP):
                     write(topic, message_of(topic, estimate, p), estimate.stamp_ns)
+        if result.soil is not None:
+            for topic, message, stamp_ns in soil_messages(result.soil):
+                write(topic, message, stamp_ns)
 
 
 def summary(result: Replay) -> dict[str, Any]:
@@ -62,6 +66,8 @@ def summary(result: Replay) -> dict[str, Any]:
     }
     if result.live is not None:
         content["replay_matches"] = result.live.matches
+    if result.soil is not None:
+        content["soil"] = soil_summary(result.soil)
     return content
 
 
@@ -79,6 +85,8 @@ def text(result: Replay) -> str:
         lines.append("final  " + "  ".join(f"{name} {value:.4f}" for name, value in final.items()))
     lines += _scores(result)
     lines += _live(result)
+    if result.soil is not None:
+        lines += soil_lines(result.soil)
     return "\n".join(lines)
 
 

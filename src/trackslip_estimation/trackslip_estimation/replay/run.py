@@ -26,6 +26,7 @@ from trackslip_estimation.replay.inputs import (
     numbers_of,
     read_inputs,
 )
+from trackslip_estimation.replay.quick import quick_steps
 from trackslip_estimation.replay.scoring import (
     Score,
     Series,
@@ -36,6 +37,7 @@ from trackslip_estimation.replay.scoring import (
     score,
     slip_rmse,
 )
+from trackslip_estimation.replay.soil import SoilReplay
 from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters
 
@@ -80,6 +82,7 @@ class Replay:
     slip_rmse: float | None = None
     live: LiveComparison | None = None
     paths: dict[str, Path] = field(default_factory=dict)
+    soil: SoilReplay | None = None  # where the bag has hydraulics
 
     @property
     def estimates(self) -> list[Estimate]:
@@ -94,17 +97,14 @@ def replay(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | 
         InputError: the bag lacks what is needed.
     """
     began = time.monotonic()
-    reference = reference or next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
+    reference = reference or own_reference(bag)
     wanted = (ODOMETRY, TRACK_SLIP, TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
     inputs = read_inputs(bag, p, edits, wanted)
     arrivals = editing.apply(edits, inputs.arrivals, inputs.origin_ns)
     measurements = list(in_live_order(arrivals, inputs.journal))
-    estimator = SlipEstimator(p)
+    steps = quick_steps(measurements, p) or list(map(SlipEstimator(p).advance, measurements))
     rejected = Tally()
-    steps = []
-    for measurement in measurements:
-        report, estimate = estimator.advance(measurement)
-        steps.append((report, estimate))
+    for report, _ in steps:
         if report.outcome is not Outcome.ACCEPTED:
             rejected.add(report.source, report.outcome)
     duration = _duration(inputs)
@@ -115,19 +115,24 @@ def replay(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | 
     return result
 
 
+def own_reference(bag: Bag) -> str | None:
+    """The topic to score against where none is named, if the bag has one."""
+    return next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
+
+
 def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Input]) -> None:
     """Paths of filter and dead reckoning, and their errors against the reference."""
     estimates = in_order(result.estimates)
     if estimates:
         result.paths["filter"] = path_of(estimates)
-    result.slip_rmse = _slip_error(result, p.vehicle.tread)
+    result.slip_rmse = slip_error(result.inputs, estimates, p.vehicle.tread)
     series = result.inputs.series.get(result.reference or "")
     if series is None:
         return
     by_stamp = sorted(measurements, key=lambda m: m.stamp_ns)
     sprockets = [m for m in by_stamp if isinstance(m, Sprockets) and m.is_finite()]
     gyro = [m for m in by_stamp if isinstance(m, YawRate) and m.is_finite()]
-    reference = _reference_path(series, sprockets[0].stamp_ns if sprockets else 0)
+    reference = reference_path(series, sprockets[0].stamp_ns if sprockets else 0)
     if sprockets and len(reference.stamps_ns):
         start = (reference.stamps_ns[0], reference.poses[0])
         result.paths["dead_reckoning"] = dead_reckon(p.vehicle, sprockets, *start)
@@ -140,10 +145,9 @@ def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Input]
         result.nees = mean_nees(estimates, reference)
 
 
-def _slip_error(result: Replay, tread: float) -> float | None:
-    """Against the true slips, where the bag has them; while the machine moves."""
-    slips, odometry = (result.inputs.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
-    estimates = in_order(result.estimates)
+def slip_error(inputs: Inputs, estimates: list[Estimate], tread: float) -> float | None:
+    """Of estimates in order, against the true slips, where the bag has them; while the machine moves."""
+    slips, odometry = (inputs.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
     if slips is None or odometry is None or not estimates:
         return None
     stamps = np.array([e.stamp_ns for e in estimates], dtype=np.int64)
@@ -151,7 +155,7 @@ def _slip_error(result: Replay, tread: float) -> float | None:
     return slip_rmse(own, moving_slips(odometry, slips, tread))
 
 
-def _reference_path(series: Series, from_ns: int) -> Path:
+def reference_path(series: Series, from_ns: int) -> Path:
     """The reference from the first sprocket sample on, its heading continuous."""
     covered = series.stamps_ns >= from_ns
     poses = series.values[covered, :3].copy()

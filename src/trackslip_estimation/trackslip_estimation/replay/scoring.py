@@ -61,16 +61,22 @@ def score(path: Path, reference: Path) -> Score | None:
 
 def mean_nees(estimates: Sequence[Estimate], reference: Path) -> float | None:
     """Mean NEES of (x, y, heading), each sample with the covariance of the estimate nearest in time."""
-    path = path_of(estimates)
-    inside = _inside(path, reference)
+    return nees(path_of(estimates), np.array([e.pose_covariance for e in estimates]), reference)
+
+
+def nees(path: Path, covariances: FloatArray, reference: Path) -> float | None:
+    """Mean NEES of a path whose poses have ``covariances`` (n, 3, 3)."""
+    found = nees_of_each(path, covariances, reference)[0]
+    return float(np.mean(found)) if len(found) else None
+
+
+def nees_of_each(path: Path, covariances: FloatArray, reference: Path) -> tuple[FloatArray, FloatArray]:
+    """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |P| there."""
     errors = _errors(path, reference)
-    if not len(errors):
-        return None
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
-    nearest = np.searchsorted(midpoints, reference.stamps_ns[inside])
-    covariances = np.array([estimates[i].pose_covariance for i in nearest])
-    weighed = np.linalg.solve(covariances, errors[:, :, np.newaxis])[:, :, 0]
-    return float(np.mean(np.sum(errors * weighed, axis=1)))
+    nearest = covariances[np.searchsorted(midpoints, reference.stamps_ns[_inside(path, reference)])]
+    weighed = np.linalg.solve(nearest, errors[:, :, np.newaxis])[:, :, 0]
+    return np.sum(errors * weighed, axis=1), np.linalg.slogdet(nearest)[1]
 
 
 def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One number found in the bags, or the reason why they do not show it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A value with its 95 % interval; both None where ``reason`` says why not."""
+
+    unit: str
+    value: float | None
+    interval: tuple[float, float] | None
+    basis: str = ""  # what it rests on
+    reason: str = ""
+
+    @property
+    def is_found(self) -> bool:
+        """Whether there is a value."""
+        return self.value is not None
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a JSON file."""
+        interval = None if self.interval is None else list(self.interval)
+        return {
+            "value": self.value,
+            "interval": interval,
+            "unit": self.unit,
+            "basis": self.basis,
+            "reason": self.reason,
+        }
+
+
+def found(value: float, spread: float, unit: str, basis: str) -> Finding:
+    """A value, and half the width of its 95 % interval."""
+    return Finding(unit, float(value), (float(value - spread), float(value + spread)), basis)
+
+
+def refused(reason: str, unit: str = "") -> Finding:
+    """No value."""
+    return Finding(unit, None, None, reason=reason)

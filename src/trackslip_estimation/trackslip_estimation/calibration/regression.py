@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Least squares with intervals that hold although neighbouring errors go together.
+
+    z = X β + e     measured, design, coefficients, errors      (n,), (n, p), (p,), (n,)
+
+``clustered``: errors may go together within a cluster in any way (a second of data, a turn), but not between
+clusters. The covariance of β is the jackknife's: how β moves as each cluster in turn is left out.
+
+``of_increments``: z are increments between readings that have noise of their own, on top of a walk:
+
+    Var z_k = q w_k + ρ (R_{k−1} + R_k)      Cov(z_k, z_{k+1}) = −ρ R_k
+
+R are the variances that the readings claim, w_k what the walk goes with (time, way). ρ is found by restricted
+maximum likelihood. A small walk often looks like none, so β is averaged over √q by that likelihood: the
+interval then holds where a single best q would make it too narrow. With three diagonals all this is cheap.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cholesky_banded, solve_banded
+from scipy.optimize import minimize
+from scipy.stats import t as student
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+CONFIDENCE = 0.95
+_GONE = 12.0  # of −2 log likelihood above the lowest
+_GRID = 24  # sizes of the walk
+
+
+class Fit(NamedTuple):
+    """β and how sure it is."""
+
+    values: FloatArray  # (p,)
+    covariance: FloatArray  # (p, p)
+    dof: int
+
+    def spread(self, index: int = 0) -> float:
+        """Half the width of a coefficient's 95 % interval."""
+        return half_width(math.sqrt(self.covariance[index, index]), self.dof)
+
+
+class Increments(NamedTuple):
+    """Differences between neighbouring readings, in the order of time."""
+
+    z: FloatArray  # (n,)
+    before: FloatArray  # (n,) variance that the earlier reading claims
+    after: FloatArray  # (n,) variance that the later one claims
+    walk: FloatArray  # (n,) w
+    joined: NDArray[np.bool_]  # (n,) whether the earlier reading is the later one of the increment before
+
+
+def half_width(stddev: float, dof: int) -> float:
+    """Half the width of the 95 % interval of a mean."""
+    return float(student.ppf((1.0 + CONFIDENCE) / 2.0, max(dof, 1))) * stddev
+
+
+def clustered(X: FloatArray, z: FloatArray, clusters: IntArray) -> Fit | None:
+    """Ordinary least squares; ``clusters`` (n,) numbers the cluster of each row. None: too few of them."""
+    names = np.unique(clusters)
+    count = len(names)
+    if count <= X.shape[1]:
+        return None
+    A, b = X.T @ X, X.T @ z
+    values = _solved(A, b)
+    if values is None:
+        return None
+    without = []
+    for name in names:
+        rows = clusters == name
+        left_out = _solved(A - X[rows].T @ X[rows], b - X[rows].T @ z[rows])
+        if left_out is None:  # one cluster alone carries a coefficient
+            return None
+        without.append(left_out - values)
+    moved = np.array(without)
+    return Fit(values, (count - 1) / count * moved.T @ moved, count - 1)
+
+
+def of_increments(X: FloatArray, data: Increments) -> Fit | None:
+    """Generalised least squares with noise of unknown size; X (n, p). None: too little to go by."""
+    if len(data.z) <= X.shape[1] + 2:
+        return None
+    typical = float(np.median(data.before + data.after))
+    start = np.log((0.1 * typical / max(float(np.median(data.walk)), 1e-9), 1.0))
+
+    def cost(logs: FloatArray) -> float:
+        solved = _weighed(X, data, *np.exp(np.clip(logs, -60.0, 60.0)))
+        return math.inf if solved is None else solved[0]
+
+    best = minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 200})
+    q, rho = np.exp(np.clip(best.x, -60.0, 60.0))
+    return _averaged(X, data, math.sqrt(max(q, 1e-6 * np.exp(start[0]))), rho)
+
+
+def _averaged(X: FloatArray, data: Increments, size: float, rho: float) -> Fit | None:
+    """Over all √q from 0 to where the likelihood is gone; ``size`` is one where it is not."""
+    lowest = _weighed(X, data, size**2, rho)
+    if lowest is None:
+        return None
+    while (farther := _weighed(X, data, size**2, rho)) is not None and farther[0] - lowest[0] <= _GONE:
+        size *= 2.0
+    found = [_weighed(X, data, root**2, rho) for root in np.linspace(0.0, size, _GRID)]
+    solved = [each for each in found if each is not None]
+    costs = np.array([each[0] for each in solved])
+    weights = np.exp((costs.min() - costs) / 2.0)
+    weights /= weights.sum()
+    values = sum(w * each[1] for w, each in zip(weights, solved, strict=True))
+    covariance = sum(
+        w * (each[2] + np.outer(each[1] - values, each[1] - values))
+        for w, each in zip(weights, solved, strict=True)
+    )
+    return Fit(np.asarray(values), np.asarray(covariance), len(data.z) - X.shape[1])
+
+
+def _weighed(
+    X: FloatArray, data: Increments, q: float, rho: float
+) -> tuple[float, FloatArray, FloatArray] | None:
+    """−2 log likelihood (restricted), β and its covariance; None where the sizes make no sense."""
+    diagonals = np.zeros((2, len(data.z)))
+    diagonals[0] = q * data.walk + rho * (data.before + data.after)
+    diagonals[1, :-1] = np.where(data.joined[1:], -rho * data.before[1:], 0.0)
+    try:
+        L = cholesky_banded(diagonals, lower=True)
+        whitened = solve_banded((1, 0), L, np.column_stack((X, data.z)))
+        A = whitened[:, :-1].T @ whitened[:, :-1]
+        covariance = np.linalg.inv(A)
+    except (LinAlgError, np.linalg.LinAlgError, ValueError):
+        return None
+    values = covariance @ (whitened[:, :-1].T @ whitened[:, -1])
+    rest = whitened[:, -1] - whitened[:, :-1] @ values
+    sign, logarithm = np.linalg.slogdet(A)
+    cost = 2.0 * float(np.sum(np.log(L[0]))) + float(logarithm) + float(rest @ rest)
+    return (cost, values, covariance) if sign > 0.0 and math.isfinite(cost) else None
+
+
+def _solved(A: FloatArray, b: FloatArray) -> FloatArray | None:
+    """A⁻¹ b; None where A is singular, but for rounding."""
+    scale = np.sqrt(np.diag(A))
+    if not (scale > 0.0).all():
+        return None
+    unit = A / np.outer(scale, scale)
+    if np.linalg.cond(unit) > 1e12:
+        return None
+    solved: FloatArray = np.linalg.solve(unit, b / scale) / scale
+    return solved

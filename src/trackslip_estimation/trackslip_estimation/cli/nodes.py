@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The few commands that need ROS load their node here, so that all others run without it."""
+
+import importlib
+from typing import Any
+
+from trackslip_common.errors import InputError
+
+
+def node_module(name: str, asked_by: str) -> Any:
+    """The module of a node.
+
+    Raises:
+        InputError: ROS is not there; ``asked_by`` opens the message.
+    """
+    try:
+        return importlib.import_module(f"trackslip_estimation.nodes.{name}")
+    except ModuleNotFoundError as error:
+        text = (
+            f"{asked_by}: ROS is not there (no module {error.name}); accepted: a shell that sourced its setup"
+        )
+        raise InputError(text) from error

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+// Light and dark: by the system's wish or the button. DARK gives for each colour of a light page the one of
+// a dark page.
+
+const LIGHT = Object.fromEntries(Object.entries(DARK).map(([light, dark]) => [dark, light]))
+const wish = matchMedia("(prefers-color-scheme: dark)")
+let dark = wish.matches
+
+function exchanged(model, colours) {
+  const changes = {}
+  for (const name in model.properties) {
+    if (!name.endsWith("_color")) continue
+    const colour = colours[model[name]?.value ?? model[name]]
+    if (colour !== undefined) changes[name] = colour
+  }
+  return changes
+}
+
+function paint() {
+  document.documentElement.dataset.theme = dark ? "dark" : "light"
+  for (const {all_models} of Bokeh.documents) {
+    for (const model of all_models) model.setv(exchanged(model, dark ? DARK : LIGHT))
+  }
+}
+
+function choose(asDark) {
+  dark = asDark
+  paint()
+}
+
+document.getElementById("theme").addEventListener("click", () => choose(!dark))
+wish.addEventListener("change", () => choose(wish.matches))
+paint()
+const drawn = setInterval(() => {
+  if (Bokeh.documents.length > 0) {
+    clearInterval(drawn)
+    if (dark) paint()
+  }
+}, 20)
