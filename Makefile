@@ -4,10 +4,11 @@ ROS ?=
 DURATION ?=
 SOIL ?=
 RUNS ?=
+ARGS ?=
 VENV := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test soak lint bench fuzz figures clean
+.PHONY: help setup demo bars test soak lint bench fuzz bags figures clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -17,6 +18,9 @@ setup: ## make .venv and build ros2_ws; nothing where nothing changed (ROS=kilte
 
 demo: setup ## drive the emulated excavator, record, replay, score; results in out/demo (DURATION=40 SOIL=sand)
 	@exec $(VENV)/python -m trackslip_sim.demo.main $(if $(DURATION),--duration '$(DURATION)') $(if $(SOIL),--soil '$(SOIL)')
+
+bars: setup ## errors on drives like the demo's on four soils, with and without laser and gyro, beside their limits
+	@exec $(VENV)/python -m trackslip_sim.demo.bars
 
 # The graph's tests run one by one and may be tried twice, which is told: a busy machine can stall a process for seconds.
 test: setup ## all tests but the slow ones
@@ -37,6 +41,9 @@ bench: setup ## speed of filters and drivers on this machine
 
 fuzz: setup ## random bytes into every decoder and reader (RUNS=1000000 per byte parser)
 	@exec $(VENV)/python scripts/fuzz.py $(if $(RUNS),--runs '$(RUNS)')
+
+bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--numbers: only what replays of them give)
+	@exec $(VENV)/python scripts/make_bags.py $(ARGS)
 
 figures: setup ## the pictures of docs/figures
 	@exec $(VENV)/python scripts/figures.py

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import bench_bags
 import bench_filters
 import bench_nodes
 from trackslip_estimation.bags.parameters import bag_parameters
@@ -39,6 +40,8 @@ def main() -> int:
     for row in bench_filters.rows():
         show(*row)
     with tempfile.TemporaryDirectory(prefix="trackslip_bench_") as directory:
+        for row in bench_bags.rows(Path(directory)):
+            show(*row)
         _drivers(Path(directory))
         _graph(Path(directory))
     return 0

@@ -16,7 +16,7 @@ import numpy as np
 from trackslip_estimation.filters import equations
 from trackslip_estimation.filters.batch import Row, make_log, run
 from trackslip_estimation.filters.filter import Filter
-from trackslip_estimation.filters.model import DRIVEN, Gaussian, rate_measured
+from trackslip_estimation.filters.model import DRIVEN, SPROCKETS, Gaussian, rate_measured
 from trackslip_estimation.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip_parameters import load_slip_parameters, make_filter
 
@@ -26,7 +26,7 @@ REPEATS = 3  # of which the fastest counts
 
 
 def rows() -> list[tuple[str, str, str, str]]:
-    """What, here, beside, bar: µs of one prediction and one update, half of them gyro, half sprockets."""
+    """What, here, beside, bar: µs of a row; half of them sprockets that predict, half a gyro, updated."""
     drive = _drive()
     log, start = make_log(drive), _filter("turning", "ekf").initial(np.zeros(3), np.eye(3) * 1e-3)
     found = {}
@@ -87,13 +87,17 @@ def _filterpy(kalman: Any, start: Gaussian, drive: list[Row]) -> None:
     for row in drive:
         left, right, stretch, counted = row.speeds
         kind, z, R = row.measured
-        motion, changing = int(row.motion.motion), int(row.motion.changing)
-        moved = equations.move(their.x, left, right, row.dt, c)
-        their.F = equations.transition(their.x, left, right, row.dt, c)
-        their.Q = equations.process_noise(their.x, left, right, row.dt, motion, changing, c)
+        motion, changing, departure = int(row.motion.motion), int(row.motion.changing), row.motion.departure
+        moved = equations.move(their.x, left, right, row.dt, motion, c)
+        their.F = equations.transition(their.x, left, right, row.dt, motion, c)
+        their.Q = equations.process_noise(
+            their.x, their.P, left, right, row.dt, motion, changing, departure, c
+        )
         their.predict()
         their.x = moved
-        R = equations.noise(kind, R, left, right, stretch, counted, c)
+        if kind == SPROCKETS:  # they drive, and measure nothing
+            continue
+        R = equations.noise(kind, their.x, R, left, right, stretch, counted, c)
         arguments = (left, right, c)
         their.update(
             z,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the model figures of the thesis, from this project's code, into docs/figures (``make figures``)."""
+"""Draws figures of the thesis, from this project's code, into docs/figures (``make figures``)."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from trackslip_estimation.slip_parameters import load_slip_parameters
 from trackslip_estimation.soils import Soil, load_soils
 from trackslip_estimation.terramechanics.domain import FloatArray
 from trackslip_estimation.terramechanics.resistance import longitudinal_resistance
@@ -25,44 +26,18 @@ from trackslip_estimation.terramechanics.turning import (
     triangular_moment,
 )
 from trackslip_estimation.vehicle import Vehicle
+from trackslip_sim.plots import COLOURS, DASHES, STYLE, label, panels, save
 from trackslip_sim.scenarios import load_scenario
+from trackslip_sim.study.figures import runs
+from trackslip_sim.study.parameters import load_study_parameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import load_vehicle
 from trackslip_sim.truth.simulate import simulate
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
 TABLE_6_1 = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
-COLOURS = ("#c2862d", "#6b4a2f", "#3b6ea5", "#b2483f", "#5f8f4e")
-DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 FAST_TURN = 1.37  # rad/s, one track braked
 NORMAL_MU_L = (0.5, 1.3)
-STYLE: dict[str, Any] = {
-    "figure.dpi": 150,
-    "figure.constrained_layout.use": True,
-    "font.size": 9,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#777777",
-    "axes.grid": True,
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.5,
-    "legend.frameon": False,
-}
-
-
-def panels(columns: int) -> tuple[Figure, list[Axes]]:
-    """A row of equal panels."""
-    figure = Figure(figsize=(5.2 * columns, 3.6))
-    return figure, list(figure.subplots(1, columns, squeeze=False)[0])
-
-
-def label(axes: Axes, title: str, x: str, y: str) -> None:
-    """Title and axis labels with units; a thin line at zero."""
-    axes.set(title=title, xlabel=x, ylabel=y)
-    axes.axhline(0.0, color="#777777", linewidth=0.6)
 
 
 def figure_3_7(vehicle: Vehicle) -> Figure:
@@ -221,7 +196,10 @@ def main() -> None:
     vehicle = load_vehicle()
     with style.context(STYLE):
         for name, draw in FIGURES.items():
-            draw(vehicle).savefig(output / f"{name}.png", metadata={"Software": None})
+            save(draw(vehicle), output / f"{name}.png")
+            print(output / f"{name}.png")
+        for name, figure in runs(load_study_parameters({}), load_slip_parameters()):
+            save(figure, output / f"{name}.png")
             print(output / f"{name}.png")
 
 

@@ -44,6 +44,7 @@ TARGETS = {
     "watson_frames": Target("fuzz_serial"),
     "can_frames": Target("fuzz_can"),
     "bag_files": Target("fuzz_files", share=50, longest=4096),
+    "recovered_bags": Target("fuzz_files", share=50, longest=4096),
     "log_files": Target("fuzz_files", share=50, longest=1024),
     "replay_options": Target("fuzz_options", share=10),
 }

@@ -13,6 +13,7 @@ from trackslip_estimation.bags.mapping import read_mapping
 from trackslip_estimation.bags.messages import header, make, serialize
 from trackslip_estimation.bags.parameters import bag_parameters
 from trackslip_estimation.bags.reader import open_bag
+from trackslip_estimation.bags.recover import recover
 from trackslip_estimation.bags.writer import BagWriter
 
 Target = tuple[Callable[[bytes], None], list[bytes]]
@@ -56,6 +57,11 @@ def bag_files() -> Target:
                         bag.deserialize(message.raw, message.type_name)
                 bag_parameters(bag)
 
+    return one_input, [*_mcap_seeds(directory), b"SQLite format 3\0" + bytes(84)]
+
+
+def _mcap_seeds(directory: Path) -> list[bytes]:
+    """A small recording: whole, half, and without its end."""
     with BagWriter(directory / "seed") as bag:
         for n in range(3):
             joints = make("sensor_msgs/msg/JointState", header=header(n, "base_link"), position=[0.5])
@@ -63,7 +69,25 @@ def bag_files() -> Target:
             text = make("std_msgs/msg/String", data="slip_estimator: {ros__parameters: {start: first_fix}}")
             bag.write("/slip_estimator/parameters", "std_msgs/msg/String", serialize(text), n * 400_000_000)
     whole = bag.file.read_bytes()
-    return one_input, [whole, whole[: len(whole) // 2], whole[:-30], b"SQLite format 3\0" + bytes(84)]
+    return [whole, whole[: len(whole) // 2], whole[:-30]]
+
+
+def recovered_bags() -> Target:
+    """A damaged MCAP file: what is recovered of it opens undamaged, and nothing is left where nothing was."""
+    directory = work_directory()
+    damaged, output = directory / "bag.mcap", directory / "out"
+
+    def one_input(data: bytes) -> None:
+        damaged.write_bytes(data)
+        with contextlib.suppress(InputError):
+            recovery = recover(damaged, output)
+            with open_bag(output) as bag:
+                found = sum(1 for _ in bag.messages())
+                if bag.damage or found != recovery.messages:
+                    raise AssertionError(f"{recovery.messages} recovered, {found} there; {bag.damage}")
+        shutil.rmtree(output, ignore_errors=True)
+
+    return one_input, _mcap_seeds(directory)
 
 
 def log_files() -> Target:
@@ -82,4 +106,4 @@ def log_files() -> Target:
     return one_input, [MAPPING + b"\0" + LOG, MAPPING + b"\0" + LOG[:26], MAPPING + b"\0\xff\xfet"]
 
 
-TARGETS = {target.__name__: target for target in (bag_files, log_files)}
+TARGETS = {target.__name__: target for target in (bag_files, recovered_bags, log_files)}

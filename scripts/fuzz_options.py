@@ -5,7 +5,7 @@ import contextlib
 from collections.abc import Callable
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.cli.replay_command import parse_set
+from trackslip_estimation.cli.replay_options import parse_set
 from trackslip_estimation.replay.edits import parse_remap, parse_thin, parse_withhold
 from trackslip_estimation.slip_parameters import load_slip_parameters
 

@@ -9,6 +9,7 @@ setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(),
+    package_data={f"{NAME}.report": ["templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -24,6 +25,7 @@ setup(
         "console_scripts": [
             "box_localizer = trackslip_estimation.executables:box_localizer",
             "slip_estimator = trackslip_estimation.executables:slip_estimator",
+            "soil_estimator = trackslip_estimation.executables:soil_estimator",
             "record = trackslip_estimation.executables:record",
             "trackslip = trackslip_estimation.cli.main:main",
         ]

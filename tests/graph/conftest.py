@@ -31,7 +31,9 @@ from trackslip_common.nodes.qos import offered, wanted
 INSTALL = Path(__file__).resolve().parents[2] / "ros2_ws" / "install"
 PACKAGE_OF = {
     **dict.fromkeys(("can_driver", "watson_imu", "sick_pls"), "trackslip_drivers"),
-    **dict.fromkeys(("box_localizer", "slip_estimator", "record", "trackslip"), "trackslip_estimation"),
+    **dict.fromkeys(
+        ("box_localizer", "slip_estimator", "soil_estimator", "record", "trackslip"), "trackslip_estimation"
+    ),
     "emulator": "trackslip_sim",
 }
 TRANSITIONS = {
@@ -126,8 +128,12 @@ class Programs:
 
     def tool(self, executable: str, *arguments: str) -> Program:
         """An executable of ours with these arguments."""
+        return self.start(self.path(executable), *arguments)
+
+    def path(self, executable: str) -> str:
+        """Where one of ours is."""
         package = PACKAGE_OF[executable]
-        return self.start(str(INSTALL / package / "lib" / package / executable), *arguments)
+        return str(INSTALL / package / "lib" / package / executable)
 
     def python(self, *arguments: str) -> Program:
         """Python with these arguments."""

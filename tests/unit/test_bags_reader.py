@@ -3,9 +3,10 @@
 
 import shutil
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
+import yaml
 from mcap.reader import make_reader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
@@ -74,6 +75,39 @@ def test_bags_of_others_open(
         assert (bag.start_ns, bag.end_ns, bag.message_count) == (10, 30, 3)
         assert [(m.topic, m.log_time_ns) for m in bag.messages()] == [("/a", 10), ("/b", 20), ("/a", 30)]
         assert [bag.deserialize(m.raw, TEXT).data for m in bag.messages(["/a"])] == ["first", "second"]
+
+
+@pytest.mark.parametrize(("storage", "compression"), FORMS)
+def test_split_bags_of_others_open(
+    tmp_path: Path, storage: StoragePlugin, compression: CompressionMode
+) -> None:
+    """As ``ros2 bag record --max-bag-size`` leaves them: one ``metadata.yaml`` over all files."""
+    whole = tmp_path / "split"
+    whole.mkdir()
+    found: list[dict[str, Any]] = []
+    for k in range(3):
+        writer = Writer(tmp_path / f"split_{k}", version=9, storage_plugin=storage)
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+        with writer:
+            connection = writer.add_connection("/a", TEXT, typestore=typestore())
+            for i in range(2):
+                writer.write(connection, 100 * k + i, text(f"{k}{i}"))
+        about = yaml.safe_load((writer.path / "metadata.yaml").read_text(encoding="utf-8"))
+        found.append(about["rosbag2_bagfile_information"])
+        (file,) = found[-1]["relative_file_paths"]
+        shutil.move(writer.path / file, whole / file)
+    first = found[0]
+    first["relative_file_paths"] = [about["relative_file_paths"][0] for about in found]
+    first["files"] = [about["files"][0] for about in found]
+    first["duration"], first["message_count"] = {"nanoseconds": 201}, 6
+    first["topics_with_message_count"][0]["message_count"] = 6
+    (whole / "metadata.yaml").write_text(
+        yaml.safe_dump({"rosbag2_bagfile_information": first}), encoding="utf-8"
+    )
+    with open_bag(whole) as bag:
+        assert (bag.damage, bag.topics["/a"].count) == ("", 6)
+        assert times(bag) == [0, 1, 100, 101, 200, 201]
+        assert [bag.deserialize(m.raw, TEXT).data for m in bag.messages()][-1] == "21"
 
 
 def test_a_bare_file_opens(tmp_path: Path) -> None:

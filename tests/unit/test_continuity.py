@@ -58,6 +58,32 @@ def test_samples_behind_that_agree_say_that_the_clock_went_back() -> None:
     ]
 
 
+def late(judge: Continuity, stamps: list[float], contradicts: bool) -> list[Course]:
+    return [judge.sprockets(round(s * S), 0, contradicts) for s in stamps]
+
+
+def test_late_samples_that_tell_another_story_say_that_the_clock_went_back() -> None:
+    judge = Continuity(GAP_NS, ROW)
+    judge.sprockets(9 * S, 0)
+    assert late(judge, [8.1, 8.2], contradicts=True) == [Course.IN_LINE] * 2
+    assert late(judge, [8.3, 8.4], contradicts=False) == [Course.IN_LINE] * 2  # by chance: they neither add
+    assert late(judge, [8.5, 8.6], contradicts=True) == [Course.IN_LINE, Course.BACK]  # nor end the row
+
+
+def test_late_samples_that_fit_in_say_nothing() -> None:
+    judge = Continuity(GAP_NS, ROW)
+    judge.sprockets(9 * S, 0)
+    assert set(late(judge, [7.0 + k / 100.0 for k in range(3 * ROW)], contradicts=False)) == {Course.IN_LINE}
+
+
+@pytest.mark.parametrize("interruption", [[9.1], [8.0]])
+def test_a_new_head_or_a_step_down_ends_the_late_row(interruption: list[float]) -> None:
+    judge = Continuity(GAP_NS, ROW)
+    judge.sprockets(9 * S, 0)
+    row = late(judge, [8.1, 8.2, 8.3], contradicts=True)
+    assert set(row + late(judge, [*interruption, 8.4, 8.5], contradicts=True)) == {Course.IN_LINE}
+
+
 def test_other_sources_confirm_nothing() -> None:
     judge = Continuity(GAP_NS, ROW)
     assert judge.other(HOUR_NS) is Course.IN_LINE  # before there is a clock to hold it against
@@ -110,6 +136,30 @@ def test_stamps_go_back_only_at_a_restart(found: list[Measurement]) -> None:
     steps = np.diff([e.stamp_ns for e in published])
     assert np.count_nonzero(steps < 0) == 1
     assert published[-1].stamp_ns > 2 * HOUR_NS
+
+
+@pytest.mark.parametrize("back_ms", [203, 740, 1990])
+def test_a_clock_set_back_by_less_than_the_window_is_seen(found: list[Measurement], back_ms: int) -> None:
+    """What comes then looks late, but its positions are new: seen within the confirmations and a few more."""
+    at = next(k for k, m in enumerate(found) if m.stamp_ns > 4 * S)
+    after = moved(found[at:], -back_ms * 1_000_000)
+    estimator, outcomes, published = run([*found[:at], *after])
+    assert estimator.restarts == 1
+    sprockets = [o for m, o in zip(after, outcomes[at:], strict=True) if isinstance(m, Sprockets)]
+    assert sprockets.index(Outcome.RESTARTED) <= 15  # of 10 confirmations
+    fresh = run(after[outcomes.index(Outcome.RESTARTED) - at :])[2]
+    assert same(published[-len(fresh) :], fresh)
+
+
+def test_a_burst_of_late_samples_is_no_other_clock(found: list[Measurement]) -> None:
+    """A stalled link: the sprockets of a second and a half come after those that follow them."""
+    stalled = [m for m in found if isinstance(m, Sprockets) and 4 * S < m.stamp_ns < 5.5 * S]
+    prompt = [m for m in found if m not in stalled]
+    at = next(k for k, m in enumerate(prompt) if m.stamp_ns > 5.8 * S)
+    estimator, outcomes, published = run([*prompt[:at], *stalled, *prompt[at:]])
+    assert estimator.restarts == 0
+    assert set(outcomes) <= {Outcome.ACCEPTED, Outcome.GATED, Outcome.WAITING}
+    np.testing.assert_array_equal(published[-1].pose, run(found)[2][-1].pose)
 
 
 @pytest.mark.parametrize("kind", [Sprockets, YawRate, PoseFix])

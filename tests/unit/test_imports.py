@@ -28,7 +28,7 @@ ROSDEP_KEYS = {
 }
 # No key in rosdep (numba: none for Ubuntu 24.04): requirements/with-apt-ros.txt has them.
 # crccheck comes with cantools.
-PIP_ONLY = {"crccheck", "mcap", "mcap_ros2", "numba", "rich", "rosbags"}
+PIP_ONLY = {"crccheck", "distributed", "joblib", "mcap", "mcap_ros2", "numba", "rich", "rosbags"}
 
 
 def imported(package: str) -> dict[str, set[str]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Box localizer, slip estimator and recorder."""
+"""Box localizer, slip and soil estimators, and recorder."""
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -8,7 +8,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 
 PACKAGE = "trackslip_estimation"
-EXECUTABLES = ("box_localizer", "slip_estimator", "record")
+EXECUTABLES = ("box_localizer", "slip_estimator", "soil_estimator", "record")
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -3,6 +3,9 @@
 
 The sprocket samples are the clock of the estimate. One of them that steps out of line is a bad stamp; many in
 a row that agree with each other are another time.
+
+A step back into the history leaves stamps that look like late data. But late data tell the same story as
+what is there already, while samples stamped anew tell of positions that the sprockets had elsewhere in it.
 """
 
 from dataclasses import dataclass
@@ -25,10 +28,10 @@ class _Row:
     count: int = 0
     last_ns: int = 0
 
-    def add(self, stamp_ns: int, gap_ns: int) -> int:
-        """How many there are now; a sample that does not follow on the last one begins anew."""
-        follows = self.count > 0 and 0 < stamp_ns - self.last_ns <= gap_ns
-        self.count, self.last_ns = (self.count + 1 if follows else 1), stamp_ns
+    def add(self, stamp_ns: int, gap_ns: int, counts: bool = True) -> int:
+        """How many count by now; a sample that does not follow on the last one begins anew."""
+        follows = 0 < stamp_ns - self.last_ns <= gap_ns
+        self.count, self.last_ns = (self.count if follows else 0) + counts, stamp_ns
         return self.count
 
 
@@ -38,11 +41,15 @@ class Continuity:
     def __init__(self, gap_ns: int, confirmations: int) -> None:
         self._gap_ns = gap_ns
         self._confirmations = confirmations
-        self._ahead, self._behind = _Row(), _Row()
+        self._ahead, self._behind, self._late = _Row(), _Row(), _Row()
         self.head_ns: int | None = None  # newest sprocket stamp in line
 
-    def sprockets(self, stamp_ns: int, oldest_ns: int | None) -> Course:
-        """A sprocket sample; ``oldest_ns``: older ones have no place in the history, if there is one."""
+    def sprockets(self, stamp_ns: int, oldest_ns: int | None, contradicts: bool = False) -> Course:
+        """A sprocket sample.
+
+        ``oldest_ns``: older ones have no place in the history, if there is one; ``contradicts``: its
+        positions are not those that the sprockets had then.
+        """
         floors = [] if oldest_ns is None else [oldest_ns]
         if self.head_ns is not None:
             floors.append(self.head_ns - self._gap_ns)
@@ -51,6 +58,10 @@ class Continuity:
             confirmed = self._behind.add(stamp_ns, self._gap_ns) >= self._confirmations
             return Course.BACK if confirmed else Course.BEHIND
         self._behind = _Row()
+        if self.head_ns is None or stamp_ns > self.head_ns:
+            self._late = _Row()
+        elif self._late.add(stamp_ns, self._gap_ns, contradicts) >= self._confirmations:
+            return Course.BACK
         far = self.other(stamp_ns) is Course.AHEAD
         if far and self._ahead.add(stamp_ns, self._gap_ns) < self._confirmations:
             return Course.AHEAD

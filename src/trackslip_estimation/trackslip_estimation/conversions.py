@@ -18,8 +18,9 @@ from trackslip_estimation.slip_estimator import Estimate
 
 FloatArray = NDArray[np.float64]
 
-_POSE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
+PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
 _UNOBSERVED = 1e6  # variance of what a planar estimate says nothing of
+_BLANK_6 = np.diag(np.full(6, _UNOBSERVED))
 
 
 def sprockets(message: Any, source: str) -> Sprockets:
@@ -48,7 +49,7 @@ def yaw_rate(message: Any, source: str, default_variance: float) -> YawRate:
 def pose_fix(message: Any, source: str) -> PoseFix:
     """From geometry_msgs/PoseWithCovarianceStamped, the planar part."""
     pose = planar_pose(message.pose.pose)
-    covariance = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[_POSE_IN_6]
+    covariance = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[PLANE_IN_6]
     return PoseFix(source, stamp_ns_of(message), pose, covariance)
 
 
@@ -151,9 +152,9 @@ def planar_pose_message(make: Make, pose: FloatArray) -> Any:
 
 def in_six(covariance: FloatArray) -> FloatArray:
     """(36,) row-major 6×6 with the planar (3, 3) in its place, the rest marked as not observed."""
-    six = np.diag(np.full(6, _UNOBSERVED))
-    six[_POSE_IN_6] = covariance
-    return six.flatten()
+    six = _BLANK_6.copy()
+    six[PLANE_IN_6] = covariance
+    return six.reshape(36)
 
 
 def _vector(make: Make, x: float, y: float, z: float) -> Any:

@@ -14,6 +14,11 @@ def slip_estimator() -> None:
     start("trackslip_estimation.nodes.slip_estimator")
 
 
+def soil_estimator() -> None:
+    """See ``trackslip_estimation.nodes.soil_estimator``."""
+    start("trackslip_estimation.nodes.soil_estimator")
+
+
 def record() -> None:
     """See ``trackslip_estimation.nodes.record``."""
     start("trackslip_estimation.nodes.record")

@@ -1,62 +1,130 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measurements as a log for ``filters.batch``: the estimator's own inputs, worked out once for many runs."""
+"""Measurements as a log for ``filters.batch``: what the estimator takes, worked out once for many runs.
 
-import math
-from collections.abc import Iterable
-from typing import NamedTuple
+A run over the log ends as ``SlipEstimator`` does on the same measurements in the order of their stamps.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.filters.batch import Log, Row, make_log
-from trackslip_estimation.filters.model import DRIVEN, Measured, pose_measured, rate_measured
-from trackslip_estimation.measurements import Measurement, Sprockets, YawRate
-from trackslip_estimation.motion import MotionParameters, MotionState, classify
+from trackslip_estimation.filters.batch import ASIDE, BoolArray, Log, Row, Run, clock_ns, make_log, run
+from trackslip_estimation.filters.model import SPROCKETS, Gaussian, Measured
+from trackslip_estimation.measurements import SET_POSE, Measurement, PoseFix, Sprockets
+from trackslip_estimation.motion import STANDSTILL, MotionState
+from trackslip_estimation.slip_estimator import SlipEstimator
+from trackslip_estimation.slip_parameters import SlipEstimatorParameters, make_gates
 from trackslip_estimation.sprocket_track import SprocketTrack
-from trackslip_estimation.timeline import key_of
+from trackslip_estimation.stepping import Leg, Stepper
+from trackslip_estimation.timeline import Key, key_of
 
-_FOR_EVER_NS = 2**62  # a log is taken as it is: no stretch in it is too long
+StepAside: TypeAlias = Callable[[Stepper, Gaussian], Gaussian]
+
+_ASIDE = Measured(ASIDE, np.empty(0), np.empty((0, 0)))
+
+
+_OF_RUNS_ONLY = re.compile(
+    r"(turning|icr|noise)\..*|gate_.*|(pose|yaw_rate)_timeouts|filter|kappa|initial_.*"
+)
 
 
 class MeasurementLog(NamedTuple):
-    """What runs over the measurements have in common, whatever their model and noise."""
+    """What runs over the measurements have in common, whatever the noise of their model."""
 
-    start: Measurement  # the first measurement of the kind that was asked for
-    stamps_ns: tuple[int, ...]  # of the rows
+    start: Measurement  # what the estimate starts from
     log: Log
+    asides: Mapping[int, StepAside]  # row → what no kernel does
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """(k,) of the rows."""
+        return self.start.stamp_ns + clock_ns(self.log)
+
+    @property
+    def published(self) -> BoolArray:
+        """(k,) whether the estimator publishes after the row: at the sprocket samples."""
+        published: BoolArray = self.log.flags[:, 0] == SPROCKETS
+        return published
 
 
-def read_measurements(
-    measurements: Iterable[Measurement], motion: MotionParameters, use_heading: bool, start: type[Measurement]
-) -> MeasurementLog:
-    """From the first ``start`` (PoseFix or Sprockets) on, in the order of the stamps, each once.
+def read_measurements(measurements: Iterable[Measurement], p: SlipEstimatorParameters) -> MeasurementLog:
+    """What the estimator takes of the measurements, in the order of the stamps, each once.
 
     Raises:
-        InputError: there is no such measurement.
+        InputError: there is none to start from.
     """
-    by_key = {key_of(m): m for m in reversed(list(measurements)) if m.is_finite()}
-    ordered = [by_key[key] for key in sorted(by_key)]
-    first = next((m for m in ordered if isinstance(m, start)), None)
+    estimator = SlipEstimator(p)
+    taken = _taken(measurements, estimator)
+    first = next((m for m in taken if estimator.begins_with(m)), None)
     if first is None:
-        raise InputError(f"measurements: no {start.__name__} to start from")
-    track = SprocketTrack(_FOR_EVER_NS, math.inf)
-    for m in ordered:
+        raise InputError(f"measurements: none of {len(taken)} to start from (start: {p.start})")
+    track = SprocketTrack(round(p.sprocket_timeout * 1e9), p.max_sprocket_speed)
+    for m in taken:
         if isinstance(m, Sprockets):
             track.add(m)
-    after = [m for m in ordered if key_of(m) > key_of(first)]
-    sources = {name: k for k, name in enumerate(sorted({m.source for m in after}))}
-    rows, state, before_ns = [], MotionState(), first.stamp_ns
-    for m in after:
-        dt = (m.stamp_ns - before_ns) * 1e-9
-        speeds = track.stretch(m.stamp_ns)[0]
-        state = classify(state, speeds.left, speeds.right, dt, motion)
-        rows.append(Row(dt, speeds, state, sources[m.source], _measured(m, use_heading)))
-        before_ns = m.stamp_ns
-    return MeasurementLog(first, tuple(m.stamp_ns for m in after), make_log(rows))
+    numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
+    stepper, before = Stepper(p, track), Leg(first.stamp_ns)
+    rows: list[Row] = []
+    asides: dict[int, StepAside] = {}
+    for m in (m for m in taken if key_of(m) > key_of(first)):
+        for dt, leg, step in _way(stepper, before, m):
+            if step is None:
+                measured = stepper.measured(m, silent=leg.silent)
+                rows.append(Row(dt, stepper.speeds(leg, m), leg.motion, numbers.get(m.source, 0), measured))
+            else:
+                asides[len(rows)] = step
+                rows.append(Row(dt, STANDSTILL, MotionState(), 0, _ASIDE))
+            before = leg
+    return MeasurementLog(first, make_log(rows), asides)
 
 
-def _measured(measurement: Measurement, use_heading: bool) -> Measured:
-    """A measurement as the filters take it."""
-    if isinstance(measurement, Sprockets):
-        return DRIVEN
-    if isinstance(measurement, YawRate):
-        return rate_measured(measurement.rate, measurement.variance)
-    return pose_measured(measurement.pose, measurement.covariance, use_heading)
+def _way(stepper: Stepper, before: Leg, m: Measurement) -> Iterator[tuple[float, Leg, StepAside | None]]:
+    """Seconds, leg and step of each row from one measurement to the next; no step where a kernel does it."""
+    *passed, leg = stepper.legs(before, m.stamp_ns)
+    for drive in passed:
+        dt = (drive.stamp_ns - before.stamp_ns) * 1e-9
+        yield dt, drive, partial(Stepper.driven, leg=drive, dt=dt)
+        before = drive
+    dt = (leg.stamp_ns - before.stamp_ns) * 1e-9
+    if leg.silent:
+        yield dt, leg, partial(Stepper.coasted, before=before, dt=dt)
+        dt = 0.0
+    if isinstance(m, PoseFix) and m.source == SET_POSE:
+        yield dt, leg, partial(Stepper.placed, leg=leg, dt=dt, fix=m)
+    else:
+        yield dt, leg, None
+
+
+def shapes_log(name: str) -> bool:
+    """Whether a parameter (dotted name) has a part in a log; the others only in the runs over it."""
+    return _OF_RUNS_ONLY.fullmatch(name) is None
+
+
+def run_log(log: MeasurementLog, p: SlipEstimatorParameters, keep: BoolArray | None = None) -> Run:
+    """The filter that the parameters choose over a log; see ``batch.run``.
+
+    From those that the log was read with they may differ where ``shapes_log`` says no.
+    """
+    estimator = SlipEstimator(p)
+    estimator.take(log.start)
+    stepper = estimator.stepper
+
+    def aside(row: int, state: Gaussian) -> Gaussian:
+        return log.asides[row](stepper, state)
+
+    return run(log.log, stepper.filter, estimator.history()[0].gaussian, make_gates(p), aside, keep)
+
+
+def _taken(measurements: Iterable[Measurement], estimator: SlipEstimator) -> list[Measurement]:
+    """As the estimator takes them where they come in the order of their stamps; of repeats the first."""
+    taken: dict[Key, Measurement] = {}
+    for given in sorted(measurements, key=key_of):
+        measurement, outcome = estimator.admit(given)
+        if not outcome.refused:
+            taken.setdefault(key_of(measurement), measurement)
+    return list(taken.values())

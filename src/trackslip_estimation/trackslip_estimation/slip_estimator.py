@@ -34,6 +34,12 @@ from trackslip_estimation.timeline import Timeline
 
 FloatArray = NDArray[np.float64]
 
+_OUTCOMES = {
+    Course.IN_LINE: Outcome.ACCEPTED,
+    Course.AHEAD: Outcome.AHEAD,
+    Course.BEHIND: Outcome.TOO_LATE,
+    Course.BACK: Outcome.RESTARTED,
+}
 _NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
 
 
@@ -55,10 +61,12 @@ class SlipEstimator:
     _latest: FilterState  # the one that the newest input made
     _published_ns: int  # stamp of the newest estimate
     _track: SprocketTrack
-    _stepper: Stepper
+    stepper: Stepper
     _continuity: Continuity
 
-    def __init__(self, parameters: SlipEstimatorParameters) -> None:
+    def __init__(self, parameters: SlipEstimatorParameters, window_ns: int | None = None) -> None:
+        """``window_ns``: how late a measurement may come, where it is not the parameters' history window."""
+        self._window_ns = round(parameters.history_window * 1e9) if window_ns is None else window_ns
         self.frozen = False
         self.restarts = 0  # since the clock went back, not those a user asked for
         self._use(parameters)
@@ -82,7 +90,7 @@ class SlipEstimator:
         """
         if isinstance(asked, Reload):
             self._use(self.parameters.changed(asked.values))
-            self._stepper.use(self.parameters)
+            self.stepper.use(self.parameters)
         elif asked.source == RESET:
             self._begin_anew()
         else:
@@ -96,25 +104,16 @@ class SlipEstimator:
         def refused(outcome: Outcome) -> Report:
             return Report(given.source, given.stamp_ns, outcome)
 
-        if not self._is_usable(measurement):
-            return refused(Outcome.INVALID)
-        if self.frozen and isinstance(measurement, PoseFix) and measurement.source != SET_POSE:
-            return refused(Outcome.FROZEN)
-        measurement = self._prepared(measurement)
-        if measurement.stamp_ns == 0 and measurement.source == SET_POSE:
-            return refused(Outcome.WAITING)  # for the first sprocket sample: now is not known yet
-        course = self._course(measurement)
-        if course is Course.AHEAD:
-            return refused(Outcome.AHEAD)
-        if course is Course.BEHIND:
-            return refused(Outcome.TOO_LATE)
-        if course is Course.BACK:
+        measurement, outcome = self.admit(given)
+        if outcome.refused:
+            return refused(outcome)
+        if outcome is Outcome.RESTARTED:
             self._begin_anew()
             self.restarts += 1
             self._course(measurement)
         if self._timeline is None:
-            outcome = self._start(measurement)
-            return refused(Outcome.RESTARTED if course is Course.BACK else outcome)
+            began = self._start(measurement)
+            return refused(outcome if outcome is Outcome.RESTARTED else began)
         reason = self._timeline.refusal(measurement)
         if reason is not None:
             return refused(reason)
@@ -123,6 +122,17 @@ class SlipEstimator:
         report = self._latest.report
         assert report is not None
         return report if report.stamp_ns == given.stamp_ns else replace(report, stamp_ns=given.stamp_ns)
+
+    def admit(self, given: Measurement) -> tuple[Measurement, Outcome]:
+        """The measurement as its source's parameters want it, and what its numbers and its stamp say."""
+        if not self._is_usable(given):
+            return given, Outcome.INVALID
+        if self.frozen and isinstance(given, PoseFix) and given.source != SET_POSE:
+            return given, Outcome.FROZEN
+        measurement = self._prepared(given)
+        if measurement.stamp_ns == 0 and measurement.source == SET_POSE:
+            return given, Outcome.WAITING  # for the first sprocket sample: now is not known yet
+        return measurement, _OUTCOMES[self._course(measurement)]
 
     def advance(self, given: Input) -> tuple[Report, Estimate | None]:
         """``take`` or ``obey``, and the estimate to publish if this was the newest sprocket sample."""
@@ -133,7 +143,7 @@ class SlipEstimator:
         if report.outcome.refused or not newest or not self.started:
             return report, None
         self._published_ns = given.stamp_ns
-        return report, self._estimate(self._latest)
+        return report, self.estimate_of(self._latest)
 
     def estimate(self) -> Estimate:
         """The state at the newest stamp.
@@ -143,7 +153,11 @@ class SlipEstimator:
         """
         if self._timeline is None:
             raise RuntimeError("no estimate yet")
-        return self._estimate(self._timeline.newest)
+        return self.estimate_of(self._timeline.newest)
+
+    def history(self) -> list[FilterState]:
+        """The states in the window, in the order of their stamps."""
+        return [] if self._timeline is None else self._timeline.states
 
     def _use(self, p: SlipEstimatorParameters) -> None:
         self.parameters = p
@@ -155,7 +169,7 @@ class SlipEstimator:
         self._published_ns = -1
         self._timeline = None
         self._track = SprocketTrack(round(p.sprocket_timeout * 1e9), p.max_sprocket_speed)
-        self._stepper = Stepper(p, self._track)
+        self.stepper = Stepper(p, self._track)
         self._continuity = Continuity(round(p.max_gap * 1e9), p.jump_confirmations)
 
     def _is_usable(self, measurement: Measurement) -> bool:
@@ -178,7 +192,9 @@ class SlipEstimator:
         if not isinstance(measurement, Sprockets):
             return self._continuity.other(measurement.stamp_ns)
         oldest_ns = None if self._timeline is None else self._timeline.oldest_ns
-        return self._continuity.sprockets(measurement.stamp_ns, oldest_ns)
+        late = self.newest_ns is not None and measurement.stamp_ns <= self.newest_ns
+        contradicts = late and self._track.contradicts(measurement)
+        return self._continuity.sprockets(measurement.stamp_ns, oldest_ns, contradicts)
 
     def _redo_from(self, measurement: Measurement) -> int | None:
         """A sprocket sample tells what was extrapolated from the one before it on, or from the start."""
@@ -188,33 +204,33 @@ class SlipEstimator:
         last_ns = self._track.last_before(measurement.stamp_ns)
         return -1 if last_ns is None else last_ns
 
-    def _estimate(self, state: FilterState) -> Estimate:
-        mean, covariance = state.gaussian
-        outputs = self._stepper.filter.outputs(state.gaussian, state.speeds)
-        if outputs.slip_covariance[2, 2] == 0.0:  # at a standstill it has none
-            outputs = replace(
-                outputs, slip_covariance=np.diag((0.0, 0.0, _NO_DIRECTION)) + outputs.slip_covariance
-            )
-        return Estimate(state.stamp_ns, mean[POSE], covariance[POSE, POSE], outputs, state.motion.motion)
+    def estimate_of(self, state: FilterState) -> Estimate:
+        """What a state means."""
+        return make_estimate(state.stamp_ns, state.gaussian, self.stepper.outputs(state), state.motion.motion)
 
     def _start(self, measurement: Measurement) -> Outcome:
         """Begin with a fix, a user's word, or the initial pose at the first sprocket sample; else wait."""
-        p = self.parameters
-        window_ns = round(p.history_window * 1e9)
+        p, window_ns = self.parameters, self._window_ns
         if isinstance(measurement, Sprockets):
             self._track.add(measurement)
             self._track.forget_before(measurement.stamp_ns - window_ns)
-        given = isinstance(measurement, PoseFix) and measurement.source == SET_POSE
-        if isinstance(measurement, PoseFix) and (given or p.start == "first_fix"):
-            gaussian = self._start_at(measurement)
-        elif isinstance(measurement, Sprockets) and p.start == "initial_pose":
-            gaussian = self._stepper.filter.initial(*p.initial_pose())
-        else:
+        if not self.begins_with(measurement):
             return Outcome.WAITING
-        agreed_ns = dict.fromkeys((*self._poses, *self._gyros), measurement.stamp_ns)
+        if isinstance(measurement, PoseFix):
+            gaussian = self._start_at(measurement)
+        else:
+            gaussian = self.stepper.filter.initial(*p.initial_pose())
+        agreed_ns = dict.fromkeys(p.timeouts_ns(), measurement.stamp_ns)
         begin = self._latest = FilterState(measurement.stamp_ns, gaussian, agreed_ns)
-        self._timeline = Timeline(window_ns, begin, measurement, self._stepper.step)
+        self._timeline = Timeline(window_ns, begin, measurement, self.stepper.step)
         return Outcome.ACCEPTED
+
+    def begins_with(self, measurement: Measurement) -> bool:
+        """Whether the estimate can start from it: a fix, a user's word, or a sprocket sample."""
+        first_fix = self.parameters.start == "first_fix"
+        if isinstance(measurement, PoseFix):
+            return first_fix or measurement.source == SET_POSE
+        return isinstance(measurement, Sprockets) and not first_fix
 
     def _start_at(self, fix: PoseFix) -> Gaussian:
         """At a fix; a heading that it does not have is that of the parameters."""
@@ -223,5 +239,13 @@ class SlipEstimator:
             initial_pose, initial_covariance = self.parameters.initial_pose()
             covariance[YAW, :] = covariance[:, YAW] = 0.0
             pose[YAW], covariance[YAW, YAW] = initial_pose[YAW], initial_covariance[YAW, YAW]
-        gaussian = self._stepper.filter.initial(pose, covariance)
+        gaussian = self.stepper.filter.initial(pose, covariance)
         return gaussian if fix.source == SET_POSE else self._poses[fix.source].from_sensor(gaussian)
+
+
+def make_estimate(stamp_ns: int, state: Gaussian, outputs: Outputs, motion: Motion) -> Estimate:
+    """What is published of a state."""
+    if outputs.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction
+        any_direction = np.diag((0.0, 0.0, _NO_DIRECTION))
+        outputs = replace(outputs, slip_covariance=any_direction + outputs.slip_covariance)
+    return Estimate(stamp_ns, state.mean[POSE], state.covariance[POSE, POSE], outputs, motion)

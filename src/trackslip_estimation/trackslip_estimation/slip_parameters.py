@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flat_fields, from_flat, parameter, to_flat
 from trackslip_estimation.filters.filter import Filter
+from trackslip_estimation.filters.gating import Gates
 from trackslip_estimation.filters.icr_model import IcrModel, IcrNoise
 from trackslip_estimation.filters.model import Model
 from trackslip_estimation.filters.slip_model import SlipModel, SlipNoise
@@ -70,6 +72,9 @@ class SlipEstimatorParameters(Parameters):
     )
     yaw_rate_signs: tuple[int, ...] = parameter(
         f"1, or -1 for a gyro that is upside down; {_EACH}", ge=-1, le=1
+    )
+    yaw_rate_scales: tuple[float, ...] = parameter(
+        f"what it shows of 1 rad/s: its scale times the cosine of its tilt; {_EACH}", gt=0.0
     )
     yaw_rate_timeouts: tuple[float, ...] = parameter(
         f"as pose_timeouts; {_EACH}", unit="s", ge=0.01, le=3600.0, read_only=False
@@ -153,8 +158,9 @@ class SlipEstimatorParameters(Parameters):
             InputError: a list has neither one value nor as many as there are sources.
         """
         signs = self._each("yaw_rate_signs", self.yaw_rate_sources)
+        scales = self._each("yaw_rate_scales", self.yaw_rate_sources)
         timeouts = (round(t * 1e9) for t in self._each("yaw_rate_timeouts", self.yaw_rate_sources))
-        rows = zip(named(self.yaw_rate_sources), signs, timeouts, strict=True)
+        rows = zip(named(self.yaw_rate_sources), signs, scales, timeouts, strict=True)
         return {source: YawRateSource(*row) for source, *row in rows}
 
     def timeouts_ns(self) -> dict[str, int]:
@@ -195,6 +201,14 @@ def load_slip_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SlipE
     for layer in layers:
         values |= layer
     return from_flat(SlipEstimatorParameters, values, where)
+
+
+def make_gates(p: SlipEstimatorParameters) -> Gates:
+    """Gates of the sources, which are numbered as ``timeouts_ns`` names them."""
+    limits = [np.inf, *(float(chi2.ppf(p.gate_probability, dof)) for dof in (1, 2, 3))]
+    levers = [source.lever for source in p.poses().values()] + [(0.0, 0.0) for _ in p.gyros()]
+    timeouts_ns = np.array(list(p.timeouts_ns().values()), dtype=np.int64)
+    return Gates(np.array(limits), p.gate_relaxation, timeouts_ns, np.array(levers).reshape(-1, 2))
 
 
 def make_filter(p: SlipEstimatorParameters) -> Filter:

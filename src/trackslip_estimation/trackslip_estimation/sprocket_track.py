@@ -7,7 +7,7 @@ it is unknown, whatever the positions at its ends say (a driver that was restart
 Beyond the newest sample it is the same.
 """
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 
 from trackslip_estimation.measurements import Sprockets
 from trackslip_estimation.motion import STANDSTILL, Speeds
@@ -72,6 +72,18 @@ class SprocketTrack:
         return (
             at > 0 and not self._is_long(at) and self._differences(at) is not None and not self._is_sound(at)
         )
+
+    def contradicts(self, sample: Sprockets) -> bool:
+        """Whether its positions cannot be reached from those of the last sample at or before its stamp."""
+        at = bisect_right(self._stamps, sample.stamp_ns)
+        if at == 0:
+            return False
+        before = self._samples[at - 1]
+        elapsed_ns = sample.stamp_ns - before.stamp_ns
+        if before.positions is None or sample.positions is None or elapsed_ns > self._timeout_ns:
+            return False
+        turned = (abs(b - a) for a, b in zip(before.positions, sample.positions, strict=True))
+        return max(turned) > self._max_speed * elapsed_ns * 1e-9
 
     def _between(self, at: int) -> Speeds | None:
         """Mean speeds over the stretch that sample ``at`` closes; None where it does not tell."""

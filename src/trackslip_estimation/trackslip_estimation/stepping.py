@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From one measurement to the next: prediction as the sprockets say, gate, update.
-
-ν    innovation, what a measurement says beyond the prediction
-d²   normalised innovation squared
-"""
+"""From one measurement to the next: prediction as the sprockets say, gate, update."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -11,9 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.filters.linear_algebra import wrap
-from trackslip_estimation.filters.model import DRIVEN, POSE, YAW, Gaussian, pose_measured, rate_measured
-from trackslip_estimation.gate import Gate, admit_bias, admit_pose
+from trackslip_estimation.filters.gating import compile_for, take
+from trackslip_estimation.filters.model import (
+    DRIVEN,
+    POSE,
+    Gaussian,
+    Measured,
+    Outputs,
+    pose_measured,
+    rate_measured,
+)
 from trackslip_estimation.measurements import (
     SET_POSE,
     Measurement,
@@ -23,12 +26,21 @@ from trackslip_estimation.measurements import (
     Sprockets,
     YawRate,
 )
-from trackslip_estimation.motion import STANDSTILL, MotionState, Speeds, classify
+from trackslip_estimation.motion import STANDSTILL, MotionState, Speeds, classify, smoothed
 from trackslip_estimation.silence import make_reach
-from trackslip_estimation.slip_parameters import SlipEstimatorParameters, make_filter
+from trackslip_estimation.slip_parameters import SlipEstimatorParameters, make_filter, make_gates
 from trackslip_estimation.sprocket_track import SprocketTrack
 
 FloatArray = NDArray[np.float64]
+
+
+class Leg(NamedTuple):
+    """A stretch of time up to a stamp, and what the sprockets did in it."""
+
+    stamp_ns: int
+    motion: MotionState = MotionState()
+    speeds: Speeds = STANDSTILL
+    silent: bool = False  # they have said nothing for too long
 
 
 class FilterState(NamedTuple):
@@ -39,8 +51,9 @@ class FilterState(NamedTuple):
     agreed_ns: Mapping[str, int]  # source → when it last was inside the plain gate; never changed in place
     motion: MotionState = MotionState()
     speeds: Speeds = STANDSTILL
-    silent: bool = False  # the sprockets have said nothing for too long
+    silent: bool = False
     report: Report | None = None  # on the measurement that led here
+    predicted: Gaussian | None = None  # before it; None at a start and at a user's word
 
 
 class Stepper:
@@ -48,125 +61,107 @@ class Stepper:
 
     def __init__(self, p: SlipEstimatorParameters, track: SprocketTrack) -> None:
         self.filter = make_filter(p)
+        compile_for(self.filter)
+        smoothed(STANDSTILL, classify(MotionState(), 0.0, 0.0, 0.01, p.motion), 0.0, p.motion)  # these too
         self._reach = make_reach(p)
         self._track = track
+        self._resolution = p.encoder_resolution
         self.use(p)
 
     def use(self, p: SlipEstimatorParameters) -> None:
         """Parameters that may change while it runs; those behind the filter and its noise may not."""
         self._limits, self._max_gap = p.motion, p.max_gap
-        self._gate = Gate(p.gate_probability, p.gate_relaxation)
-        self._poses, self._gyros = p.poses(), p.gyros()
+        self._gates, self._poses = make_gates(p), p.poses()
+        self._numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
 
     def step(self, state: FilterState, measurement: Measurement) -> FilterState:
         """Predict to the stamp of the measurement, then update with it."""
-        stamp_ns = measurement.stamp_ns
+        before, gaussian = Leg(state.stamp_ns, state.motion, state.speeds, state.silent), state.gaussian
+        *passed, leg = self.legs(before, measurement.stamp_ns)
+        for drive in passed:
+            gaussian = self.driven(gaussian, drive, (drive.stamp_ns - before.stamp_ns) * 1e-9)
+            before = drive
+        dt = (leg.stamp_ns - before.stamp_ns) * 1e-9
+        if leg.silent:
+            gaussian, dt = self.coasted(gaussian, before, dt), 0.0
+        return self._measure(gaussian, leg, dt, measurement, state.agreed_ns)
+
+    def outputs(self, state: FilterState) -> Outputs:
+        """Twist and slips."""
+        return self.filter.outputs(state.gaussian, self._smoothed(state.speeds, state.motion))
+
+    def legs(self, before: Leg, stamp_ns: int) -> tuple[Leg, ...]:
+        """The way from one stamp to the next: one leg, but two where the sprockets fall silent between."""
         speeds, known_ns = self._track.stretch(stamp_ns)
-        if known_ns < stamp_ns:  # the rest is silence
-            if state.stamp_ns <= known_ns:
-                state = self._drive(state, self._track.stretch(known_ns)[0], known_ns)
-            state = self._coast(state, stamp_ns)
-            moved = state._replace(speeds=speeds)
-        else:
-            dt = (stamp_ns - state.stamp_ns) * 1e-9
-            motion = classify(state.motion, speeds.left, speeds.right, dt, self._limits)
-            moved = FilterState(stamp_ns, state.gaussian, state.agreed_ns, motion, speeds)
-        return self._measure(moved, (stamp_ns - state.stamp_ns) * 1e-9, measurement)
+        if known_ns >= stamp_ns:
+            return (self._drive(before, speeds, stamp_ns),)
+        silence = Leg(stamp_ns, speeds=speeds, silent=True)
+        if before.stamp_ns > known_ns:
+            return (silence,)
+        return self._drive(before, self._track.stretch(known_ns)[0], known_ns), silence
 
-    def _drive(self, state: FilterState, speeds: Speeds, stamp_ns: int) -> FilterState:
-        """Predicted with known sprocket speeds."""
-        dt = (stamp_ns - state.stamp_ns) * 1e-9
-        motion = classify(state.motion, speeds.left, speeds.right, dt, self._limits)
-        gaussian = self._predicted(state.gaussian, speeds, dt, motion)
-        return FilterState(stamp_ns, gaussian, state.agreed_ns, motion, speeds)
+    def _drive(self, before: Leg, speeds: Speeds, stamp_ns: int) -> Leg:
+        dt = (stamp_ns - before.stamp_ns) * 1e-9
+        return Leg(stamp_ns, classify(before.motion, speeds.left, speeds.right, dt, self._limits), speeds)
 
-    def _coast(self, state: FilterState, stamp_ns: int) -> FilterState:
-        """Predicted in silence. Beyond the largest gap nothing grows: the pose is lost, gates are open."""
-        reach, motion = self._reach, MotionState()
-        dt = min((stamp_ns - state.stamp_ns) * 1e-9, self._max_gap)
-        gaussian = state.gaussian if state.silent else reach.enter(state.gaussian, dt)
-        gaussian = reach.spread(self._predicted(gaussian, STANDSTILL, dt, motion), dt)
-        return FilterState(stamp_ns, reach.forget(gaussian), state.agreed_ns, motion, silent=True)
-
-    def _measure(self, state: FilterState, dt: float, measurement: Measurement) -> FilterState:
-        """``dt`` s later, with the measurement taken or not."""
-        if isinstance(measurement, Sprockets):
-            held = self.filter.step(state.gaussian, state.speeds, dt, state.motion, DRIVEN)
-            outcome = Outcome.JUMPED if self._track.jumps(measurement.stamp_ns) else Outcome.ACCEPTED
-            return state._replace(gaussian=held.updated, report=_report(measurement, outcome))
-        if isinstance(measurement, YawRate):
-            return self._turn(state, dt, measurement)
-        if measurement.source == SET_POSE:
-            moved = self._predicted(state.gaussian, state.speeds, dt, state.motion)
-            return state._replace(
-                gaussian=_placed(moved, measurement), report=_report(measurement, Outcome.ACCEPTED)
-            )
-        return self._fix(state, dt, measurement)
-
-    def _turn(self, state: FilterState, dt: float, measurement: YawRate) -> FilterState:
-        """A gyro's rate; in silence it tells nothing of its bias."""
-        unknown = self._reach.unseen_yaw_rate**2 if state.silent else 0.0
-        measured = rate_measured(measurement.rate, measurement.variance + unknown)
-        held = self.filter.step(state.gaussian, state.speeds, dt, state.motion, measured)
-        timeout_ns = self._gyros[measurement.source].timeout_ns
-        report, surprising = self._gated(state, measurement, held.nis, 1, timeout_ns)
-        if report.outcome is Outcome.GATED:
-            return state._replace(gaussian=held.predicted, report=report)
-        if surprising:
-            expected = self.filter.outputs(held.predicted, state.speeds).twist[2] + held.predicted.mean[-1]
-            wide = admit_bias(held.predicted, float(measurement.rate - expected))
-            held = self.filter.step(wide, state.speeds, 0.0, state.motion, measured)
-        return _agreed(state, held.updated, report)  # surprised or not: now its bias explains it
-
-    def _fix(self, state: FilterState, dt: float, fix: PoseFix) -> FilterState:
-        """A pose, held against that of its sensor."""
-        source = self._poses[fix.source]
-        gaussian = state.gaussian
-        if source.is_apart:
-            gaussian = source.to_sensor(self._predicted(gaussian, state.speeds, dt, state.motion))
-            dt = 0.0
-        heading = source.tells_heading(fix)
-        measured = pose_measured(fix.pose, fix.covariance, heading)
-        held = self.filter.step(gaussian, state.speeds, dt, state.motion, measured)
-        report, surprising = self._gated(state, fix, held.nis, measured.value.size, source.timeout_ns)
-        if report.outcome is Outcome.GATED:
-            return state._replace(gaussian=source.from_sensor(held.predicted), report=report)
-        if surprising:
-            innovation = fix.pose - held.predicted.mean[POSE]
-            innovation[YAW] = wrap(innovation[YAW]) if heading else 0.0
-            wide = admit_pose(held.predicted, innovation)
-            held = self.filter.step(wide, state.speeds, 0.0, state.motion, measured)
-            return state._replace(gaussian=source.from_sensor(held.updated), report=report)
-        return _agreed(state, source.from_sensor(held.updated), report)
-
-    def _predicted(self, state: Gaussian, speeds: Speeds, dt: float, motion: MotionState) -> Gaussian:
+    def driven(self, state: Gaussian, leg: Leg, dt: float) -> Gaussian:
         """``dt`` s later, nothing measured."""
-        return self.filter.step(state, speeds, dt, motion, DRIVEN).predicted
+        return self.filter.step(state, leg.speeds, dt, leg.motion, DRIVEN).predicted
 
-    def _gated(
-        self, state: FilterState, measurement: Measurement, nis: float, dof: int, timeout_ns: int
-    ) -> tuple[Report, bool]:
-        """The report, and whether the measurement passes only because the gate is wide."""
-        limit = self._gate.limits[dof]
-        gate = limit * self._gate.width(state.stamp_ns - state.agreed_ns[measurement.source], timeout_ns)
-        outcome = Outcome.ACCEPTED if nis <= gate else Outcome.GATED
-        return Report(measurement.source, measurement.stamp_ns, outcome, nis, gate, dof), nis > limit
+    def coasted(self, state: Gaussian, before: Leg, dt: float) -> Gaussian:
+        """``dt`` s of silence later. Beyond the largest gap nothing grows: the pose is lost, gates open."""
+        reach, dt = self._reach, min(dt, self._max_gap)
+        if not before.silent:
+            state = reach.enter(state, self.filter.outputs(state, before.speeds), dt)
+        return reach.forget(reach.spread(self.driven(state, Leg(0), dt), dt))
 
+    def placed(self, state: Gaussian, leg: Leg, dt: float, fix: PoseFix) -> Gaussian:
+        """``dt`` s later, with a user's word for the pose; what else was learned stays."""
+        mean, covariance = self.driven(state, leg, dt)
+        mean[POSE] = fix.pose
+        covariance[POSE, :] = covariance[:, POSE] = 0.0
+        covariance[POSE, POSE] = fix.covariance
+        return Gaussian(mean, covariance)
 
-def _report(measurement: Measurement, outcome: Outcome) -> Report:
-    return Report(measurement.source, measurement.stamp_ns, outcome)
+    def speeds(self, leg: Leg, measurement: Measurement) -> Speeds:
+        """Those that predict the measurement. A gyro is compared with them: their rounding would be in its
+        innovation and its Jacobian both, and bias what it teaches of turning.
+        """
+        return self._smoothed(leg.speeds, leg.motion) if isinstance(measurement, YawRate) else leg.speeds
 
+    def _smoothed(self, speeds: Speeds, motion: MotionState) -> Speeds:
+        return smoothed(speeds, motion, self._resolution, self._limits)
 
-def _agreed(state: FilterState, gaussian: Gaussian, report: Report) -> FilterState:
-    """The state after a measurement that it expected."""
-    agreed_ns = {**state.agreed_ns, report.source: report.stamp_ns}
-    return state._replace(gaussian=gaussian, agreed_ns=agreed_ns, report=report)
+    def measured(self, measurement: Measurement, *, silent: bool) -> Measured:
+        """A measurement as the filter takes it; in silence a gyro tells nothing of its bias."""
+        if isinstance(measurement, Sprockets):
+            return DRIVEN
+        if isinstance(measurement, YawRate):
+            unknown = self._reach.unseen_yaw_rate**2 if silent else 0.0
+            return rate_measured(measurement.rate, measurement.variance + unknown)
+        heading = self._poses[measurement.source].tells_heading(measurement)
+        return pose_measured(measurement.pose, measurement.covariance, heading)
 
-
-def _placed(state: Gaussian, fix: PoseFix) -> Gaussian:
-    """A user's word for the pose, instead of the estimated one; what else was learned stays."""
-    mean, covariance = state.mean.copy(), state.covariance.copy()
-    mean[POSE] = fix.pose
-    covariance[POSE, :] = covariance[:, POSE] = 0.0
-    covariance[POSE, POSE] = fix.covariance
-    return Gaussian(mean, covariance)
+    def _measure(
+        self, state: Gaussian, leg: Leg, dt: float, measurement: Measurement, agreed_ns: Mapping[str, int]
+    ) -> FilterState:
+        """``dt`` s later, with the measurement taken or not."""
+        name, stamp_ns = measurement.source, measurement.stamp_ns
+        predicted: Gaussian | None
+        if isinstance(measurement, Sprockets):
+            outcome = Outcome.JUMPED if self._track.jumps(stamp_ns) else Outcome.ACCEPTED
+            predicted = after = self.driven(state, leg, dt)
+            report = Report(name, stamp_ns, outcome)
+        elif isinstance(measurement, PoseFix) and name == SET_POSE:
+            predicted, after = None, self.placed(state, leg, dt, measurement)
+            report = Report(name, stamp_ns, Outcome.ACCEPTED)
+        else:
+            measured = self.measured(measurement, silent=leg.silent)
+            number, apart_ns = self._numbers[name], stamp_ns - agreed_ns[name]
+            speeds = self.speeds(leg, measurement)
+            taken = take(self.filter, state, speeds, dt, leg.motion, measured, number, apart_ns, self._gates)
+            predicted, after = taken.before, taken.after
+            outcome = Outcome.ACCEPTED if taken.accepted else Outcome.GATED
+            report = Report(name, stamp_ns, outcome, taken.nis, taken.gate, measured.value.size)
+            agreed_ns = {**agreed_ns, name: stamp_ns} if taken.agreed else agreed_ns
+        return FilterState(stamp_ns, after, agreed_ns, leg.motion, leg.speeds, leg.silent, report, predicted)

@@ -47,6 +47,11 @@ class Timeline(Generic[State]):
         """Measurements before this stamp come too late: the start, or what is settled."""
         return max(self._keys[0][0], self._keys[-1][0] - self._window_ns)
 
+    @property
+    def states(self) -> list[State]:
+        """Those in the window, the oldest first."""
+        return list(self._states)
+
     def refusal(self, measurement: Measurement) -> Outcome | None:
         """Why the measurement has no place here, or None."""
         key = key_of(measurement)

@@ -47,5 +47,6 @@ def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
         NodeSpec("trackslip_drivers", "sick_pls", {"serial_port": str(options.devices / "sick")}),
         NodeSpec("trackslip_estimation", "box_localizer"),
         NodeSpec("trackslip_estimation", "slip_estimator"),
+        NodeSpec("trackslip_estimation", "soil_estimator"),
         NodeSpec("trackslip_estimation", "record", {"output": str(options.bag)}),
     ]

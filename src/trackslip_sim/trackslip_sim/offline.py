@@ -34,11 +34,12 @@ from trackslip_estimation.measurements import PoseFix
 from trackslip_sim.excavator import EmulatedExcavator, default_parameters
 from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.truth.record import Truth
-from trackslip_sim.truth_estimates import as_estimate, soil_message
+from trackslip_sim.truth_estimates import as_estimate, forces_message, soil_message
 
 START_NS = 1_000_000_000  # of the counted clock
 _TICK_NS = 2_000_000
 _TRUTH_NS = 10_000_000
+_FORCES_NS = 100_000_000
 _SOIL_NS = 1_000_000_000
 _BODY_FRAME, _SITE_FRAME = "base_link", "odom"
 
@@ -126,6 +127,9 @@ class _Host:
         message = of_estimates.odometry(make, estimate, _SITE_FRAME, _BODY_FRAME)
         self._write("truth/odometry", message, now_ns)
         self._write("truth/track_slip", of_estimates.track_slip(make, estimate, _BODY_FRAME), now_ns)
+        if (now_ns - START_NS) % _FORCES_NS == 0:
+            forces = forces_message(make, at, now_ns, self._vehicle, _BODY_FRAME)
+            self._write("truth/track_forces", forces, now_ns)
         if (now_ns - START_NS) % _SOIL_NS == 0:
             soil = soil_message(make, at, now_ns, self._vehicle, _BODY_FRAME)
             self._write("truth/soil", soil, now_ns)

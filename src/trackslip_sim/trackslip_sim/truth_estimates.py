@@ -10,8 +10,10 @@ from trackslip_common.make import Make, header
 from trackslip_estimation.filters.model import Outputs
 from trackslip_estimation.motion import Motion
 from trackslip_estimation.slip_estimator import Estimate
-from trackslip_estimation.soils import load_soils
-from trackslip_estimation.terramechanics.strength import thrust_limit
+from trackslip_estimation.soil.classes import limit_of
+from trackslip_estimation.soil.conversions import track_forces
+from trackslip_estimation.soil.records import TrackForces
+from trackslip_estimation.soils import soil
 from trackslip_estimation.vehicle import Vehicle
 from trackslip_sim.truth.record import Truth
 
@@ -41,17 +43,31 @@ def _motion(at: Truth) -> Motion:
     return Motion.STRAIGHT if abs(right - left) < _STRAIGHT * fastest else Motion.TURNING
 
 
+def forces_message(make: Make, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_id: str) -> Any:
+    """trackslip_msgs/TrackForces of one sample of the truth."""
+    limit = limit_of(soil(at.soil_name()), vehicle)
+    left, right = float(at.left_thrust[0]), float(at.right_thrust[0])
+    forces = TrackForces(
+        stamp_ns,
+        thrust=(left, right),
+        thrust_variance=(0.0, 0.0),
+        resistance=(float(at.left_resistance[0]), float(at.right_resistance[0])),
+        resistance_variance=(0.0, 0.0),
+        reserve=(1.0 - abs(left) / limit, 1.0 - abs(right) / limit),
+    )
+    return track_forces(make, forces, frame_id)
+
+
 def soil_message(make: Make, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_id: str) -> Any:
     """trackslip_msgs/SoilEstimate of the ground under C: intervals of no width, one class for certain."""
-    soil = load_soils()[at.soil_name()]
-    area = 2.0 * vehicle.track_width * vehicle.contact_length
-    limit = float(thrust_limit(soil.cohesion, soil.friction_angle, area, vehicle.weight))
+    ground = soil(at.soil_name())
+    limit = limit_of(ground, vehicle)
     mobilised = float(at.turning_moment[0]) * 3.0 / (vehicle.weight * vehicle.contact_length)  # (3.8)
-    modulus = soil.value("shear_modulus")
+    modulus = ground.value("shear_modulus")
     return make(
         "trackslip_msgs/msg/SoilEstimate",
         header=header(make, stamp_ns, frame_id),
-        mu_r=soil.value("mu_r"),
+        mu_r=ground.value("mu_r"),
         mu_r_variance=0.0,
         mu_l=mobilised,
         mu_l_variance=0.0,
@@ -63,6 +79,6 @@ def soil_message(make: Make, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_i
         max_tractive_effort_upper=limit,
         identifiable=True,
         reason="",
-        class_names=[soil.name],
+        class_names=[ground.name],
         class_probabilities=array.array("d", (1.0,)),
     )

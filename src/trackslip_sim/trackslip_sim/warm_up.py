@@ -2,10 +2,17 @@
 """Compiles every kernel once, so that no first run has to: ``python -m trackslip_sim.warm_up``."""
 
 from trackslip_estimation.slip_parameters import load_slip_parameters, make_filter
+from trackslip_estimation.soil.soil_estimator import SoilEstimator
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.scenarios import load_scenario
+from trackslip_sim.soil_inputs import Sensing, soil_inputs
+from trackslip_sim.study.drive import make_drive
+from trackslip_sim.study.evaluate import evaluate
+from trackslip_sim.study.parameters import TRUTHS, cells, load_study_parameters
 from trackslip_sim.truth.simulate import MODES, simulate
 
 _SHORT = 0.1  # s
+_ROLLING = 1.0  # s, after which the tracks roll
 
 
 def main() -> None:
@@ -13,7 +20,17 @@ def main() -> None:
     scenario = load_scenario("straight").stretched(_SHORT)
     for mode in MODES:
         simulate(scenario, mode=mode)
-    make_filter(load_slip_parameters())
+    estimator = load_slip_parameters()
+    make_filter(estimator)
+    study = load_study_parameters({"duration": 2.0, "settling": 1.0, "seeds": 1})
+    drive = make_drive(study, estimator, study.soils[0])
+    for name in TRUTHS:
+        cell = next(cell for cell in cells(study) if cell.truth == name)
+        evaluate(cell, drive, study, estimator)
+    soil = SoilEstimator(load_soil_parameters())
+    truth = simulate(scenario.stretched(_ROLLING))
+    for given in soil_inputs(truth, soil.parameters.vehicle, estimator.motion, Sensing()):
+        soil.advance(given)
 
 
 if __name__ == "__main__":

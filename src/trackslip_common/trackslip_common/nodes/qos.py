@@ -15,7 +15,7 @@ def offered(name: str) -> QoSProfile:
     Sensors offer more than sensor data need: who asks for best effort gets it, and a recorder can have all.
     """
     if TOPICS[name].flow is Flow.LATCHED:
-        return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        return latched()
     return reliable()
 
 
@@ -23,8 +23,13 @@ def wanted(name: str) -> QoSProfile:
     """Profile for subscribing; a topic that is not the project's is taken as sensor data."""
     flow = TOPICS[name].flow if name in TOPICS else Flow.SENSOR
     if flow is Flow.LATCHED:
-        return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        return latched()
     return best_effort() if flow is Flow.SENSOR else reliable()
+
+
+def latched(depth: int = 1) -> QoSProfile:
+    """Every message, and the last ones for who comes later."""
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def reliable() -> QoSProfile:

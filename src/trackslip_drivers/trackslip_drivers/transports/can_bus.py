@@ -17,7 +17,6 @@ REMOTE_FLAG = 1 << 30
 STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
 
 _NS_PER_S = 1_000_000_000
-_MOST_FRAMES = 64  # handed on at once
 _SEND_TIMEOUT_S = 0.1
 
 
@@ -40,22 +39,20 @@ class CanBus:
         self._bus = can.Bus(channel=channel, interface=interface, **options)
 
     def read(self) -> Sequence[tuple[CanFrame, int]]:
-        """The frames that are there, once there is one, each with its time of reception.
+        """The next frame with its time of reception, at once: others may be there, but this one is due.
 
         Raises:
             can.CanError, OSError: the bus failed, or an error frame of the read before said that it is off.
         """
         if self._is_off:
             raise can.CanOperationError("bus off")
-        frames: list[tuple[CanFrame, int]] = []
         message = self._bus.recv(READ_TIMEOUT_S)
-        while message is not None:
-            frame = (_flagged_id(message), bytes(message.data))
-            frames.append((frame, _stamp_ns(message)))
-            if message.is_error_frame:
-                self._is_off = bus_state(*frame) is BusState.OFF
-            message = self._bus.recv(0.0) if len(frames) < _MOST_FRAMES else None
-        return frames
+        if message is None:
+            return ()
+        frame = (_flagged_id(message), bytes(message.data))
+        if message.is_error_frame:
+            self._is_off = bus_state(*frame) is BusState.OFF
+        return ((frame, _stamp_ns(message)),)
 
     def write(self, data: CanFrame) -> None:
         """Send one frame with a 29-bit id; an error frame where ``ERROR_FLAG`` is set.

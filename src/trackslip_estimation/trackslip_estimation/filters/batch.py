@@ -2,23 +2,32 @@
 """Many runs of one filter at once: N sets of parameters or N noise seeds over logs in stamp order, compiled.
 
 Nothing comes late here, so a run is one loop; each run gives what the estimator ends with on the same
-measurements. Machine code holds no lock: threads share the cores.
+measurements. Machine code holds no lock: threads share the cores. What a filter cannot be asked in machine
+code (silence of the sprockets, a pose that a user gives) is rare: there the loop hands over to ``Aside``.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.compiled import compiled
-from trackslip_estimation.filters.filter import Filter, RecordArray, step
+from trackslip_estimation.filters.filter import Filter, RecordArray, predict
+from trackslip_estimation.filters.gating import Gates, log_det, measure
 from trackslip_estimation.filters.model import SPROCKETS, Gaussian, Measured
 from trackslip_estimation.motion import MotionState, Speeds
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+ASIDE = -1  # and all below it: kinds of rows that are the caller's
+EVERYTHING = Gates(np.full(4, np.inf), 1.0, np.ones(1, np.int64), np.zeros((1, 2)))
+
+Aside = Callable[[int, Gaussian], Gaussian]
+"""Number of the row, state before → state after."""
 
 
 class Row(NamedTuple):
@@ -27,7 +36,7 @@ class Row(NamedTuple):
     dt: float  # s since the row before, or since the start
     speeds: Speeds
     motion: MotionState
-    source: int
+    source: int  # number in ``Gates``
     measured: Measured
 
 
@@ -35,36 +44,27 @@ class Log(NamedTuple):
     """Rows as arrays, in the order of their stamps."""
 
     times: FloatArray  # (k, 2) dt, stretch of the sprocket speeds, s
-    speeds: FloatArray  # (k, 2) left, right, rad/s
+    speeds: FloatArray  # (k, 3) left, right, departure from their recent mean, rad/s
     flags: IntArray  # (k, 5) kind, source, motion, changing, differenced
     values: FloatArray  # (k, 3) z, padded
     noises: FloatArray  # (k, 3, 3) R, padded
 
 
 class Run(NamedTuple):
-    """The filter after each row of a log."""
+    """The filter after each row of a log, or after those that were asked for (m of k)."""
 
-    means: FloatArray  # (k, n)
-    covariances: FloatArray  # (k, n, n)
+    means: FloatArray  # (m, n)
+    covariances: FloatArray  # (m, n, n)
     nis: FloatArray  # (k,) nan where nothing was measured
-    accepted: NDArray[np.bool_]  # (k,) inside the gate, or believed after too many rejections in a row
-
-
-class Gates(NamedTuple):
-    """Which measurements are taken."""
-
-    limits: FloatArray  # (4,) of NIS by degrees of freedom 0 … 3; infinite where all are taken
-    patience: int  # rejections in a row from one source after which it is believed
-
-
-EVERYTHING = Gates(np.full(4, np.inf), 1)
+    log_dets: FloatArray  # (k,) ln |S| of the innovation, nan where nothing was gated
+    accepted: BoolArray  # (k,) inside the gate
 
 
 def make_log(rows: Sequence[Row]) -> Log:
     """Rows as arrays."""
     log = Log(
         np.array([(row.dt, row.speeds.stretch) for row in rows]).reshape(-1, 2),
-        np.array([(row.speeds.left, row.speeds.right) for row in rows]).reshape(-1, 2),
+        np.array([(row.speeds.left, row.speeds.right, row.motion.departure) for row in rows]).reshape(-1, 3),
         np.array([_flags(row) for row in rows], dtype=np.int64).reshape(-1, 5),
         np.zeros((len(rows), 3)),
         np.zeros((len(rows), 3, 3)),
@@ -75,10 +75,38 @@ def make_log(rows: Sequence[Row]) -> Log:
     return log
 
 
-def run(log: Log, filter_: Filter, start: Gaussian, gates: Gates = EVERYTHING) -> Run:
-    """One run over one log."""
-    sources = int(log.flags[:, 1].max(initial=0)) + 1
-    return Run(*_loop(*log, *start, sources, *gates, filter_.constants))
+def run(
+    log: Log,
+    filter_: Filter,
+    start: Gaussian,
+    gates: Gates = EVERYTHING,
+    aside: Aside | None = None,
+    keep: BoolArray | None = None,
+) -> Run:
+    """One run over one log; ``keep`` (k,) says after which rows the state is wanted, if not after all."""
+    count, n = len(log.times), start.mean.size
+    slots = np.arange(count) if keep is None else np.where(keep, np.cumsum(keep) - 1, -1)
+    kept = int(slots.max(initial=-1)) + 1
+    found = Run(
+        np.empty((kept, n)),
+        np.empty((kept, n, n)),
+        np.full(count, np.nan),
+        np.full(count, np.nan),
+        np.ones(count, np.bool_),
+    )
+    gates, agreed_ns = _of_each(gates, log), np.zeros(_sources(log), np.int64)
+    shared: tuple[Any, ...] = (*log, clock_ns(log), agreed_ns, *gates, filter_.constants, slots, *found)
+    k, x, P = 0, *start
+    while True:
+        k, x, P = _loop(k, x, P, *shared)
+        if k == count:
+            return found
+        if aside is None:
+            raise ValueError(f"row {k} is of kind {log.flags[k, 0]}, and there is nobody to ask")
+        x, P = aside(k, Gaussian(x, P))
+        if slots[k] >= 0:
+            found.means[slots[k]], found.covariances[slots[k]] = x, P
+        k += 1
 
 
 def run_all(runs: Iterable[tuple[Log, Filter, Gaussian, Gates]], threads: int | None = None) -> Iterator[Run]:
@@ -93,39 +121,85 @@ def _flags(row: Row) -> tuple[int, int, int, int, int]:
     return row.measured.kind, row.source, int(motion.motion), int(motion.changing), differenced
 
 
+def clock_ns(log: Log) -> IntArray:
+    """(k,) time of the rows since the start."""
+    return np.cumsum(np.rint(log.times[:, 0] * 1e9).astype(np.int64))
+
+
+def _sources(log: Log) -> int:
+    """How many sources the log's numbers allow for."""
+    return int(log.flags[log.flags[:, 0] > SPROCKETS, 1].max(initial=-1)) + 1
+
+
+def _of_each(gates: Gates, log: Log) -> Gates:
+    """Gates with a row for each source of the log: one holds for all."""
+    sources, rows = _sources(log), len(gates.timeouts_ns)
+    if rows == 1:
+        return gates._replace(
+            timeouts_ns=np.repeat(gates.timeouts_ns, sources), levers=np.repeat(gates.levers, sources, axis=0)
+        )
+    if rows < sources:
+        raise ValueError(f"gates of {rows} sources for a log of {sources}")
+    return gates
+
+
 @compiled
 def _loop(
+    first: int,
+    x: FloatArray,
+    P: FloatArray,
     times: FloatArray,
     speeds: FloatArray,
     flags: IntArray,
     values: FloatArray,
     noises: FloatArray,
-    x: FloatArray,
-    P: FloatArray,
-    sources: int,
+    now_ns: IntArray,
+    agreed_ns: IntArray,
     limits: FloatArray,
-    patience: int,
+    relaxation: float,
+    timeouts_ns: IntArray,
+    levers: FloatArray,
     constants: RecordArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
-    """The fields of ``Run``."""
+    slots: IntArray,
+    means: FloatArray,
+    covariances: FloatArray,
+    nis: FloatArray,
+    log_dets: FloatArray,
+    accepted: BoolArray,
+) -> tuple[int, FloatArray, FloatArray]:
+    """From row ``first`` on: the first row that is aside, or their count, and the state before it."""
     c = constants[0]
-    count, n = times.shape[0], x.size
-    means, covariances = np.empty((count, n)), np.empty((count, n, n))
-    nis, accepted = np.full(count, np.nan), np.ones(count, np.bool_)
-    rejected_in_a_row = np.zeros(sources, np.int64)
-    for k in range(count):
+    count = times.shape[0]
+    for k in range(first, count):
         dt, stretch = times[k]
-        left, right = speeds[k]
-        kind, source, motion, changing, differenced = flags[k]
-        m = 2 if kind == SPROCKETS else kind  # the kinds are numbered so
-        z, R = values[k, :m].copy(), noises[k, :m, :m].copy()
-        x, P, x_updated, P_updated, nis[k] = step(
-            kind, x, P, z, R, left, right, stretch, differenced == 1, dt, motion, changing, c
-        )
+        left, right, departure = speeds[k]
+        kind, source, motion, changing, counted = flags[k]
+        if kind <= ASIDE:
+            return k, x, P
+        x, P = predict(x, P, left, right, dt, motion, changing, departure, c)
         if kind != SPROCKETS:
-            accepted[k] = nis[k] <= limits[m] or rejected_in_a_row[source] >= patience
-            rejected_in_a_row[source] = 0 if accepted[k] else rejected_in_a_row[source] + 1
-        if accepted[k]:
-            x, P = x_updated, P_updated
-        means[k], covariances[k] = x, P
-    return means, covariances, nis, accepted
+            z, R = values[k, :kind].copy(), noises[k, :kind, :kind].copy()  # the kinds are numbered so
+            lever, apart_ns, timeout_ns = levers[source], now_ns[k] - agreed_ns[source], timeouts_ns[source]
+            log_dets[k] = log_det(kind, R, x, P, left, right, stretch, counted == 1, lever, c)
+            _, _, x, P, nis[k], _, accepted[k], agreed = measure(
+                kind,
+                z,
+                R,
+                x,
+                P,
+                left,
+                right,
+                stretch,
+                counted == 1,
+                lever,
+                apart_ns,
+                timeout_ns,
+                limits,
+                relaxation,
+                c,
+            )
+            if agreed:
+                agreed_ns[source] = now_ns[k]
+        if slots[k] >= 0:
+            means[slots[k]], covariances[slots[k]] = x, P
+    return count, x, P

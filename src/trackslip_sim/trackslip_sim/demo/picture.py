@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.replay.scoring import Series
 from trackslip_sim.demo.results import DemoResult
+from trackslip_sim.demo.soil_picture import draw_soil
 
 FloatArray = NDArray[np.float64]
 
@@ -26,13 +27,18 @@ _ELLIPSE_SCALE = 2.0  # σ
 
 def draw(result: DemoResult, title: str, file: File) -> None:
     """Write the picture as PNG."""
-    figure = plt.figure(figsize=(13, 7), layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
+    columns = 2 if result.soil is None else 3
+    figure = plt.figure(figsize=(6.5 * columns, 7), layout="constrained")
+    grid = figure.add_gridspec(15, columns, width_ratios=(1.15, *(1.0,) * (columns - 1)))
     _draw_paths(figure.add_subplot(grid[:, 0]), result)
-    upper = figure.add_subplot(grid[0, 1])
+    upper = figure.add_subplot(grid[:5, 1])
     _draw_error(upper, result)
+    if result.soil is not None:
+        panels = [figure.add_subplot(grid[row : row + 3, 2], sharex=upper) for row in range(0, 15, 3)]
+        draw_soil(panels, result.soil, int(result.truth.stamps_ns[0]))
+        panels[-1].set_xlabel("time of the drive, s")
     for row, name in enumerate(("left", "right")):
-        axes = figure.add_subplot(grid[row + 1, 1], sharex=upper)
+        axes = figure.add_subplot(grid[5 * row + 5 : 5 * row + 10, 1], sharex=upper)
         _draw_slip(axes, result, row, name)
         if row == 0:
             axes.legend(loc="upper right", fontsize="small", ncols=3)

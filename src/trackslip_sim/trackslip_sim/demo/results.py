@@ -17,7 +17,11 @@ from trackslip_estimation.replay.edits import Edits
 from trackslip_estimation.replay.inputs import ODOMETRY, TRACK_SLIP
 from trackslip_estimation.replay.run import TRUE_ODOMETRY, TRUE_SLIP, LiveComparison, replay
 from trackslip_estimation.replay.scoring import Score, Series, moving_slips, score, slip_rmse
+from trackslip_estimation.replay.soil import replay_soil
 from trackslip_estimation.slip_parameters import load_slip_parameters
+from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_sim.demo.soil_results import SoilResult, soil_result
 
 FloatArray = NDArray[np.float64]
 
@@ -54,12 +58,14 @@ class DemoResult:
     odometry: Series
     slips: Series
     true_slips: Series
+    soil: SoilResult | None
 
     @property
     def passes(self) -> bool:
         """Whether the demo shows what it is there to show."""
         whole = all(counts.share >= RECEIVED_LIMIT for counts in self.topics.values())
-        return self.live.matches and whole and self.filter.position <= POSITION_LIMIT
+        same = self.live.matches and (self.soil is None or self.soil.live.matches)
+        return same and whole and self.filter.position <= POSITION_LIMIT
 
     def save(self, file: File) -> None:
         """Write the numbers as JSON."""
@@ -71,6 +77,8 @@ class DemoResult:
             "topics": {topic: vars(counts) for topic, counts in self.topics.items()},
             "replay_matches": self.live.matches,
         }
+        if self.soil is not None:
+            numbers["soil"] = self.soil.numbers()
         file.write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
 
 
@@ -80,6 +88,8 @@ def evaluate(
     """Replay the bag and score its live estimates over the drive; None where it holds no estimates."""
     p = load_slip_parameters(bag_parameters(bag))
     result = replay(bag, p, Edits(), TRUE_ODOMETRY)
+    of_soil = load_soil_parameters(bag_parameters(bag, SOIL_NODE))
+    soil = replay_soil(bag, result.inputs, result.estimates, Edits(), of_soil)
     series = result.inputs.series
     if result.live is None or any(name not in series for name in (TRUE_ODOMETRY, TRUE_SLIP, TRACK_SLIP)):
         return None
@@ -109,6 +119,7 @@ def evaluate(
         _from(series[ODOMETRY], drive_start_ns),
         slips,
         true_slips,
+        None if soil is None else soil_result(soil, drive_start_ns),
     )
 
 

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from trackslip_sim.demo.results import DemoResult
+from trackslip_sim.demo.soil_results import SoilResult
 
 
 def status(
@@ -43,6 +44,8 @@ def report(console: Console, result: DemoResult) -> None:
     for name, found, slip in rows:
         errors.add_row(name, f"{found.position:.4f}", f"{found.heading:.4f}", f"{slip:.4f}")
     console.print(errors)
+    if result.soil is not None:
+        console.print(_soil_table(result.soil))
     counts = Table(title="Messages", title_justify="left")
     counts.add_column("topic")
     for column in ("emitted", "received", "recorded", "received %"):
@@ -51,3 +54,19 @@ def report(console: Console, result: DemoResult) -> None:
         counts.add_row(topic, str(n.emitted), str(n.received), str(n.recorded), f"{100 * n.share:.2f}")
     console.print(counts)
     console.print(str(result.live))
+    if result.soil is not None:
+        console.print(str(result.soil.live))
+
+
+def _soil_table(result: SoilResult) -> Table:
+    """What was found of the soil, with the truth."""
+    name, chance = result.likely
+    title = f"Soil at the end: {name} ({100 * chance:.0f} %); thrust RMSE {result.thrust_rmse:.0f} N"
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for column in ("found", "5 %", "95 %", "true"):
+        table.add_column(column, justify="right")
+    for finding in result.findings:
+        row = (finding.found, *finding.interval, finding.true)
+        table.add_row(finding.name, *(f"{value:.4g}" for value in row))
+    return table

@@ -27,6 +27,11 @@ _ENDS = {  # topic → nodes that must have found each other on it
     "imu/data_raw": {"watson_imu", "slip_estimator", "record", "demo"},
     "scan": {"sick_pls", "box_localizer", "record", "demo"},
     "box_pose": {"box_localizer", "slip_estimator", "record", "demo"},
+    "hydraulics": {"can_driver", "soil_estimator", "record", "demo"},
+    "odometry": {"slip_estimator", "soil_estimator", "record", "demo"},
+    "track_slip": {"slip_estimator", "soil_estimator", "record", "demo"},
+    "track_forces": {"soil_estimator", "record"},
+    "soil": {"soil_estimator", "record"},
     "measurement_reports": {"slip_estimator", "record"},
     "truth/odometry": {"record"},
 }

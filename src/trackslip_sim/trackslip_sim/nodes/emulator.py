@@ -16,10 +16,11 @@ from trackslip_sim.cables import Cables
 from trackslip_sim.excavator import EmulatedExcavator, drive
 from trackslip_sim.faults import Fault, parse_fault
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
-from trackslip_sim.truth_estimates import as_estimate, soil_message
+from trackslip_sim.truth_estimates import as_estimate, forces_message, soil_message
 
 _TICK_NS = 2_000_000  # how finely the serial lines are dripped
 _TRUTH_PERIOD_NS = 10_000_000
+_FORCES_PERIOD_NS = 100_000_000
 _SOIL_PERIOD_NS = 1_000_000_000
 _DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
 _FRAMES = ("odom", "base_link")
@@ -39,6 +40,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         self._excavator: EmulatedExcavator | None = None
         self._odometry = self.announce(topic_class("truth/odometry"), "truth/odometry")
         self._track_slip = self.announce(topic_class("truth/track_slip"), "truth/track_slip")
+        self._track_forces = self.announce(topic_class("truth/track_forces"), "truth/track_forces")
         self._soil = self.announce(topic_class("truth/soil"), "truth/soil")
         self._cables = Cables(p)
         self._ordered: queue.SimpleQueue[Fault] = queue.SimpleQueue()
@@ -105,7 +107,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         epoch_ns = time.time_ns() - began_ns
         # Ticks fall on the devices' own cycles, which are whole ticks apart from the start of the drive.
         tick_ns = began_ns - (epoch_ns + began_ns - excavator.drive_start_ns) % _TICK_NS
-        truth_ns = epoch_ns + began_ns
+        truth_ns = epoch_ns + began_ns + _TRUTH_PERIOD_NS // 2  # while the host waits for the next frames
         try:
             while not self._stopping.is_set():
                 now_ns = epoch_ns + time.monotonic_ns()
@@ -127,8 +129,11 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         estimate = as_estimate(at, stamp_ns)
         self._odometry.publish(conversions.odometry(make, estimate, *_FRAMES))
         self._track_slip.publish(conversions.track_slip(make, estimate, _FRAMES[1]))
-        if (stamp_ns - excavator.drive_start_ns) % _SOIL_PERIOD_NS < _TRUTH_PERIOD_NS:
-            self._soil.publish(soil_message(make, at, stamp_ns, self.settings.vehicle, _FRAMES[1]))
+        since_ns, ground = stamp_ns - excavator.drive_start_ns, (self.settings.vehicle, _FRAMES[1])
+        if since_ns % _FORCES_PERIOD_NS < _TRUTH_PERIOD_NS:
+            self._track_forces.publish(forces_message(make, at, stamp_ns, *ground))
+        if since_ns % _SOIL_PERIOD_NS < _TRUTH_PERIOD_NS:
+            self._soil.publish(soil_message(make, at, stamp_ns, *ground))
 
 
 def main() -> None:

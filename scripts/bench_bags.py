@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speed of the workbench on a sensor bag of three minutes, one core: ``make bench`` prints the rows."""
+
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from trackslip_estimation.bags.reader import open_bag
+from trackslip_estimation.replay.edits import Edits
+from trackslip_estimation.replay.inputs import in_live_order, read_inputs
+from trackslip_estimation.replay.run import replay
+from trackslip_estimation.slip_estimator import SlipEstimator
+from trackslip_estimation.slip_parameters import load_slip_parameters
+from trackslip_estimation.tuning.reading import read_task
+from trackslip_estimation.tuning.workers import cores
+from trackslip_sim.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.scenarios import load_scenario
+from trackslip_sim.truth.simulate import simulate
+
+RUNS = 5
+SETS = 100  # of parameters
+
+
+def rows(directory: Path) -> Iterator[tuple[str, str, str, str]]:
+    """What, here, beside, bar."""
+    path = directory / "field_trial"
+    record_drive(load_emulator_parameters({"seed": 1}), simulate(load_scenario("field_trial")), path)
+    p = load_slip_parameters()
+    with open_bag(path) as bag:
+        seconds = bag.duration_s
+        with _cache(directory):
+            cold = _median(lambda: replay(bag, p, Edits(), None).elapsed_s, _forget)
+            warm = _median(lambda: replay(bag, p, Edits(), None).elapsed_s)
+            inputs = read_inputs(bag, p, Edits(), ())
+            task = read_task(bag, p, Edits(), None, needs_reference=True)
+    yield f"replay of {seconds:.0f} s, read for the first time", f"{seconds / cold:.0f} ×", "", "≥ 300 ×"
+    yield "replay, from the cache", f"{seconds / warm:.0f} ×", "", ""
+    measurements = list(in_live_order(inputs.arrivals, inputs.journal))
+    slow = _median(lambda: _timed(lambda: list(map(SlipEstimator(p).advance, measurements))))
+    yield "replay, filter alone, one by one", f"{seconds / slow:.0f} ×", "", ""
+    jobs = [(0, {"gate_relaxation": 2.0 + k / SETS}) for k in range(SETS)]
+    with cores([task], -1) as work:
+        each = _timed(lambda: list(work(jobs))) / SETS
+    yield (
+        "tune, 1000 sets on that bag, all cores",
+        f"{1000 * each:.0f} s",
+        f"{os.cpu_count()} cores",
+        "≤ 60 s",
+    )
+
+
+@contextmanager
+def _cache(directory: Path) -> Iterator[None]:
+    """Columns are kept under ``directory`` meanwhile."""
+    before = os.environ.get("XDG_CACHE_HOME")
+    os.environ["XDG_CACHE_HOME"] = str(directory)
+    try:
+        yield
+    finally:
+        os.environ.pop("XDG_CACHE_HOME")
+        if before is not None:
+            os.environ["XDG_CACHE_HOME"] = before
+
+
+def _forget() -> None:
+    for file in Path(os.environ["XDG_CACHE_HOME"]).rglob("*.npz"):
+        file.unlink()
+
+
+def _median(measure: Callable[[], float], before: Callable[[], None] = lambda: None) -> float:
+    found = []
+    for _ in range(1 + RUNS):
+        before()
+        found.append(measure())
+    return statistics.median(found[1:])  # the first compiles
+
+
+def _timed(function: Callable[[], Any]) -> float:
+    began = time.perf_counter()
+    function()
+    return time.perf_counter() - began
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        for row in rows(Path(folder)):
+            print(*row, sep="  ")

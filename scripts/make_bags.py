@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Makes the recorded runs of bags/ and their manifest (``make bags``).
+
+With no option all bags are recorded anew, which gives the same bytes on the same machine, and the manifest is
+written. ``--numbers`` only writes what a replay of the bags that are there is expected to give: for after a
+change of the estimator or of its parameters. ``--check`` records anew elsewhere and compares the bytes.
+"""
+
+import argparse
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from trackslip_estimation.bags.reader import open_bag
+from trackslip_estimation.replay.edits import Edits
+from trackslip_estimation.replay.output import summary
+from trackslip_estimation.replay.run import replay
+from trackslip_estimation.slip_parameters import load_slip_parameters
+from trackslip_sim.excavator import drive
+from trackslip_sim.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
+
+BAGS = Path(__file__).resolve().parents[1] / "bags"
+MANIFEST = BAGS / "manifest.yaml"
+_ROS = "kilted"  # what metadata.yaml names, wherever the bags are made
+_HEAD = """\
+# The recorded runs of this folder, written by scripts/make_bags.py (make bags). Each is a drive of the
+# emulated excavator: what its drivers publish, and the truth. 'made' is how, 'holds' what is in it, 'replay'
+# what trackslip replay gives with the parameters of config/, to within 'tolerances' (m, rad, 1).
+"""
+_TOLERANCES = {"position": 0.002, "heading": 0.002, "slip": 0.005, "nees": 0.2}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a bag is made."""
+
+    scenario: str  # of config/scenarios, or a file here
+    seed: int
+    soil: str = ""  # empty: the scenario's own
+    duration: float = 0.0  # s; 0: the scenario's own
+    kept: float = 1.0  # share of the file's bytes that a power cut leaves
+
+
+RECIPES = {
+    "slalom_sand": Recipe("slalom", seed=1, soil="sand", duration=24.0),
+    "spot_turn_sand": Recipe("spot_turn", seed=2, soil="sand"),
+    "outage_sandy_loam": Recipe("scenarios/outage.yaml", seed=3),
+    "soft_patch": Recipe("scenarios/soft_patch.yaml", seed=4),
+    "power_cut": Recipe("start_stop", seed=5, soil="dry_clay", duration=24.0, kept=0.7),
+}
+
+
+def record(name: str, folder: Path) -> None:
+    """Drive the recipe of this name into a new bag in ``folder``."""
+    recipe, path = RECIPES[name], folder / name
+    local = BAGS / recipe.scenario
+    given: dict[str, Any] = {"scenario": str(local) if local.is_file() else recipe.scenario}
+    given |= {"soil": recipe.soil, "seed": recipe.seed, "duration": recipe.duration}
+    p = load_emulator_parameters(given)
+    record_drive(p, drive(p), path)
+    if recipe.kept < 1.0:
+        (file,) = path.glob("*.mcap")
+        content = file.read_bytes()
+        file.write_bytes(content[: int(recipe.kept * len(content))])
+        (path / "metadata.yaml").unlink()
+
+
+def digests(path: Path) -> dict[str, str]:
+    """File name → SHA-256 of what a bag consists of."""
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(path.iterdir())}
+
+
+def contents(path: Path) -> dict[str, Any]:
+    """What ``trackslip info`` counts."""
+    with open_bag(path) as bag:
+        counts = {topic: info.count for topic, info in sorted(bag.topics.items())}
+        return {"duration_s": round(bag.duration_s, 6), "damaged": bool(bag.damage), "messages": counts}
+
+
+def expected(path: Path) -> dict[str, Any]:
+    """What a replay gives, as its JSON names it."""
+    with open_bag(path) as bag:
+        found = summary(replay(bag, load_slip_parameters(), Edits(), None))
+    rmse = {name: round(value, 5) for name, value in found["rmse"].items() if value is not None}
+    final = {name: round(value, 5) for name, value in found["final"].items()}
+    return {"final": final, "rmse": rmse, "nees": round(found["nees"], 3), "rejected": found["rejected"]}
+
+
+def entry(name: str) -> dict[str, Any]:
+    """The manifest's entry of a bag that is there, but for its expected numbers."""
+    recipe = RECIPES[name]
+    values = ((field, getattr(recipe, field.name)) for field in fields(recipe))
+    made = {field.name: value for field, value in values if value != field.default}
+    return {"made": made, "sha256": digests(BAGS / name), "holds": contents(BAGS / name)}
+
+
+def main() -> int:
+    """Make, refresh or check; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--numbers", action="store_true", help="only refresh what replays are expected to give"
+    )
+    group.add_argument("--check", action="store_true", help="record anew elsewhere and compare the bytes")
+    args = parser.parse_args()
+    os.environ["ROS_DISTRO"] = _ROS
+    if args.check:
+        return check()
+    if args.numbers:
+        manifest = yaml.safe_load(MANIFEST.read_text(encoding="utf-8"))["bags"]
+    else:
+        for name in RECIPES:
+            shutil.rmtree(BAGS / name, ignore_errors=True)
+            record(name, BAGS)
+        manifest = {name: entry(name) for name in RECIPES}
+    for name, described in manifest.items():
+        described["replay"] = expected(BAGS / name)
+        print(f"{name}: {described['replay']['rmse']}")
+    text = yaml.safe_dump({"tolerances": _TOLERANCES, "bags": manifest}, sort_keys=False, width=110)
+    MANIFEST.write_text(_HEAD + text, encoding="utf-8")
+    return 0
+
+
+def check() -> int:
+    """Whether the recipes still give the bytes that are there."""
+    changed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for name in RECIPES:
+            record(name, Path(folder))
+            same = digests(Path(folder) / name) == digests(BAGS / name)
+            print(f"{name}: {'the same bytes' if same else 'OTHER BYTES'}")
+            changed += not same
+    return 1 if changed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

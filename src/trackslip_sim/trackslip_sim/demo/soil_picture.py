@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces, resistance and strength of the soil over a drive, with the truth, as Figs 6.15 to 6.17."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from trackslip_estimation.replay.scoring import Series
+from trackslip_sim.demo.soil_results import (
+    LIMIT,
+    MODULUS,
+    MU_L,
+    MU_L_VARIANCE,
+    MU_R,
+    MU_R_VARIANCE,
+    RESISTANCES,
+    THRUSTS,
+    SoilResult,
+)
+
+FloatArray = NDArray[np.float64]
+
+_TRUTH, _LEFT, _RIGHT = "#222222", "#0072b2", "#009e73"
+
+
+def draw_soil(axes: list[Axes], result: SoilResult, start_ns: int) -> None:
+    """Five pictures, one below the other, over the time of the drive."""
+    thrust, resistance, mu, modulus, limit = axes
+    for panel, columns, label in (
+        (thrust, THRUSTS, "thrust, kN"),
+        (resistance, RESISTANCES, "resistance, kN"),
+    ):
+        for k, (name, colour) in enumerate((("left", _LEFT), ("right", _RIGHT))):
+            column = columns.start + k
+            panel.plot(*_line(result.true_forces, column, start_ns, 1e-3), color=_TRUTH, lw=1.5)
+            panel.plot(*_line(result.forces, column, start_ns, 1e-3), color=colour, lw=1.0, label=name)
+        panel.set(ylabel=label)
+    thrust.legend(loc="upper right", fontsize="small", ncols=2)
+    for name, column, variance, colour in (
+        ("μ_r", MU_R, MU_R_VARIANCE, _LEFT),
+        ("mobilised μ_l", MU_L, MU_L_VARIANCE, _RIGHT),
+    ):
+        t, values = _line(result.soil, column, start_ns)
+        spread = 2.0 * np.sqrt(result.soil.values[:, variance])
+        mu.fill_between(t, values - spread, values + spread, color=colour, alpha=0.2, lw=0.0)
+        mu.plot(*_line(result.true_soil, column, start_ns), color=_TRUTH, lw=1.5)
+        mu.plot(t, values, color=colour, lw=1.2, label=name)
+    mu.set(ylabel="resistance, 1", ylim=(0.0, 0.8))
+    mu.legend(loc="upper right", fontsize="small", ncols=2)
+    _draw_interval(modulus, result, MODULUS, start_ns, "K, cm", 1e2)
+    _draw_interval(limit, result, LIMIT, start_ns, "F_max, kN", 1e-3)
+    for panel in axes:
+        panel.grid(alpha=0.3)
+
+
+def _draw_interval(
+    axes: Axes, result: SoilResult, columns: slice, start_ns: int, label: str, scale: float
+) -> None:
+    """Median and 5 to 95 %, logarithmic."""
+    first = columns.start
+    t, values = _line(result.soil, first, start_ns, scale)
+    low, high = (scale * result.soil.values[:, first + k] for k in (1, 2))
+    axes.fill_between(t, low, high, color=_LEFT, alpha=0.2, lw=0.0)
+    axes.plot(*_line(result.true_soil, first, start_ns, scale), color=_TRUTH, lw=1.5)
+    axes.plot(t, values, color=_LEFT, lw=1.2)
+    axes.set(ylabel=label, yscale="log")
+
+
+def _line(series: Series, column: int, start_ns: int, scale: float = 1.0) -> tuple[FloatArray, FloatArray]:
+    return np.asarray((series.stamps_ns - start_ns) * 1e-9), scale * series.values[:, column]

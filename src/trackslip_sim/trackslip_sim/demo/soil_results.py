@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The soil's part of a demo run: live forces and soil against the truth, and replay against live."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.replay.scoring import Series
+from trackslip_estimation.replay.soil import FORCES, SOIL, TRUE_FORCES, TRUE_SOIL, SoilComparison, SoilReplay
+
+FloatArray = NDArray[np.float64]
+
+# Numbers of a TrackForces and of a SoilEstimate, in the order of their fields
+THRUSTS, RESISTANCES, THRUST_VARIANCES, RESISTANCE_VARIANCES = (slice(k, k + 2) for k in range(0, 8, 2))
+MU_R, MU_R_VARIANCE, MU_L, MU_L_VARIANCE = range(4)
+MODULUS, LIMIT = slice(4, 7), slice(7, 10)  # value, 5 % point, 95 % point
+IDENTIFIABLE = 10
+
+
+class Finding(NamedTuple):
+    """One number at the end of the drive."""
+
+    name: str
+    found: float
+    interval: tuple[float, float]  # 5 % and 95 % points
+    true: float
+
+
+@dataclass(frozen=True, eq=False)
+class SoilResult:
+    """What the table and the picture show."""
+
+    forces: Series
+    true_forces: Series
+    soil: Series
+    true_soil: Series
+    thrust_rmse: float  # N
+    live: SoilComparison
+    likely: tuple[str, float]  # the most probable class
+
+    @property
+    def findings(self) -> list[Finding]:
+        """μ_r, K and F_max at the end; the mobilised μ_l is in the picture."""
+        last, true = self.soil.values[-1], self.true_soil.values[-1]
+        spread = 1.645 * float(np.sqrt(last[MU_R_VARIANCE]))
+        mu_r = float(last[MU_R])
+        found = [Finding("μ_r", mu_r, (mu_r - spread, mu_r + spread), float(true[MU_R]))]
+        for name, columns in (("K, m", MODULUS), ("F_max, N", LIMIT)):
+            value, low, high = (float(v) for v in last[columns])
+            found.append(Finding(name, value, (low, high), float(true[columns][0])))
+        return found
+
+    def numbers(self) -> dict[str, Any]:
+        """For the summary."""
+        mu_r, modulus, limit = self.findings
+        return {
+            "thrust_rmse": self.thrust_rmse,
+            "mu_r": mu_r.found,
+            "K": modulus.found,
+            "K_interval": modulus.interval,
+            "F_max": limit.found,
+            "F_max_interval": limit.interval,
+            "identifiable": bool(self.soil.values[-1, IDENTIFIABLE]),
+            "class": self.likely[0],
+            "replay_matches": self.live.matches,
+        }
+
+
+def soil_result(replayed: SoilReplay, from_ns: int) -> SoilResult | None:
+    """From ``from_ns`` on; None where the bag lacks live or true forces or soil."""
+    series = {name: _from(rows, from_ns) for name, rows in replayed.series.items()}
+    names = (FORCES, TRUE_FORCES, SOIL, TRUE_SOIL)
+    if replayed.live is None or any(not len(series[name].stamps_ns) for name in names if name in series):
+        return None
+    if not all(name in series for name in names):
+        return None
+    forces, true_forces, soil, true_soil = (series[name] for name in names)
+    classes = replayed.states[-1].classes
+    likely = max(classes, key=lambda name: classes[name])
+    return SoilResult(
+        forces,
+        true_forces,
+        soil,
+        true_soil,
+        _rmse(forces, true_forces),
+        replayed.live,
+        (likely, classes[likely]),
+    )
+
+
+def _rmse(found: Series, true: Series) -> float:
+    """Of both thrusts, at the stamps of what was found."""
+    errors = [
+        found.values[:, k] - np.interp(found.stamps_ns, true.stamps_ns, true.values[:, k]) for k in (0, 1)
+    ]
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _from(series: Series, start_ns: int) -> Series:
+    kept = series.stamps_ns >= start_ns
+    return Series(series.stamps_ns[kept], series.values[kept])

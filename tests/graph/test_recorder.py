@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder live: what it hears it writes, or tells as lost; killed at any moment it leaves a bag."""
+
+import json
+import random
+import signal
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from mcap.reader import make_reader
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosbags.highlevel import AnyReader
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from trackslip_estimation.bags.reader import open_bag
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+LONGEST_LOSS = 1.0  # s
+PERIOD = 0.002  # s
+QUICK = 3  # kills in make test, of twenty
+MOMENTS = np.random.default_rng(7).uniform(0.1, 4.0, 20).round(2).tolist()  # s after the first message
+
+# Publishes the project's topics, factor × their nominal rates, for so many seconds; prints what it sent.
+LOAD = """
+import json, sys, time
+import numpy as np, rclpy
+from rclpy.duration import Duration
+from trackslip_common.nodes.messages import topic_class
+from trackslip_common.nodes.qos import offered
+from trackslip_common.topics import TOPICS
+from trackslip_estimation.bags.messages import make, serialize
+
+factor, seconds = float(sys.argv[1]), float(sys.argv[2])
+fast = ("sprockets", "hydraulics", "odometry", "track_slip", "track_forces")
+fast += ("truth/odometry", "truth/track_slip")
+rates = {**dict.fromkeys(fast, 100.0), "measurement_reports": 120.0, "imu/data_raw": 11.85, "scan": 4.2}
+rclpy.init()
+node = rclpy.create_node("load")
+publishers = {topic: node.create_publisher(topic_class(topic), topic, offered(topic)) for topic in rates}
+fields = {topic: {} for topic in rates} | {"scan": {"ranges": np.arange(361, dtype=np.float32)}}
+raw = {topic: serialize(make(TOPICS[topic].type_name, **fields[topic])) for topic in rates}
+while not all(publisher.get_subscription_count() for publisher in publishers.values()):
+    time.sleep(0.01)
+time.sleep(0.5)
+sent = dict.fromkeys(rates, 0)
+began = time.monotonic()
+while (now := time.monotonic() - began) < seconds:
+    for topic, publisher in publishers.items():
+        while sent[topic] < int(now * rates[topic] * factor):
+            publisher.publish(raw[topic])
+            sent[topic] += 1
+    time.sleep(0.001)
+for topic, publisher in publishers.items():  # the last one tells of all before it
+    assert publisher.wait_for_all_acked(Duration(seconds=20))
+print(json.dumps(sent), flush=True)
+time.sleep(600)  # the middleware forgets what it holds for a publisher that is gone
+"""
+
+# The recorder on a disk that hangs once.
+STALLING = """
+import time
+from trackslip_estimation.bags.writer import BagWriter
+from trackslip_estimation.nodes import record
+
+write, calls = BagWriter.write, 0
+
+def hanging(*arguments):
+    global calls
+    calls += 1
+    if calls == 2000:
+        time.sleep(2.5)
+    write(*arguments)
+
+BagWriter.write = hanging
+record.main()
+"""
+
+
+class Recorder:
+    """The node, and what it says of itself."""
+
+    def __init__(self, programs, observer, program=None, **parameters):
+        self.path = programs.folder / "bag"
+        self._observer = observer
+        self._healths = observer.healths()
+        self.program = program or programs.node("record", output="bag", **parameters)
+
+    def health(self):
+        """The last word on itself, by name."""
+        told = [h for h in self._healths if h.name == "record"][-1:]
+        return told[0] if told else DiagnosticStatus()
+
+    def values(self):
+        return {pair.key: pair.value for pair in self.health().values}
+
+    def wait(self, condition, what):
+        self._observer.wait(condition, what)
+
+    def wait_for(self, *topics):
+        """Until it has found a publisher of each."""
+        self._observer.wait_for_recorder(self._healths, *topics)
+
+    def count(self, topic):
+        return int(self.values().get(f"/{topic}", 0))
+
+    def lost(self, topic):
+        return int(self.values().get(f"/{topic} lost", 0))
+
+
+def numbered(number):
+    message = JointState()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(number, 1000)
+    message.name = ["left_sprocket", "right_sprocket"]
+    message.position = [float(number)] * 2
+    return message
+
+
+def is_strictly_readable(path):
+    """By those who check everything; the numbers in it, in order."""
+    numbers = []
+    with AnyReader([path]) as reader:
+        wanted = [connection for connection in reader.connections if connection.topic == "/sprockets"]
+        for connection, _, raw in reader.messages(wanted):
+            numbers.append(int(reader.deserialize(raw, connection.msgtype).position[0]))
+    count = 0
+    for file in sorted(path.glob("*.mcap")):
+        with file.open("rb") as stream:
+            found = make_reader(stream, validate_crcs=True).iter_messages(["/sprockets"])
+            count += sum(1 for _ in found)
+    assert count == len(numbers)
+    return numbers
+
+
+@pytest.mark.parametrize(
+    ("number", "moment"),
+    [
+        pytest.param(number, moment, marks=() if number < QUICK else pytest.mark.slow)
+        for number, moment in enumerate(MOMENTS)
+    ],
+)
+def test_killed_at_any_moment(programs, observer, number, moment):
+    """Every other one with files of 1 s, so that some die while they begin a new file."""
+    recorder = Recorder(programs, observer, split_duration=1.0 if number % 2 else 0.0)
+    publisher = observer.publisher("sprockets")
+    recorder.wait_for("sprockets")
+    sent = []  # when
+    began = time.monotonic()
+    while (now := time.monotonic()) < began + moment:
+        if now >= began + len(sent) * PERIOD:
+            publisher.publish(numbered(len(sent)))
+            sent.append(now)
+    recorder.program.end(signal.SIGKILL)
+    killed = time.monotonic()
+    program = programs.tool("trackslip", "recover", "bag")
+    assert program.wait() == 0, program.stderr
+    assert "lost: " in program.stdout
+    numbers = is_strictly_readable(programs.folder / "bag_recovered")
+    assert numbers == list(range(len(numbers)))
+    first_lost = sent[len(numbers)] if len(numbers) < len(sent) else killed
+    print(f"\nkilled after {moment:.2f} s: {len(numbers)} of {len(sent)}, {killed - first_lost:.3f} s lost")
+    assert killed - first_lost <= LONGEST_LOSS
+
+
+def told_and_written(programs, observer, recorder, seconds):
+    """Ten times the nominal load; (sent, told lost, in the bag), by topic."""
+    recorder.wait(recorder.values, "the recorder")
+    load = programs.python("-c", LOAD, "10", str(seconds))
+    observer.wait(lambda: "}" in load.stdout, "the load to end")
+    sent = json.loads(load.stdout)
+    observer.wait(
+        lambda: all(recorder.count(t) + recorder.lost(t) >= n for t, n in sent.items()), "all to be told of"
+    )
+    lost = {topic: recorder.lost(topic) for topic in sent}
+    assert recorder.health().level == (DiagnosticStatus.ERROR if any(lost.values()) else DiagnosticStatus.OK)
+    assert recorder.program.end(signal.SIGINT)[0] == 130
+    assert ("messages were lost" in recorder.program.stderr) == any(lost.values())
+    assert load.end(signal.SIGKILL)[0] == -signal.SIGKILL
+    with open_bag(recorder.path) as bag:
+        assert bag.damage == ""
+        return Counter(sent), Counter(lost), Counter({t: bag.topics[f"/{t}"].count for t in sent})
+
+
+def test_at_ten_times_the_rate_nothing_is_lost_untold(programs, observer):
+    recorder = Recorder(programs, observer)
+    sent, lost, written = told_and_written(programs, observer, recorder, 4.0)
+    print(f"\n{sent.total()} sent, {lost.total()} lost")
+    assert written + lost == sent
+
+
+def test_what_a_stalled_recorder_loses_is_counted_and_shouted(programs, observer):
+    program = programs.python("-c", STALLING, "--ros-args", "-p", "output:=bag")
+    recorder = Recorder(programs, observer, program)
+    sent, lost, written = told_and_written(programs, observer, recorder, 5.0)
+    assert lost.total() > 0
+    assert written + lost == sent
+
+
+def test_a_full_disk_is_shouted_and_what_it_holds_is_kept(programs, observer):
+    limited = f"ulimit -f 4096; exec {programs.path('record')} --ros-args -p output:=bag"
+    healths = observer.healths()
+    program = programs.start("bash", "-c", limited)
+    publisher = observer.publisher("emulator/fault")
+    observer.wait_for_recorder(healths, "emulator/fault")
+    noise = random.Random(1)
+
+    def is_full():
+        publisher.publish(String(data=noise.randbytes(200_000).hex()))
+        return [h for h in healths if h.name == "record" and "cannot write (File too large)" in h.message]
+
+    observer.wait(is_full, "the disk to be full")
+    told = is_full()[-1]
+    assert told.level == DiagnosticStatus.ERROR
+    assert "/emulator/fault lost" in {pair.key for pair in told.values}
+    assert program.end()[0] == 130
+    assert "what comes from now on is lost" in program.stderr
+    assert "Traceback" not in program.stderr
+    again = programs.tool("trackslip", "recover", "bag")
+    assert again.wait() == 0, again.stderr
+    with open_bag(programs.folder / "bag_recovered") as bag:
+        assert bag.damage == ""
+        assert bag.topics["/emulator/fault"].count > 0
+
+
+def test_topics_of_others_are_recorded_by_expression(programs, observer):
+    """Also what was said before the recorder came, where it is kept for late comers."""
+    node = observer.node
+    kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    latched = node.create_publisher(String, "/site/plan", kept)
+    latched.publish(String(data="a field"))
+    plain = node.create_publisher(String, "/site/note", 10)
+    node.create_publisher(String, "/other/note", 10)
+    program = programs.tool("trackslip", "record", "--output", "bag", "--more-topics", "/site/.*")
+    recorder = Recorder(programs, observer, program)
+    recorder.wait_for("site/note", "site/plan")
+    plain.publish(String(data="rain"))
+    recorder.wait(lambda: recorder.count("site/note") and recorder.count("site/plan"), "both")
+    assert recorder.program.end()[0] == 130
+    with open_bag(recorder.path) as bag:
+        texts = {
+            m.topic: bag.deserialize(m.raw, m.type_name).data
+            for m in bag.messages(["/site/plan", "/site/note"])
+        }
+        assert texts == {"/site/plan": "a field", "/site/note": "rain"}
+        assert "/other/note" not in bag.topics
+
+
+def test_a_bag_is_split_by_time_and_read_as_one(programs, observer):
+    recorder = Recorder(programs, observer, split_duration=0.5)
+    publisher = observer.publisher("sprockets")
+    recorder.wait_for("sprockets")
+    sent = 0
+
+    def enough():
+        nonlocal sent
+        publisher.publish(numbered(sent))
+        sent += 1
+        return len(list(recorder.path.glob("*.mcap"))) >= 4
+
+    observer.wait(enough, "four files")
+    recorder.wait(lambda: recorder.count("sprockets") == sent, "all to be written")
+    assert recorder.program.end()[0] == 130
+    assert is_strictly_readable(recorder.path) == list(range(sent))
+    with open_bag(recorder.path) as bag:
+        assert bag.damage == ""
