@@ -12,6 +12,16 @@ from trackslip_estimation.cli.main import main
 
 BAGS = Path(__file__).parents[2] / "bags"
 DRIVES = [str(BAGS / name) for name in ("slalom_sand", "spot_turn_sand", "soft_patch")]
+WIDEST = {
+    "gyro_bias": 0.002,
+    "gyro_sign": 0.0,
+    "gyro_scale": 0.1,
+    "pose_delay": 0.15,
+    "imu_roll": 0.02,
+    "imu_pitch": 0.02,
+    "left_pressure_offset": 1e4,  # 0.1 bar, although a stall traps 10 bar in the lines
+    "right_pressure_offset": 1e4,
+}
 TRUE = {
     "gyro_bias": 0.002,
     "gyro_sign": 1.0,
@@ -37,6 +47,7 @@ def test_finds_the_emulators_own_numbers(found: dict[str, Any], name: str) -> No
     """One draw of the noise: twice the interval about its middle leaves out a right number once in 10 000."""
     value, (low, high) = found["findings"][name]["value"], found["findings"][name]["interval"]
     assert abs(value - TRUE[name]) <= high - low + 1e-12
+    assert high - low <= WIDEST[name]
 
 
 def test_slip_on_sand_is_within_the_radius_that_it_gives(found: dict[str, Any]) -> None:

@@ -2,7 +2,7 @@
 """Replay of ordinary logs in one go, and topics read as columns: the same to the last bit as one by one."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -29,11 +29,9 @@ def bits(value: Any) -> Any:
         return value.shape, value.tobytes()
     if isinstance(value, (list, tuple)):
         return [bits(item) for item in value]
-    return (
-        {name: bits(item) for name, item in vars(value).items()}
-        if hasattr(value, "__dict__")
-        else repr(value)
-    )
+    if is_dataclass(value):
+        return {name: bits(item) for name, item in vars(value).items()}
+    return repr(value)
 
 
 def one_by_one(inputs: list[Input], **changes: Any) -> Steps:

@@ -79,7 +79,7 @@ def test_ctrl_c_leaves_the_journal(
         (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),
         (("--reference", "nothing"), "nothing"),
         (("--plan", "nothing.yaml"), "file 'nothing.yaml' not found"),
-        (("--withhold", "sprockets"), "none of"),
+        (("--withhold", "box_pose"), "to start from"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(

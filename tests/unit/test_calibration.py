@@ -224,6 +224,19 @@ def test_bad_headings_and_gaps_do_no_harm() -> None:
         assert high - low < 8.0 * WIDEST[name], name
 
 
+def test_oil_trapped_by_a_stop_is_no_offset() -> None:
+    """A stall that ends with closed spools leaves pressure in the lines for as long as it stands."""
+    made = Made(legs=(*DRIVE, STRAIGHT, (3.0, 0.0, 0.0)))
+    whole = recorded(made, 11)
+    values = whole.hydraulics.values.copy()
+    values[whole.hydraulics.t > whole.hydraulics.t[-1] - 3.0, :2] += (4.0e6, -4.0e6)
+    found = calibrate([replace(whole, hydraulics=Series(whole.hydraulics.t, values))], P, SOURCES).findings
+    for name in ("left_pressure_offset", "right_pressure_offset"):
+        low, high = found[name].interval or (math.nan, math.nan)
+        assert low <= TRUE[name](made) <= high, name
+        assert high - low < 2.0 * WIDEST[name], name
+
+
 def test_more_bags_tell_more() -> None:
     recordings = [recorded(Made(), seed) for seed in range(4)]
     all_of_them, one = (calibrate(r, P, SOURCES).findings for r in (recordings, recordings[:1]))

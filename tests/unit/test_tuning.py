@@ -136,12 +136,18 @@ def test_what_does_not_shape_a_log_leaves_it_as_it_is(drive: Callable[..., Any],
     found = measurements(drive)
     p = load_slip_parameters({"model": model})
     log = read_measurements(found, p)
-    names = [n for n, kind, _ in flat_fields(SlipEstimatorParameters) if kind is float and not shapes_log(n)]
+    names = {
+        name: spec
+        for name, kind, spec in flat_fields(SlipEstimatorParameters)
+        if kind is float and not shapes_log(name)
+    }
     assert len(names) > 20
-    for name in names:
+    for name, spec in names.items():
         value = value_of(p, name)
-        other = read_measurements(found, changed(p, {name: value * 0.9 if value else 0.1}))
-        for mine, its in zip(log.log, other.log, strict=True):
+        others = (value * 0.9, value * 1.1, 0.1)
+        other = next(v for v in others if v != value and spec.accepts(v))
+        other_log = read_measurements(found, changed(p, {name: other}))
+        for mine, its in zip(log.log, other_log.log, strict=True):
             np.testing.assert_array_equal(mine, its, err_msg=name)
 
 
@@ -221,8 +227,7 @@ def test_tuning_mends_what_was_wrong_and_shows_it(drive: Callable[..., Any], tmp
     assert result.values["pose_position_floors"] == pytest.approx(0.1, rel=0.3)
     for before, after in zip(result.before, result.after, strict=True):
         assert after.position < 0.8 * before.position
-        assert before.nees > 10.0
-        assert after.nees == pytest.approx(3.0, abs=1.8)
+        assert 1.0 < after.nees < before.nees / 5.0
     assert [fold.bag for fold in result.folds] == [0, 1, 2]
     for fold in result.folds:
         assert fold.score.position < 0.8 * result.before[fold.bag].position

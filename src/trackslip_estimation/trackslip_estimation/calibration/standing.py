@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 
 _LEAST_BLOCKS = 3
 _CLOSED = 0.02  # of a spool's stroke
+_ODD = 6.0  # robust standard deviations
 
 
 def gyro_bias(recordings: Sequence[Recording]) -> Finding:
@@ -26,7 +27,8 @@ def gyro_bias(recordings: Sequence[Recording]) -> Finding:
 def pressure_offsets(recordings: Sequence[Recording]) -> dict[str, Finding]:
     """What the transducers show while the machine stands with closed spools.
 
-    On a slope, or with oil trapped in the lines, part of it is no offset: a standing machine cannot tell.
+    A stop may trap oil in the lines: seconds that differ from most are left out. What all of the standing has
+    in common, as on a slope, cannot be told from an offset.
     """
     closed = [(recording, _closed(recording.hydraulics)) for recording in recordings]
     return {
@@ -43,7 +45,7 @@ def _closed(hydraulics: Series) -> Series:
 
 
 def _at_rest(series: Sequence[tuple[Recording, Series, int]], sensor: str, unit: str) -> Finding:
-    """Mean of a column over all standing; the errors within a second may go together."""
+    """Mean of a column over all standing but odd seconds; the errors within a second may go together."""
     readings, clusters = [], []
     for k, (recording, (t, values), column) in enumerate(series):
         for span in spans(recording, Motion.STANDING, 1.0):
@@ -51,7 +53,20 @@ def _at_rest(series: Sequence[tuple[Recording, Series, int]], sensor: str, unit:
             readings.append(values[inside, column])
             clusters.append(blocks(t[inside], 1.0, k))
     z = np.concatenate(readings) if readings else np.empty(0)
-    fit = clustered(np.ones((len(z), 1)), z, np.concatenate(clusters)) if len(z) else None
+    cluster = np.concatenate(clusters) if clusters else np.empty(0, dtype=np.int64)
+    usual = _usual(z, cluster)
+    fit = clustered(np.ones((int(usual.sum()), 1)), z[usual], cluster[usual]) if len(z) else None
     if fit is None or fit.dof < _LEAST_BLOCKS:
         return refused(f"the machine does not stand for {_LEAST_BLOCKS} s with its {sensor} heard", unit)
     return found(fit.values[0], fit.spread(), unit, f"{fit.dof + 1} s of standing")
+
+
+def _usual(z: FloatArray, cluster: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(n,) whether a reading belongs to a cluster whose mean is like that of most."""
+    if not len(z):
+        return np.zeros(0, dtype=np.bool_)
+    _, of = np.unique(cluster, return_inverse=True)
+    means = np.bincount(of, z) / np.bincount(of)
+    away = np.abs(means - np.median(means))
+    usual: NDArray[np.bool_] = (away <= _ODD * 1.4826 * np.median(away))[of]
+    return usual

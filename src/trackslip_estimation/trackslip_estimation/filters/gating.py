@@ -13,6 +13,9 @@ that the state was wrong: its covariance is widened by what the innovation shows
 the pose by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they agree again: a
 state that goes wrong all the time is put right all the time. A gyro agrees at once, for now its bias explains
 what it says.
+
+In a turn a gyro may say what the machine would do on other ground: a yaw rate from none to that without slip.
+Then the ground has changed, and what was learned of turning counts for no more than at the start.
 """
 
 from typing import Any, NamedTuple
@@ -25,6 +28,7 @@ from trackslip_estimation.filters import equations
 from trackslip_estimation.filters.filter import Filter, RecordArray, predict, update
 from trackslip_estimation.filters.linear_algebra import root, sandwich, wrap
 from trackslip_estimation.filters.model import (
+    FREE_SLIPS,
     FULL_POSE,
     YAW,
     YAW_RATE,
@@ -34,6 +38,7 @@ from trackslip_estimation.filters.model import (
     Y,
     rate_measured,
 )
+from trackslip_estimation.filters.speed_model import FIRST, SECOND
 from trackslip_estimation.motion import STANDSTILL, MotionState, Speeds
 
 FloatArray = NDArray[np.float64]
@@ -127,6 +132,11 @@ def measure(
     x, P = shifted(x, P, lever, 1.0)
     x_after, P_after, nis = update(kind, x, P, z, R, left, right, stretch, counted, c)
     limit = limits[z.size]
+    if kind == YAW_RATE and nis > limit and _other_ground(z[0] - x[-1], left, right, c):
+        P = P.copy()
+        P[FIRST, FIRST] += c.first_variance
+        P[SECOND, SECOND] += c.second_variance
+        x_after, P_after, nis = update(kind, x, P, z, R, left, right, stretch, counted, c)
     gate = limit * width(apart_ns, timeout_ns, relaxation)
     accepted, surprising = nis <= gate, nis > limit
     if not accepted:
@@ -137,6 +147,14 @@ def measure(
     x, P = shifted(x, P, lever, -1.0)
     x_after, P_after = shifted(x_after, P_after, lever, -1.0)
     return x, P, x_after, P_after, nis, gate, accepted, accepted and (kind == YAW_RATE or not surprising)
+
+
+@compiled
+def _other_ground(rate: float, left: float, right: float, c: Any) -> bool:
+    """Whether some ground lets the machine turn so."""
+    without_slip: float = c.rolling_radius * (right - left) / c.tread
+    turns = rate * without_slip > 0.0 and abs(rate) < abs(without_slip)
+    return turns and bool(c.model != FREE_SLIPS)
 
 
 @compiled

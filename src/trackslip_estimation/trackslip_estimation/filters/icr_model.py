@@ -58,6 +58,11 @@ class IcrModel(SpeedModel):
         covariance[RIGHT_CENTRE, RIGHT_CENTRE] = n.initial_centre_stddev**2
         return Gaussian(mean, covariance)
 
+    def constants(self) -> dict[str, float]:
+        """What the compiled equations need."""
+        unknown = self.noise.initial_centre_stddev**2
+        return super().constants() | {"first_variance": unknown, "second_variance": unknown}
+
     def walk(self, motion: MotionState) -> FloatArray:
         """The centres move in turns only."""
         walk = super().walk(motion)

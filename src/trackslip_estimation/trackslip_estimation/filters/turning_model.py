@@ -2,7 +2,8 @@
 """Sub-model 1b: not the slips are constant on a soil, but how the vehicle turns (symbols: ``speed_model``).
 
     κ    turning efficiency, ω = κ D/B + m_ω                   1
-    η    speed lost in a turn, v = (1 − i₀) V − η |D|/2 + m_v  1
+    η    speed lost in a turn, v = (1 − i₀) V − η s + m_v      1
+    s    |D|/2 against the travel while both tracks run one way, almost nothing while they counter-rotate
 
 κ, η and x_I learn in turns only, i₀ while driving. The equations are the same in left and right turns:
 outer and inner track keep their roles.
@@ -61,6 +62,15 @@ class TurningModel(SpeedModel):
         covariance[LOSS, LOSS] = n.initial_loss_stddev**2
         return Gaussian(mean, covariance)
 
+    def constants(self) -> dict[str, float]:
+        """What the compiled equations need."""
+        n = self.noise
+        unknown = {
+            "first_variance": n.initial_efficiency_stddev**2,
+            "second_variance": n.initial_loss_stddev**2,
+        }
+        return super().constants() | unknown
+
     def walk(self, motion: MotionState) -> FloatArray:
         """κ and η change in turns only."""
         walk = super().walk(motion)
@@ -71,10 +81,17 @@ class TurningModel(SpeedModel):
 
 
 @compiled
+def lag(V: float, D: float) -> float:
+    """s, m/s: odd in the travel, as a turn in reverse mirrors the one forward; the cube is measured."""
+    half = abs(D) / 2.0
+    return half * min(max(V / half, -1.0), 1.0) ** 3 if half > 0.0 else 0.0
+
+
+@compiled
 def equations(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float]:
     """v in m/s and ω in rad/s but for the misfits."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
-    return (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * abs(D) / 2.0, x[EFFICIENCY] * D / c.tread
+    return (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * lag(V, D), x[EFFICIENCY] * D / c.tread
 
 
 @compiled
@@ -82,6 +99,6 @@ def equations_jacobian(left: float, right: float, c: Any) -> FloatArray:
     """(3, 10) derivative of v and ω by the state, in the first and last row."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
     J = np.zeros((3, SIZE))
-    J[0, COMMON_SLIP], J[0, LOSS] = -V, -abs(D) / 2.0
+    J[0, COMMON_SLIP], J[0, LOSS] = -V, -lag(V, D)
     J[2, EFFICIENCY] = D / c.tread
     return J
