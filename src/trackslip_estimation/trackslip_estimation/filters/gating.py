@@ -15,7 +15,7 @@ state that goes wrong all the time is put right all the time. A gyro agrees at o
 what it says.
 
 In a turn a gyro may say what the machine would do on other ground: a yaw rate from none to that without slip.
-Then the ground has changed, and what was learned of turning counts for no more than at the start.
+Then the ground has changed, and what was learned of turning and slip counts for no more than at the start.
 """
 
 from typing import Any, NamedTuple
@@ -38,7 +38,7 @@ from trackslip_estimation.filters.model import (
     Y,
     rate_measured,
 )
-from trackslip_estimation.filters.speed_model import FIRST, SECOND
+from trackslip_estimation.filters.speed_model import COMMON_SLIP, FIRST, SECOND
 from trackslip_estimation.motion import STANDSTILL, MotionState, Speeds
 
 FloatArray = NDArray[np.float64]
@@ -136,6 +136,7 @@ def measure(
         P = P.copy()
         P[FIRST, FIRST] += c.first_variance
         P[SECOND, SECOND] += c.second_variance
+        P[COMMON_SLIP, COMMON_SLIP] += c.slip_variance
         x_after, P_after, nis = update(kind, x, P, z, R, left, right, stretch, counted, c)
     gate = limit * width(apart_ns, timeout_ns, relaxation)
     accepted, surprising = nis <= gate, nis > limit

@@ -38,8 +38,9 @@ CONSTANTS = np.dtype(
         ("standing_misfit", np.float64),  # m/s
         ("yielding_slip", np.float64),
         ("misfit_time", np.float64),  # τ, s
-        ("first_variance", np.float64),  # of how the vehicle turns, on ground not known yet
+        ("first_variance", np.float64),  # of how the vehicle turns and slips, on ground not known yet
         ("second_variance", np.float64),
+        ("slip_variance", np.float64),
         ("walk", np.float64, (4, 2, LARGEST_STATE)),  # variance per s, by motion and whether it changes
     ],
     align=True,

@@ -101,6 +101,7 @@ class SpeedModel:
             "standing_misfit": n.standing_misfit,
             "yielding_slip": n.yielding_slip,
             "misfit_time": n.misfit_time,
+            "slip_variance": n.initial_common_slip_stddev**2,
         }
 
     def walk(self, motion: MotionState) -> FloatArray:

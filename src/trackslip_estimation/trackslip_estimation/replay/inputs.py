@@ -108,6 +108,8 @@ def _from_columns(
     arrivals: list[tuple[int, Arrival]] = []
     for topic, whole in read_columns(bag, names).items():
         name, (order, log_times_ns, columns) = names[topic], whole.between(*span)
+        if not len(log_times_ns):
+            continue
         times = log_times_ns.tolist()
         inputs.messages[name] += len(times)
         if name in readers:
