@@ -130,12 +130,15 @@ def test_outputs_know_of_the_rounding_of_the_counts(model: str) -> None:
 def test_the_turning_equations_hold_where_they_say(
     left: float, right: float, kappa: float, eta: float, common: float
 ) -> None:
-    """v = (1 − i₀) V − η |D|/2, ω = κ D/B, and the mirrored turn mirrored."""
+    """v = (1 − i₀) V − η s, ω = κ D/B; the mirrored turn mirrored, the one in reverse reversed."""
     x = np.zeros(SIZE)
     V, D = RADIUS * (left + right) / 2.0, RADIUS * (right - left)
     x[FIRST], x[SECOND], x[COMMON_SLIP] = kappa, eta, common
-    expected = np.array(((1.0 - common) * V - eta * abs(D) / 2.0, 0.0, kappa * D / TREAD))
+    one_way = left * right >= 0.0
+    lost = math.copysign(abs(D) / 2.0, V) if one_way else V * abs(2.0 * V / D) ** 2
+    expected = np.array(((1.0 - common) * V - eta * lost, 0.0, kappa * D / TREAD))
     c = RECORDS["turning"]
+    np.testing.assert_allclose(equations.twist(x, -left, -right, c), -expected, atol=1e-12)
     np.testing.assert_allclose(equations.twist(x, left, right, c), expected, atol=1e-12)
     np.testing.assert_allclose(equations.twist(x, right, left, c), expected * (1, 1, -1), atol=1e-12)
 

@@ -263,16 +263,17 @@ def test_clock_jump(log: Log, jump_s: int) -> None:
 
 
 def test_small_step_of_the_clock(log: Log) -> None:
-    """Back by 0.5 s, within the window: samples of both times mix, and fixes bring it right."""
+    """Back by 0.5 s, within the window: positions contradict what was there, and all begins anew."""
     begin = next(k for k, m in enumerate(log.measurements) if seconds_of(log, m) > BEGIN)
     given = [
         replace(m, stamp_ns=m.stamp_ns - S // 2) if k >= begin else m for k, m in enumerate(log.measurements)
     ]
     found = run(log, given, -S // 2)
-    assert found.restarts == 0
+    assert found.restarts == 1
     after = found.position[found.seconds > BEGIN + 3.0]
     assert after.max() < 0.06
-    assert {outcome for _, outcome in found.counts} <= {"JUMPED", "DUPLICATE", "GATED"}
+    allowed = {"JUMPED", "DUPLICATE", "GATED", "RESTARTED", "WAITING"}
+    assert {outcome for _, outcome in found.counts} <= allowed
 
 
 @pytest.mark.parametrize("start", [12.0, 16.0, 27.0])

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.compiled import compiled
+from trackslip_estimation.filters.equations import size
 from trackslip_estimation.filters.filter import Filter, RecordArray, predict
 from trackslip_estimation.filters.gating import Gates, log_det, measure
 from trackslip_estimation.filters.model import SPROCKETS, Gaussian, Measured
@@ -178,7 +179,8 @@ def _loop(
             return k, x, P
         x, P = predict(x, P, left, right, dt, motion, changing, departure, c)
         if kind != SPROCKETS:
-            z, R = values[k, :kind].copy(), noises[k, :kind, :kind].copy()  # the kinds are numbered so
+            m = size(kind)
+            z, R = values[k, :m].copy(), noises[k, :m, :m].copy()
             lever, apart_ns, timeout_ns = levers[source], now_ns[k] - agreed_ns[source], timeouts_ns[source]
             log_dets[k] = log_det(kind, R, x, P, left, right, stretch, counted == 1, lever, c)
             _, _, x, P, nis[k], _, accepted[k], agreed = measure(

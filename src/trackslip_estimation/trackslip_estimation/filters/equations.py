@@ -24,7 +24,7 @@ from trackslip_estimation.filters import icr_model, slip_model, speed_model, tur
 from trackslip_estimation.filters.linear_algebra import sandwich, times, wrap
 from trackslip_estimation.filters.model import (
     FREE_SLIPS,
-    POSITION,
+    SLIPS,
     TURNING,
     YAW,
     YAW_RATE,
@@ -166,13 +166,19 @@ def process_noise(
 
 
 @compiled
+def size(kind: int) -> int:
+    """m: how many numbers a measurement of one kind has; all kinds but one are numbered so."""
+    return 2 if kind == SLIPS else kind
+
+
+@compiled
 def expected(kind: int, x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
     """h."""
     if kind == YAW_RATE:
         return np.array((twist(x, left, right, c)[2] + x[-1],))
-    if kind == POSITION:
-        return x[X : Y + 1].copy()
-    return x[X : YAW + 1].copy()
+    if kind == SLIPS:
+        return _told(x, left, right, c)[3:5].copy()
+    return x[X : X + size(kind)].copy()
 
 
 @compiled
@@ -182,7 +188,10 @@ def jacobian(kind: int, x: FloatArray, left: float, right: float, c: Any) -> Flo
         H = np.ascontiguousarray(twist_jacobian(x, left, right, c)[2:])
         H[0, -1] = 1.0
         return H
-    return np.eye(2 if kind == POSITION else 3, x.size)
+    if kind == SLIPS:
+        J = twist_jacobian(x, left, right, c)
+        return slips_jacobian(_told(x, left, right, c), J, left, right, c)[:2].copy()
+    return np.eye(size(kind), x.size)
 
 
 @compiled
@@ -197,13 +206,13 @@ def _rounding(stretch: float, counted: bool, c: Any) -> float:
 def noise(
     kind: int, x: FloatArray, R: FloatArray, left: float, right: float, stretch: float, counted: bool, c: Any
 ) -> FloatArray:
-    """R; the yaw rate is predicted from sprocket speeds over ``stretch`` s, ``counted`` in whole steps."""
+    """R; yaw rate and slips are predicted from speeds over ``stretch`` s, ``counted`` in whole steps."""
     e = _rounding(stretch, counted, c)
-    if kind != YAW_RATE or e == 0.0:
+    if kind not in (YAW_RATE, SLIPS) or e == 0.0:
         return R
-    by_left = twist(x, left + e, right, c)[2] - twist(x, left - e, right, c)[2]
-    by_right = twist(x, left, right + e, c)[2] - twist(x, left, right - e, c)[2]
-    return R + (by_left**2 + by_right**2) / 4.0
+    by_left = expected(kind, x, left + e, right, c) - expected(kind, x, left - e, right, c)
+    by_right = expected(kind, x, left, right + e, c) - expected(kind, x, left, right - e, c)
+    return R + (np.outer(by_left, by_left) + np.outer(by_right, by_right)) / 4.0
 
 
 @compiled
@@ -220,16 +229,21 @@ def _told(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
 
 
 @compiled
+def slips_jacobian(told: FloatArray, J: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+    """(3, n) derivative of the slips that are told, by that of the twist."""
+    if c.model == FREE_SLIPS:
+        return slip_model.slips_jacobian()
+    return speed_model.slips_jacobian(told[0], told[1], J, left, right, c)
+
+
+@compiled
 def outputs(
     x: FloatArray, P: FloatArray, left: float, right: float, stretch: float, counted: bool, c: Any
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Twist and slips, (3,) each, with their covariances, (3, 3) each: ``model.Outputs``."""
     told = _told(x, left, right, c)
     J = twist_jacobian(x, left, right, c)
-    if c.model == FREE_SLIPS:
-        S = slip_model.slips_jacobian()
-    else:
-        S = speed_model.slips_jacobian(told[0], told[1], J, left, right, c)
+    S = slips_jacobian(told, J, left, right, c)
     twist_covariance, slip_covariance = sandwich(J, P), sandwich(S, P)
     e = _rounding(stretch, counted, c)
     if e > 0.0:

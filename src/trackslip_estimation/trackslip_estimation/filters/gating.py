@@ -10,12 +10,13 @@
 So a spike stays out, and a source that insists, or comes back after an outage, is believed in the end: the
 time that takes grows with the logarithm of how far off it is. What passes only because the gate is wide says
 that the state was wrong: its covariance is widened by what the innovation shows before the update, that of
-the pose by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they agree again: a
+the pose or the slips by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they agree again: a
 state that goes wrong all the time is put right all the time. A gyro agrees at once, for now its bias explains
 what it says.
 
 In a turn a gyro may say what the machine would do on other ground: a yaw rate from none to that without slip.
 Then the ground has changed, and what was learned of turning and slip counts for no more than at the start.
+What it would do on no ground, to turn against its tracks, is never taken: a gyro upside down says so.
 """
 
 from typing import Any, NamedTuple
@@ -30,6 +31,7 @@ from trackslip_estimation.filters.linear_algebra import root, sandwich, wrap
 from trackslip_estimation.filters.model import (
     FREE_SLIPS,
     FULL_POSE,
+    SLIPS,
     YAW,
     YAW_RATE,
     Gaussian,
@@ -38,6 +40,7 @@ from trackslip_estimation.filters.model import (
     Y,
     rate_measured,
 )
+from trackslip_estimation.filters.slip_model import LEFT_SLIP
 from trackslip_estimation.filters.speed_model import COMMON_SLIP, FIRST, SECOND
 from trackslip_estimation.motion import STANDSTILL, MotionState, Speeds
 
@@ -45,6 +48,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _WIDEST = 100.0  # timeouts: beyond, the gate is open to anything finite
+_DOUBT = 4.0  # standard deviations
+_LAG = 0.1  # of the yaw rate without slip, by which the machine may still turn the other way
 
 
 class Gates(NamedTuple):
@@ -139,7 +144,8 @@ def measure(
         P[COMMON_SLIP, COMMON_SLIP] += c.slip_variance
         x_after, P_after, nis = update(kind, x, P, z, R, left, right, stretch, counted, c)
     gate = limit * width(apart_ns, timeout_ns, relaxation)
-    accepted, surprising = nis <= gate, nis > limit
+    surprising = nis > limit
+    accepted = nis <= gate and not (kind == YAW_RATE and _on_no_ground(z[0] - x[-1], R, P, left, right, c))
     if not accepted:
         x_after, P_after = x, P
     elif surprising:
@@ -148,6 +154,14 @@ def measure(
     x, P = shifted(x, P, lever, -1.0)
     x_after, P_after = shifted(x_after, P_after, lever, -1.0)
     return x, P, x_after, P_after, nis, gate, accepted, accepted and (kind == YAW_RATE or not surprising)
+
+
+@compiled
+def _on_no_ground(rate: float, R: FloatArray, P: FloatArray, left: float, right: float, c: Any) -> bool:
+    """Whether the machine would turn against its tracks, beyond what noise and bias explain."""
+    without_slip: float = c.rolling_radius * (right - left) / c.tread
+    allowed = _DOUBT * np.sqrt(R[0, 0] + P[-1, -1]) + _LAG * abs(without_slip)
+    return bool(c.model != FREE_SLIPS) and rate * np.sign(without_slip) < -allowed
 
 
 @compiled
@@ -177,11 +191,15 @@ def admitted(
     if kind == YAW_RATE:
         wide[-1, -1] += innovation[0] ** 2
         return wide
+    if kind == SLIPS and c.model != FREE_SLIPS:
+        wide[COMMON_SLIP, COMMON_SLIP] += innovation.mean() ** 2
+        return wide
     if kind == FULL_POSE:
         innovation[YAW] = wrap(innovation[YAW])
+    first = LEFT_SLIP if kind == SLIPS else X
     for i in range(innovation.size):
         for j in range(innovation.size):
-            wide[i, j] += innovation[i] * innovation[j]
+            wide[first + i, first + j] += innovation[i] * innovation[j]
     return wide
 
 

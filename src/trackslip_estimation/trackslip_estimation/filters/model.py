@@ -21,7 +21,7 @@ POSE = slice(X, YAW + 1)
 LARGEST_STATE = 10
 
 FREE_SLIPS, TURNING, ICR = range(3)  # models
-SPROCKETS, YAW_RATE, POSITION, FULL_POSE = range(4)  # kinds of measurement
+SPROCKETS, YAW_RATE, POSITION, FULL_POSE, SLIPS = range(5)  # kinds of measurement
 
 CONSTANTS = np.dtype(
     [
@@ -95,6 +95,12 @@ class Model(Protocol):
 def rate_measured(rate: float, variance: float) -> Measured:
     """z = φ̇ + b_g of a gyro."""
     return Measured(YAW_RATE, np.array((rate,)), np.array(((variance,),)))
+
+
+def slips_measured(slips: FloatArray, covariance: FloatArray) -> Measured:
+    """z = (i_L, i_R)."""
+    value, noise = (np.array(a, dtype=np.float64, order="C") for a in (slips, covariance))
+    return Measured(SLIPS, value, noise)
 
 
 def pose_measured(pose: FloatArray, covariance: FloatArray, use_heading: bool) -> Measured:
