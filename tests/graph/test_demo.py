@@ -15,10 +15,13 @@ from trackslip_sim.graph import DemoOptions, demo_nodes
 
 pytestmark = pytest.mark.xdist_group("graph")
 
-SUMMARY = {"position_rmse", "dead_reckoning_rmse", "heading_rmse", "slip_rmse", "topics", "replay_matches"}
+SUMMARY = {
+    *("position_rmse", "dead_reckoning_rmse", "heading_rmse", "slip_rmse"),
+    *("topics", "replay_matches", "soil"),
+}
 BAR = 3.0  # s from Ctrl-C to the end
 SLACK = 2.0  # on a busy machine
-NODES = 7
+NODES = 8
 
 
 def demo(programs, *arguments):
@@ -48,6 +51,7 @@ def test_demo_leaves_numbers_picture_and_bag(programs):
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert summary.keys() == SUMMARY
     assert summary["replay_matches"] is True
+    assert summary["soil"]["replay_matches"] is True
     assert 0.0 < summary["position_rmse"] <= 0.15
     assert summary["topics"].keys() == set(SENSOR_TOPICS)
     with AnyReader([folder / "bag"]) as reader:

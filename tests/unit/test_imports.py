@@ -19,6 +19,7 @@ ALLOWED = {
 ROSDEP_KEYS = {
     "can": "python3-can",
     "cantools": "python3-cantools-pip",
+    "jinja2": "python3-jinja2",
     "matplotlib": "python3-matplotlib",
     "msgpack": "python3-msgpack",
     "numpy": "python3-numpy",
@@ -26,9 +27,9 @@ ROSDEP_KEYS = {
     "serial": "python3-serial",
     "yaml": "python3-yaml",
 }
-# No key in rosdep (numba: none for Ubuntu 24.04): requirements/with-apt-ros.txt has them.
+# From pip, as the README says (Ubuntu 24.04 has no rosdep key of numba): requirements/with-apt-ros.txt.
 # crccheck comes with cantools.
-PIP_ONLY = {"crccheck", "distributed", "joblib", "mcap", "mcap_ros2", "numba", "rich", "rosbags"}
+PIP_ONLY = {"bokeh", "crccheck", "distributed", "joblib", "mcap", "numba", "rich", "rosbags"}
 
 
 def imported(package: str) -> dict[str, set[str]]:

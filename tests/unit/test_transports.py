@@ -325,6 +325,28 @@ def test_kinds_of_frames_on_the_virtual_bus():
     assert received == [(0x7F | STANDARD_FLAG, b"a"), (0x7F, b"b"), (0x40 | ERROR_FLAG, b"")]
 
 
+def test_a_frame_is_handed_on_before_the_next_is_looked_for():
+    port = CanBus("virtual", "one by one", 43113)
+    with can.Bus("one by one", interface="virtual") as peer:
+        peer.send(can.Message(arbitration_id=1))
+        frames = iter(port.read())
+        (first, _) = next(frames)
+        peer.send(can.Message(arbitration_id=2))
+        assert [first, *(frame for frame, _ in frames)] == [(1, b""), (2, b"")]
+    port.close()
+
+
+def test_a_port_that_never_falls_silent_does_not_hold_up_the_end(heard, start_link):
+    class Flood(BrokenPort):
+        def read(self):
+            while True:
+                time.sleep(0.001)
+                yield b"x", 0
+
+    start_link(lambda: Flood(OSError(), []))
+    wait_for(lambda: heard.data)
+
+
 def test_missing_bus_is_an_error_of_the_link(start_link):
     link = start_link(partial(CanBus, "socketcan", "no_such_bus", 43113))
     wait_for(lambda: link.state().errors >= 1)

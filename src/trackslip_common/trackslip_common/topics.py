@@ -32,6 +32,7 @@ TOPICS = {
     "track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),
     "soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),
+    "slip_seed": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "measurement_reports": Topic("trackslip_msgs/msg/MeasurementReport", Flow.RELIABLE),
     "slip_estimator/set_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
     "slip_estimator/parameters": Topic("std_msgs/msg/String", Flow.LATCHED),

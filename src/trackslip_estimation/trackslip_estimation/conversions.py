@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header, stamp_ns_of
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
-from trackslip_estimation.measurements import PoseFix, Report, Sprockets, YawRate
+from trackslip_estimation.measurements import PoseFix, Report, SlipFix, Sprockets, YawRate
 from trackslip_estimation.slip_estimator import Estimate
 
 FloatArray = NDArray[np.float64]
 
 PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
-_UNOBSERVED = 1e6  # variance of what a planar estimate says nothing of
-_BLANK_6 = np.diag(np.full(6, _UNOBSERVED))
+UNOBSERVED = 1e6  # variance of what a planar estimate says nothing of
+_BLANK_6 = np.diag(np.full(6, UNOBSERVED))
 
 
 def sprockets(message: Any, source: str) -> Sprockets:
@@ -51,6 +51,13 @@ def pose_fix(message: Any, source: str) -> PoseFix:
     pose = planar_pose(message.pose.pose)
     covariance = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[PLANE_IN_6]
     return PoseFix(source, stamp_ns_of(message), pose, covariance)
+
+
+def slip_fix(message: Any, source: str) -> SlipFix:
+    """From trackslip_msgs/TrackSlip, but for the slip angle."""
+    covariance = np.asarray(message.covariance, dtype=np.float64).reshape(3, 3)[:2, :2]
+    slips = np.array((message.left_slip, message.right_slip))
+    return SlipFix(source, stamp_ns_of(message), slips, covariance)
 
 
 def planar_pose(pose: Any) -> FloatArray:

@@ -29,7 +29,7 @@ _ASIDE = Measured(ASIDE, np.empty(0), np.empty((0, 0)))
 
 
 _OF_RUNS_ONLY = re.compile(
-    r"(turning|icr|noise)\..*|gate_.*|(pose|yaw_rate)_timeouts|filter|kappa|initial_.*"
+    r"(turning|icr|noise)\..*|gate_.*|(pose|yaw_rate|slip)_timeouts|filter|kappa|initial_.*"
 )
 
 

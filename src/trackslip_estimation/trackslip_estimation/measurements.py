@@ -68,18 +68,36 @@ class PoseFix:
     def is_finite(self, heading: bool = True) -> bool:
         """Whether it is all numbers, with a positive variance in every direction; with or without heading."""
         rows = 3 if heading else 2
-        pose, covariance = self.pose[:rows], self.covariance[:rows, :rows]
-        if not ((np.abs(pose) < _LARGEST).all() and (np.abs(covariance) < _LARGEST**2).all()):
-            return False
-        variances = np.diag(covariance)
-        if not (variances > 0.0).all():
-            return False
-        deviations = np.sqrt(variances)
-        correlation = covariance / np.outer(deviations, deviations)
-        return bool(np.linalg.eigvalsh(correlation)[0] > -_ROUNDING)
+        return _is_gaussian(self.pose[:rows], self.covariance[:rows, :rows])
 
 
-Measurement: TypeAlias = Sprockets | YawRate | PoseFix
+@dataclass(frozen=True, eq=False)
+class SlipFix:
+    """Slips of both tracks, known from elsewhere: in straight motion thrust and soil tell them."""
+
+    source: str
+    stamp_ns: int
+    slips: FloatArray  # (2,) left, right
+    covariance: FloatArray  # (2, 2)
+
+    def is_finite(self) -> bool:
+        """Whether it is all numbers, with a positive variance in every direction."""
+        return _is_gaussian(self.slips, self.covariance)
+
+
+def _is_gaussian(mean: FloatArray, covariance: FloatArray) -> bool:
+    if not ((np.abs(mean) < _LARGEST).all() and (np.abs(covariance) < _LARGEST**2).all()):
+        return False
+    variances = np.diag(covariance)
+    if not (variances > 0.0).all():
+        return False
+    deviations = np.sqrt(variances)
+    correlation = covariance / np.outer(deviations, deviations)
+    return bool(np.linalg.eigvalsh(correlation)[0] > -_ROUNDING)
+
+
+Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix
+KINDS = (Sprockets, YawRate, PoseFix, SlipFix)  # of measurements, for isinstance
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from trackslip_estimation.measurements import (
     PoseFix,
     Reload,
     Report,
+    SlipFix,
     Sprockets,
     YawRate,
 )
@@ -179,7 +180,7 @@ class SlipEstimator:
 
     def _prepared(self, measurement: Measurement) -> Measurement:
         """As its source's parameters want it."""
-        if isinstance(measurement, Sprockets):
+        if isinstance(measurement, (Sprockets, SlipFix)):
             return measurement
         if isinstance(measurement, YawRate):
             return self._gyros[measurement.source].prepared(measurement)

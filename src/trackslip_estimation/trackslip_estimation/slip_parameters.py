@@ -80,6 +80,13 @@ class SlipEstimatorParameters(Parameters):
         f"as pose_timeouts; {_EACH}", unit="s", ge=0.01, le=3600.0, read_only=False
     )
     yaw_rate_stddev: float = parameter("where an Imu message gives no variance", unit="rad/s", gt=0.0)
+    slip_sources: tuple[str, ...] = parameter(
+        "topics of TrackSlip that are measurements: [slip_seed], the soil estimator's, which rests on these "
+        "very slips and so feeds back; '' names none"
+    )
+    slip_timeouts: tuple[float, ...] = parameter(
+        f"as pose_timeouts; {_EACH}", unit="s", ge=0.01, le=86400.0, read_only=False
+    )
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
     start: str = parameter("what the estimate starts from", choices=("first_fix", "initial_pose"))
     initial_x: float = parameter("x at the start, with start: initial_pose", unit="m")
@@ -126,8 +133,7 @@ class SlipEstimatorParameters(Parameters):
         for name in set(named(self.position_only)) - set(self.pose_sources):
             accepted = ", ".join(named(self.pose_sources)) or "none, there are no pose_sources"
             raise InputError(f"{NODE}: position_only: '{name}' is no pose source; accepted: {accepted}")
-        self.poses()
-        self.gyros()
+        self.timeouts_ns()
 
     def poses(self) -> dict[str, PoseSource]:
         """What each pose source is told.
@@ -166,7 +172,9 @@ class SlipEstimatorParameters(Parameters):
     def timeouts_ns(self) -> dict[str, int]:
         """Of each source but the sprockets."""
         sources: dict[str, PoseSource | YawRateSource] = {**self.poses(), **self.gyros()}
-        return {name: source.timeout_ns for name, source in sources.items()}
+        timeouts_ns = (round(t * 1e9) for t in self._each("slip_timeouts", self.slip_sources))
+        slips = dict(zip(named(self.slip_sources), timeouts_ns, strict=True))
+        return {name: source.timeout_ns for name, source in sources.items()} | slips
 
     def changed(self, values: Mapping[str, Any]) -> "SlipEstimatorParameters":
         """These parameters with other values; dotted names.
@@ -206,9 +214,11 @@ def load_slip_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SlipE
 def make_gates(p: SlipEstimatorParameters) -> Gates:
     """Gates of the sources, which are numbered as ``timeouts_ns`` names them."""
     limits = [np.inf, *(float(chi2.ppf(p.gate_probability, dof)) for dof in (1, 2, 3))]
-    levers = [source.lever for source in p.poses().values()] + [(0.0, 0.0) for _ in p.gyros()]
     timeouts_ns = np.array(list(p.timeouts_ns().values()), dtype=np.int64)
-    return Gates(np.array(limits), p.gate_relaxation, timeouts_ns, np.array(levers).reshape(-1, 2))
+    levers = np.zeros((timeouts_ns.size, 2))
+    for row, source in enumerate(p.poses().values()):
+        levers[row] = source.lever
+    return Gates(np.array(limits), p.gate_relaxation, timeouts_ns, levers)
 
 
 def make_filter(p: SlipEstimatorParameters) -> Filter:

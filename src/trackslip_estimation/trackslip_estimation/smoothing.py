@@ -17,7 +17,7 @@ from typing import NamedTuple
 from trackslip_estimation.filters.filter import Filter
 from trackslip_estimation.filters.smoother import Step
 from trackslip_estimation.filters.smoother import smooth as smooth_steps
-from trackslip_estimation.measurements import Input, Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.measurements import KINDS, Input, Measurement, Sprockets
 from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters, make_filter
 from trackslip_estimation.stepping import FilterState
@@ -42,8 +42,7 @@ def smooth(measurements: Iterable[Input], p: SlipEstimatorParameters, shown: Sho
     ``shown`` wraps what the filter goes through, for a progress bar.
     """
     p = replace(p, filter="ekf")
-    kinds = (Sprockets, YawRate, PoseFix)
-    taken: list[Measurement] = sorted((m for m in measurements if isinstance(m, kinds)), key=key_of)
+    taken: list[Measurement] = sorted((m for m in measurements if isinstance(m, KINDS)), key=key_of)
     estimator = SlipEstimator(p, window_ns=_FOREVER_NS)
     for measurement in shown(taken):
         estimator.take(measurement)

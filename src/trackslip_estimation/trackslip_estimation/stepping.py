@@ -16,6 +16,7 @@ from trackslip_estimation.filters.model import (
     Outputs,
     pose_measured,
     rate_measured,
+    slips_measured,
 )
 from trackslip_estimation.measurements import (
     SET_POSE,
@@ -23,6 +24,7 @@ from trackslip_estimation.measurements import (
     Outcome,
     PoseFix,
     Report,
+    SlipFix,
     Sprockets,
     YawRate,
 )
@@ -125,9 +127,10 @@ class Stepper:
 
     def speeds(self, leg: Leg, measurement: Measurement) -> Speeds:
         """Those that predict the measurement. A gyro is compared with them: their rounding would be in its
-        innovation and its Jacobian both, and bias what it teaches of turning.
+        innovation and its Jacobian both, and bias what it teaches of turning. So are slips.
         """
-        return self._smoothed(leg.speeds, leg.motion) if isinstance(measurement, YawRate) else leg.speeds
+        compared = isinstance(measurement, (YawRate, SlipFix))
+        return self._smoothed(leg.speeds, leg.motion) if compared else leg.speeds
 
     def _smoothed(self, speeds: Speeds, motion: MotionState) -> Speeds:
         return smoothed(speeds, motion, self._resolution, self._limits)
@@ -139,6 +142,8 @@ class Stepper:
         if isinstance(measurement, YawRate):
             unknown = self._reach.unseen_yaw_rate**2 if silent else 0.0
             return rate_measured(measurement.rate, measurement.variance + unknown)
+        if isinstance(measurement, SlipFix):
+            return slips_measured(measurement.slips, measurement.covariance)
         heading = self._poses[measurement.source].tells_heading(measurement)
         return pose_measured(measurement.pose, measurement.covariance, heading)
 

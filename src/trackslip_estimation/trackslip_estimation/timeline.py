@@ -10,12 +10,12 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from trackslip_estimation.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.measurements import KINDS, Measurement, Outcome
 
 State = TypeVar("State")
 Key = tuple[int, int, str]
 
-_RANK = {Sprockets: 0, YawRate: 1, PoseFix: 2}
+_RANK = {kind: rank for rank, kind in enumerate(KINDS)}
 
 
 def key_of(measurement: Measurement) -> Key:

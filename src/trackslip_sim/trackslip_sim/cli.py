@@ -6,7 +6,8 @@ import json
 import time
 from pathlib import Path
 
-from trackslip_common.errors import ExitCode, InputError
+from trackslip_common.errors import ExitCode
+from trackslip_estimation.cli.json_file import write_json
 from trackslip_sim.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios import load_scenario, scenario_names
@@ -50,13 +51,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
         record_drive(load_emulator_parameters(given), truth, arguments.output)
-    text = json.dumps(report, indent=2)
-    print(text)
+    print(json.dumps(report, indent=2))
     if arguments.json is not None:
-        try:
-            arguments.json.write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"--json: '{arguments.json}' cannot be written ({error.strerror})") from error
+        write_json(arguments.json, report)
     return int(ExitCode.DONE)
 
 

@@ -2,6 +2,7 @@
 """What all nodes are: a lifecycle node that starts by itself, refuses bad parameters, and reports at 1 Hz."""
 
 import traceback
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -22,6 +23,7 @@ P = TypeVar("P", bound=Parameters)
 
 _ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 _AUTOSTART = "autostart"
+_COMPLAINT_PERIOD = 30.0  # s between words in the log about the same trouble
 
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
@@ -59,7 +61,9 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         self._starting = False
         self._failure: Exception | None = None
         self._announced: list[Any] = []
-        self._status = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._unsent: Counter[str] = Counter()  # by topic
+        self._unsent_told = 0
+        self._status = self.outlasting(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._pulse = self.create_timer(1.0, self.publish_health, clock=steady)
 
@@ -92,9 +96,24 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         self.create_subscription(message_type, topic, when_active, wanted(topic))
 
     def announce(self, message_type: type, topic: str) -> Any:
-        """A lifecycle publisher with the topic's own quality of service."""
+        """A lifecycle publisher with the topic's own quality of service, whose failures the node outlives."""
         publisher = self.create_lifecycle_publisher(message_type, topic, offered(topic.removeprefix("/")))
         self._announced.append(publisher)
+        return self.outlasting(publisher)
+
+    def outlasting(self, publisher: Any) -> Any:
+        """The publisher; what it cannot send is counted: one stalled subscriber is no reason to end."""
+        send = publisher.publish
+
+        def publish(message: Any) -> None:
+            try:
+                send(message)
+            except rclpy_implementation.RCLError as error:
+                self._unsent[publisher.topic_name] += 1
+                text = f"{publisher.topic_name}: not sent: {' '.join(str(error).split())}"
+                self.get_logger().warning(text, throttle_duration_sec=_COMPLAINT_PERIOD)
+
+        publisher.publish = publish
         return publisher
 
     def start(self) -> None:
@@ -204,6 +223,15 @@ class TrackslipNode(LifecycleNode, Generic[P]):
             self.get_logger().error(" ".join(str(error).split()))
             return TransitionCallbackReturn.ERROR
 
+    def _sending(self) -> list[Health]:
+        """What could not be sent, by topic; nothing where that never happened."""
+        unsent = dict(self._unsent)
+        news, self._unsent_told = sum(unsent.values()) - self._unsent_told, sum(unsent.values())
+        if not unsent:
+            return []
+        level, message = (WARN, f"{news} messages could not be sent") if news else (OK, "running")
+        return [Health(level, message, {f"not sent: {topic}": n for topic, n in unsent.items()}, "outputs")]
+
     def _declare(self, parameters: type[P], default_files: tuple[str, ...]) -> P:
         """Defaults of ``config/``, what the user gave on top, checked, then declared to ROS."""
         name = self.get_name()
@@ -229,7 +257,7 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         """Tell /diagnostics now; it is told once a second anyway."""
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
-        for entry in self.health() if self.active else [Health(OK, "inactive")]:
+        for entry in [*(self.health() if self.active else [Health(OK, "inactive")]), *self._sending()]:
             status = DiagnosticStatus(level=entry.level, message=entry.message, hardware_id=self.get_name())
             status.name = f"{self.get_name()}: {entry.part}" if entry.part else self.get_name()
             status.values = [KeyValue(key=k, value=str(v)) for k, v in entry.values.items()]

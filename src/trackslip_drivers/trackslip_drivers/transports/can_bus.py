@@ -2,7 +2,7 @@
 """A CAN bus behind python-can: SocketCAN on the vehicle, UDP multicast between processes, virtual in one."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import can
@@ -38,21 +38,15 @@ class CanBus:
         options: dict[str, Any] = {"port": port} if interface == "udp_multicast" else {}
         self._bus = can.Bus(channel=channel, interface=interface, **options)
 
-    def read(self) -> Sequence[tuple[CanFrame, int]]:
-        """The next frame with its time of reception, at once: others may be there, but this one is due.
+    def read(self) -> Iterable[tuple[CanFrame, int]]:
+        """The frames that are there, once there is one, each with its time of reception.
 
         Raises:
             can.CanError, OSError: the bus failed, or an error frame of the read before said that it is off.
         """
         if self._is_off:
             raise can.CanOperationError("bus off")
-        message = self._bus.recv(READ_TIMEOUT_S)
-        if message is None:
-            return ()
-        frame = (_flagged_id(message), bytes(message.data))
-        if message.is_error_frame:
-            self._is_off = bus_state(*frame) is BusState.OFF
-        return ((frame, _stamp_ns(message)),)
+        return self._frames()
 
     def write(self, data: CanFrame) -> None:
         """Send one frame with a 29-bit id; an error frame where ``ERROR_FLAG`` is set.
@@ -66,6 +60,16 @@ class CanBus:
             arbitration_id=name & ~ERROR_FLAG, data=payload, is_extended_id=True, is_error_frame=is_error
         )
         self._bus.send(message, timeout=_SEND_TIMEOUT_S)
+
+    def _frames(self) -> Iterator[tuple[CanFrame, int]]:
+        """One by one: a frame is handed on before the next is looked for."""
+        message = self._bus.recv(READ_TIMEOUT_S)
+        while message is not None:
+            frame = (_flagged_id(message), bytes(message.data))
+            if message.is_error_frame:
+                self._is_off = bus_state(*frame) is BusState.OFF
+            yield frame, _stamp_ns(message)
+            message = self._bus.recv(0.0)
 
     def close(self) -> None:
         """Release the bus."""

@@ -7,7 +7,7 @@ diagnostics, and the port is opened again after a pause. The process goes on.
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -24,8 +24,11 @@ class Port(Protocol[T]):
 
     note: str  # what differs from what was asked for; empty when nothing does
 
-    def read(self) -> Sequence[tuple[T, int]]:
-        """What has arrived, each with its arrival in ns of system time; empty after READ_TIMEOUT_S."""
+    def read(self) -> Iterable[tuple[T, int]]:
+        """What has arrived, each with its arrival in ns of system time; empty after READ_TIMEOUT_S.
+
+        It may go on for as long as more arrives.
+        """
 
     def write(self, data: T) -> None:
         """Send, or raise."""
@@ -158,14 +161,18 @@ class Link(Generic[T]):
         """
         heard_s = time.monotonic()
         while not self._stopping.is_set():
-            arrived = port.read()
-            if arrived:
+            is_silent = True
+            for arrival in port.read():
+                is_silent = False
+                yield arrival
+                if self._stopping.is_set():
+                    return
+            if not is_silent:
                 heard_s = time.monotonic()
-                yield from arrived
-            else:
-                self._on_silence()
-                if time.monotonic() - heard_s > self._silence_s:
-                    raise TimeoutError(f"nothing received for {self._silence_s:g} s")
+                continue
+            self._on_silence()
+            if time.monotonic() - heard_s > self._silence_s:
+                raise TimeoutError(f"nothing received for {self._silence_s:g} s")
 
     def _set_port(self, port: Port[T] | None) -> None:
         with self._lock:

@@ -9,7 +9,7 @@ from trackslip_estimation.bags.info import describe
 from trackslip_estimation.bags.reader import open_bag
 
 DESCRIPTION = "List a bag's topics, types, counts, rates and duration."
-EXAMPLE = "trackslip info bags/demo"
+EXAMPLE = "trackslip info out/demo/bag"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

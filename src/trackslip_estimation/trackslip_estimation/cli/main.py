@@ -19,8 +19,8 @@ _COMMANDS = {
     "replay": "trackslip_estimation.cli.replay_command",
     "report": "trackslip_estimation.cli.report_command",
     "simulate": "trackslip_sim.cli",
-    "study": "trackslip_sim.study.cli",
     "smooth": "trackslip_estimation.cli.smooth_command",
+    "study": "trackslip_sim.study.cli",
     "tune": "trackslip_estimation.cli.tune_command",
 }
 
@@ -50,7 +50,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="trackslip", description=__doc__)
+    parser = _Parser(
+        prog="trackslip",
+        description="The workbench around bags.",
+        epilog="example: trackslip info out/demo/bag; 'trackslip COMMAND --help' has one for each",
+    )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, module_name in _COMMANDS.items():
         try:
@@ -61,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
             continue
         command = commands.add_parser(
             name,
-            help=module.DESCRIPTION,
+            help=module.DESCRIPTION.replace("%", "%%"),  # argparse puts values into this one
             description=module.DESCRIPTION,
             epilog=f"example: {module.EXAMPLE}",
         )

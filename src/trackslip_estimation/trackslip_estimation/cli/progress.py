@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A progress bar on a terminal; nothing in a pipe."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -11,10 +11,10 @@ from rich.progress import Progress, track
 T = TypeVar("T")
 
 
-def shown(items: Sequence[T], label: str) -> Iterable[T]:
-    """The items, with a bar on stderr that follows them."""
+def shown(items: Iterable[T], label: str, total: int | None = None) -> Iterable[T]:
+    """The items, with a bar on stderr that follows them; ``total`` where they have no length."""
     console = Console(stderr=True)
-    return track(items, label, console=console, transient=True, disable=not console.is_terminal)
+    return track(items, label, total, console=console, transient=True, disable=not console.is_terminal)
 
 
 @contextmanager

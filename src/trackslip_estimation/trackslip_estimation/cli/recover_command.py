@@ -13,7 +13,7 @@ from trackslip_estimation.bags.writer import CHUNK_SPAN_NS
 from trackslip_estimation.cli.progress import shown
 
 DESCRIPTION = "Rewrite a damaged bag: what can be read of it, with a new index; the damaged one stays."
-EXAMPLE = "trackslip recover trackslip_20261120_143000 --output out/recovered"
+EXAMPLE = "trackslip recover bags/power_cut --output out/recovered"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -130,7 +130,8 @@ def require_named(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference:
     if reference is not None and types[reference] not in _POSES:
         accepted = " or ".join(_POSES)
         raise InputError(f"--reference {reference}: it is a {types[reference]}; accepted: {accepted}")
-    known = types.keys() | {SPROCKETS, *filter(None, (*p.pose_sources, *p.yaw_rate_sources))}
+    sources = (*p.pose_sources, *p.yaw_rate_sources, *p.slip_sources)
+    known = types.keys() | {SPROCKETS, *filter(None, sources)}
     for option, named in (("--withhold", edits.withhold), ("--thin", edits.thin)):
         for edit in named:
             if edit.topic not in known:

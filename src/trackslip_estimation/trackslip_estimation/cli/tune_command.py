@@ -21,7 +21,7 @@ from trackslip_estimation.tuning.tuner import Tuner
 from trackslip_estimation.tuning.workers import cluster, cores
 
 DESCRIPTION = "Find the parameters of the slip estimator that explain bags best, on all cores or a cluster."
-EXAMPLE = "trackslip tune out/monday out/tuesday --plan tune.yaml --output out/tuned"
+EXAMPLE = "trackslip tune bags/slalom_sand bags/outage_sandy_loam --plan tune.yaml --output out/tuned"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

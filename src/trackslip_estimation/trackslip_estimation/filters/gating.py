@@ -10,9 +10,9 @@
 So a spike stays out, and a source that insists, or comes back after an outage, is believed in the end: the
 time that takes grows with the logarithm of how far off it is. What passes only because the gate is wide says
 that the state was wrong: its covariance is widened by what the innovation shows before the update, that of
-the pose or the slips by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they agree again: a
-state that goes wrong all the time is put right all the time. A gyro agrees at once, for now its bias explains
-what it says.
+the pose or the slips by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they
+agree again: a state that goes wrong all the time is put right all the time. A gyro agrees at once, for now
+its bias explains what it says.
 
 In a turn a gyro may say what the machine would do on other ground: a yaw rate from none to that without slip.
 Then the ground has changed, and what was learned of turning and slip counts for no more than at the start.
@@ -145,7 +145,9 @@ def measure(
         x_after, P_after, nis = update(kind, x, P, z, R, left, right, stretch, counted, c)
     gate = limit * width(apart_ns, timeout_ns, relaxation)
     surprising = nis > limit
-    accepted = nis <= gate and not (kind == YAW_RATE and _on_no_ground(z[0] - x[-1], R, P, left, right, c))
+    accepted = nis <= gate
+    if kind == YAW_RATE and np.isfinite(limit) and _on_no_ground(z[0] - x[-1], R, P, left, right, c):
+        accepted = False
     if not accepted:
         x_after, P_after = x, P
     elif surprising:

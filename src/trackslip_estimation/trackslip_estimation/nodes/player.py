@@ -59,10 +59,10 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
     def configure(self) -> None:
         """Announce all topics, for subscribers to find."""
         self._outlets = {
-            topic: self.create_publisher(message_class(kind), topic, _quality(topic))
+            topic: self.outlasting(self.create_publisher(message_class(kind), topic, _quality(topic)))
             for topic, kind in self._topics.items()
         }
-        self._time = self.create_publisher(ClockMessage, "/clock", 10)
+        self._time = self.outlasting(self.create_publisher(ClockMessage, "/clock", 10))
         self._matched, self._quiet_since = 0, time.monotonic()
         self._is_open = False  # whether playing has begun
         steady = Clock(clock_type=ClockType.STEADY_TIME)

@@ -61,6 +61,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self.listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
         for source in named(p.pose_sources):
             self.listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
+        for source in named(p.slip_sources):
+            self.listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
     def activate(self) -> None:
         """Say with which parameters the estimates of this run were made: a bag carries them along."""
@@ -82,6 +84,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_pose(self, message: Any, source: str) -> None:
         self._take(conversions.pose_fix(message, source))
+
+    def _on_slips(self, message: Any, source: str) -> None:
+        self._take(conversions.slip_fix(message, source))
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         return self._obey(Command(RESET), response, "the estimate begins anew")

@@ -15,7 +15,7 @@ from trackslip_common.parameters import to_flat
 from trackslip_estimation.bags.parameters import parameters_text
 from trackslip_estimation.nodes.soil_health import soil_health
 from trackslip_estimation.soil import conversions
-from trackslip_estimation.soil.records import HYDRAULICS, SLIPS, TWIST, SoilInput, TrackForces
+from trackslip_estimation.soil.records import HYDRAULICS, SLIPS, TWIST, SoilInput
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import (
     DEFAULT_FILES,
@@ -38,8 +38,8 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         self._estimator = SoilEstimator(self.settings)
         self._taken = self._published = 0
         self._heard: float | None = None  # s, steady: when the slip estimator was last heard
-        self._track_forces = self.announce(topic_class("track_forces"), "track_forces")
-        self._soil = self.announce(topic_class("soil"), "soil")
+        outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
+        self._outputs = {topic: self.announce(topic_class(topic), topic) for topic in outputs}
         self._parameters_used = self.announce(topic_class(PARAMETERS), PARAMETERS)
         self.listen(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
         self.listen(topic_class(TWIST), TWIST, self._on_odometry)
@@ -71,7 +71,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
     def _take(self, given: SoilInput) -> None:
         self._taken += 1
         for output in self._estimator.advance(given):
-            publisher = self._track_forces if isinstance(output, TrackForces) else self._soil
+            publisher = self._outputs[conversions.topic_of(output)]
             publisher.publish(conversions.message_of(make, output, self.settings.base_frame))
             self._published += 1
 

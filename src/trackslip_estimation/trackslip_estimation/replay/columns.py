@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
 from trackslip_estimation.bags.columns import Columns, IrregularError
-from trackslip_estimation.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.measurements import Measurement, PoseFix, SlipFix, Sprockets, YawRate
 
 FloatArray = NDArray[np.float64]
 Reader = Callable[[Columns], list[Measurement]]
@@ -68,6 +68,14 @@ def pose_fixes(columns: Columns, source: str) -> list[Measurement]:
     planar = np.ascontiguousarray(covariances[:, _PLANAR[:, np.newaxis], _PLANAR])
     rows = zip(stamps_ns(columns).tolist(), poses(columns), planar, strict=True)
     return [PoseFix(source, *row) for row in rows]
+
+
+def slip_fixes(columns: Columns, source: str) -> list[Measurement]:
+    """From trackslip_msgs/TrackSlip."""
+    slips = np.column_stack((columns["left_slip"], columns["right_slip"]))
+    covariances = columns["covariance"].reshape(-1, 3, 3)[:, :2, :2]
+    rows = zip(stamps_ns(columns).tolist(), slips, covariances, strict=True)
+    return [SlipFix(source, *row) for row in rows]
 
 
 def poses(columns: Columns) -> FloatArray:

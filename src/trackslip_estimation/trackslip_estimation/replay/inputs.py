@@ -227,6 +227,8 @@ def _readers(p: SlipEstimatorParameters) -> dict[str, _Reader]:
         of(source, conversions.yaw_rate, by_column.yaw_rates, p.yaw_rate_stddev**2)
     for source in (SET_POSE, *filter(None, p.pose_sources)):
         of(source, conversions.pose_fix, by_column.pose_fixes)
+    for source in filter(None, p.slip_sources):
+        of(source, conversions.slip_fix, by_column.slip_fixes)
     return readers
 
 
@@ -245,6 +247,7 @@ def _require_types(bag: Bag, names: dict[str, str], p: SlipEstimatorParameters) 
     """What is read must be of the type that its reader knows."""
     expected = dict.fromkeys(p.yaw_rate_sources, "imu/data_raw")
     expected |= dict.fromkeys(("reference_pose", *p.pose_sources), "box_pose")
+    expected |= dict.fromkeys(p.slip_sources, TRACK_SLIP)
     for topic, name in names.items():
         known, found = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name
         if known is not None and found != known.type_name:

@@ -16,6 +16,7 @@ OWN_OUTPUTS = frozenset(
         "track_slip",
         "track_forces",
         "soil",
+        "slip_seed",
         "measurement_reports",
         "slip_estimator/parameters",
         "soil_estimator/parameters",

@@ -12,7 +12,7 @@ from trackslip_estimation import conversions
 from trackslip_estimation.bags.messages import make
 from trackslip_estimation.bags.reader import Bag
 from trackslip_estimation.dead_reckoning import Path, dead_reckon
-from trackslip_estimation.measurements import Input, Outcome, PoseFix, Report, Sprockets, YawRate
+from trackslip_estimation.measurements import KINDS, Input, Outcome, Report, Sprockets, YawRate
 from trackslip_estimation.replay import edits as editing
 from trackslip_estimation.replay.edits import Edits
 from trackslip_estimation.replay.inputs import (
@@ -198,6 +198,5 @@ def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> An
 
 def _duration(inputs: Inputs) -> float:
     """Seconds from the first to the last measurement, by stamp."""
-    kinds = (Sprockets, YawRate, PoseFix)
-    stamps = [a.measurement.stamp_ns for a in inputs.arrivals if isinstance(a.measurement, kinds)]
+    stamps = [a.measurement.stamp_ns for a in inputs.arrivals if isinstance(a.measurement, KINDS)]
     return (max(stamps) - min(stamps)) * 1e-9 if stamps else 0.0

@@ -18,13 +18,13 @@ from trackslip_estimation.replay.inputs import Inputs, absolute_time
 from trackslip_estimation.replay.scoring import Series
 from trackslip_estimation.slip_estimator import Estimate
 from trackslip_estimation.soil import conversions
+from trackslip_estimation.soil.conversions import FORCES, SOIL
 from trackslip_estimation.soil.records import HYDRAULICS, Hydraulics, TrackForces, inputs_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 
 FloatArray = NDArray[np.float64]
 
-FORCES, SOIL = "track_forces", "soil"
 TRUE_FORCES, TRUE_SOIL = "truth/track_forces", "truth/soil"
 _READ = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)
 _TOLERANCE = 1e-9  # relative, between a live and a replayed number

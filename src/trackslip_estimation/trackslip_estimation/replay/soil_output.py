@@ -7,9 +7,8 @@ from typing import Any
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.bags.messages import make
 from trackslip_estimation.bags.parameters import parameters_text
-from trackslip_estimation.replay.soil import FORCES, SOIL, SoilReplay
+from trackslip_estimation.replay.soil import SoilReplay
 from trackslip_estimation.soil import conversions
-from trackslip_estimation.soil.records import TrackForces
 from trackslip_estimation.soil.soil_parameters import NODE, PARAMETERS
 
 
@@ -19,8 +18,8 @@ def soil_messages(result: SoilReplay) -> Iterator[tuple[str, Any, int]]:
         text = parameters_text(to_flat(result.parameters), NODE)
         yield PARAMETERS, make("std_msgs/msg/String", data=text), result.outputs[0].stamp_ns
     for output in result.outputs:
-        topic = FORCES if isinstance(output, TrackForces) else SOIL
-        yield topic, conversions.message_of(make, output, result.parameters.base_frame), output.stamp_ns
+        message = conversions.message_of(make, output, result.parameters.base_frame)
+        yield conversions.topic_of(output), message, output.stamp_ns
 
 
 def soil_summary(result: SoilReplay) -> dict[str, Any] | None:

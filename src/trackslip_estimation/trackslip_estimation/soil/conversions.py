@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.make import Make, header, stamp_ns_of
-from trackslip_estimation.conversions import PLANE_IN_6
+from trackslip_estimation.conversions import PLANE_IN_6, UNOBSERVED
 from trackslip_estimation.motion import Motion
-from trackslip_estimation.soil.records import Hydraulics, Slips, TrackForces, Twist
+from trackslip_estimation.soil.records import Hydraulics, Slips, SlipSeed, TrackForces, Twist
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
+
+FORCES, SOIL, SEED = "track_forces", "soil", "slip_seed"  # topics of the outputs
 
 
 def hydraulics(message: Any) -> Hydraulics:
@@ -38,9 +40,11 @@ def slips(message: Any) -> Slips:
 
 
 def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
-    """The message for an output: trackslip_msgs/TrackForces or trackslip_msgs/SoilEstimate."""
+    """The message for an output: trackslip_msgs/TrackForces, SoilEstimate or TrackSlip."""
     if isinstance(output, TrackForces):
         return track_forces(make, output, base_frame)
+    if isinstance(output, SlipSeed):
+        return slip_seed(make, output, base_frame)
     return soil_estimate(make, output, base_frame)
 
 
@@ -59,6 +63,29 @@ def track_forces(make: Make, forces: TrackForces, base_frame: str) -> Any:
         for k, side in enumerate(("left", "right"))
     }
     return make("trackslip_msgs/msg/TrackForces", header=header(make, forces.stamp_ns, base_frame), **fields)
+
+
+def topic_of(output: SoilOutput) -> str:
+    """Where it is published."""
+    if isinstance(output, TrackForces):
+        return FORCES
+    return SEED if isinstance(output, SlipSeed) else SOIL
+
+
+def slip_seed(make: Make, seed: SlipSeed, base_frame: str) -> Any:
+    """trackslip_msgs/TrackSlip, its slip angle not known."""
+    covariance = np.diag((0.0, 0.0, UNOBSERVED))
+    covariance[:2, :2] = seed.covariance
+    left, right = (float(slip) for slip in seed.slips)
+    return make(
+        "trackslip_msgs/msg/TrackSlip",
+        header=header(make, seed.stamp_ns, base_frame),
+        left_slip=left,
+        right_slip=right,
+        slip_angle=0.0,
+        covariance=covariance.flatten(),
+        motion_state=int(Motion.STRAIGHT),
+    )
 
 
 def soil_estimate(make: Make, state: SoilState, base_frame: str) -> Any:

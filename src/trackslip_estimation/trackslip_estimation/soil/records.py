@@ -101,5 +101,14 @@ class TrackForces:
     reserve: tuple[float, float]  # 1 − |F|/F_max; nan while F_max is unknown
 
 
+@dataclass(frozen=True, eq=False)
+class SlipSeed:
+    """Slips of both tracks in straight motion, told by thrust and soil."""
+
+    stamp_ns: int
+    slips: FloatArray  # (2,) left, right
+    covariance: FloatArray  # (2, 2)
+
+
 def _are_numbers(*arrays: FloatArray) -> bool:
     return all(bool((np.abs(array) < _LARGEST).all()) for array in arrays)

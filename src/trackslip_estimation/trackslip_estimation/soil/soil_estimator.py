@@ -2,7 +2,7 @@
 """The soil estimator: slips and pressures in; forces, resistances and the strength of the soil out.
 
 Live node and replay run this same class. It knows no clock: time is in the stamps. It takes from the slip
-estimator and gives nothing back.
+estimator and gives nothing back but a seed after a turn, which nobody hears unless a user wants it.
 """
 
 from collections.abc import Iterable
@@ -19,8 +19,9 @@ from trackslip_estimation.soil.dynamics import Dynamics
 from trackslip_estimation.soil.flow_check import FlowCheck
 from trackslip_estimation.soil.moments import Moment, Moments, Pressures
 from trackslip_estimation.soil.pressure_watch import PressureFault, PressureWatch
-from trackslip_estimation.soil.records import HYDRAULICS, Refusal, SoilInput, TrackForces
+from trackslip_estimation.soil.records import HYDRAULICS, Refusal, SlipSeed, SoilInput, TrackForces
 from trackslip_estimation.soil.reserve import Reserve, thrust_reserve
+from trackslip_estimation.soil.slip_seed import SlipSeeder
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_estimation.soil.strength_posterior import (
     StrengthPosterior,
@@ -50,7 +51,7 @@ class SoilState:
     classes: dict[str, float]  # probability of each class of soil, and of none of them
 
 
-SoilOutput: TypeAlias = TrackForces | SoilState
+SoilOutput: TypeAlias = TrackForces | SoilState | SlipSeed
 
 
 class SoilEstimator:
@@ -59,6 +60,7 @@ class SoilEstimator:
     _newest_ns: int | None  # stamp of the newest moment
     _thrust: Thrust | None  # seen, or as it was last seen
     _limit_chances: FloatArray  # probability of each F_max, of the newest state
+    _strength: StrengthSummary | None  # of the newest state
 
     def __init__(self, p: SoilEstimatorParameters) -> None:
         self.parameters = p
@@ -115,6 +117,8 @@ class SoilEstimator:
             self._posterior.log_limits,
         )
         self._flow = FlowCheck(p.vehicle)
+        self._seeder = SlipSeeder(p.seed, p.vehicle.contact_length)
+        self._strength = None
         self._thrust = None
         self._spinning = np.zeros(2)  # s
 
@@ -129,7 +133,8 @@ class SoilEstimator:
         self._dynamics.step(dt, now.slips.motion, twist.mean, twist.covariance, turn, thrust)
         known = (_UNKNOWN, _UNKNOWN) if thrust is None else (thrust.force, thrust.variance)
         self._posterior.update(StrengthSample(dt, tracks, twist.mean, twist.covariance, *known))
-        return self._outputs(now, before_ns)
+        seed = self._seeder.step(now.stamp_ns, dt, now.slips.motion, tracks, thrust, self._strength)
+        return self._outputs(now, before_ns) + ([] if seed is None else [seed])
 
     def _measured(
         self, now: Moment, pressures: Pressures | None, tracks: FloatArray, dt: float
@@ -197,7 +202,8 @@ class SoilEstimator:
         grid = self._posterior.grid
         self._limit_chances = grid.sum(axis=0)
         classes = self._classes.probabilities(grid)
-        return SoilState(stamp_ns, mu_r, mu_r_variance, mu_l, mu_l_variance, self.strength, classes)
+        self._strength = self.strength
+        return SoilState(stamp_ns, mu_r, mu_r_variance, mu_l, mu_l_variance, self._strength, classes)
 
     def _mu(self) -> list[tuple[float, float]]:
         """μ_r and μ_l, each with its variance, the error of the efficiency included."""

@@ -11,6 +11,7 @@ from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
 from trackslip_estimation.soil.moments import MomentParameters
 from trackslip_estimation.soil.pressure_watch import WatchParameters
+from trackslip_estimation.soil.slip_seed import SeedParameters
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.thrust import ThrustParameters
 from trackslip_estimation.vehicle import Vehicle
@@ -31,6 +32,7 @@ class SoilEstimatorParameters(Parameters):
     dynamics: DynamicsParameters
     strength: StrengthParameters
     classes: ClassesParameters
+    seed: SeedParameters
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
     forces_period: float = parameter("between two messages on track_forces", unit="s", gt=0.0, le=10.0)
     soil_period: float = parameter("between two messages on soil", unit="s", gt=0.0, le=60.0)

@@ -3,7 +3,7 @@
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.bags.reader import Bag
-from trackslip_estimation.measurements import PoseFix, Sprockets, YawRate
+from trackslip_estimation.measurements import KINDS
 from trackslip_estimation.replay import edits as editing
 from trackslip_estimation.replay.edits import Edits
 from trackslip_estimation.replay.inputs import read_inputs
@@ -25,8 +25,7 @@ def read_task(
     reference = reference or own_reference(bag)
     inputs = read_inputs(bag, p, edits, (reference,) if reference else ())
     arrivals = editing.apply(edits, inputs.arrivals, inputs.origin_ns)
-    kinds = (Sprockets, YawRate, PoseFix)
-    measurements = [a.measurement for a in arrivals if isinstance(a.measurement, kinds)]
+    measurements = [a.measurement for a in arrivals if isinstance(a.measurement, KINDS)]
     series = inputs.series.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.replay.scoring import Series
-from trackslip_estimation.replay.soil import FORCES, SOIL, TRUE_FORCES, TRUE_SOIL, SoilComparison, SoilReplay
+from trackslip_estimation.replay.soil import TRUE_FORCES, TRUE_SOIL, SoilComparison, SoilReplay
+from trackslip_estimation.soil.conversions import FORCES, SOIL
 
 FloatArray = NDArray[np.float64]
 

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import track
-
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_estimation.cli.json_file import write_json
+from trackslip_estimation.cli.progress import shown
 from trackslip_estimation.cli.replay_options import parse_set
 from trackslip_estimation.slip_parameters import load_slip_parameters
 from trackslip_sim.study.cache import Cache
@@ -66,17 +64,8 @@ def run(args: argparse.Namespace) -> int:
     p = _parameters(args)
     estimator = load_slip_parameters(dict(map(parse_set, args.set)))
     _prepare(args)
-    console = Console(stderr=True)
-    rows = list(
-        track(
-            run_study(p, estimator, Cache(args.cache, args.fresh), args.jobs),
-            "cells",
-            total=len(list(cells(p))),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-    )
+    running = run_study(p, estimator, Cache(args.cache, args.fresh), args.jobs)
+    rows = list(shown(running, "cells", total=len(list(cells(p)))))
     print(markdown(rows), end="")
     if args.json is not None:
         write_json(args.json, [asdict(row) for row in rows])

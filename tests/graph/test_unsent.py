@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the middleware refuses to send, as to a stalled subscriber, is counted and told; the node lives on."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.publisher import Publisher
+from rclpy.signals import SignalHandlerOptions
+
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.messages import topic_class
+from trackslip_common.parameters import Parameters
+
+SCAN, STATUS = "/scan", "/diagnostics"
+
+
+@dataclass(frozen=True)
+class NoParameters(Parameters):
+    """Of a node without any."""
+
+
+class Speaker(TrackslipNode[NoParameters]):
+    """Publishes when the test says so."""
+
+    def __init__(self) -> None:
+        super().__init__("speaker", NoParameters)
+
+    def configure(self) -> None:
+        self.scans = self.announce(topic_class("scan"), "scan")
+
+
+@pytest.fixture
+def stalled(monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """Topics that the middleware refuses to send on, as long as they are in here."""
+    topics: set[str] = set()
+    send = Publisher.publish
+
+    def publish(self: Any, message: Any) -> None:
+        if self.topic_name in topics:
+            raise rclpy_implementation.RCLError("Failed to publish: cannot publish data,\n at line 1")
+        send(self, message)
+
+    monkeypatch.setattr(Publisher, "publish", publish)
+    return topics
+
+
+@pytest.fixture
+def speaker(domain: int, stalled: set[str]) -> Iterator[Speaker]:
+    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = Speaker()
+    node.start()
+    yield node
+    node.end()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def test_what_is_not_sent_is_counted_and_told_and_the_node_lives_on(speaker, stalled, observer):
+    healths, scans = observer.healths(), observer.listen("scan")
+    observer.wait_for_ends("scan", "speaker", "observer")
+    message = topic_class("scan")()
+    stalled.add(SCAN)
+    for _ in range(3):
+        speaker.scans.publish(message)
+    stalled.clear()
+    speaker.scans.publish(message)
+    observer.wait(lambda: scans, "the message after those not sent")
+
+    def outputs() -> list[tuple[bytes, str, dict[str, str]]]:
+        told = [health for health in healths if health.name == "speaker: outputs"]
+        return [(health.level, health.message, {v.key: v.value for v in health.values}) for health in told]
+
+    speaker.publish_health()
+    speaker.publish_health()
+    observer.wait(lambda: len(outputs()) == 2, "both reports")
+    counts = {"not sent: /scan": "3"}
+    assert outputs() == [
+        (DiagnosticStatus.WARN, "3 messages could not be sent", counts),
+        (DiagnosticStatus.OK, "running", counts),
+    ]
+    assert len(scans) == 1
+
+
+def test_diagnostics_that_cannot_be_sent_do_not_end_the_node(speaker, stalled, observer):
+    healths = observer.healths()
+    observer.wait_for_ends("/diagnostics", "speaker", "observer")
+    stalled.add(STATUS)
+    executor = SingleThreadedExecutor()
+    executor.add_node(speaker)
+    observer.wait(lambda: executor.spin_once(timeout_sec=0.1) or speaker._unsent[STATUS], "a report in vain")
+    stalled.clear()
+    observer.wait(
+        lambda: executor.spin_once(timeout_sec=0.1) or "speaker: outputs" in [h.name for h in healths],
+        "a report that comes",
+    )
+    executor.shutdown()
+
+
+def test_all_sent_is_not_worth_a_word(speaker, observer):
+    healths = observer.healths()
+    observer.wait_for_ends("/diagnostics", "speaker", "observer")
+    speaker.publish_health()
+    observer.wait(lambda: healths, "diagnostics")
+    assert {health.name for health in healths} == {"speaker"}
