@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.compiled import compiled
-from trackslip_estimation.filters.equations import expected, jacobian, move, process_noise, transition
+from trackslip_estimation.filters.equations import expected, forward, jacobian, move
 from trackslip_estimation.filters.linear_algebra import (
     apply,
     joseph,
@@ -45,8 +45,7 @@ def predict(
     c: Any,
 ) -> tuple[FloatArray, FloatArray]:
     """f(x) and P' = F P Fᵀ + Q."""
-    F = transition(x, left, right, dt, motion, c)
-    Q = process_noise(x, P, left, right, dt, motion, changing, departure, c)
+    F, Q = forward(x, P, left, right, dt, motion, changing, departure, c)
     return move(x, left, right, dt, motion, c), sandwich(F, P) + Q
 
 

@@ -90,37 +90,62 @@ def move(x: FloatArray, left: float, right: float, dt: float, motion: int, c: An
 
 
 @compiled
-def _pose_by_twist(x: FloatArray, left: float, right: float, dt: float, c: Any) -> FloatArray:
-    """(3, 3) derivative of the pose after the step by the mean twist over it."""
-    v_x, v_y, rate = twist(x, left, right, c)
+def forward(
+    x: FloatArray,
+    P: FloatArray,
+    left: float,
+    right: float,
+    dt: float,
+    motion: int,
+    changing: int,
+    departure: float,
+    c: Any,
+) -> tuple[FloatArray, FloatArray]:
+    """F and Q of a step, worked out together.
+
+    Q has each state's walk and the misfits', and for sprocket speeds that are inputs their noise (3.21).
+    P, what is known of x, or zeros, matters where Q depends on x.
+    """
+    n = x.size
+    F, Q = np.eye(n), np.zeros((n, n))
+    for i in range(n):
+        Q[i, i] = c.walk[motion, changing, i] * dt
+    if dt <= 0.0:
+        return F, Q
+    mean = _meanwhile(x, dt, motion, c)
+    v_x, v_y, rate = twist(mean, left, right, c)
     halfway = x[YAW] + rate * dt / 2.0
-    cos, sin = math.cos(halfway), math.sin(halfway)
+    cos, sin = math.cos(halfway) * dt, math.sin(halfway) * dt
     east, north = v_x * cos - v_y * sin, v_x * sin + v_y * cos
-    return np.array(
-        (
-            (cos * dt, -sin * dt, -north * dt * dt / 2.0),
-            (sin * dt, cos * dt, east * dt * dt / 2.0),
-            (0.0, 0.0, dt),
-        )
-    )
+    way = np.array(((cos, -sin, -north * dt / 2.0), (sin, cos, east * dt / 2.0), (0.0, 0.0, dt)))
+    G = times(way, twist_jacobian(mean, left, right, c))  # pose by state, through the mean twist
+    F[X : YAW + 1] += G
+    F[X, YAW] -= north
+    F[Y, YAW] += east
+    if c.model == FREE_SLIPS:
+        S = times(way, slip_model.twist_by_speed(x, c))
+        speeds = np.array((((c.encoder * left) ** 2 / dt, 0.0), (0.0, (c.encoder * right) ** 2 / dt)))
+        Q[X : YAW + 1, X : YAW + 1] += sandwich(S, speeds)
+        return F, Q
+    left_over, share = speed_model.persistence(dt, motion, c)
+    meanwhile, both, after = speed_model.misfit_growth(dt, motion, c)
+    variance = speed_model.misfit_variance(x, P, left, right, motion, departure, c)
+    for k in range(SPEED_MISFIT, RATE_MISFIT + 1):
+        own = variance if k == SPEED_MISFIT else variance / c.tread**2
+        for i in range(YAW + 1):
+            for j in range(YAW + 1):
+                Q[i, j] += G[i, k] * G[j, k] * own * meanwhile
+            Q[i, k] = Q[k, i] = G[i, k] * own * both
+            F[i, k] = G[i, k] * share
+        Q[k, k] += own * after
+        F[k, k] = left_over
+    return F, Q
 
 
 @compiled
 def transition(x: FloatArray, left: float, right: float, dt: float, motion: int, c: Any) -> FloatArray:
     """F."""
-    F = np.eye(x.size)
-    mean = _meanwhile(x, dt, motion, c)
-    G = times(_pose_by_twist(mean, left, right, dt, c), twist_jacobian(mean, left, right, c))
-    if c.model != FREE_SLIPS:
-        left_over, share = speed_model.persistence(dt, motion, c)
-        G[:, MISFITS] *= share
-        F[SPEED_MISFIT, SPEED_MISFIT] = F[RATE_MISFIT, RATE_MISFIT] = left_over
-    F[X : YAW + 1] += G
-    v_x, v_y, rate = twist(mean, left, right, c)
-    halfway = x[YAW] + rate * dt / 2.0
-    F[X, YAW] -= (v_x * math.sin(halfway) + v_y * math.cos(halfway)) * dt
-    F[Y, YAW] += (v_x * math.cos(halfway) - v_y * math.sin(halfway)) * dt
-    return F
+    return forward(x, np.zeros((x.size, x.size)), left, right, dt, motion, 0, 0.0, c)[0]
 
 
 @compiled
@@ -135,34 +160,8 @@ def process_noise(
     departure: float,
     c: Any,
 ) -> FloatArray:
-    """Q: each state's walk, and the misfits'; for sprocket speeds that are inputs their noise (3.21).
-
-    P, what is known of x, or zeros; it matters where Q depends on x.
-    """
-    n = x.size
-    Q = np.zeros((n, n))
-    for i in range(n):
-        Q[i, i] = c.walk[motion, changing, i] * dt
-    if dt <= 0.0:
-        return Q
-    if c.model == FREE_SLIPS:
-        G = times(_pose_by_twist(x, left, right, dt, c), slip_model.twist_by_speed(x, c))
-        speeds = np.array((((c.encoder * left) ** 2 / dt, 0.0), (0.0, (c.encoder * right) ** 2 / dt)))
-        Q[X : YAW + 1, X : YAW + 1] += sandwich(G, speeds)
-        return Q
-    variance = speed_model.misfit_variance(x, P, left, right, motion, departure, c)
-    sizes = (variance, variance / c.tread**2)
-    meanwhile, both, after = speed_model.misfit_growth(dt, motion, c)
-    mean = _meanwhile(x, dt, motion, c)
-    J = np.ascontiguousarray(twist_jacobian(mean, left, right, c)[:, MISFITS])
-    G = times(_pose_by_twist(mean, left, right, dt, c), J)
-    for j in range(2):
-        k = SPEED_MISFIT + j
-        column = G[:, j].copy()
-        Q[X : YAW + 1, X : YAW + 1] += np.outer(column, column) * sizes[j] * meanwhile
-        Q[X : YAW + 1, k] = Q[k, X : YAW + 1] = column * sizes[j] * both
-        Q[k, k] += sizes[j] * after
-    return Q
+    """Q."""
+    return forward(x, P, left, right, dt, motion, changing, departure, c)[1]
 
 
 @compiled
