@@ -3,6 +3,7 @@
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from trackslip_estimation.replay.scoring import Series
@@ -35,7 +36,7 @@ def draw_soil(axes: list[Axes], result: SoilResult, start_ns: int) -> None:
             panel.plot(*_line(result.true_forces, column, start_ns, 1e-3), color=_TRUTH, lw=1.5)
             panel.plot(*_line(result.forces, column, start_ns, 1e-3), color=colour, lw=1.0, label=name)
         panel.set(ylabel=label)
-    thrust.legend(loc="upper right", fontsize="small", ncols=2)
+    thrust.legend(loc="upper left", fontsize="small", ncols=2)
     for name, column, variance, colour in (
         ("μ_r", MU_R, MU_R_VARIANCE, _LEFT),
         ("mobilised μ_l", MU_L, MU_L_VARIANCE, _RIGHT),
@@ -64,6 +65,9 @@ def _draw_interval(
     axes.plot(*_line(result.true_soil, first, start_ns, scale), color=_TRUTH, lw=1.5)
     axes.plot(t, values, color=_LEFT, lw=1.2)
     axes.set(ylabel=label, yscale="log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _line(series: Series, column: int, start_ns: int, scale: float = 1.0) -> tuple[FloatArray, FloatArray]:
