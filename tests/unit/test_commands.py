@@ -115,7 +115,8 @@ def test_a_given_pose_without_a_covariance_is_refused(found: list[Measurement]) 
 
 def test_the_gate_changes_while_it_runs(found: list[Measurement]) -> None:
     estimator = running(found)
-    assert {"gate_probability", "gate_relaxation", "pose_timeouts", "yaw_rate_timeouts"} == reloadable()
+    timeouts = {"pose_timeouts", "yaw_rate_timeouts", "slip_timeouts"}
+    assert {"gate_probability", "gate_relaxation", *timeouts} == reloadable()
     estimator.advance(Reload({"gate_probability": 0.5, "pose_timeouts": [3.0]}))
     reports = [estimator.take(m) for m in after(found, 8.0)]
     assert {r.gate for r in reports if r.source == "imu/data_raw"} == {chi2.ppf(0.5, 1)}
