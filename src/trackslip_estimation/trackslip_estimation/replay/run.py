@@ -157,10 +157,10 @@ def slip_error(inputs: Inputs, estimates: list[Estimate], tread: float) -> float
 
 def reference_path(series: Series, from_ns: int) -> Path:
     """The reference from the first sprocket sample on, its heading continuous."""
-    covered = series.stamps_ns >= from_ns
-    poses = series.values[covered, :3].copy()
+    covered = series.since(from_ns)
+    poses = covered.values[:, :3].copy()
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return Path(series.stamps_ns[covered], poses)
+    return Path(covered.stamps_ns, poses)
 
 
 def _compare(result: Replay, p: SlipEstimatorParameters) -> LiveComparison:

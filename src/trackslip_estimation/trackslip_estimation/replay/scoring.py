@@ -27,6 +27,11 @@ class Series(NamedTuple):
     stamps_ns: NDArray[np.int64]  # (n,) increasing
     values: FloatArray  # (n, k)
 
+    def since(self, start_ns: int) -> "Series":
+        """What is not before a stamp."""
+        kept = self.stamps_ns >= start_ns
+        return Series(self.stamps_ns[kept], self.values[kept])
+
 
 @dataclass(frozen=True)
 class Score:

@@ -93,9 +93,9 @@ def evaluate(
     series = result.inputs.series
     if result.live is None or any(name not in series for name in (TRUE_ODOMETRY, TRUE_SLIP, TRACK_SLIP)):
         return None
-    truth = _path(_from(series[TRUE_ODOMETRY], drive_start_ns))
-    live = _path(_from(series[ODOMETRY], drive_start_ns))
-    slips, true_slips = (_from(series[name], drive_start_ns) for name in (TRACK_SLIP, TRUE_SLIP))
+    truth = _path(series[TRUE_ODOMETRY].since(drive_start_ns))
+    live = _path(series[ODOMETRY].since(drive_start_ns))
+    slips, true_slips = (series[name].since(drive_start_ns) for name in (TRACK_SLIP, TRUE_SLIP))
     encoders = result.paths["dead_reckoning"]
     of_filter, of_encoders = score(live, truth), score(encoders, truth)
     moving = moving_slips(series[TRUE_ODOMETRY], true_slips, p.vehicle.tread)
@@ -116,16 +116,11 @@ def evaluate(
         result.live,
         truth,
         {"dead_reckoning": encoders, "filter": live},
-        _from(series[ODOMETRY], drive_start_ns),
+        series[ODOMETRY].since(drive_start_ns),
         slips,
         true_slips,
         None if soil is None else soil_result(soil, drive_start_ns),
     )
-
-
-def _from(series: Series, start_ns: int) -> Series:
-    kept = series.stamps_ns >= start_ns
-    return Series(series.stamps_ns[kept], series.values[kept])
 
 
 def _path(series: Series) -> Path:

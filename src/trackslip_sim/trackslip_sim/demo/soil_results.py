@@ -71,7 +71,7 @@ class SoilResult:
 
 def soil_result(replayed: SoilReplay, from_ns: int) -> SoilResult | None:
     """From ``from_ns`` on; None where the bag lacks live or true forces or soil."""
-    series = {name: _from(rows, from_ns) for name, rows in replayed.series.items()}
+    series = {name: rows.since(from_ns) for name, rows in replayed.series.items()}
     names = (FORCES, TRUE_FORCES, SOIL, TRUE_SOIL)
     if replayed.live is None or any(not len(series[name].stamps_ns) for name in names if name in series):
         return None
@@ -97,8 +97,3 @@ def _rmse(found: Series, true: Series) -> float:
         found.values[:, k] - np.interp(found.stamps_ns, true.stamps_ns, true.values[:, k]) for k in (0, 1)
     ]
     return float(np.sqrt(np.mean(np.square(errors))))
-
-
-def _from(series: Series, start_ns: int) -> Series:
-    kept = series.stamps_ns >= start_ns
-    return Series(series.stamps_ns[kept], series.values[kept])
