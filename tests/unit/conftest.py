@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator with the thesis' own model and fixed noise, whatever the defaults are."""
+"""The estimator with the thesis' own model and fixed noise, whatever the defaults are; and a pty."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from trackslip_estimation.measurements import Measurement, Report
 from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_sim.devices.pty_port import PtyPort
 
 _NOISE = {
     "model": "free_slips",
@@ -52,3 +54,12 @@ def thesis_run() -> Callable[..., Outcomes]:
 
 def _parameters(**changes: Any) -> SlipEstimatorParameters:
     return load_slip_parameters(_NOISE | _START, {k.replace("__", "."): v for k, v in changes.items()})
+
+
+@pytest.fixture
+def pty_port(tmp_path: Path) -> Iterator[PtyPort]:
+    """A pseudo terminal, whose other end a ``SerialPort`` can open."""
+    port = PtyPort(tmp_path / "device")
+    yield port
+    if port.link.is_symlink():
+        port.close()

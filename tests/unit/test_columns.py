@@ -2,19 +2,24 @@
 """Topics as columns: the numbers that rosbags reads, whatever the strings; kept, and never stale."""
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
+from mcap.reader import make_reader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys.store import Typestore
 
+from trackslip_common.errors import InputError
 from trackslip_estimation.bags import column_cache
 from trackslip_estimation.bags.column_cache import cache_directory, read_columns
 from trackslip_estimation.bags.columns import IrregularError, columns_of
 from trackslip_estimation.bags.messages import header, make, serialize
-from trackslip_estimation.bags.reader import open_bag
+from trackslip_estimation.bags.reader import Bag, open_bag
 from trackslip_estimation.bags.types import ensure
 from trackslip_estimation.bags.writer import BagWriter
 
@@ -138,6 +143,88 @@ def test_a_second_reading_does_not_touch_the_bag(
     part = again.between(1005, 1010)
     np.testing.assert_array_equal(part.order, range(5, 10))
     np.testing.assert_array_equal(part.columns["velocity"], first.columns["velocity"][5:10])
+
+
+def test_a_recorded_bag_is_read_chunk_by_chunk(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Bag, "messages", lambda *_: pytest.fail("one by one"))
+    assert len(read(write(tmp_path / "bag")).order) == 20
+
+
+def _by_rosbags(storage: StoragePlugin, mode: CompressionMode) -> Callable[[Path], Any]:
+    def write_(path: Path) -> None:
+        writer = Writer(path, version=9, storage_plugin=storage)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            connection = writer.add_connection("/sprockets", JOINTS, typestore=ensure(JOINTS))
+            for k in range(20):
+                writer.write(connection, 1000 + k, serialize(joints(k)))
+
+    return write_
+
+
+def _message_by_message(path: Path) -> None:
+    """As ``ros2 bag record --compression-mode message`` writes MCAP."""
+    with BagWriter(path) as bag:
+        for k in range(20):
+            bag.write("/sprockets", JOINTS, zstandard.compress(serialize(joints(k))), 1000 + k)
+    about = (path / "metadata.yaml").read_text(encoding="utf-8")
+    for key, value in (("format", "zstd"), ("mode", "MESSAGE")):
+        about = re.sub(rf"compression_{key}: .*", f"compression_{key}: {value}", about)
+    (path / "metadata.yaml").write_text(about, encoding="utf-8")
+
+
+def _in_two_files(path: Path) -> None:
+    with BagWriter(path) as bag:
+        for k in range(20):
+            bag.write("/sprockets", JOINTS, serialize(joints(k)), 1000 + k)
+            if k == 7:
+                bag.split()
+
+
+def _cut(path: Path) -> None:
+    file = next(write(path).glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:-8])
+
+
+@pytest.mark.parametrize(
+    "write_other",
+    [
+        _by_rosbags(StoragePlugin.MCAP, CompressionMode.NONE),
+        _by_rosbags(StoragePlugin.MCAP, CompressionMode.STORAGE),
+        _by_rosbags(StoragePlugin.MCAP, CompressionMode.FILE),
+        _by_rosbags(StoragePlugin.SQLITE3, CompressionMode.NONE),
+        _by_rosbags(StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+        _message_by_message,
+        _in_two_files,
+        _cut,
+    ],
+)
+def test_bags_of_every_form_make_the_same_columns(
+    tmp_path: Path, cache: Path, write_other: Callable[[Path], Any]
+) -> None:
+    write_other(tmp_path / "other")
+    found, expected = read(tmp_path / "other"), read(write(tmp_path / "bag"))
+    np.testing.assert_array_equal(found.order, expected.order)
+    np.testing.assert_array_equal(found.log_times_ns, expected.log_times_ns)
+    assert found.columns.keys() == expected.columns.keys()
+    for name, column in expected.columns.items():
+        assert found.columns[name].dtype == column.dtype
+        np.testing.assert_array_equal(found.columns[name], column)
+
+
+def test_damage_inside_is_told(tmp_path: Path, cache: Path) -> None:
+    file = next(write(tmp_path / "bag").glob("*.mcap"))
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    data = bytearray(file.read_bytes())
+    inside = summary.chunk_indexes[0].chunk_start_offset + 80
+    data[inside : inside + 64] = b"\xff" * 64
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=r"damaged inside \(.*\); trackslip recover saves the rest$"):
+        read(tmp_path / "bag")
 
 
 def test_another_state_of_the_bag_is_read_anew(tmp_path: Path, cache: Path) -> None:

@@ -80,19 +80,19 @@ def test_what_is_remembered_is_what_was_computed(tmp_path: Path, monkeypatch: py
     p = load_study_parameters({"scenario": "slalom", "duration": 9.0, "settling": 6.0, "seeds": 2})
     p = replace(p, truths=("matched",), soils=("sand",), filters=("ekf",), sigma_xy=(0.05,))
     estimator, file = load_slip_parameters(), tmp_path / "deep" / "cells.jsonl"
-    computed = list(run_study(p, estimator, Cache(file)))
+    computed = list(run_study(p, estimator, Cache(file, Row)))
     monkeypatch.setattr(study_run, "evaluate", Counted(stop_at=0))
-    assert list(run_study(p, estimator, Cache(file))) == computed
+    assert list(run_study(p, estimator, Cache(file, Row))) == computed
     for changed in (replace(p, seeds=3), replace(p, settling=5.0)):
         with pytest.raises(KeyboardInterrupt):
-            list(run_study(changed, estimator, Cache(file)))
+            list(run_study(changed, estimator, Cache(file, Row)))
     with pytest.raises(KeyboardInterrupt):
-        list(run_study(p, replace(estimator, encoder_resolution=1e-3), Cache(file)))
+        list(run_study(p, replace(estimator, encoder_resolution=1e-3), Cache(file, Row)))
     with pytest.raises(KeyboardInterrupt):
-        list(run_study(p, estimator, Cache(file, fresh=True)))
+        list(run_study(p, estimator, Cache(file, Row, fresh=True)))
     file.write_text(file.read_text()[:-20], encoding="utf-8")  # as a power cut leaves it
     with pytest.raises(KeyboardInterrupt):
-        list(run_study(p, estimator, Cache(file)))
+        list(run_study(p, estimator, Cache(file, Row)))
 
 
 @pytest.mark.parametrize(
@@ -112,6 +112,9 @@ def test_what_is_remembered_is_what_was_computed(tmp_path: Path, monkeypatch: py
         (["--json", "/nowhere/rows.json"], "no such folder"),
         (["--output", "/dev/null/x"], "--output"),
         (["--cache", "/dev/null/x"], "--cache"),
+        (["--scenario", "slalom", "thesis"], "--scenario: 'thesis' is one too many; accepted: one"),
+        (["--drawn"], "--drawn: does not go with --estimator slip"),
+        (["--set", "soil_estimator.low_reserve=0.2"], "slip_estimator.<parameter>=<value>"),
     ],
 )
 def test_bad_input_is_one_line(

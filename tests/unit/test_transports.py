@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ports, buses and the loop around them, on real ptys and sockets."""
+"""The loop around ports and buses, on real ptys and sockets."""
 
 import math
 import os
@@ -11,10 +11,8 @@ from functools import partial
 
 import can
 import pytest
-import serial
 
-from trackslip_drivers.protocols.can_frames import ERROR_FLAG
-from trackslip_drivers.transports.can_bus import STANDARD_FLAG, CanBus
+from trackslip_drivers.transports.can_bus import CanBus
 from trackslip_drivers.transports.link import Link
 from trackslip_drivers.transports.serial_port import SerialPort
 from trackslip_sim.devices.pty_port import PtyPort
@@ -68,14 +66,6 @@ def start_link(heard):
         assert not link._thread.is_alive()
 
 
-@pytest.fixture
-def pty_port(tmp_path):
-    port = PtyPort(tmp_path / "device")
-    yield port
-    if port.link.is_symlink():
-        port.close()
-
-
 def test_bytes_both_ways_over_a_pty(pty_port, heard, start_link):
     every_byte = bytes(range(256))
     link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"))
@@ -93,49 +83,6 @@ def test_bytes_both_ways_over_a_pty(pty_port, heard, start_link):
     assert received == every_byte
     assert pty_port.read() == b""
     assert link.state().note == ""
-
-
-@pytest.mark.parametrize("attempt", [0, 1])
-def test_parity_on_a_pty_falls_back_with_a_note(pty_port, attempt):
-    for _ in range(attempt):  # the kernel ignores the first attempt and refuses those after it
-        SerialPort(str(pty_port.link), 9600, "N").close()
-    port = SerialPort(str(pty_port.link), 9600, "E")
-    assert "opened without parity E" in port.note
-    assert pty_port.baud == 9600
-    port.set_baud(500000)
-    assert pty_port.baud == 500000
-    pty_port.write(b"abc")
-    assert port.read()[0][0] == b"abc"
-    port.close()
-
-
-def test_other_terminal_errors_are_not_swallowed(monkeypatch):
-    def refuse(*_, **__):
-        raise termios.error(22, "Invalid argument")
-
-    monkeypatch.setattr(serial, "serial_for_url", refuse)
-    with pytest.raises(termios.error):
-        SerialPort("anything", 9600, "N")
-
-
-def test_read_times_out_empty(pty_port):
-    port = SerialPort(str(pty_port.link), 9600, "N")
-    assert port.read() == []
-    port.close()
-
-
-def test_what_drips_is_read_at_one_go(pty_port, monkeypatch):
-    port, sleep = SerialPort(str(pty_port.link), 9600, "N"), time.sleep
-
-    def drip(duration):
-        pty_port.write(b"def")
-        sleep(duration + 0.1)  # the kernel hands it over in its own time
-
-    monkeypatch.setattr(time, "sleep", drip)
-    pty_port.write(b"abc")
-    ((data, _),) = port.read()
-    assert data == b"abcdef"
-    port.close()
 
 
 def test_baud_is_changed_through_the_link(pty_port, start_link):
@@ -314,28 +261,6 @@ def test_frames_over_udp_multicast(heard, start_link):
     stranger.close()
 
 
-def test_kinds_of_frames_on_the_virtual_bus():
-    port = CanBus("virtual", "kinds", 43113)
-    with can.Bus("kinds", interface="virtual") as peer:
-        peer.send(can.Message(arbitration_id=0x7F, data=b"a", is_extended_id=False))
-        peer.send(can.Message(arbitration_id=0x7F, data=b"b", is_extended_id=True))
-        peer.send(can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False))
-        received = [frame for frame, _ in port.read()]
-    port.close()
-    assert received == [(0x7F | STANDARD_FLAG, b"a"), (0x7F, b"b"), (0x40 | ERROR_FLAG, b"")]
-
-
-def test_a_frame_is_handed_on_before_the_next_is_looked_for():
-    port = CanBus("virtual", "one by one", 43113)
-    with can.Bus("one by one", interface="virtual") as peer:
-        peer.send(can.Message(arbitration_id=1))
-        frames = iter(port.read())
-        (first, _) = next(frames)
-        peer.send(can.Message(arbitration_id=2))
-        assert [first, *(frame for frame, _ in frames)] == [(1, b""), (2, b"")]
-    port.close()
-
-
 def test_a_port_that_never_falls_silent_does_not_hold_up_the_end(heard, start_link):
     class Flood(BrokenPort):
         def read(self):
@@ -351,15 +276,3 @@ def test_missing_bus_is_an_error_of_the_link(start_link):
     link = start_link(partial(CanBus, "socketcan", "no_such_bus", 43113))
     wait_for(lambda: link.state().errors >= 1)
     assert not link.state().connected
-
-
-def test_pty_counts_what_nobody_reads(pty_port):
-    sent = 300_000
-    taken = pty_port.write(bytes(sent))
-    assert 0 < taken < sent
-    assert pty_port.bytes_lost == sent - taken
-    port = SerialPort(str(pty_port.link), 9600, "N")  # opening discards what is old
-    assert port.read() == []
-    pty_port.write(b"new")
-    assert port.read()[0][0] == b"new"
-    port.close()

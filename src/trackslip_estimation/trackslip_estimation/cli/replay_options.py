@@ -106,9 +106,7 @@ def _layers(
             accepted = f"{NODE}: {{ros__parameters: {{...}}}}, or /** for {NODE}"
             raise InputError(f"--params {path}: nothing for {NODE} in it; accepted: {accepted}")
         layers.append(by_node[node])
-    other = {NODE: SOIL_NODE, SOIL_NODE: NODE}[node]
-    own = [text for text in settings if not text.startswith(f"{other}.")]
-    layers.append(dict(parse_set(text, node) for text in own))
+    layers.append(parse_settings(settings, node))
     return layers
 
 
@@ -137,6 +135,16 @@ def require_named(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference:
             if edit.topic not in known:
                 there = ", ".join(sorted(known))
                 raise InputError(f"{option} {edit.topic}: there is no such topic; accepted: {there}")
+
+
+def parse_settings(texts: Iterable[str], node: str) -> dict[str, Any]:
+    """What the texts of ``--set`` give one of the two estimators, as dotted names.
+
+    Raises:
+        InputError: a text is not of the other estimator and has another form.
+    """
+    other = {NODE: SOIL_NODE, SOIL_NODE: NODE}[node]
+    return dict(parse_set(text, node) for text in texts if not text.startswith(f"{other}."))
 
 
 def parse_set(text: str, of_node: str = NODE) -> tuple[str, Any]:

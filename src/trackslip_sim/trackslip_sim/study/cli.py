@@ -3,55 +3,84 @@
 
 import argparse
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Protocol
 
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_estimation.cli.json_file import write_json
 from trackslip_estimation.cli.progress import shown
-from trackslip_estimation.cli.replay_options import parse_set
-from trackslip_estimation.slip_parameters import load_slip_parameters
-from trackslip_sim.study.cache import Cache
-from trackslip_sim.study.parameters import FILTERS, TRUTHS, StudyParameters, cells, load_study_parameters
-from trackslip_sim.study.results import Row
-from trackslip_sim.study.run import run_study
-from trackslip_sim.study.table import markdown
+from trackslip_sim.soil_study.study import SoilStudy
+from trackslip_sim.study.parameters import FILTERS, TRUTHS
+from trackslip_sim.study.run import SlipStudy
 
 DESCRIPTION = (
-    "Filter many simulated drives, and hold the errors against the least possible (config/study.yaml)."
+    "Estimate many simulated drives, and hold the errors against the least possible, or against the errors "
+    "that the estimator expects (config/study.yaml)."
 )
 EXAMPLE = (
     "trackslip study --soil sand dry_clay --filter ekf --sigma-xy 0.01 0.05 --seeds 100 --json study.json"
 )
 
-_PARAMETERS = {"truth": "truths", "soil": "soils", "filter": "filters"} | {
-    name: name
-    for name in (
-        *("sigma_xy", "sigma_omega", "sigma_heading"),
-        *("seeds", "scenario", "duration", "settling"),
-    )
-}  # option → parameter
+
+class Study(Protocol):
+    """What the command needs of a study."""
+
+    UNIT: ClassVar[str]  # of the progress bar: what its pieces are
+    PARAMETERS: ClassVar[Mapping[str, str]]  # option → parameter
+
+    def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:
+        """Check parameters and texts of ``--set``."""
+
+    def __len__(self) -> int:
+        """How many pieces it has."""
+
+    def run(self, cache: Path, jobs: int, *, fresh: bool) -> Iterator[Any]:
+        """The pieces, as they are finished; those in the cache are not computed again."""
+
+    def rows(self, pieces: Sequence[Any]) -> Sequence[Any]:
+        """The rows of its tables, dataclasses."""
+
+    def markdown(self, rows: Sequence[Any]) -> str:
+        """Its tables."""
+
+    def write(self, rows: Sequence[Any], folder: Path) -> None:
+        """Its files, into a folder."""
+
+
+_STUDIES: Mapping[str, type[Study]] = MappingProxyType({"slip": SlipStudy, "soil": SoilStudy})
+_OPTIONS = sorted({option for study in _STUDIES.values() for option in study.PARAMETERS})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of ``trackslip study``; what is not given is in ``config/study.yaml``."""
     add = parser.add_argument
-    add("--truth", nargs="+", choices=TRUTHS, help="shearing soil, or the filter's own model")
+    add("--estimator", choices=tuple(_STUDIES), default="slip", help="which one (default: %(default)s)")
+    add("--truth", nargs="+", choices=TRUTHS, help="slip: shearing soil, or the filter's own model")
     add("--soil", nargs="+", metavar="S", help="names in config/soils.yaml")
-    add("--filter", nargs="+", choices=FILTERS)
+    add("--filter", nargs="+", choices=FILTERS, help="slip: which filters")
+    add(
+        "--drawn", action="store_const", const=True, help="soil: also machines that are not quite the nominal"
+    )
     add("--sigma-xy", nargs="+", type=float, metavar="M", help="noise of the fixes' x and y, m")
-    add("--sigma-omega", nargs="+", type=float, metavar="W", help="noise of the gyro, rad/s")
+    add("--sigma-omega", nargs="+", type=float, metavar="W", help="slip: noise of the gyro, rad/s")
     add("--sigma-heading", type=float, metavar="A", help="noise of the fixes' heading, rad")
     add("--seeds", type=int, metavar="N", help="runs of each cell")
-    add("--scenario", metavar="NAME|FILE", help="what is driven")
+    add("--scenario", nargs="+", metavar="NAME|FILE", help="what is driven; slip: one")
     add("--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds")
-    add("--settling", type=float, metavar="S", help="seconds at the start that are not scored")
-    add("--set", metavar="node.param=value", action="append", default=[], help="one of slip_estimator's")
-    add("--jobs", type=_whole, metavar="N", default=os.cpu_count(), help="threads; default: one per core")
-    add("--cache", type=Path, metavar="FILE", default=_cache_file(), help="finished cells (%(default)s)")
+    add("--settling", type=float, metavar="S", help="slip: seconds at the start that are not scored")
+    add("--set", metavar="node.param=value", action="append", default=[], help="one of the estimator's")
+    add("--jobs", type=_whole, metavar="N", default=os.cpu_count(), help="at a time; default: one per core")
+    add("--cache", type=Path, metavar="FILE", default=_cache_file(), help="what is finished (%(default)s)")
     add("--fresh", action="store_true", help="compute also what is in the cache")
-    add("--output", type=Path, metavar="DIR", help="write study_table.md and figures/study_*.png there")
+    add(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="write study_table.md and figures/, or soil_table.md, there",
+    )
     add("--json", type=Path, metavar="FILE", help="write the rows as JSON")
 
 
@@ -61,30 +90,25 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: an option is refused, or a file cannot be written.
     """
-    p = _parameters(args)
-    estimator = load_slip_parameters(dict(map(parse_set, args.set)))
+    study = _study(args)
     _prepare(args)
-    running = run_study(p, estimator, Cache(args.cache, args.fresh), args.jobs)
-    rows = list(shown(running, "cells", total=len(list(cells(p)))))
-    print(markdown(rows), end="")
+    running = study.run(args.cache, args.jobs, fresh=args.fresh)
+    rows = study.rows(list(shown(running, study.UNIT, total=len(study))))
+    print(study.markdown(rows), end="")
     if args.json is not None:
         write_json(args.json, [asdict(row) for row in rows])
     if args.output is not None:
-        _write_output(args.output, rows)
+        study.write(rows, args.output)
     return ExitCode.DONE
 
 
-def _write_output(folder: Path, rows: Sequence[Row]) -> None:
-    """``study_table.md``, and in ``figures`` what the Monte Carlo says."""
-    from trackslip_sim.study.figures import write_monte_carlo  # matplotlib: not for every command's start
-
-    (folder / "study_table.md").write_text(markdown(rows), encoding="utf-8")
-    write_monte_carlo(rows, folder / "figures")
-
-
-def _parameters(args: argparse.Namespace) -> StudyParameters:
-    given = {parameter: getattr(args, option) for option, parameter in _PARAMETERS.items()}
-    return load_study_parameters({name: value for name, value in given.items() if value is not None})
+def _study(args: argparse.Namespace) -> Study:
+    """With the options that were given, of which each must be one of its own."""
+    kind = _STUDIES[args.estimator]
+    given = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}
+    for option in given.keys() - kind.PARAMETERS.keys():
+        raise InputError(f"--{option.replace('_', '-')}: does not go with --estimator {args.estimator}")
+    return kind({kind.PARAMETERS[option]: value for option, value in given.items()}, args.set)
 
 
 def _whole(text: str) -> int:
@@ -104,6 +128,6 @@ def _prepare(args: argparse.Namespace) -> None:
         raise InputError(f"--json: '{args.json}' cannot be written (no such folder: {args.json.parent})")
     if args.output is not None:
         try:
-            (args.output / "figures").mkdir(parents=True, exist_ok=True)
+            args.output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--output: '{args.output}' cannot be used ({error.strerror})") from error

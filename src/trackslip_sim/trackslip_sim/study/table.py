@@ -19,12 +19,22 @@ LEGEND = (
 
 def markdown(rows: Sequence[Row]) -> str:
     """The table, its columns aligned, and what it means."""
-    lines = [_HEAD, *map(_cells, rows)]
+    return "\n".join((*aligned(_HEAD, map(_cells, rows), _TEXT_COLUMNS), "", _legend(rows[0]))) + "\n"
+
+
+def aligned(head: Sequence[str], cells: Iterable[Sequence[str]], text_columns: int) -> list[str]:
+    """The lines of a table; text stands left in its columns, which are the first ones, numbers right."""
+    lines = [head, *cells]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    rule = ["-" * w if k < _TEXT_COLUMNS else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
-    aligned = [_aligned(line, widths) for line in lines]
-    table = [_line(aligned[0]), _line(rule), *map(_line, aligned[1:])]
-    return "\n".join((*table, "", _legend(rows[0]))) + "\n"
+    rule = ["-" * w if k < text_columns else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
+    first, *others = (
+        [
+            text.ljust(width) if k < text_columns else text.rjust(width)
+            for k, (text, width) in enumerate(zip(line, widths, strict=True))
+        ]
+        for line in lines
+    )
+    return ["| " + " | ".join(line) + " |" for line in (first, rule, *others)]
 
 
 def _cells(row: Row) -> tuple[str, ...]:
@@ -51,14 +61,3 @@ def _legend(row: Row) -> str:
     intervals = {3: row.nees_pose_bounds, 2: row.nees_slip_bounds, 1: row.nis_yaw_rate_bounds}
     bounds = ", ".join(f"{low:.2f}–{high:.2f} for {dof}" for dof, (low, high) in intervals.items())
     return LEGEND.format(bounds=bounds + " numbers", seeds=row.seeds)
-
-
-def _aligned(line: Sequence[str], widths: Sequence[int]) -> list[str]:
-    return [
-        text.ljust(width) if k < _TEXT_COLUMNS else text.rjust(width)
-        for k, (text, width) in enumerate(zip(line, widths, strict=True))
-    ]
-
-
-def _line(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cells) + " |"

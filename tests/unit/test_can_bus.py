@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A CAN bus by itself, on python-can's virtual one."""
+
+import can
+
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG
+from trackslip_drivers.transports.can_bus import STANDARD_FLAG, CanBus
+
+
+def test_kinds_of_frames_on_the_virtual_bus():
+    port = CanBus("virtual", "kinds", 43113)
+    with can.Bus("kinds", interface="virtual") as peer:
+        peer.send(can.Message(arbitration_id=0x7F, data=b"a", is_extended_id=False))
+        peer.send(can.Message(arbitration_id=0x7F, data=b"b", is_extended_id=True))
+        peer.send(can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False))
+        received = [frame for frame, _ in port.read()]
+    port.close()
+    assert received == [(0x7F | STANDARD_FLAG, b"a"), (0x7F, b"b"), (0x40 | ERROR_FLAG, b"")]
+
+
+def test_a_frame_is_handed_on_before_the_next_is_looked_for():
+    port = CanBus("virtual", "one by one", 43113)
+    with can.Bus("one by one", interface="virtual") as peer:
+        peer.send(can.Message(arbitration_id=1))
+        frames = iter(port.read())
+        (first, _) = next(frames)
+        peer.send(can.Message(arbitration_id=2))
+        assert [first, *(frame for frame, _ in frames)] == [(1, b""), (2, b"")]
+    port.close()
