@@ -36,7 +36,13 @@ class Sprockets:
 
     def is_finite(self) -> bool:
         """Whether every number given is a number, and not beyond reason."""
-        return all(abs(v) < _LARGEST for v in (self.left_speed, self.right_speed, *(self.positions or ())))
+        left, right = self.positions or (0.0, 0.0)
+        return (
+            abs(self.left_speed) < _LARGEST
+            and abs(self.right_speed) < _LARGEST
+            and abs(left) < _LARGEST
+            and abs(right) < _LARGEST
+        )
 
 
 @dataclass(frozen=True)

@@ -126,11 +126,11 @@ class SlipEstimator:
 
     def admit(self, given: Measurement) -> tuple[Measurement, Outcome]:
         """The measurement as its source's parameters want it, and what its numbers and its stamp say."""
-        if not self._is_usable(given):
+        if not self.is_usable(given):
             return given, Outcome.INVALID
         if self.frozen and isinstance(given, PoseFix) and given.source != SET_POSE:
             return given, Outcome.FROZEN
-        measurement = self._prepared(given)
+        measurement = self.prepared(given)
         if measurement.stamp_ns == 0 and measurement.source == SET_POSE:
             return given, Outcome.WAITING  # for the first sprocket sample: now is not known yet
         return measurement, _OUTCOMES[self._course(measurement)]
@@ -173,12 +173,13 @@ class SlipEstimator:
         self.stepper = Stepper(p, self._track)
         self._continuity = Continuity(round(p.max_gap * 1e9), p.jump_confirmations)
 
-    def _is_usable(self, measurement: Measurement) -> bool:
+    def is_usable(self, measurement: Measurement) -> bool:
+        """Whether its numbers are such."""
         if isinstance(measurement, PoseFix) and measurement.source != SET_POSE:
             return measurement.is_finite(self._poses[measurement.source].use_heading)
         return measurement.is_finite()
 
-    def _prepared(self, measurement: Measurement) -> Measurement:
+    def prepared(self, measurement: Measurement) -> Measurement:
         """As its source's parameters want it."""
         if isinstance(measurement, (Sprockets, SlipFix)):
             return measurement

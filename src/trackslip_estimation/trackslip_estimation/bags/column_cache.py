@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.bags.chunks import by_topic
 from trackslip_estimation.bags.columns import Columns, columns_of
 from trackslip_estimation.bags.reader import Bag
 
@@ -62,16 +63,10 @@ def read_columns(bag: Bag, topics: Collection[str]) -> dict[str, TopicColumns]:
 
 
 def _read(bag: Bag, topics: Collection[str]) -> dict[str, TopicColumns]:
-    raws: dict[str, list[bytes]] = {}
-    times: dict[str, list[tuple[int, int]]] = {}
-    for place, message in enumerate(bag.messages(topics)):
-        raws.setdefault(message.topic, []).append(message.raw)
-        times.setdefault(message.topic, []).append((place, message.log_time_ns))
     found = {}
-    for topic, messages in raws.items():
+    for topic, (order, log_times_ns, raws) in by_topic(bag, topics).items():
         type_name = bag.topics[topic].type_name
-        order, log_times_ns = np.array(times[topic], dtype=np.int64).T
-        columns = columns_of(bag.store(type_name), type_name, messages)
+        columns = columns_of(bag.store(type_name), type_name, raws)
         found[topic] = TopicColumns(order, log_times_ns, columns)
     return found
 

@@ -10,16 +10,15 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Protocol
 
-from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 from rosbags.typesys.store import Typestore
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.bags.metadata import METADATA
-from trackslip_estimation.bags.salvage import Salvage, salvage
+from trackslip_estimation.bags.salvage import Salvage, is_mcap, salvage
 from trackslip_estimation.bags.types import decode, store_for
 
 ACCEPTED = "a rosbag2 directory (metadata.yaml with .mcap or .db3), or an .mcap or .db3 file"
@@ -59,11 +58,18 @@ class _Source(Protocol):
 
 
 class Bag:
-    """An open bag. ``damage`` says in a few words what is wrong with it, and is empty where nothing is."""
+    """An open bag.
 
-    def __init__(self, path: Path, sources: list[_Source], damage: str = "") -> None:
+    ``damage`` says in a few words what is wrong with it, and is empty where nothing is. ``file`` is the one
+    MCAP file of which it consists, if it does and rosbags takes it as it is.
+    """
+
+    def __init__(
+        self, path: Path, sources: list[_Source], damage: str = "", file: Path | None = None
+    ) -> None:
         self.path = path
         self.damage = damage
+        self.file = file
         self._sources = sources
         self._stores: dict[str, Typestore] = {}
         self.topics: dict[str, TopicInfo] = _merged(source.topics() for source in sources)
@@ -144,12 +150,7 @@ class Bag:
     def __enter__(self) -> "Bag":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _definition(self, type_name: str) -> MessageDefinition:
@@ -169,7 +170,8 @@ def open_bag(path: Path | str) -> Bag:
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     try:
-        return Bag(path, [_Whole(path)])
+        whole = _Whole(path)
+        return Bag(path, [whole], file=whole.file)
     except Exception as error:  # noqa: BLE001 (foreign bytes can raise anything in the parsers)
         indexed = path.is_file() or (path / METADATA).exists()
         reason = _line(error) if indexed else "no metadata.yaml"
@@ -206,6 +208,9 @@ class _Whole:
         self._reader.open()
         self.start_ns = self._reader.start_time
         self.end_ns = self._reader.end_time - 1
+        files = bag_files(path)
+        plain = len(files) == 1 and is_mcap(files[0]) and not self._reader.compression_mode
+        self.file = files[0] if plain else None  # as ``Bag`` has it
 
     def topics(self) -> dict[str, TopicInfo]:
         return _merged(
@@ -213,11 +218,7 @@ class _Whole:
         )
 
     def messages(self, wanted: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
-        connections: list[Connection] = [
-            connection
-            for connection in self._reader.connections
-            if wanted is None or connection.topic in wanted
-        ]
+        connections = [c for c in self._reader.connections if wanted is None or c.topic in wanted]
         if not connections:
             return
         for connection, time_ns, raw in self._reader.messages(connections, start_ns, stop_ns):

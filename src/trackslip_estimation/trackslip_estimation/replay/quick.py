@@ -6,6 +6,7 @@ sprocket sample is late, and the sprockets are never silent and do not jump. All
 """
 
 from collections.abc import Sequence
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,15 +36,19 @@ _MOTIONS = tuple(Motion)
 
 def quick_steps(inputs: Sequence[Input], p: SlipEstimatorParameters) -> Steps | None:
     """What ``SlipEstimator.advance`` gives for each input; None where the log is not ordinary."""
+    if not _only_measurements(inputs):
+        return None
     estimator = SlipEstimator(p)
     steps: Steps = []
     for given in inputs:
         if estimator.started:
             break
         steps.append(estimator.advance(given))
+    if not estimator.started or not all(map(estimator.is_usable, inputs)):
+        return None
     first, rest = inputs[: len(steps)], inputs[len(steps) :]
-    taken = _taken(rest, estimator)
-    if not estimator.started or taken is None or not _only_measurements(first):
+    taken = [estimator.prepared(m) for m in rest]
+    if len(set(map(key_of, taken))) < len(taken):
         return None
     begin = estimator.history()[0]
     samples = [m for m in (*first, *taken) if isinstance(m, Sprockets)]
@@ -67,22 +72,11 @@ def quick_steps(inputs: Sequence[Input], p: SlipEstimatorParameters) -> Steps | 
     return steps + _told(taken, arrivals.sources[:, 0].tolist(), passed)
 
 
-def _only_measurements(inputs: Sequence[Input]) -> bool:
+def _only_measurements(inputs: Sequence[Input]) -> TypeGuard[Sequence[Measurement]]:
     return all(isinstance(m, (Sprockets, YawRate, PoseFix)) and m.source != SET_POSE for m in inputs)
 
 
-def _taken(inputs: Sequence[Input], estimator: SlipEstimator) -> list[Measurement] | None:
-    """As their sources' parameters want them; None where one is no measurement, or is refused."""
-    if not _only_measurements(inputs):
-        return None
-    admitted = [estimator.admit(m) for m in inputs if isinstance(m, (Sprockets, YawRate, PoseFix))]
-    if any(outcome is not Outcome.ACCEPTED for _, outcome in admitted):
-        return None
-    taken = [m for m, _ in admitted]
-    return taken if len(set(map(key_of, taken))) == len(taken) else None
-
-
-def _arrivals(taken: list[Measurement], estimator: SlipEstimator, origin_ns: int) -> Arrivals:
+def _arrivals(taken: Sequence[Measurement], estimator: SlipEstimator, origin_ns: int) -> Arrivals:
     numbers = {name: number for number, name in enumerate(estimator.parameters.timeouts_ns())}
     count = len(taken)
     keys = [key_of(m) for m in taken]
@@ -112,7 +106,7 @@ def _stretches(
         return None
     turned = np.array([m.positions for m in samples])
     steps_ns = np.diff(stamps_ns)
-    if steps_ns.min() <= 0 or steps_ns.max() > round(p.sprocket_timeout * 1e9):
+    if steps_ns.min() <= 0 or steps_ns.max() > _hold_ns(p):
         return None
     stretches = np.zeros((len(samples), 3))
     stretches[1:, 2] = steps_ns * 1e-9
@@ -128,17 +122,22 @@ def _in_time(arrivals: Arrivals, stretches: Stretches, p: SlipEstimatorParameter
     stamps_ns, is_sample = arrivals.stamps_ns, arrivals.sources[:, 0] == 0
     newest = np.maximum.accumulate(np.concatenate(([0], stamps_ns)))[:-1]
     heads = stretches.stamps_ns[stretches.known + np.cumsum(is_sample) - 1]
-    window_ns, timeout_ns = round(p.history_window * 1e9), round(p.sprocket_timeout * 1e9)
+    window_ns = round(p.history_window * 1e9)
     return bool(
         stretches.known >= 2
         and (stamps_ns > 0).all()
         and (stamps_ns > stretches.stamps_ns[1]).all()
         and (stamps_ns >= newest - window_ns).all()
-        and (stamps_ns <= heads + timeout_ns).all()
+        and (stamps_ns <= heads + _hold_ns(p)).all()
     )
 
 
-def _told(taken: list[Measurement], dofs: list[int], passed: Passed) -> Steps:
+def _hold_ns(p: SlipEstimatorParameters) -> int:
+    """How long a sprocket sample holds: there is neither silence nor a clock that jumps ahead."""
+    return min(round(p.sprocket_timeout * 1e9), round(p.max_gap * 1e9))
+
+
+def _told(taken: Sequence[Measurement], dofs: list[int], passed: Passed) -> Steps:
     """Reports and estimates; ``dofs`` are the degrees of freedom of the measurements."""
     steps: Steps = []
     nis, gates = passed.nis.tolist(), passed.gates.tolist()
