@@ -63,9 +63,10 @@ def _graph(directory: Path) -> None:
     for name in _NODES:
         show(f"CPU of {name}, live graph", f"{graph.loads[name].cpu_percent:.1f} %")
     for which in ("p50", "p99"):
-        age, floor = getattr(graph.odometry, which), getattr(graph.floor, which)
+        age, bare, floor = (getattr(it, which) for it in (graph.odometry, graph.bare, graph.floor))
         beside = f"{age / floor:.1f} × one hop of rclpy, {floor:.2f} ms"
         show(f"stamp of sprockets → odometry, {which}", f"{age:.2f} ms", beside, "≤ 3 ×")
+        show(f"  a bare relay for the estimator, {which}", f"{bare:.2f} ms", f"{bare / floor:.1f} ×")
     with open_bag(graph.bag) as bag:
         p = load_slip_parameters(bag_parameters(bag))
         seconds = _median(lambda: _seconds(lambda: replay(bag, p, Edits(), None)))

@@ -2,7 +2,9 @@
 """The ROS side of the benchmark: a listener, and the floor to hold the nodes against.
 
 ``bench_ros.py NAME`` is that floor: a bare rclpy node that publishes what the driver NAME publishes, as
-often, but the same ready-made messages again and again; ``odometry`` is stamped odometry at 100 Hz.
+often, but the same ready-made messages again and again. ``odometry`` is stamped odometry at 101 Hz: within a
+second it meets every phase of the graph's cycle, busy and idle. ``relay`` stands in for the slip estimator:
+for each sprocket sample it publishes ready-made odometry with that stamp.
 """
 
 import sys
@@ -18,10 +20,11 @@ from rclpy.executors import SingleThreadedExecutor
 
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.qos import offered, wanted
+from trackslip_common.nodes.run import Executor
 from trackslip_drivers import conversions
 from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample
 
-RATES = {"can_driver": 100.0, "watson_imu": 71.11, "sick_pls": 25.0, "odometry": 100.0}
+RATES = {"can_driver": 100.0, "watson_imu": 71.11, "sick_pls": 25.0, "odometry": 101.0}
 FLOOR = "floor/"  # what its topics begin with
 
 
@@ -119,8 +122,26 @@ def floor(name: str) -> None:
     rclpy.spin(node)
 
 
+def relay() -> None:
+    """From sprockets to odometry with no estimate between, until interrupted."""
+    rclpy.init()
+    node = rclpy.create_node("relay")
+    message = make("nav_msgs/msg/Odometry")
+    publisher = node.create_publisher(type(message), "odometry", offered("odometry"))
+
+    def hand_on(sprockets: Any) -> None:
+        message.header.stamp = sprockets.header.stamp
+        publisher.publish(message)
+
+    node.create_subscription(topic_class("sprockets"), "sprockets", hand_on, wanted("sprockets"))
+    executor = Executor()
+    executor.add_node(node)
+    while rclpy.ok():
+        executor.spin_once(timeout_sec=0.1)
+
+
 if __name__ == "__main__":
     try:
-        floor(sys.argv[1])
+        relay() if sys.argv[1] == "relay" else floor(sys.argv[1])
     except KeyboardInterrupt:
         sys.exit(130)

@@ -25,6 +25,8 @@ from trackslip_estimation.soil.soil_parameters import (
     reloadable,
 )
 
+_NICENESS = 5  # soils change slowly; the odometry that it listens to is waited for by others
+
 
 class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
     """Converts, calls the estimator, publishes; all else is in ``SoilEstimator``."""
@@ -89,4 +91,4 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
 
 def main() -> None:
     """Entry point."""
-    sys.exit(run(SoilEstimatorNode))
+    sys.exit(run(SoilEstimatorNode, niceness=_NICENESS))
