@@ -3,14 +3,26 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import yaml
+from scipy.stats import chi2
 
-from trackslip_common.config_files import node_parameters, read_yaml
+from trackslip_common.config_files import config_file, node_parameters, read_yaml
 from trackslip_common.errors import ExitCode
+from trackslip_estimation.bags.reader import open_bag
 from trackslip_estimation.cli.main import main
+from trackslip_estimation.replay.edits import Edits
+from trackslip_estimation.replay.run import replay
 from trackslip_estimation.slip_parameters import NODE, load_slip_parameters
+from trackslip_estimation.tuning.evidence import PARAMETERS
+from trackslip_estimation.tuning.plan import read_plan, value_of
 from trackslip_estimation.tuning.task import Task
+from trackslip_sim.excavator import drive
+from trackslip_sim.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
 
 PLAN = """
 objective: pose
@@ -111,3 +123,68 @@ def test_two_workers_of_a_cluster_find_what_one_process_finds(
     assert tune(emulated_bag, plan, tmp_path / "alone", "--jobs", "1") == ExitCode.DONE
     for name in ("slip_estimator.yaml", "evidence.json"):
         assert (tmp_path / "cluster" / name).read_text() == (tmp_path / "alone" / name).read_text()
+
+
+SLALOMS = [("slalom", "clayey_soil"), ("slalom", "sandy_loam"), ("thesis", "clayey_soil"), ("slalom", "sand")]
+TRIALS = [("field_trial", soil) for soil in ("sand", "sandy_loam", "dry_clay", "clayey_soil")]
+LONG = (pytest.mark.slow, pytest.mark.timeout(1200))
+APART = 7.0  # s after which errors of the pose are independent: the longest correlation time of their NEES
+
+
+def recorded(scenario: str, soil: str, seed: int, path: Path) -> Path:
+    p = load_emulator_parameters({"scenario": scenario, "soil": soil, "seed": seed})
+    record_drive(p, drive(p), path)
+    return path
+
+
+def start_off(plan: Path, file: Path, factor: float) -> Path:
+    """Process noise off by a factor; where it is too small, that of the fixes is ten times too large."""
+    ours = load_slip_parameters()
+    layer: dict[str, Any] = {name: factor * value_of(ours, name) for name in read_plan(plan).bounds}
+    floors = (0.07, 0.28) if factor < 1.0 else (ours.pose_position_floors[0], ours.pose_heading_floors[0])
+    layer |= {"pose_position_floors": [floors[0]], "pose_heading_floors": [floors[1]]}
+    file.write_text(yaml.safe_dump({NODE: {"ros__parameters": layer}}))
+    return file
+
+
+def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
+    """Position m, heading rad, NEES of what the estimator publishes."""
+    p = load_slip_parameters(*(node_parameters(read_yaml(layer), NODE, str(layer)) for layer in layers))
+    with open_bag(bag) as opened:
+        result = replay(opened, p, Edits(), None)
+    errors = result.scores["filter"]
+    assert errors is not None
+    assert result.nees is not None
+    return errors.position, errors.heading, result.nees
+
+
+@pytest.mark.parametrize(
+    ("drives", "factor", "evaluations"),
+    [
+        pytest.param(SLALOMS, 0.1, 100, id="slaloms"),
+        pytest.param(TRIALS, 0.1, 300, id="trials_too_small", marks=LONG),
+        pytest.param(TRIALS, 10.0, 300, id="trials_too_large", marks=LONG),
+    ],
+)
+def test_noise_ten_times_off_is_mended_on_three_bags_and_on_a_fourth(
+    drives: list[tuple[str, str]], factor: float, evaluations: int, tmp_path: Path
+) -> None:
+    """The error is halved over the three, the covariances are honest, and an unseen bag is better off."""
+    bags = [recorded(*names, 11 + k, tmp_path / f"bag{k}") for k, names in enumerate(drives)]
+    plan, out = tmp_path / "tune.yaml", tmp_path / "out"
+    ours = read_yaml(config_file("tune.yaml")) | {"evaluations": evaluations}
+    plan.write_text(yaml.safe_dump(ours, sort_keys=False))
+    start = start_off(plan, tmp_path / "off.yaml", factor)
+    options = ("--plan", str(plan), "--params", str(start), "--output", str(out), "--no-cross-validation")
+    assert main(["tune", *map(str, bags[:3]), *options]) == ExitCode.DONE
+
+    then = np.array([replayed(bag, start) for bag in bags])
+    now = np.array([replayed(bag, start, out / PARAMETERS) for bag in bags])
+    assert np.hypot.reduce(now[:3, 0]) < 0.5 * np.hypot.reduce(then[:3, 0])
+    for bag, nees in zip(bags[:3], now[:3, 2], strict=True):
+        with open_bag(bag) as opened:
+            independent = opened.duration_s / APART
+        low, high = chi2.ppf((0.025 / 3.0, 1.0 - 0.025 / 3.0), 3.0 * independent) / independent
+        assert low < nees < high
+    assert (now[3, :2] < then[3, :2]).all()
+    assert abs(np.log(now[3, 2] / 3.0)) < abs(np.log(then[3, 2] / 3.0))

@@ -13,7 +13,7 @@ from trackslip_common.config_files import node_parameters, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flat_fields
 from trackslip_estimation.dead_reckoning import Path as Track
-from trackslip_estimation.measurement_log import read_measurements, shapes_log
+from trackslip_estimation.measurement_log import read_measurements, reread, shapes_log
 from trackslip_estimation.measurements import Measurement, PoseFix
 from trackslip_estimation.replay.scoring import mean_nees, path_of, score
 from trackslip_estimation.slip_estimator import SlipEstimator
@@ -151,6 +151,29 @@ def test_what_does_not_shape_a_log_leaves_it_as_it_is(drive: Callable[..., Any],
             np.testing.assert_array_equal(mine, its, err_msg=name)
 
 
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"pose_position_floors": 0.2},
+        {"pose_position_floors": 0.001, "pose_heading_floors": 0.05},
+        {"pose_heading_floors": 0.4},
+        {"pose_heading_ceilings": 0.01},
+        {"pose_lever_arms_x": 0.3, "pose_position_floors": 0.2},
+        {"turning.loss": 0.1},
+    ],
+)
+def test_a_log_read_again_is_one_read_anew(drive: Callable[..., Any], values: dict[str, float]) -> None:
+    """With floors below and above those it was read with, and headings that are no longer used."""
+    found = measurements(drive)
+    p = load_slip_parameters({"pose_position_floors": [0.02], "pose_heading_floors": [0.03]})
+    other = changed(p, values)
+    again = reread(read_measurements(found, p), found, other, values)
+    anew = read_measurements(found, other)
+    for mine, its in zip(again.log, anew.log, strict=True):
+        np.testing.assert_array_equal(mine, its)
+    assert again.start is anew.start
+
+
 # scores
 
 
@@ -216,6 +239,17 @@ def test_the_search_finds_the_bottom_of_a_bent_valley() -> None:
     np.testing.assert_array_equal(first, asked)
 
 
+def test_a_search_that_has_not_converged_keeps_to_its_points() -> None:
+    asked: list[int] = []
+
+    def costs(points: Any) -> Any:
+        asked.append(len(points))
+        return np.sum(np.sin(20.0 * points) + np.abs(points - 0.3) ** 0.2, axis=1)
+
+    search(costs, np.full(9, 0.9), 300, seed=1)
+    assert 290 <= sum(asked) <= 301
+
+
 # the whole
 
 
@@ -240,6 +274,24 @@ def test_tuning_mends_what_was_wrong_and_shows_it(drive: Callable[..., Any], tmp
     assert table.count("| bag1") == 3
     assert "Bags that had no say are better off" in table
     assert numbers(result)["left_out"][1]["bag"] == "bag1"
+
+
+def test_values_that_only_fit_their_own_bags_are_not_better_for_others(
+    drive: Callable[..., Any], tmp_path: Path
+) -> None:
+    """One bag's fixes are bad, the other's good: what is found on either harms the other."""
+    p = load_slip_parameters({"model": "free_slips", "pose_position_floors": [0.1]})
+    tasks = [
+        make_task(f"bag{k}", measurements(drive, k, sigma), p, None) for k, sigma in enumerate((0.01, 1.0))
+    ]
+    result = tuned(tmp_path, tasks, plan_of(tmp_path))
+    assert not result.improves_unseen
+    for fold in result.folds:
+        assert fold.score.log_likelihood < result.before[fold.bag].log_likelihood
+    assert sum(s.log_likelihood for s in result.after) > sum(s.log_likelihood for s in result.before)
+    write_evidence(tmp_path / "out", result, p)
+    assert "are not better off" in (tmp_path / "out" / TABLE).read_text()
+    assert not numbers(result)["improves_unseen"]
 
 
 def test_position_is_an_objective_too(drive: Callable[..., Any], tmp_path: Path) -> None:

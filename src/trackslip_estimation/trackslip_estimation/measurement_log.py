@@ -31,14 +31,16 @@ _ASIDE = Measured(ASIDE, np.empty(0), np.empty((0, 0)))
 _OF_RUNS_ONLY = re.compile(
     r"(turning|icr|noise)\..*|gate_.*|(pose|yaw_rate|slip)_timeouts|filter|kappa|initial_.*"
 )
+_OF_FIXES_ONLY = re.compile(r"pose_(position|heading)_floors|pose_heading_ceilings")
 
 
 class MeasurementLog(NamedTuple):
     """What runs over the measurements have in common, whatever the noise of their model."""
 
-    start: Measurement  # what the estimate starts from
+    start: Measurement  # what the estimate starts from, as it came
     log: Log
     asides: Mapping[int, StepAside]  # row → what no kernel does
+    fixes: Mapping[int, PoseFix]  # row → as it came
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -59,7 +61,7 @@ def read_measurements(measurements: Iterable[Measurement], p: SlipEstimatorParam
         InputError: there is none to start from.
     """
     estimator = SlipEstimator(p)
-    taken = _taken(measurements, estimator)
+    taken, came = _taken(measurements, estimator)
     first = next((m for m in taken if estimator.begins_with(m)), None)
     if first is None:
         raise InputError(f"measurements: none of {len(taken)} to start from (start: {p.start})")
@@ -71,16 +73,42 @@ def read_measurements(measurements: Iterable[Measurement], p: SlipEstimatorParam
     stepper, before = Stepper(p, track), Leg(first.stamp_ns)
     rows: list[Row] = []
     asides: dict[int, StepAside] = {}
+    fixes: dict[int, PoseFix] = {}
     for m in (m for m in taken if key_of(m) > key_of(first)):
         for dt, leg, step in _way(stepper, before, m):
             if step is None:
-                measured = stepper.measured(m, silent=leg.silent)
+                measured, given = stepper.measured(m, silent=leg.silent), came[key_of(m)]
+                if isinstance(given, PoseFix):
+                    fixes[len(rows)] = given
                 rows.append(Row(dt, stepper.speeds(leg, m), leg.motion, numbers.get(m.source, 0), measured))
             else:
                 asides[len(rows)] = step
                 rows.append(Row(dt, STANDSTILL, MotionState(), 0, _ASIDE))
             before = leg
-    return MeasurementLog(first, make_log(rows), asides)
+    return MeasurementLog(came[key_of(first)], make_log(rows), asides, fixes)
+
+
+def reread(
+    log: MeasurementLog, measurements: Iterable[Measurement], p: SlipEstimatorParameters, names: Iterable[str]
+) -> MeasurementLog:
+    """What ``read_measurements`` gives, where ``log`` was read with other values of ``names`` at most.
+
+    How far fixes are believed stands in their rows alone, and only these are made anew for it.
+    """
+    shaping = [name for name in names if shapes_log(name)]
+    if not shaping:
+        return log
+    if not all(map(_OF_FIXES_ONLY.fullmatch, shaping)):
+        return read_measurements(measurements, p)
+    flags, values, noises = log.log.flags.copy(), log.log.values.copy(), log.log.noises.copy()
+    poses = p.poses()
+    for row, fix in log.fixes.items():
+        source = poses[fix.source]
+        kind, value, noise = source.measured(source.prepared(fix))
+        flags[row, 0], values[row], noises[row] = kind, 0.0, 0.0
+        values[row, : value.size] = value
+        noises[row, : value.size, : value.size] = noise
+    return log._replace(log=log.log._replace(flags=flags, values=values, noises=noises))
 
 
 def _way(stepper: Stepper, before: Leg, m: Measurement) -> Iterator[tuple[float, Leg, StepAside | None]]:
@@ -120,11 +148,18 @@ def run_log(log: MeasurementLog, p: SlipEstimatorParameters, keep: BoolArray | N
     return run(log.log, stepper.filter, estimator.history()[0].gaussian, make_gates(p), aside, keep)
 
 
-def _taken(measurements: Iterable[Measurement], estimator: SlipEstimator) -> list[Measurement]:
-    """As the estimator takes them where they come in the order of their stamps; of repeats the first."""
+def _taken(
+    measurements: Iterable[Measurement], estimator: SlipEstimator
+) -> tuple[list[Measurement], dict[Key, Measurement]]:
+    """As the estimator takes them where they come in the order of their stamps, and as they came.
+
+    Of repeats the first.
+    """
     taken: dict[Key, Measurement] = {}
+    came: dict[Key, Measurement] = {}
     for given in sorted(measurements, key=key_of):
         measurement, outcome = estimator.admit(given)
         if not outcome.refused:
             taken.setdefault(key_of(measurement), measurement)
-    return list(taken.values())
+            came.setdefault(key_of(measurement), given)
+    return list(taken.values()), came

@@ -9,7 +9,7 @@ import numpy as np
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.filters.gating import shifted
-from trackslip_estimation.filters.model import YAW, Gaussian
+from trackslip_estimation.filters.model import YAW, Gaussian, Measured, pose_measured
 from trackslip_estimation.measurements import PoseFix, YawRate
 
 T = TypeVar("T")
@@ -36,6 +36,10 @@ class PoseSource:
     def tells_heading(self, fix: PoseFix) -> bool:
         """Whether the fix's heading is a measurement: a doubtful one may be wrong by whole quarter turns."""
         return self.use_heading and fix.covariance[YAW, YAW] <= self.heading_ceiling**2
+
+    def measured(self, fix: PoseFix) -> Measured:
+        """A prepared fix as the filter takes it."""
+        return pose_measured(fix.pose, fix.covariance, self.tells_heading(fix))
 
     def to_sensor(self, state: Gaussian) -> Gaussian:
         """The state with the sensor's place for that of base_link: a fix then measures it directly."""

@@ -14,7 +14,6 @@ from trackslip_estimation.filters.model import (
     Gaussian,
     Measured,
     Outputs,
-    pose_measured,
     rate_measured,
     slips_measured,
 )
@@ -144,8 +143,7 @@ class Stepper:
             return rate_measured(measurement.rate, measurement.variance + unknown)
         if isinstance(measurement, SlipFix):
             return slips_measured(measurement.slips, measurement.covariance)
-        heading = self._poses[measurement.source].tells_heading(measurement)
-        return pose_measured(measurement.pose, measurement.covariance, heading)
+        return self._poses[measurement.source].measured(measurement)
 
     def _measure(
         self, state: Gaussian, leg: Leg, dt: float, measurement: Measurement, agreed_ns: Mapping[str, int]

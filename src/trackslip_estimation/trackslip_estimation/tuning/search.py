@@ -50,7 +50,7 @@ def search(costs: Costs, start: FloatArray, points: int, seed: int) -> FloatArra
         bounds=[(0.0, 1.0)] * d,
         options={
             "initial_simplex": corners,
-            "maxfev": max(points - evolved.nfev, d + 1),
+            "maxfev": max(points - evolved.nfev * members, d + 1),  # scipy counts generations
             "xatol": 1e-3,
             "fatol": _SMALL,
         },

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from trackslip_estimation.dead_reckoning import Path
 from trackslip_estimation.filters.batch import BoolArray, Run
 from trackslip_estimation.filters.model import FULL_POSE, POSE, POSITION, SPROCKETS, YAW_RATE
-from trackslip_estimation.measurement_log import MeasurementLog, read_measurements, run_log, shapes_log
+from trackslip_estimation.measurement_log import MeasurementLog, read_measurements, reread, run_log
 from trackslip_estimation.measurements import Measurement
 from trackslip_estimation.replay.scoring import nees_of_each, score
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters
@@ -64,7 +64,7 @@ class Task:
             InputError: a value is refused.
         """
         p = changed(self.p, values)
-        log = read_measurements(self.measurements, p) if any(map(shapes_log, values)) else self.log
+        log = reread(self.log, self.measurements, p, values)
         keep = self._around_reference(log)
         result = run_log(log, p, keep)
         innovations = _innovations(log, result, list(p.timeouts_ns()))
