@@ -12,8 +12,11 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from trackslip_msgs.msg import TrackHydraulics, TrackSlip
 
+from trackslip_common.nodes.messages import make
+from trackslip_estimation.conversions import in_six, planar_pose_message
 from trackslip_estimation.slip_parameters import load_slip_parameters
-from trackslip_estimation.soil.records import Hydraulics, Twist
+from trackslip_estimation.soil import records
+from trackslip_estimation.soil.records import Hydraulics, Place
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.scenarios import Scenario, Segment
@@ -31,13 +34,13 @@ def message_of(given):
     """The message that carries an input."""
     if isinstance(given, Hydraulics):
         message = TrackHydraulics(**{name: getattr(given, name) for name in PRESSURES})
-    elif isinstance(given, Twist):
+    elif isinstance(given, records.Odometry):
         message = Odometry()
         v, rate = message.twist.twist.linear, message.twist.twist.angular
-        v.x, v.y, rate.z = map(float, given.mean)
-        covariance = np.zeros((6, 6))
-        covariance[np.ix_((0, 1, 5), (0, 1, 5))] = given.covariance
-        message.twist.covariance = covariance.flatten()
+        v.x, v.y, rate.z = map(float, given.twist)
+        message.twist.covariance = in_six(given.twist_covariance)
+        message.pose.pose = planar_pose_message(make, given.place.pose)
+        message.pose.covariance = in_six(given.place.covariance)
     else:
         left, right, angle = map(float, given.mean)
         message = TrackSlip(left_slip=left, right_slip=right, slip_angle=angle)
@@ -69,7 +72,7 @@ class Machine:
         taken = 0
         for k in range(0, len(inputs), _BURST):
             self.send(inputs[k : k + _BURST])
-            reference = [i for i in inputs[: k + _BURST] if isinstance(i, Twist)]
+            reference = [i for i in inputs[: k + _BURST] if isinstance(i, records.Odometry)]
             due = math.floor((reference[-1].stamp_ns - reference[0].stamp_ns) / 1e8) if reference else 0
             taken = max(taken, due - 5)  # the patience of the estimator
             self._observer.wait(lambda n=taken: len(self.forces) >= n, "forces")
@@ -111,8 +114,8 @@ def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs)
     nan = float("nan")
     bad = [
         Hydraulics(1, nan, nan, nan, nan),
-        Twist(1, np.full(3, nan), np.full((3, 3), -1.0)),
-        Twist(10**15, np.zeros(3), np.zeros((3, 3))),
+        records.Odometry(1, np.full(3, nan), np.full((3, 3), -1.0), Place(np.full(3, nan), np.eye(3))),
+        records.Odometry(10**15, np.zeros(3), np.zeros((3, 3)), Place(np.zeros(3), np.eye(3))),
     ]
     machine.send(bad)
     machine.feed([one for one in inputs if not isinstance(one, Hydraulics)])

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
+from trackslip_estimation.motion import Motion
+from trackslip_estimation.soil.records import Place
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.strength_posterior import StrengthPosterior, StrengthSample, Use
 
@@ -32,6 +34,8 @@ def samples(draw: st.DrawFn) -> StrengthSample:
         twist_covariance=covariance,
         thrusts=draw(arrays(np.float64, 2, elements=ANY | st.floats(-1e4, 1e4))),
         thrust_variances=draw(arrays(np.float64, 2, elements=ANY | st.floats(0.0, 1e6))),
+        motion=draw(st.sampled_from(Motion)),
+        place=Place(draw(arrays(np.float64, 3, elements=NUMBERS)), covariance),
     )
 
 
@@ -75,6 +79,8 @@ def test_left_and_right_turns_teach_the_same(
             np.diag((1e-5, 1e-5, 1e-5)),
             sign * thrusts[order] if mirrored else thrusts,
             np.full(2, 100.0),
+            Motion.TURNING,
+            Place(np.zeros(3), np.eye(3)),
         )
         for _ in range(5):
             posterior.update(sample)

@@ -9,15 +9,18 @@ import pytest
 from trackslip_common.tally import Tally
 from trackslip_estimation.motion import Motion
 from trackslip_estimation.soil.moments import Moment, Moments
-from trackslip_estimation.soil.records import Hydraulics, Refusal, Slips, SoilInput, Twist
+from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Refusal, Slips, SoilInput
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
 P = load_soil_parameters().moments
 MS = 1_000_000
 
 
-def twist(ms: int, v_x: float = 0.3) -> Twist:
-    return Twist(ms * MS, np.array((v_x, 0.0, 0.0)), 1e-6 * np.eye(3))
+HERE = Place(np.zeros(3), 1e-6 * np.eye(3))
+
+
+def odometry(ms: int, v_x: float = 0.3) -> Odometry:
+    return Odometry(ms * MS, np.array((v_x, 0.0, 0.0)), 1e-6 * np.eye(3), HERE)
 
 
 def slips(ms: int) -> Slips:
@@ -38,7 +41,7 @@ def stamps(found: list[Moment]) -> list[int]:
 
 
 def test_pressures_are_those_at_the_stamp_of_the_slips() -> None:
-    found = run(hydraulics(100, 1e6), twist(105), slips(105), hydraulics(110, 2e6))
+    found = run(hydraulics(100, 1e6), odometry(105), slips(105), hydraulics(110, 2e6))
     assert stamps(found) == [105]
     assert found[0].pressures is not None
     np.testing.assert_allclose(found[0].pressures.values, (1.5e6, -1.5e6))
@@ -49,7 +52,7 @@ def test_every_order_of_arrival_gives_the_same_moments() -> None:
     """Per topic in order, between topics as they like."""
     topics = (
         [hydraulics(t, 1e4 * t) for t in (96, 106, 116)],
-        [twist(t) for t in (100, 110)],
+        [odometry(t) for t in (100, 110)],
         [slips(t) for t in (100, 110)],
     )
     order = [k for k, topic in enumerate(topics) for _ in topic]
@@ -63,7 +66,7 @@ def test_every_order_of_arrival_gives_the_same_moments() -> None:
 
 
 def test_silent_pressures_hold_nothing_up_for_longer_than_the_patience() -> None:
-    pairs = [half for t in range(0, 1000, 10) for half in (twist(t), slips(t))]
+    pairs = [half for t in range(0, 1000, 10) for half in (odometry(t), slips(t))]
     found = run(hydraulics(-10), hydraulics(0), *pairs)
     assert stamps(found) == list(range(0, 1000 - round(P.patience * 1e3), 10))
     assert [m.pressures is None for m in found[:3]] == [False, True, True]
@@ -71,7 +74,7 @@ def test_silent_pressures_hold_nothing_up_for_longer_than_the_patience() -> None
 
 def test_a_gap_between_pressures_is_not_bridged() -> None:
     late = 100 + round(P.longest_gap * 1e3) + 1
-    found = run(hydraulics(100), twist(105), slips(105), hydraulics(late), twist(late), slips(late))
+    found = run(hydraulics(100), odometry(105), slips(105), hydraulics(late), odometry(late), slips(late))
     assert [m.pressures is None for m in found] == [True, False]
 
 
@@ -82,11 +85,11 @@ def test_a_gap_between_pressures_is_not_bridged() -> None:
         ([hydraulics(100), hydraulics(90)], Refusal.TOO_LATE),
         ([hydraulics(100), hydraulics(99_000)], Refusal.AHEAD),
         ([hydraulics(100, float("nan"))], Refusal.INVALID),
-        ([twist(100), twist(100)], Refusal.DUPLICATE),
-        ([twist(100), slips(100), slips(100)], Refusal.DUPLICATE),
-        ([twist(100), slips(100), slips(90), twist(90)], Refusal.TOO_LATE),
-        ([twist(100, float("inf"))], Refusal.INVALID),
-        ([Twist(0, np.zeros(3), np.diag((1.0, 1.0, -1.0)))], Refusal.INVALID),
+        ([odometry(100), odometry(100)], Refusal.DUPLICATE),
+        ([odometry(100), slips(100), slips(100)], Refusal.DUPLICATE),
+        ([odometry(100), slips(100), slips(90), odometry(90)], Refusal.TOO_LATE),
+        ([odometry(100, float("inf"))], Refusal.INVALID),
+        ([Odometry(0, np.zeros(3), np.diag((1.0, 1.0, -1.0)), HERE)], Refusal.INVALID),
     ],
 )
 def test_what_has_no_place_is_refused_and_counted(inputs: list[SoilInput], refusal: Refusal) -> None:
@@ -97,7 +100,7 @@ def test_what_has_no_place_is_refused_and_counted(inputs: list[SoilInput], refus
 
 
 def test_one_wild_stamp_does_not_stop_the_pressures() -> None:
-    pairs = [x for t in range(0, 100, 10) for x in (twist(t), slips(t), hydraulics(t + 4))]
+    pairs = [x for t in range(0, 100, 10) for x in (odometry(t), slips(t), hydraulics(t + 4))]
     found = run(hydraulics(-6), hydraulics(10_000_000), *pairs)
     assert len(found) == 10
     assert all(m.pressures is not None for m in found)
@@ -107,7 +110,7 @@ def test_halves_without_the_other_are_given_up() -> None:
     tally = Tally()
     moments = Moments(P, tally)
     for t in range(0, 3000, 10):
-        moments.add(twist(t))
+        moments.add(odometry(t))
     assert tally.total == {("odometry", Refusal.UNPAIRED.value): 100}
 
 
@@ -117,7 +120,7 @@ def test_a_clock_set_back_begins_anew_once_it_is_believed() -> None:
     times = [*range(1_000_000, 1_000_500, 10), *range(0, 1000, 10)]
     found = []
     for t in times:
-        for given in (hydraulics(t), twist(t), slips(t)):
+        for given in (hydraulics(t), odometry(t), slips(t)):
             moments.add(given)
             found += moments.ready()
     assert tally.total["track_slip", Refusal.RESTARTED.value] == 1

@@ -8,6 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
+from trackslip_estimation.motion import Motion
+from trackslip_estimation.soil.records import Place
 from trackslip_estimation.soil.shear_field import carry, element_places, shares
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.strength_posterior import StrengthPosterior, StrengthSample, Use
@@ -22,13 +24,15 @@ SPEED = 0.35  # m/s of the tracks
 MODULUS, LIMIT = 0.01, 3640.0
 STEP = STRENGTH.interval
 NONE = np.zeros(2)
+HERE = Place(np.zeros(3), 1e-6 * np.eye(3))
 
 
 def straight(slip: float, force: float, *, stddev: float = 1e-4, dt: float = STEP) -> StrengthSample:
-    """Both tracks with the same slip; ``stddev`` is that of the slip."""
+    """Both tracks with the same slip, called a turn: there slips count; ``stddev`` is that of the slip."""
     twist = np.array((SPEED * (1.0 - slip), 0.0, 0.0))
     covariance = np.diag(np.square((stddev * SPEED, 1e-4, 1e-4)))
-    return StrengthSample(dt, np.full(2, SPEED), twist, covariance, np.full(2, force), np.full(2, 25.0))
+    tracks, thrusts, variances = np.full(2, SPEED), np.full(2, force), np.full(2, 25.0)
+    return StrengthSample(dt, tracks, twist, covariance, thrusts, variances, Motion.TURNING, HERE)
 
 
 def force_of(slip: float, modulus: float = MODULUS, limit: float = LIMIT) -> float:
@@ -213,7 +217,8 @@ def test_either_track_alone_will_do() -> None:
 
 def test_standing_teaches_nothing() -> None:
     posterior = new_posterior()
-    still = StrengthSample(STEP, np.zeros(2), np.zeros(3), np.eye(3) * 1e-6, np.zeros(2), np.ones(2))
+    covariance, force = 1e-6 * np.eye(3), np.zeros(2)
+    still = StrengthSample(STEP, NONE, np.zeros(3), covariance, force, np.ones(2), Motion.STANDING, HERE)
     assert posterior.update(still) is Use.STANDING
     assert posterior.effective_samples == 0.0
     assert posterior.summary().reason == "too little driving yet"

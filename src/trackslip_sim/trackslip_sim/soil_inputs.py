@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackslip_estimation.motion import MotionParameters, MotionState, classify
-from trackslip_estimation.soil.records import Hydraulics, Slips, SoilInput, Twist
+from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SoilInput
 from trackslip_estimation.soil.tracks import frame_speeds
 from trackslip_estimation.vehicle import Vehicle
 from trackslip_sim.truth.record import FloatArray, Truth
@@ -32,7 +32,8 @@ class Sensing:
     offsets: tuple[float, float] = (0.0, 0.0)  # Pa, of the left and the right transducer
     speed_stddev: float = 0.003  # m/s, of v_x and v_y
     yaw_rate_stddev: float = 0.003  # rad/s
-    error_time: float = 0.5  # s, for which errors of the twist last
+    position_stddev: float = 0.003  # m
+    error_time: float = 0.5  # s, for which errors of the twist and the position last
 
 
 def soil_inputs(
@@ -45,15 +46,19 @@ def soil_inputs(
     later = truth.interpolate(at.t + _HYDRAULICS_DELAY_NS * 1e-9)
     twists = np.stack((at.v_x, at.v_y, at.yaw_rate), axis=-1)
     tracks = np.stack((at.left_speed, at.right_speed), axis=-1) * vehicle.rolling_radius
+    poses = np.stack((at.x, at.y, at.yaw), axis=-1)
     deviations = np.array((sensing.speed_stddev, sensing.speed_stddev, sensing.yaw_rate_stddev))
-    kept = math.exp(-step / sensing.error_time)
-    error, state = deviations * rng.standard_normal(3), MotionState()
+    kept, state = math.exp(-step / sensing.error_time), MotionState()
+    error, astray = deviations * rng.standard_normal(3), sensing.position_stddev * rng.standard_normal(2)
+    doubt = np.diag((sensing.position_stddev**2, sensing.position_stddev**2, 0.0))
     for k in range(len(at)):
         stamp_ns = START_NS + k * _PERIOD_NS
         error = kept * error + math.sqrt(1.0 - kept**2) * deviations * rng.standard_normal(3)
+        astray = kept * astray + math.sqrt(1.0 - kept**2) * sensing.position_stddev * rng.standard_normal(2)
         state = classify(state, float(at.left_speed[k]), float(at.right_speed[k]), step, limits)
         twist = twists[k] + (error if np.abs(tracks[k]).max() > _SLOWEST else 0.0)
-        yield Twist(stamp_ns, twist, np.diag(np.square(deviations)))
+        place = Place(poses[k] + np.append(astray, 0.0), doubt)
+        yield Odometry(stamp_ns, twist, np.diag(np.square(deviations)), place)
         yield Slips(stamp_ns, np.append(_slips(twist, tracks[k], vehicle), 0.0), state.motion)
         left, right = sensing.pressure_stddev * rng.standard_normal(2) + sensing.offsets
         yield Hydraulics(

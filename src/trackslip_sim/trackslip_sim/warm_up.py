@@ -12,7 +12,7 @@ from trackslip_sim.study.parameters import TRUTHS, cells, load_study_parameters
 from trackslip_sim.truth.simulate import MODES, simulate
 
 _SHORT = 0.1  # s
-_ROLLING = 1.0  # s, after which the tracks roll
+_ROLLING = 4.0  # s of the slalom, half of them straight on
 
 
 def main() -> None:
@@ -28,7 +28,7 @@ def main() -> None:
         cell = next(cell for cell in cells(study) if cell.truth == name)
         evaluate(cell, drive, study, estimator)
     soil = SoilEstimator(load_soil_parameters())
-    truth = simulate(scenario.stretched(_ROLLING))
+    truth = simulate(load_scenario("slalom").stretched(_ROLLING))
     for given in soil_inputs(truth, soil.parameters.vehicle, estimator.motion, Sensing()):
         soil.advance(given)
 

@@ -15,7 +15,7 @@ from trackslip_common.parameters import to_flat
 from trackslip_estimation.bags.parameters import parameters_text
 from trackslip_estimation.nodes.soil_health import soil_health
 from trackslip_estimation.soil import conversions
-from trackslip_estimation.soil.records import HYDRAULICS, SLIPS, TWIST, SoilInput
+from trackslip_estimation.soil.records import HYDRAULICS, ODOMETRY, SLIPS, SoilInput
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import (
     DEFAULT_FILES,
@@ -44,7 +44,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         self._outputs = {topic: self.announce(topic_class(topic), topic) for topic in outputs}
         self._parameters_used = self.announce(topic_class(PARAMETERS), PARAMETERS)
         self.listen(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
-        self.listen(topic_class(TWIST), TWIST, self._on_odometry)
+        self.listen(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
         self.listen(topic_class(SLIPS), SLIPS, self._on_slips)
 
     def activate(self) -> None:
@@ -65,7 +65,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
 
     def _on_odometry(self, message: Any) -> None:
         self._heard = time.monotonic()
-        self._take(conversions.twist(message))
+        self._take(conversions.odometry(message))
 
     def _on_slips(self, message: Any) -> None:
         self._take(conversions.slips(message))

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.make import Make, header, stamp_ns_of
-from trackslip_estimation.conversions import PLANE_IN_6, UNOBSERVED
+from trackslip_estimation.conversions import PLANE_IN_6, UNOBSERVED, planar_pose
 from trackslip_estimation.motion import Motion
-from trackslip_estimation.soil.records import Hydraulics, Slips, SlipSeed, TrackForces, Twist
+from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SlipSeed, TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
 
 FORCES, SOIL, SEED = "track_forces", "soil", "slip_seed"  # topics of the outputs
@@ -25,11 +25,18 @@ def hydraulics(message: Any) -> Hydraulics:
     )
 
 
-def twist(message: Any) -> Twist:
+def odometry(message: Any) -> Odometry:
     """From nav_msgs/Odometry, the planar part."""
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
-    covariance = np.asarray(message.twist.covariance, dtype=np.float64).reshape(6, 6)[PLANE_IN_6]
-    return Twist(stamp_ns_of(message), np.array((linear.x, linear.y, angular.z)), covariance)
+    twist_covariance, covariance = (
+        np.asarray(of.covariance, dtype=np.float64).reshape(6, 6)[PLANE_IN_6]
+        for of in (message.twist, message.pose)
+    )
+    twist, place = (
+        np.array((linear.x, linear.y, angular.z)),
+        Place(planar_pose(message.pose.pose), covariance),
+    )
+    return Odometry(stamp_ns_of(message), twist, twist_covariance, place)
 
 
 def slips(message: Any) -> Slips:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Brings twist, slips and pressures of one stamp together, strictly in the order of stamps.
+"""Brings odometry, slips and pressures of one stamp together, strictly in the order of stamps.
 
 Each topic comes in its own time. A moment is given out once all that belongs to it is there: the pressures
 before and after it, or the certainty that they are not coming. So what is made of the moments depends on the
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.tally import Tally
 from trackslip_estimation.continuity import Continuity, Course
-from trackslip_estimation.soil.records import Hydraulics, Refusal, Slips, SoilInput, Twist
+from trackslip_estimation.soil.records import Hydraulics, Odometry, Refusal, Slips, SoilInput
 
 FloatArray = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Moment:
     """What is known of one stamp."""
 
     stamp_ns: int
-    twist: Twist
+    odometry: Odometry
     slips: Slips
     pressures: Pressures | None
 
@@ -68,8 +68,8 @@ class Moments:
 
     def clear(self) -> None:
         """Forget the slips and their time."""
-        self._halves: dict[int, Twist | Slips] = {}
-        self._waiting: deque[tuple[Twist, Slips]] = deque()
+        self._halves: dict[int, Odometry | Slips] = {}
+        self._waiting: deque[tuple[Odometry, Slips]] = deque()
         self._slip_time = self._new_continuity()
         self._done_ns = -1  # stamp of the newest whole pair
 
@@ -89,8 +89,9 @@ class Moments:
         """The moments that are whole by now."""
         found = []
         while self._waiting and self._is_decided(self._waiting[0][0].stamp_ns):
-            twist, slips = self._waiting.popleft()
-            found.append(Moment(twist.stamp_ns, twist, slips, self._pressures_at(twist.stamp_ns)))
+            odometry, slips = self._waiting.popleft()
+            stamp_ns = odometry.stamp_ns
+            found.append(Moment(stamp_ns, odometry, slips, self._pressures_at(stamp_ns)))
         return found
 
     def _new_continuity(self) -> Continuity:
@@ -113,14 +114,14 @@ class Moments:
             self._hydraulics.popleft()
         return None
 
-    def _add_half(self, given: Twist | Slips) -> Refusal | None:
+    def _add_half(self, given: Odometry | Slips) -> Refusal | None:
         other = self._halves.get(given.stamp_ns)
         if other is None:
             return self._keep_half(given)
         if type(other) is type(given):
             return Refusal.DUPLICATE
         del self._halves[given.stamp_ns]
-        pair = (given, other) if isinstance(given, Twist) else (other, given)
+        pair = (given, other) if isinstance(given, Odometry) else (other, given)
         course = self._slip_time.sprockets(given.stamp_ns, self._done_ns if self._done_ns >= 0 else None)
         if course is Course.BACK:
             self.clear()
@@ -130,10 +131,10 @@ class Moments:
         elif given.stamp_ns == self._done_ns:
             return Refusal.DUPLICATE
         self._done_ns = given.stamp_ns
-        self._waiting.append(cast("tuple[Twist, Slips]", pair))
+        self._waiting.append(cast("tuple[Odometry, Slips]", pair))
         return Refusal.RESTARTED if course is Course.BACK else None
 
-    def _keep_half(self, given: Twist | Slips) -> Refusal | None:
+    def _keep_half(self, given: Odometry | Slips) -> Refusal | None:
         """Until its other half comes; those that wait too long are given up."""
         if given.stamp_ns == self._done_ns:
             return Refusal.DUPLICATE

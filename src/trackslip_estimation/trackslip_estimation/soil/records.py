@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the soil estimator takes in and gives out, and why it refuses an input."""
 
+import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from trackslip_estimation.slip_estimator import Estimate
 
 FloatArray = NDArray[np.float64]
 
-HYDRAULICS, TWIST, SLIPS = "hydraulics", "odometry", "track_slip"  # sources: the topics they come on
+HYDRAULICS, ODOMETRY, SLIPS = "hydraulics", "odometry", "track_slip"  # sources: the topics they come on
 _ROUNDING = 1e-9
 _LARGEST = 1e12  # Pa, m/s, …: beyond it is no measurement
 
@@ -35,20 +36,39 @@ class Hydraulics:
         return all(abs(v) < _LARGEST for v in values)
 
 
+class Place(NamedTuple):
+    """Where C is."""
+
+    pose: FloatArray  # (3,) x m, y m, heading rad, site frame
+    covariance: FloatArray  # (3, 3)
+
+    def along(self) -> float:
+        """Variance of the position along the heading, m²."""
+        ahead = np.array((math.cos(self.pose[2]), math.sin(self.pose[2])))
+        return max(float(ahead @ self.covariance[:2, :2] @ ahead), 0.0)
+
+    def way_to(self, other: "Place") -> float:
+        """Way from here along the heading halfway, m."""
+        (x, y, yaw), (x_there, y_there, yaw_there) = self.pose.tolist(), other.pose.tolist()
+        halfway = yaw + 0.5 * math.remainder(yaw_there - yaw, 2.0 * math.pi)
+        return float((x_there - x) * math.cos(halfway) + (y_there - y) * math.sin(halfway))
+
+
 @dataclass(frozen=True, eq=False)
-class Twist:
-    """Velocity of the machine at C, as the slip estimator gives it."""
+class Odometry:
+    """Velocity and place of the machine at C, as the slip estimator gives them."""
 
     stamp_ns: int
-    mean: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s
-    covariance: FloatArray  # (3, 3)
-    source: str = TWIST
+    twist: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s
+    twist_covariance: FloatArray  # (3, 3)
+    place: Place
+    source: str = ODOMETRY
 
     def is_finite(self) -> bool:
         """Whether all are numbers, and the covariance of v_x and yaw rate can be one."""
-        if not _are_numbers(self.mean, self.covariance):
+        if not _are_numbers(self.twist, self.twist_covariance, *self.place):
             return False
-        (v_x, _, both), _, (_, _, rate) = self.covariance.tolist()
+        (v_x, _, both), _, (_, _, rate) = self.twist_covariance.tolist()
         return bool(v_x >= 0.0 and rate >= 0.0 and both**2 <= v_x * rate * (1.0 + _ROUNDING))
 
 
@@ -66,14 +86,14 @@ class Slips:
         return _are_numbers(self.mean)
 
 
-SoilInput: TypeAlias = Hydraulics | Twist | Slips
+SoilInput: TypeAlias = Hydraulics | Odometry | Slips
 
 
-def inputs_of(estimate: Estimate) -> tuple[Twist, Slips]:
+def inputs_of(estimate: Estimate) -> tuple[Odometry, Slips]:
     """What the slip estimator publishes of an estimate, as the soil estimator takes it."""
-    of = estimate.outputs
+    of, place = estimate.outputs, Place(estimate.pose, estimate.pose_covariance)
     return (
-        Twist(estimate.stamp_ns, of.twist, of.twist_covariance),
+        Odometry(estimate.stamp_ns, of.twist, of.twist_covariance, place),
         Slips(estimate.stamp_ns, of.slips, estimate.motion),
     )
 

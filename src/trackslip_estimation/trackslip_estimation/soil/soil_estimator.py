@@ -125,15 +125,19 @@ class SoilEstimator:
     def _step(self, now: Moment) -> list[SoilOutput]:
         before_ns = now.stamp_ns if self._newest_ns is None else self._newest_ns
         dt, self._newest_ns = (now.stamp_ns - before_ns) * 1e-9, now.stamp_ns
-        tracks = track_speeds(now.twist.mean, now.slips.mean, self.parameters.vehicle)
+        tracks = track_speeds(now.odometry.twist, now.slips.mean, self.parameters.vehicle)
         pressures = self._trusted(now, tracks, dt)
         thrust = self._measured(now, pressures, tracks, dt)
         self._thrust = thrust or self._meter.unseen(self._thrust, dt)
-        twist, turn = now.twist, float(tracks[1] - tracks[0])
-        self._dynamics.step(dt, now.slips.motion, twist.mean, twist.covariance, turn, thrust)
-        known = (_UNKNOWN, _UNKNOWN) if thrust is None else (thrust.force, thrust.variance)
-        self._posterior.update(StrengthSample(dt, tracks, twist.mean, twist.covariance, *known))
-        seed = self._seeder.step(now.stamp_ns, dt, now.slips.motion, tracks, thrust, self._strength)
+        twist, covariance = now.odometry.twist, now.odometry.twist_covariance
+        motion, turn = now.slips.motion, float(tracks[1] - tracks[0])
+        self._dynamics.step(dt, motion, twist, covariance, turn, thrust)
+        forces, variances = (_UNKNOWN, _UNKNOWN) if thrust is None else (thrust.force, thrust.variance)
+        place = now.odometry.place
+        self._posterior.update(
+            StrengthSample(dt, tracks, twist, covariance, forces, variances, motion, place)
+        )
+        seed = self._seeder.step(now.stamp_ns, dt, motion, tracks, thrust, self._strength)
         return self._outputs(now, before_ns) + ([] if seed is None else [seed])
 
     def _measured(
@@ -178,7 +182,7 @@ class SoilEstimator:
         spins = np.abs(now.slips.mean[:2]) > p.high_slip
         spent = np.array([reserve.exhausted > _LIKELY for reserve in reserves])
         self._spinning = np.where(spins & spent, self._spinning + p.forces_period, 0.0)
-        signs = self._dynamics.signs(now.twist.mean, now.twist.covariance)
+        signs = self._dynamics.signs(now.odometry.twist, now.odometry.twist_covariance)
         half, (mu_r, variance) = 0.5 * p.vehicle.weight, self._mu()[0]
         return TrackForces(
             now.stamp_ns,

@@ -5,11 +5,12 @@
     F_max    maximal tractive effort of one track                          N
     u        track speed r ω                                               m/s
     τ        time after which the errors of slip are new ones              s
-    w        weight of a sample of duration dt: dt/τ
+    w        weight of a sample of duration dt: dt/τ in turns; a straight is one sample
     n        effective samples: how many independent ones are remembered
 
     p ← (1 − h) p + h p₀        the soil may have changed on the way: h = 1 − e^(−way/mean way on one soil)
-    p ← p L^w                   L: ``strength_grid``
+    p ← p L^w                   L: of slips and thrusts in turns (``strength_grid``), of the way that a
+                                straight has cost (``straight``)
 
 p₀ is flat in ln K and ln F_max. Where the ground stays, p sharpens for good; where it changes, the little
 that flows back from p₀ grows to all of p within a few independent samples.
@@ -22,7 +23,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.soil.shear_field import carry, element_places
+from trackslip_estimation.motion import Motion
+from trackslip_estimation.soil.records import Place
+from trackslip_estimation.soil.shear_field import carry
+from trackslip_estimation.soil.straight import Hypotheses, Straight
 from trackslip_estimation.soil.strength_grid import NODES, log_likelihood
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.vehicle import Vehicle
@@ -39,8 +43,8 @@ _LONGEST = 1.0  # s between two samples; beyond it, what the tracks did meanwhil
 class Use(Enum):
     """What became of a sample."""
 
-    GATHERED = "gathered"  # averaged with the next ones
-    USED = "used"  # it completed an average, which was used
+    GATHERED = "gathered"  # with the next ones: for an average, or a straight
+    USED = "used"  # it completed either, which was used
     STANDING = "standing"
     INVALID = "invalid"  # not finite, a covariance that is none, or a duration out of range
 
@@ -55,6 +59,8 @@ class StrengthSample:
     twist_covariance: FloatArray  # (3, 3)
     thrusts: FloatArray  # (2,) of the soil on each track, resistance included, N; nan where not known
     thrust_variances: FloatArray  # (2,) N²
+    motion: Motion
+    place: Place
 
 
 @dataclass(frozen=True)
@@ -84,8 +90,8 @@ class StrengthPosterior:
         self._modulus_blur = _blur(self.log_moduli, lasting)
         self._limit_blur = _blur(self.log_limits, np.full(p.limit_cells, p.thrust_scale_stddev))
         self._prior = np.full((p.modulus_cells, p.limit_cells), 1.0 / (p.modulus_cells * p.limit_cells))
-        self._x_e = element_places(vehicle.contact_length, p.elements)
-        self._half_tread = 0.5 * vehicle.tread
+        self._hypotheses = Hypotheses(vehicle, p.elements, self._moduli, self._limits)
+        self._x_e, self._half_tread = self._hypotheses.x_e, self._hypotheses.half_tread
         self.reset()
 
     def reset(self) -> None:
@@ -98,10 +104,14 @@ class StrengthPosterior:
     def _leave_ground(self) -> None:
         self._displacement = np.zeros((2, self.parameters.elements, 2))
         self._time, self._sum = 0.0, np.zeros(18)
+        self._straight: Straight | None = None
+        self._place: Place | None = None  # at the end of the last average
+        self._halted = False  # since the straight
 
     def update(self, sample: StrengthSample) -> Use:
         """Use one sample of slip and thrust."""
         if not _is_usable(sample):
+            self._straight = None
             if not 0.0 < sample.dt <= _LONGEST:
                 self._leave_ground()
             return Use.INVALID
@@ -119,35 +129,49 @@ class StrengthPosterior:
             return Use.GATHERED
         tracks, twist, thrusts, variances, covariance = np.split(self._sum / self._time, (2, 5, 7, 9))
         dt, self._time, self._sum = self._time, 0.0, np.zeros(18)
-        return self._use(dt, tracks, twist, covariance.reshape(3, 3), thrusts, variances)
-
-    def _use(
-        self,
-        dt: float,
-        tracks: FloatArray,
-        twist: FloatArray,
-        covariance: FloatArray,
-        thrusts: FloatArray,
-        variances: FloatArray,
-    ) -> Use:
-        """An average over dt."""
-        p = self.parameters
-        self._displacement = carry(self._displacement, twist, tracks, self._x_e, self._half_tread, dt)
-        rolls = np.abs(tracks) >= p.slowest_track
         likely = (np.abs(thrusts) < _LARGEST_THRUST) & (variances > 0.0) & (variances < _LARGEST_THRUST**2)
-        thrusts = np.where(rolls & likely, thrusts, np.nan)
-        change = -math.expm1(-abs(float(tracks.mean())) * dt / p.change_distance)
-        if not np.isfinite(thrusts).any():
-            self._learn(np.zeros_like(self._grid), 0.0, change)  # on the way the soil may change unseen
+        thrusts = np.where(likely, thrusts, np.nan)
+        average = StrengthSample(
+            dt, tracks, twist, covariance.reshape(3, 3), thrusts, variances, sample.motion, sample.place
+        )
+        return self._use(average)
+
+    def _use(self, now: StrengthSample) -> Use:
+        """An average."""
+        p = self.parameters
+        way = abs(float(now.tracks.mean())) * now.dt
+        self._learn(np.zeros_like(self._grid), 0.0, -math.expm1(-way / p.change_distance))
+        start, self._place = self._place or now.place, now.place
+        before, x_e, half = self._displacement, self._x_e, self._half_tread
+        self._displacement = carry(before, now.twist, now.tracks, x_e, half, now.dt)
+        if now.motion is Motion.STANDING:
+            self._halted = True
+            if self._straight is not None:
+                self._straight.arrive(now.place)
             return Use.STANDING
-        weight = min(dt / p.correlation_time, 1.0)
+        straight = now.motion is Motion.STRAIGHT and bool(np.isfinite(now.thrusts).all())
+        use = Use.GATHERED if straight and not self._halted else self._judge()
+        self._halted = False
+        if straight:
+            self._straight = self._straight or Straight(self._hypotheses, before, start)
+            self._straight.roll(now.dt, now.tracks, now.twist, float(now.thrusts.sum()), now.place)
+            return self._judge() if self._straight.rolled >= p.longest_straight else use
+        return self._turn(now) if now.motion is Motion.TURNING else use
+
+    def _turn(self, now: StrengthSample) -> Use:
+        """Slips and thrusts of a turn tell by themselves."""
+        p = self.parameters
+        thrusts = np.where(np.abs(now.tracks) >= p.slowest_track, now.thrusts, np.nan)
+        if not np.isfinite(thrusts).any():
+            return Use.GATHERED
+        weight = min(now.dt / p.correlation_time, 1.0)
         log = log_likelihood(
             self._displacement,
-            twist,
-            self._spread(covariance, tracks),
-            tracks,
+            now.twist,
+            self._spread(now.twist_covariance, now.tracks),
+            now.tracks,
             thrusts,
-            variances + p.thrust_stddev**2,
+            now.thrust_variances + p.thrust_stddev**2,
             self._x_e,
             self._half_tread,
             self._moduli,
@@ -156,7 +180,20 @@ class StrengthPosterior:
             p.thrust_share_stddev * math.sqrt(self._shared()),
             p.degrees_of_freedom,
         )
-        self._learn(weight * log, weight, change)
+        self._learn(weight * log, weight, 0.0)
+        return Use.USED
+
+    def _judge(self) -> Use:
+        """What the straight that has ended says of each soil."""
+        p, straight, self._straight = self.parameters, self._straight, None
+        if straight is None or straight.rolled < p.shortest_straight:
+            return Use.GATHERED
+        lost = straight.lost()
+        bias = p.slip_bias_stddev * straight.rolled
+        variance = lost.variance + p.way_stddev**2 + self._shared() * bias**2
+        squares = (lost.measured - lost.expected) ** 2 / variance
+        degrees = p.degrees_of_freedom
+        self._learn(-0.5 * (degrees + 1.0) * np.log1p(squares / degrees), 1.0, 0.0)
         return Use.USED
 
     def _spread(self, covariance: FloatArray, tracks: FloatArray) -> FloatArray:
