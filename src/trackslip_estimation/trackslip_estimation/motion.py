@@ -16,7 +16,7 @@ from typing import NamedTuple
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.compiled import compiled
 
-_SIGNIFICANT = 3.0  # standard deviations
+_SIGNIFICANT = 2.5  # standard deviations
 
 
 class Motion(IntEnum):

@@ -30,6 +30,7 @@ FloatArray = NDArray[np.float64]
 _MODULI, _LIMITS = 12, 9  # hypotheses: λ is nearly linear in K and in 1/F_max between them
 _MOST_SLIP = 0.4  # a soil that is asked for more than it has lets the tracks spin; no farther than this
 _CLOSE_PULL, _CLOSE_SLIP = 1e-3, 1e-5  # of q_L + q_R; of a slip
+_TRIALS = 40  # about ten are needed
 
 
 class Lost(NamedTuple):
@@ -142,10 +143,10 @@ def _needed(
     if f_high <= 0.0:
         return high, after
     slip, was_low, was_high = high, False, False
-    while high - low > _CLOSE_SLIP:
+    for _ in range(_TRIALS):
         slip = (low * f_high - high * f_low) / (f_high - f_low)
         f, after = _tried(slip, j, twist, tracks, modulus, x_e, half_tread, dt)
-        if abs(f - wanted) < _CLOSE_PULL:
+        if abs(f - wanted) < _CLOSE_PULL or high - low < _CLOSE_SLIP:
             break
         if f < wanted:
             low, f_low = slip, f - wanted
