@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator with the thesis' own model and fixed noise, whatever the defaults are; and a pty."""
+"""The estimator with the thesis' own model and fixed noise, whatever the defaults are; a pty; refusals."""
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from trackslip_common.errors import ExitCode
+from trackslip_estimation.cli.main import main
 from trackslip_estimation.measurements import Measurement, Report
 from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip_parameters import SlipEstimatorParameters, load_slip_parameters
@@ -63,3 +65,17 @@ def pty_port(tmp_path: Path) -> Iterator[PtyPort]:
     yield port
     if port.link.is_symlink():
         port.close()
+
+
+@pytest.fixture
+def refusal(capsys: pytest.CaptureFixture[str]) -> Callable[[list[str]], str]:
+    """What ``trackslip`` says of arguments that it refuses: a line, and nothing else."""
+
+    def said_of(arguments: list[str]) -> str:
+        assert main(arguments) == ExitCode.BAD_INPUT
+        shown, said = capsys.readouterr()
+        assert shown == ""
+        assert said.count("\n") == 1
+        return said
+
+    return said_of
