@@ -3,10 +3,12 @@
 
 import itertools
 import math
+import os
 import threading
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -326,3 +328,18 @@ def test_lifecycle(bench, programs, observer, node):
 def test_autostart_ends_in_active(bench, programs, observer):
     programs.node("watson_imu", **bench["watson_imu"][1])
     observer.wait(lambda: observer.state("watson_imu") == "active", "watson_imu to be active")
+
+
+@pytest.mark.parametrize("priority", [7, 0])
+def test_realtime_priority(bench, programs, observer, priority):
+    """All threads of the process have it, or the node says that the host refuses."""
+    program = programs.node("can_driver", **bench["can_driver"][1], realtime_priority=priority)
+    observer.wait(lambda: observer.state("can_driver") == "active", "can_driver to be active")
+    threads = [int(path.name) for path in Path(f"/proc/{program.process.pid}/task").iterdir()]
+
+    def settled():
+        policies = {(os.sched_getscheduler(t), os.sched_getparam(t).sched_priority) for t in threads}
+        return policies == {(os.SCHED_FIFO if priority else os.SCHED_OTHER, priority)}
+
+    program.until(lambda: settled() or "no right to real-time" in program.stderr, "the scheduler")
+    assert priority or settled()

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from trackslip_estimation.motion import Motion, MotionParameters, MotionState, classify
+from trackslip_estimation.motion import Motion, MotionParameters, MotionState, Speeds, classify
 
 LIMITS = MotionParameters(
     standing_speed=0.05,
@@ -26,9 +26,13 @@ def drive(speeds: Iterable[tuple[float, float]], state: MotionState | None = Non
     state = state or MotionState()
     seen = []
     for left, right in speeds:
-        state = classify(state, left, right, DT, LIMITS)
+        state = classify(state, measured(left, right), DT, LIMITS)
         seen.append(state)
     return seen
+
+
+def measured(left: float, right: float) -> Speeds:
+    return Speeds(left, right, 0.0, differenced=False)
 
 
 def held(left: float, right: float, seconds: float = 3.0) -> list[tuple[float, float]]:
@@ -67,7 +71,7 @@ def test_steady_speeds(left: float, right: float, expected: Motion) -> None:
 
 def test_the_first_sample_counts_whole() -> None:
     assert MotionState().slips_move
-    state = classify(MotionState(), 2.0, 2.0, DT, LIMITS)
+    state = classify(MotionState(), measured(2.0, 2.0), DT, LIMITS)
     assert (state.motion, state.left, state.right_mean) == (Motion.STRAIGHT, 2.0, 2.0)
 
 
@@ -134,6 +138,17 @@ def test_counts_do_not_make_it_flicker(left: float, right: float, expected: Moti
     assert not any(s.changing for s in states)
 
 
+def test_what_rounding_explains_is_no_departure() -> None:
+    state, departures = MotionState(), []
+    for left, right in counted(1.37, 1.371, 5.0) + counted(1.6, 1.2, 5.0):
+        speeds = Speeds(left, right, DT, differenced=True)
+        state = classify(state, speeds, DT, LIMITS, COUNT)
+        departures.append(state.departure)
+    assert set(departures[100:500]) == {0.0}
+    assert departures[500] == pytest.approx(0.23, abs=COUNT / DT)
+    assert set(departures[-100:]) == {0.0}
+
+
 def test_shaking_on_the_spot_is_standing() -> None:
     rng = np.random.default_rng(1)
     jitter = [(float(a), float(b)) for a, b in rng.integers(-1, 2, (2000, 2)) * COUNT / DT / 2.0]
@@ -142,9 +157,9 @@ def test_shaking_on_the_spot_is_standing() -> None:
 
 def test_splitting_time_changes_nothing_while_speeds_are_steady() -> None:
     start = drive(held(0.0, 0.0))[-1]
-    once = classify(start, 1.0, 2.0, 0.2, LIMITS)
+    once = classify(start, measured(1.0, 2.0), 0.2, LIMITS)
     often = start
     for _ in range(20):
-        often = classify(often, 1.0, 2.0, 0.01, LIMITS)
+        often = classify(often, measured(1.0, 2.0), 0.01, LIMITS)
     assert (once.left, once.right_mean) == pytest.approx((often.left, often.right_mean))
     assert once.motion is often.motion

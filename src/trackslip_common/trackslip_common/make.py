@@ -20,6 +20,12 @@ def header(make: Make, stamp_ns: int, frame_id: str) -> Any:
     return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
 
+def set_stamp(message: Any, stamp_ns: int) -> None:
+    """Stamp a message that has a header."""
+    stamp = message.header.stamp
+    stamp.sec, stamp.nanosec = divmod(stamp_ns, _NS_PER_S)
+
+
 def stamp_ns_of(message: Any) -> int:
     """Stamp of any message with a header."""
     stamp = message.header.stamp

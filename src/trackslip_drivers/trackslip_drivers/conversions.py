@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.make import Make, header
+from trackslip_common.make import Make, header, set_stamp
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
 from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample, Vector
 
@@ -19,13 +19,27 @@ _ABSENT = -1.0  # first element of the covariance of what is not measured (REP-1
 
 def joint_state(make: Make, sample: SprocketSample, frame_id: str) -> Any:
     """sensor_msgs/JointState of both sprockets."""
+    message = blank_joint_state(make, frame_id)
+    fill_joint_state(message, sample)
+    return message
+
+
+def blank_joint_state(make: Make, frame_id: str) -> Any:
+    """sensor_msgs/JointState for ``fill_joint_state``, which is faster than to make one."""
     return make(
         "sensor_msgs/msg/JointState",
-        header=header(make, sample.stamp_ns, frame_id),
+        header=header(make, 0, frame_id),
         name=[LEFT_SPROCKET, RIGHT_SPROCKET],
-        position=array.array("d", (sample.left_position, sample.right_position)),
-        velocity=array.array("d", (sample.left_velocity, sample.right_velocity)),
+        position=array.array("d", (0.0, 0.0)),
+        velocity=array.array("d", (0.0, 0.0)),
     )
+
+
+def fill_joint_state(message: Any, sample: SprocketSample) -> None:
+    """Put another sample into the message."""
+    set_stamp(message, sample.stamp_ns)
+    message.position[0], message.position[1] = sample.left_position, sample.right_position
+    message.velocity[0], message.velocity[1] = sample.left_velocity, sample.right_velocity
 
 
 def track_hydraulics(make: Make, sample: HydraulicsSample, frame_id: str) -> Any:

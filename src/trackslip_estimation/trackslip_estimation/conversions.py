@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.make import Make, header, stamp_ns_of
+from trackslip_common.make import Make, header, set_stamp, stamp_ns_of
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
 from trackslip_estimation.measurements import PoseFix, Report, SlipFix, Sprockets, YawRate
 from trackslip_estimation.slip_estimator import Estimate
@@ -20,7 +20,8 @@ FloatArray = NDArray[np.float64]
 
 PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
 UNOBSERVED = 1e6  # variance of what a planar estimate says nothing of
-_BLANK_6 = np.diag(np.full(6, UNOBSERVED))
+_BLANK_36 = np.diag(np.full(6, UNOBSERVED)).ravel()
+_PLANE_IN_36 = np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel()
 
 
 def sprockets(message: Any, source: str) -> Sprockets:
@@ -69,24 +70,27 @@ def planar_pose(pose: Any) -> FloatArray:
 
 def odometry(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:
     """nav_msgs/Odometry of an estimate."""
-    v_x, v_y, rate = (float(v) for v in estimate.outputs.twist)
-    linear, angular = _vector(make, v_x, v_y, 0.0), _vector(make, 0.0, 0.0, rate)
-    twist = make("geometry_msgs/msg/Twist", linear=linear, angular=angular)
-    return make(
-        "nav_msgs/msg/Odometry",
-        header=header(make, estimate.stamp_ns, odom_frame),
-        child_frame_id=base_frame,
-        pose=make(
-            "geometry_msgs/msg/PoseWithCovariance",
-            pose=planar_pose_message(make, estimate.pose),
-            covariance=in_six(estimate.pose_covariance),
-        ),
-        twist=make(
-            "geometry_msgs/msg/TwistWithCovariance",
-            twist=twist,
-            covariance=in_six(estimate.outputs.twist_covariance),
-        ),
-    )
+    message = blank_odometry(make, odom_frame, base_frame)
+    fill_odometry(message, estimate)
+    return message
+
+
+def blank_odometry(make: Make, odom_frame: str, base_frame: str) -> Any:
+    """nav_msgs/Odometry for ``fill_odometry``, which takes a tenth of the time that it takes to make one."""
+    message = make("nav_msgs/msg/Odometry", header=header(make, 0, odom_frame), child_frame_id=base_frame)
+    message.pose.covariance, message.twist.covariance = _BLANK_36.copy(), _BLANK_36.copy()
+    return message
+
+
+def fill_odometry(message: Any, estimate: Estimate) -> None:
+    """Put another estimate into the message."""
+    set_stamp(message, estimate.stamp_ns)
+    pose, twist = message.pose.pose, message.twist.twist
+    pose.position.x, pose.position.y, heading = estimate.pose.tolist()
+    pose.orientation.z, pose.orientation.w = math.sin(heading / 2.0), math.cos(heading / 2.0)
+    twist.linear.x, twist.linear.y, twist.angular.z = estimate.outputs.twist.tolist()
+    message.pose.covariance[_PLANE_IN_36] = estimate.pose_covariance.ravel()
+    message.twist.covariance[_PLANE_IN_36] = estimate.outputs.twist_covariance.ravel()
 
 
 def transforms(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:
@@ -159,9 +163,9 @@ def planar_pose_message(make: Make, pose: FloatArray) -> Any:
 
 def in_six(covariance: FloatArray) -> FloatArray:
     """(36,) row-major 6×6 with the planar (3, 3) in its place, the rest marked as not observed."""
-    six = _BLANK_6.copy()
-    six[PLANE_IN_6] = covariance
-    return six.reshape(36)
+    six = _BLANK_36.copy()
+    six[_PLANE_IN_36] = covariance.ravel()
+    return six
 
 
 def _vector(make: Make, x: float, y: float, z: float) -> Any:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.compiled import compiled
 
-_SIGNIFICANT = 2.5  # standard deviations
+_SIGNIFICANT = 2.5  # standard deviations of the rounding of a speed that is differenced from two counts
 
 
 class Motion(IntEnum):
@@ -65,7 +65,7 @@ class MotionState(NamedTuple):
     right: float = 0.0
     left_mean: float = 0.0  # rad/s, low-passed further
     right_mean: float = 0.0
-    departure: float = 0.0  # rad/s, of the present speeds from those, the larger of both
+    departure: float = 0.0  # rad/s, the largest of the present speeds from those; 0 if rounding explains it
 
     @property
     def slips_move(self) -> bool:
@@ -74,15 +74,18 @@ class MotionState(NamedTuple):
 
 
 def classify(
-    state: MotionState, left_speed: float, right_speed: float, dt: float, limits: MotionParameters
+    state: MotionState, speeds: Speeds, dt: float, limits: MotionParameters, resolution: float = 0.0
 ) -> MotionState:
-    """The state of motion after ``dt`` seconds with these mean sprocket speeds (rad/s)."""
-    motion, changing, *speeds = classified(
+    """The state of motion after ``dt`` seconds with these mean sprocket speeds.
+
+    ``resolution`` is the angle of a count, rad.
+    """
+    motion, changing, *remembered = classified(
         int(state.motion),
         *state[1:],
-        left_speed,
-        right_speed,
+        *speeds,
         dt,
+        resolution,
         limits.standing_speed,
         limits.turning_ratio,
         limits.change_ratio,
@@ -90,7 +93,7 @@ def classify(
         limits.smoothing_time,
         limits.memory_time,
     )
-    return MotionState(_MOTIONS[motion], changing, *speeds)
+    return MotionState(_MOTIONS[motion], changing, *remembered)
 
 
 @compiled
@@ -104,7 +107,10 @@ def classified(
     departure: float,
     left_speed: float,
     right_speed: float,
+    stretch: float,
+    differenced: bool,
     dt: float,
+    resolution: float,
     standing_speed: float,
     turning_ratio: float,
     change_ratio: float,
@@ -112,7 +118,7 @@ def classified(
     smoothing_time: float,
     memory_time: float,
 ) -> tuple[int, bool, float, float, float, float, float]:
-    """The fields of the next ``MotionState``, from those of the last and of ``MotionParameters``."""
+    """The fields of the next ``MotionState``, from its last, those of ``Speeds``, of ``MotionParameters``."""
     if dt <= 0.0:
         return motion, changing, left, right, left_mean, right_mean, departure
     if motion == _UNKNOWN:
@@ -131,16 +137,17 @@ def classified(
     smooth = max(abs(left - left_mean), abs(right - right_mean))
     changing = smooth > change_ratio * max(mean, standing_speed) * (hysteresis if changing else 1.0)
     motion = _STANDING if not moves else _TURNING if turns else _STRAIGHT
-    now = max(abs(left_speed - left_mean), abs(right_speed - right_mean))
-    return motion, changing, left, right, left_mean, right_mean, now
+    lately = max(abs(left_speed - left), abs(right_speed - right))
+    departure = max(lately, abs(left_speed - left_mean), abs(right_speed - right_mean))
+    rounding = resolution / math.sqrt(6.0) / stretch if differenced and stretch > 0.0 else 0.0
+    if departure <= _SIGNIFICANT * rounding:
+        departure = 0.0
+    return motion, changing, left, right, left_mean, right_mean, departure
 
 
-def smoothed(speeds: Speeds, state: MotionState, resolution: float, limits: MotionParameters) -> Speeds:
-    """Low-passed, where the speeds hold still but for the rounding of the counts they are differenced from.
-
-    ``resolution`` is the angle of a count, rad.
-    """
-    now = steadied(*speeds, state.left, state.right, state.departure, resolution, limits.smoothing_time)
+def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Speeds:
+    """Low-passed, where the speeds hold still but for the rounding of what they are differenced from."""
+    now = steadied(*speeds, state.left, state.right, state.departure, limits.smoothing_time)
     return Speeds(*now, speeds.differenced)
 
 
@@ -153,13 +160,9 @@ def steadied(
     smooth_left: float,
     smooth_right: float,
     departure: float,
-    resolution: float,
     smoothing_time: float,
 ) -> tuple[float, float, float]:
     """Left, right and stretch of ``smoothed``."""
-    if not differenced or stretch <= 0.0 or stretch >= smoothing_time:
-        return left, right, stretch
-    rounding = resolution / math.sqrt(6.0) / stretch  # its standard deviation, rad/s
-    if departure > _SIGNIFICANT * rounding:
+    if not differenced or stretch <= 0.0 or stretch >= smoothing_time or departure > 0.0:
         return left, right, stretch
     return smooth_left, smooth_right, math.sqrt(2.0) * smoothing_time

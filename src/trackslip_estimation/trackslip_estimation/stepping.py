@@ -63,7 +63,7 @@ class Stepper:
     def __init__(self, p: SlipEstimatorParameters, track: SprocketTrack) -> None:
         self.filter = make_filter(p)
         compile_for(self.filter)
-        smoothed(STANDSTILL, classify(MotionState(), 0.0, 0.0, 0.01, p.motion), 0.0, p.motion)  # these too
+        smoothed(STANDSTILL, classify(MotionState(), STANDSTILL, 0.01, p.motion), p.motion)  # these too
         self._reach = make_reach(p)
         self._track = track
         self._resolution = p.encoder_resolution
@@ -103,7 +103,7 @@ class Stepper:
 
     def _drive(self, before: Leg, speeds: Speeds, stamp_ns: int) -> Leg:
         dt = (stamp_ns - before.stamp_ns) * 1e-9
-        return Leg(stamp_ns, classify(before.motion, speeds.left, speeds.right, dt, self._limits), speeds)
+        return Leg(stamp_ns, classify(before.motion, speeds, dt, self._limits, self._resolution), speeds)
 
     def driven(self, state: Gaussian, leg: Leg, dt: float) -> Gaussian:
         """``dt`` s later, nothing measured."""
@@ -132,7 +132,7 @@ class Stepper:
         return self._smoothed(leg.speeds, leg.motion) if compared else leg.speeds
 
     def _smoothed(self, speeds: Speeds, motion: MotionState) -> Speeds:
-        return smoothed(speeds, motion, self._resolution, self._limits)
+        return smoothed(speeds, motion, self._limits)
 
     def measured(self, measurement: Measurement, *, silent: bool) -> Measured:
         """A measurement as the filter takes it; in silence a gyro tells nothing of its bias."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trackslip_estimation.motion import MotionParameters, MotionState, classify
+from trackslip_estimation.motion import MotionParameters, MotionState, Speeds, classify
 from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SoilInput
 from trackslip_estimation.soil.tracks import frame_speeds
 from trackslip_estimation.vehicle import Vehicle
@@ -55,7 +55,8 @@ def soil_inputs(
         stamp_ns = START_NS + k * _PERIOD_NS
         error = kept * error + math.sqrt(1.0 - kept**2) * deviations * rng.standard_normal(3)
         astray = kept * astray + math.sqrt(1.0 - kept**2) * sensing.position_stddev * rng.standard_normal(2)
-        state = classify(state, float(at.left_speed[k]), float(at.right_speed[k]), step, limits)
+        speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]), 0.0, differenced=False)
+        state = classify(state, speeds, step, limits)
         twist = twists[k] + (error if np.abs(tracks[k]).max() > _SLOWEST else 0.0)
         place = Place(poses[k] + np.append(astray, 0.0), doubt)
         yield Odometry(stamp_ns, twist, np.diag(np.square(deviations)), place)

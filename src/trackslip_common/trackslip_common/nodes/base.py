@@ -16,13 +16,12 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.qos import offered, wanted
-from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, to_flat
+from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, parameter, to_flat
 from trackslip_common.tally import Tally
 
 P = TypeVar("P", bound=Parameters)
 
 _ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
-_AUTOSTART = "autostart"
 _COMPLAINT_PERIOD = 30.0  # s between words in the log about the same trouble
 
 OK, WARN, ERROR, STALE = (
@@ -43,6 +42,14 @@ class Health:
     part: str = ""  # of the node; empty for the node itself
 
 
+@dataclass(frozen=True, kw_only=True)
+class CommonParameters(Parameters):
+    """What every node takes beside its own."""
+
+    autostart: bool = parameter("configure and activate without being asked")
+    realtime_priority: int = parameter("of SCHED_FIFO, where the host allows it; 0: as others", ge=0, le=99)
+
+
 class TrackslipNode(LifecycleNode, Generic[P]):
     """Base of all nodes.
 
@@ -52,6 +59,8 @@ class TrackslipNode(LifecycleNode, Generic[P]):
     Raises:
         InputError: a parameter is unknown, of a wrong type or out of range.
     """
+
+    realtime_priority = 0  # by default
 
     def __init__(self, name: str, parameters: type[P], *default_files: str) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
@@ -123,7 +132,7 @@ class TrackslipNode(LifecycleNode, Generic[P]):
             InputError: ``configure`` or ``activate`` refused something that the user gave.
             Exception: whatever else they raised.
         """
-        if not self.get_parameter(_AUTOSTART).value:
+        if not self.common.autostart:
             return
         self._starting = True
         for transition in (self.trigger_configure, self.trigger_activate):
@@ -242,15 +251,13 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         }
         for key in given:
             self.undeclare_parameter(key)
-        autostart = given.pop(_AUTOSTART, True)
-        if type(autostart) is not bool:
-            raise InputError(f"{name}: {_AUTOSTART}: {autostart!r} is not true or false")
-        about = ParameterDescriptor(description="configure and activate without being asked", read_only=True)
-        self.declare_parameter(_AUTOSTART, autostart, about, ignore_override=True)
+        common = {"autostart": True, "realtime_priority": self.realtime_priority}
+        common |= {key: given.pop(key) for key in common.keys() & given.keys()}
+        self.common = from_flat(CommonParameters, common, name)
         record = from_flat(parameters, node_defaults(name, *default_files) | given, name)
-        values = to_flat(record)
-        for key, kind, spec in flat_fields(parameters):
-            self.declare_parameter(key, values[key], _descriptor(kind, spec), ignore_override=True)
+        for kind, values in ((CommonParameters, to_flat(self.common)), (parameters, to_flat(record))):
+            for key, type_, spec in flat_fields(kind):
+                self.declare_parameter(key, values[key], _descriptor(type_, spec), ignore_override=True)
         return record
 
     def publish_health(self) -> None:

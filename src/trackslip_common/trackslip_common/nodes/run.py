@@ -7,6 +7,8 @@ import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -63,6 +65,8 @@ def run(
     try:
         node = _make(make_node, argv)
         node.start()
+        if not _hurry(node.common.realtime_priority):
+            node.get_logger().info("no right to real-time scheduling: on a busy host it waits its turn")
         gc.set_threshold(_GARBAGE)
         gc.freeze()  # what the imports made stays: to look through it for garbage would take tens of ms
         signals.break_off = False
@@ -83,6 +87,22 @@ def run(
             node.destroy_node()
         rclpy.try_shutdown()
     return ExitCode.INTERRUPTED if signal.SIGINT in signals.received else ExitCode.DONE
+
+
+def _hurry(priority: int) -> bool:
+    """Real-time scheduling for all threads there are, and for those that they start; False if not allowed.
+
+    Only once the node has started: who compiles has time.
+    """
+    if priority == 0:
+        return True
+    try:
+        for thread in Path("/proc/self/task").iterdir():
+            with suppress(ProcessLookupError):  # it has ended
+                os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        return False
+    return True
 
 
 def _make(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | None) -> TrackslipNode[Any]:

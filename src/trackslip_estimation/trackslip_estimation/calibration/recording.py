@@ -14,7 +14,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_estimation import conversions
 from trackslip_estimation.bags.reader import Bag, require_topics
-from trackslip_estimation.motion import Motion, MotionParameters, MotionState, classify
+from trackslip_estimation.motion import Motion, MotionParameters, MotionState, Speeds, classify
 from trackslip_estimation.replay.inputs import SPROCKETS
 
 FloatArray = NDArray[np.float64]
@@ -78,7 +78,7 @@ def motions(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
     t, angles = sprockets
     state, found = MotionState(), [int(Motion.UNKNOWN)]
     for dt, (left, right) in zip(np.diff(t).tolist(), np.diff(angles, axis=0).tolist(), strict=True):
-        state = classify(state, left / dt, right / dt, dt, limits)
+        state = classify(state, Speeds(left / dt, right / dt, dt, differenced=True), dt, limits)
         found.append(int(state.motion))
     return np.array(found[: len(t)], dtype=np.int64)
 

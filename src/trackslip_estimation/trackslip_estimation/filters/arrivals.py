@@ -86,7 +86,13 @@ def run_arrivals(
 
 @compiled_upon(_motion)
 def _moved(
-    before: FloatArray, left: float, right: float, dt: float, limits: FloatArray
+    before: FloatArray,
+    left: float,
+    right: float,
+    stretch: float,
+    dt: float,
+    resolution: float,
+    limits: FloatArray,
 ) -> tuple[int, bool, float, float, float, float, float]:
     """The next state of motion."""
     return classified(
@@ -99,7 +105,10 @@ def _moved(
         before[6],
         left,
         right,
+        stretch,
+        True,
         dt,
+        resolution,
         limits[0],
         limits[1],
         limits[2],
@@ -166,13 +175,11 @@ def _loop(
                 closing -= 1
             left, right, stretch = stretches[min(closing, samples - 1)]
             dt = (stamps_ns[i] - now_ns[before]) * 1e-9
-            m = _moved(now_motion[before], left, right, dt, limits)
+            m = _moved(now_motion[before], left, right, stretch, dt, c.encoder_resolution, limits)
             now_motion[i] = (float(m[0]), 1.0 if m[1] else 0.0, m[2], m[3], m[4], m[5], m[6])
             now_agreed[i], now_ns[i] = now_agreed[before], stamps_ns[i]
             if kind == YAW_RATE or (kind == SPROCKETS and i == arrival):
-                steady = steadied(
-                    left, right, stretch, True, m[2], m[3], m[6], c.encoder_resolution, limits[4]
-                )
+                steady = steadied(left, right, stretch, True, m[2], m[3], m[6], limits[4])
             if kind == YAW_RATE:
                 left, right, stretch = steady
             x, P = predict(now_x[before], now_P[before], left, right, dt, m[0], int(m[1]), m[6], c)

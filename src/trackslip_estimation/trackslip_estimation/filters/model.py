@@ -40,6 +40,7 @@ CONSTANTS = np.dtype(
         ("misfit_time", np.float64),  # τ, s
         ("first_variance", np.float64),  # of how the vehicle turns and slips, on ground not known yet
         ("second_variance", np.float64),
+        ("gentle_turn", np.float64),
         ("slip_variance", np.float64),
         ("walk", np.float64, (4, 2, LARGEST_STATE)),  # variance per s, by motion and whether it changes
     ],

@@ -37,6 +37,8 @@ from trackslip_estimation.sources import named
 class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     """Converts, calls the estimator, publishes; all else is in ``SlipEstimator``."""
 
+    realtime_priority = 10  # somebody steers by it
+
     def __init__(self) -> None:
         super().__init__(NODE, SlipEstimatorParameters, *DEFAULT_FILES)
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -51,6 +53,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._taken = self._estimates = 0
         self._heard: float | None = None  # s, steady: when the last sprocket sample came
         self._odometry = self.announce(topic_class("odometry"), "odometry")
+        self._pose_and_twist = conversions.blank_odometry(make, p.odom_frame, p.base_frame)
         self._track_slip = self.announce(topic_class("track_slip"), "track_slip")
         self._reports = self.announce(topic_class("measurement_reports"), "measurement_reports")
         self._parameters_used = self.announce(topic_class(RELOAD), RELOAD)
@@ -137,8 +140,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self.tally.add(report.source, report.outcome)
 
     def _publish(self, estimate: Estimate) -> None:
+        conversions.fill_odometry(self._pose_and_twist, estimate)
+        self._odometry.publish(self._pose_and_twist)
         frames = self.settings.odom_frame, self.settings.base_frame
-        self._odometry.publish(conversions.odometry(make, estimate, *frames))
         self._track_slip.publish(conversions.track_slip(make, estimate, frames[1]))
         if self._tf is not None:
             self._tf.publish(conversions.transforms(make, estimate, *frames))

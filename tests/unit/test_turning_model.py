@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a turn costs, by the turning model."""
+
+import math
+
+import numpy as np
+import pytest
+
+from trackslip_estimation.filters.filter import Filter
+from trackslip_estimation.filters.model import Gaussian
+from trackslip_estimation.filters.turning_model import LOSS
+from trackslip_estimation.motion import Speeds
+from trackslip_estimation.slip_parameters import load_slip_parameters, make_filter
+
+P = load_slip_parameters()
+RADIUS, GENTLE = P.vehicle.rolling_radius, P.turning.gentle_turn
+
+
+@pytest.fixture(scope="module")
+def model() -> Filter:
+    return make_filter(P)
+
+
+def lag(model: Filter, left: float, right: float) -> float:
+    """s, m/s: what η of 1 takes of the speed of a machine that does not slip otherwise."""
+    state = model.initial(np.zeros(3), np.eye(3))
+    state.mean[3:] = 0.0
+    state.mean[LOSS] = 1.0
+    twist = model.outputs(Gaussian(*state), Speeds(left, right, 0.0, differenced=False)).twist
+    return RADIUS * (left + right) / 2.0 - float(twist[0])
+
+
+@pytest.mark.parametrize("half", [0.3, -0.3, 0.5])
+def test_a_turn_costs_half_the_difference_but_for_what_is_gentle(model: Filter, half: float) -> None:
+    expected = RADIUS * abs(half) * abs(half) / (abs(half) + GENTLE * 1.5)
+    assert lag(model, 1.5 - half, 1.5 + half) == pytest.approx(expected)
+    assert expected > 0.8 * RADIUS * abs(half)
+
+
+def test_a_gentle_turn_costs_half_of_that(model: Filter) -> None:
+    half = 1.5 * GENTLE
+    assert lag(model, 1.5 - half, 1.5 + half) == pytest.approx(RADIUS * half / 2.0)
+
+
+def test_in_reverse_it_is_mirrored_and_on_the_spot_it_is_none(model: Filter) -> None:
+    assert lag(model, -1.2, -1.6) == pytest.approx(-lag(model, 1.2, 1.6))
+    assert lag(model, -1.0, 1.0) == 0.0
+    assert lag(model, 1.0, 1.0) == 0.0
+
+
+def test_rounded_counts_hardly_slow_a_straight_drive(model: Filter) -> None:
+    """|D| of rounding alone has a mean, and would be taken for slip: 1 % of 0.22 m/s, were no turn gentle."""
+    t = np.arange(1001) * 0.01
+    angles = np.floor(np.outer(t, (1.4, 1.4)) / P.encoder_resolution + (0.2, 0.7)) * P.encoder_resolution
+    speeds = (np.diff(angles, axis=0) / 0.01).tolist()
+    taken = np.mean([lag(model, left, right) for left, right in speeds])
+    rectified = np.mean([RADIUS * abs(right - left) / 2.0 for left, right in speeds])
+    assert rectified > 0.008 * RADIUS * 1.4
+    assert math.isclose(taken, 0.0, abs_tol=0.5 * float(rectified))
