@@ -29,7 +29,6 @@ WINDOW = 5.0  # s of each measurement
 REPEATS = 3
 _WARM_UP = 12.0  # s; the inertial unit initialises for 5 s, the scanner needs some to change its rate
 _APPEAR = 60.0  # s until the graph publishes odometry
-_RELAY_STARTS = 2.0  # s
 _ENDING = 3.0  # s
 _CPU_CLOCK = 2  # Linux: clock number of a process' CPU time is ~pid << 3 | 2
 
@@ -157,22 +156,27 @@ def graph(directory: Path, seconds: float) -> Graph:
             running.start_node(node)
         script = str(Path(__file__).parent / "bench_ros.py")
         running.start("floor", [sys.executable, script, "odometry"])
-        until = time.monotonic() + _APPEAR
-        while len(listener.ages_ms[ours]) < 100 and time.monotonic() < until:
-            listener.listen(0.2)
-        listener.forget()
+        _hear(listener, ours)
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(seconds / 2)
         after, took = running.cpu_s(), time.monotonic() - began
         odometry, floor = (Latency.of(listener.ages_ms[topic]) for topic in (ours, bare))
         running.stop(("record", "slip_estimator"))
         running.start("relay", [sys.executable, script, "relay"])
-        listener.listen(_RELAY_STARTS)
         listener.forget()
+        _hear(listener, ours)
         listener.listen(seconds / 4)
         relayed = Latency.of(listener.ages_ms[ours])
     loads = {name: Load(100.0 * (after[name] - before[name]) / took, 0.0) for name in before}
     return Graph(loads, odometry, floor, relayed, options.bag)
+
+
+def _hear(listener: Listener, topic: str) -> None:
+    """Wait until the topic flows, and forget how that began."""
+    until = time.monotonic() + _APPEAR
+    while len(listener.ages_ms[topic]) < 100 and time.monotonic() < until:
+        listener.listen(0.2)
+    listener.forget()
 
 
 def _measure(running: Children, listener: Listener, topics: dict[str, str]) -> dict[str, Load]:
