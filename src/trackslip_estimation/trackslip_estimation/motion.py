@@ -16,7 +16,7 @@ from typing import NamedTuple
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.compiled import compiled
 
-_SIGNIFICANT = 2.5  # standard deviations of the rounding of a speed that is differenced from two counts
+_SIGNIFICANT = 2.5  # standard deviations of rounding
 
 
 class Motion(IntEnum):
@@ -139,15 +139,18 @@ def classified(
     motion = _STANDING if not moves else _TURNING if turns else _STRAIGHT
     lately = max(abs(left_speed - left), abs(right_speed - right))
     departure = max(lately, abs(left_speed - left_mean), abs(right_speed - right_mean))
-    rounding = resolution / math.sqrt(6.0) / stretch if differenced and stretch > 0.0 else 0.0
-    if departure <= _SIGNIFICANT * rounding:
+    if differenced and stretch > 0.0 and departure <= _SIGNIFICANT * _rounding(stretch, resolution):
         departure = 0.0
     return motion, changing, left, right, left_mean, right_mean, departure
 
 
-def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Speeds:
-    """Low-passed, where the speeds hold still but for the rounding of what they are differenced from."""
-    now = steadied(*speeds, state.left, state.right, state.departure, limits.smoothing_time)
+def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters, resolution: float = 0.0) -> Speeds:
+    """What a gyro is compared with: no rounding of counts passes for a turn, or for a change of speed.
+
+    Low-passed, where rounding explains how the speeds depart from their mean; alike, where it explains their
+    difference.
+    """
+    now = steadied(*speeds, state.left, state.right, state.departure, resolution, limits.smoothing_time)
     return Speeds(*now, speeds.differenced)
 
 
@@ -160,9 +163,20 @@ def steadied(
     smooth_left: float,
     smooth_right: float,
     departure: float,
+    resolution: float,
     smoothing_time: float,
 ) -> tuple[float, float, float]:
     """Left, right and stretch of ``smoothed``."""
-    if not differenced or stretch <= 0.0 or stretch >= smoothing_time or departure > 0.0:
+    if not differenced or stretch <= 0.0:
         return left, right, stretch
-    return smooth_left, smooth_right, math.sqrt(2.0) * smoothing_time
+    if departure == 0.0 and stretch < smoothing_time:
+        left, right, stretch = smooth_left, smooth_right, math.sqrt(2.0) * smoothing_time
+    if abs(right - left) <= math.sqrt(2.0) * _SIGNIFICANT * _rounding(stretch, resolution):
+        left = right = (left + right) / 2.0
+    return left, right, stretch
+
+
+@compiled
+def _rounding(stretch: float, resolution: float) -> float:
+    """Standard deviation of a speed that is differenced from two rounded counts, rad/s."""
+    return resolution / math.sqrt(6.0) / stretch

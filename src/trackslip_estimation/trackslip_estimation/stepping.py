@@ -132,7 +132,7 @@ class Stepper:
         return self._smoothed(leg.speeds, leg.motion) if compared else leg.speeds
 
     def _smoothed(self, speeds: Speeds, motion: MotionState) -> Speeds:
-        return smoothed(speeds, motion, self._limits)
+        return smoothed(speeds, motion, self._limits, self._resolution)
 
     def measured(self, measurement: Measurement, *, silent: bool) -> Measured:
         """A measurement as the filter takes it; in silence a gyro tells nothing of its bias."""

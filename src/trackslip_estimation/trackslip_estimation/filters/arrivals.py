@@ -179,7 +179,9 @@ def _loop(
             now_motion[i] = (float(m[0]), 1.0 if m[1] else 0.0, m[2], m[3], m[4], m[5], m[6])
             now_agreed[i], now_ns[i] = now_agreed[before], stamps_ns[i]
             if kind == YAW_RATE or (kind == SPROCKETS and i == arrival):
-                steady = steadied(left, right, stretch, True, m[2], m[3], m[6], limits[4])
+                steady = steadied(
+                    left, right, stretch, True, m[2], m[3], m[6], c.encoder_resolution, limits[4]
+                )
             if kind == YAW_RATE:
                 left, right, stretch = steady
             x, P = predict(now_x[before], now_P[before], left, right, dt, m[0], int(m[1]), m[6], c)
