@@ -129,9 +129,9 @@ def forward(
         return F, Q
     left_over, share = speed_model.persistence(dt, motion, c)
     meanwhile, both, after = speed_model.misfit_growth(dt, motion, c)
-    variance = speed_model.misfit_variance(x, P, left, right, motion, departure, c)
+    variances = speed_model.misfit_variances(x, P, left, right, motion, departure, c)
     for k in range(SPEED_MISFIT, RATE_MISFIT + 1):
-        own = variance if k == SPEED_MISFIT else variance / c.tread**2
+        own = variances[k - SPEED_MISFIT]
         for i in range(YAW + 1):
             for j in range(YAW + 1):
                 Q[i, j] += G[i, k] * G[j, k] * own * meanwhile

@@ -37,6 +37,7 @@ CONSTANTS = np.dtype(
         ("changing_misfit", np.float64),
         ("standing_misfit", np.float64),  # m/s
         ("yielding_slip", np.float64),
+        ("rate_misfit", np.float64),
         ("misfit_time", np.float64),  # τ, s
         ("first_variance", np.float64),  # of how the vehicle turns and slips, on ground not known yet
         ("second_variance", np.float64),

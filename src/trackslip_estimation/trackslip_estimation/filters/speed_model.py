@@ -15,10 +15,10 @@ d          how far the sprockets' speeds depart from their mean       m/s
 ρ          e^(−dt/τ)                                                  1
 
 Misfits are Ornstein–Uhlenbeck: ṁ = −m/τ + noise, of size σ in v and σ/B in ω. Measured on the shear truth, σ
-is a small share of V and D while the machine goes steadily, and a large share of d while its speed changes:
-the vehicle answers its tracks with a lag, rings on the soil, and has the rest settled within tenths of a
-second. All this is larger on a soil that yields more, which i₀ tells: σ² grows with 1 + (i₀/i_y)². It is the
-jump hypothesis (3.22) in numbers. When the sprockets are silent the motion is UNKNOWN; V
+is a small share of V and D while the machine goes steadily (in ω less than in v, as both tracks ring alike),
+and a large share of d while its speed changes: the vehicle answers its tracks with a lag, rings on the soil,
+and has the rest settled within tenths of a second. All this is larger on a soil that yields more, which i₀
+tells: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. When the sprockets are silent the motion is UNKNOWN; V
 and D are then 0, the misfits are the speeds themselves, and hold.
 """
 
@@ -54,6 +54,7 @@ class SpeedNoise(Parameters):
     changing_misfit: float = parameter("share of d that the equations leave out", ge=0.0)
     standing_misfit: float = parameter("track speed that counts as none", unit="m/s", gt=0.0)
     yielding_slip: float = parameter("i₀ of a soil on which the misfits have twice the variance", gt=0.0)
+    rate_misfit: float = parameter("steady misfit of ω times B, over that of v", ge=0.0)
     misfit_time: float = parameter("correlation time τ of the misfits", unit="s", gt=0.0)
     settling: float = parameter("how much faster x_I and the pair walk while speeds change", ge=1.0)
     initial_common_slip_stddev: float = parameter("standard deviation of i₀ at the start", gt=0.0)
@@ -100,6 +101,7 @@ class SpeedModel:
             "changing_misfit": n.changing_misfit,
             "standing_misfit": n.standing_misfit,
             "yielding_slip": n.yielding_slip,
+            "rate_misfit": n.rate_misfit,
             "misfit_time": n.misfit_time,
             "slip_variance": n.initial_common_slip_stddev**2,
         }
@@ -160,17 +162,19 @@ def misfit_growth(dt: float, motion: int, c: Any) -> tuple[float, float, float]:
 
 
 @compiled
-def misfit_variance(
+def misfit_variances(
     x: FloatArray, P: FloatArray, left: float, right: float, motion: int, departure: float, c: Any
-) -> float:
-    """σ² of m_v, (m/s)²; expected, as far as i₀ is known."""
+) -> tuple[float, float]:
+    """Of m_v, (m/s)², and of m_ω, (rad/s)²; expected, as far as i₀ is known."""
     if motion == _TURNING:
         steady = c.turning_misfit * c.rolling_radius * (right - left)
     else:
         steady = c.straight_misfit * c.rolling_radius * (left + right) / 2.0
     changing = c.changing_misfit * c.rolling_radius * departure
-    yielding = (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / float(c.yielding_slip) ** 2
-    return float((steady**2 + changing**2) * (1.0 + yielding) + c.standing_misfit**2)
+    yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / float(c.yielding_slip) ** 2
+    of_speed = (steady**2 + changing**2) * yielding + c.standing_misfit**2
+    of_rate = ((c.rate_misfit * steady) ** 2 + changing**2) * yielding + c.standing_misfit**2
+    return of_speed, of_rate / c.tread**2
 
 
 @compiled
