@@ -135,9 +135,10 @@ def test_the_turning_equations_hold_where_they_say(
     V, D = RADIUS * (left + right) / 2.0, RADIUS * (right - left)
     x[FIRST], x[SECOND], x[COMMON_SLIP] = kappa, eta, common
     one_way = left * right >= 0.0
-    lost = math.copysign(abs(D) / 2.0, V) if one_way else V * abs(2.0 * V / D) ** 2
-    expected = np.array(((1.0 - common) * V - eta * lost, 0.0, kappa * D / TREAD))
-    c = RECORDS["turning"]
+    c, half = RECORDS["turning"], abs(D) / 2.0
+    lost = math.copysign(half, V) if one_way else V * abs(V / half) ** 2
+    sharp = half / (half + c["gentle_turn"] * abs(V)) if half > 0.0 else 0.0
+    expected = np.array(((1.0 - common) * V - eta * lost * sharp, 0.0, kappa * D / TREAD))
     np.testing.assert_allclose(equations.twist(x, -left, -right, c), -expected, atol=1e-12)
     np.testing.assert_allclose(equations.twist(x, left, right, c), expected, atol=1e-12)
     np.testing.assert_allclose(equations.twist(x, right, left, c), expected * (1, 1, -1), atol=1e-12)
@@ -187,12 +188,13 @@ def test_size_of_the_misfits_by_hand(model: str) -> None:
     """Shares of V, D and d, more on a soil that yields; over a long time all of it shows in the states."""
     c, x = RECORDS[model], np.zeros(SIZE)
     x[FIRST], x[SECOND], x[COMMON_SLIP] = 1.0, -1.0, 2.0 * c["yielding_slip"]
-    shares = np.array((c["turning_misfit"], c["changing_misfit"] * 0.5))
-    expected = 5.0 * RADIUS**2 * np.sum(shares**2) + c["standing_misfit"] ** 2
+    steady, changing = c["turning_misfit"] ** 2, (c["changing_misfit"] * 0.5) ** 2
+    of_speed = 5.0 * RADIUS**2 * (steady + changing) + c["standing_misfit"] ** 2
+    of_rate = 5.0 * RADIUS**2 * (c["rate_misfit"] ** 2 * steady + changing) + c["standing_misfit"] ** 2
     long = 100.0 * float(c["misfit_time"])
     Q = equations.process_noise(x, np.zeros((SIZE, SIZE)), 1.0, 2.0, long, int(Motion.TURNING), 0, 0.5, c)
-    assert Q[SPEED_MISFIT, SPEED_MISFIT] == pytest.approx(expected)
-    assert Q[RATE_MISFIT, RATE_MISFIT] == pytest.approx(expected / TREAD**2)
+    assert Q[SPEED_MISFIT, SPEED_MISFIT] == pytest.approx(of_speed)
+    assert Q[RATE_MISFIT, RATE_MISFIT] == pytest.approx(of_rate / TREAD**2)
     unsure = np.zeros((SIZE, SIZE))
     unsure[COMMON_SLIP, COMMON_SLIP] = c["yielding_slip"] ** 2
     Q = equations.process_noise(x, unsure, 2.0, 2.0, long, int(Motion.STRAIGHT), 0, 0.0, c)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from trackslip_estimation.motion import Motion, MotionParameters, MotionState, Speeds, classify
+from trackslip_estimation.motion import Motion, MotionParameters, MotionState, Speeds, classify, smoothed
 
 LIMITS = MotionParameters(
     standing_speed=0.05,
@@ -147,6 +147,18 @@ def test_what_rounding_explains_is_no_departure() -> None:
     assert set(departures[100:500]) == {0.0}
     assert departures[500] == pytest.approx(0.23, abs=COUNT / DT)
     assert set(departures[-100:]) == {0.0}
+
+
+@pytest.mark.parametrize("difference", [0.0, 0.03, -0.03, 0.3])
+def test_a_gyro_is_compared_with_no_difference_that_rounding_explains(difference: float) -> None:
+    """While speeds change they are not low-passed, and one count in 10 ms is 0.05 rad/s."""
+    now = Speeds(1.5, 1.5 + difference, DT, differenced=True)
+    changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)
+    left, right, stretch, _ = smoothed(now, changing, LIMITS, COUNT)
+    assert (left + right) / 2.0 == pytest.approx(1.5 + difference / 2.0)
+    assert right - left == pytest.approx(difference if difference == 0.3 else 0.0)
+    assert stretch == DT
+    assert smoothed(now._replace(differenced=False), changing, LIMITS, COUNT)[:2] == now[:2]
 
 
 def test_shaking_on_the_spot_is_standing() -> None:

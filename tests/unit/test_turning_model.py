@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a turn costs, by the turning model."""
-
-import math
+"""What a gentle turn costs, by the turning model; the equations as such are in ``property``."""
 
 import numpy as np
 import pytest
@@ -30,22 +28,9 @@ def lag(model: Filter, left: float, right: float) -> float:
     return RADIUS * (left + right) / 2.0 - float(twist[0])
 
 
-@pytest.mark.parametrize("half", [0.3, -0.3, 0.5])
-def test_a_turn_costs_half_the_difference_but_for_what_is_gentle(model: Filter, half: float) -> None:
-    expected = RADIUS * abs(half) * abs(half) / (abs(half) + GENTLE * 1.5)
-    assert lag(model, 1.5 - half, 1.5 + half) == pytest.approx(expected)
-    assert expected > 0.8 * RADIUS * abs(half)
-
-
-def test_a_gentle_turn_costs_half_of_that(model: Filter) -> None:
+def test_a_gentle_turn_costs_half(model: Filter) -> None:
     half = 1.5 * GENTLE
     assert lag(model, 1.5 - half, 1.5 + half) == pytest.approx(RADIUS * half / 2.0)
-
-
-def test_in_reverse_it_is_mirrored_and_on_the_spot_it_is_none(model: Filter) -> None:
-    assert lag(model, -1.2, -1.6) == pytest.approx(-lag(model, 1.2, 1.6))
-    assert lag(model, -1.0, 1.0) == 0.0
-    assert lag(model, 1.0, 1.0) == 0.0
 
 
 def test_rounded_counts_hardly_slow_a_straight_drive(model: Filter) -> None:
@@ -56,4 +41,4 @@ def test_rounded_counts_hardly_slow_a_straight_drive(model: Filter) -> None:
     taken = np.mean([lag(model, left, right) for left, right in speeds])
     rectified = np.mean([RADIUS * abs(right - left) / 2.0 for left, right in speeds])
     assert rectified > 0.008 * RADIUS * 1.4
-    assert math.isclose(taken, 0.0, abs_tol=0.5 * float(rectified))
+    assert 0.0 < taken < 0.5 * rectified
