@@ -18,8 +18,8 @@ Misfits are Ornstein–Uhlenbeck: ṁ = −m/τ + noise, of size σ in v and σ/
 is a small share of V and D while the machine goes steadily (in ω less than in v, as both tracks ring alike),
 and a large share of d while its speed changes: the vehicle answers its tracks with a lag, rings on the soil,
 and has the rest settled within tenths of a second. All this is larger on a soil that yields more, which i₀
-tells: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. When the sprockets are silent the motion is UNKNOWN; V
-and D are then 0, the misfits are the speeds themselves, and hold.
+tells: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. When the sprockets are silent
+the motion is UNKNOWN; V and D are then 0, the misfits are the speeds themselves, and hold.
 """
 
 import math

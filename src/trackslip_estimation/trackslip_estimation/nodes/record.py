@@ -24,6 +24,7 @@ from trackslip_common.nodes.qos import best_effort, latched, reliable
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.topics import TOPICS, Flow
+from trackslip_estimation.bags.delivery import DeliveryOrder
 from trackslip_estimation.bags.losses import Losses
 from trackslip_estimation.bags.qos import offered_qos
 from trackslip_estimation.bags.writer import BagWriter
@@ -60,7 +61,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         Raises:
             InputError: ``more_topics`` is not a regular expression.
         """
-        self._losses = Losses()
+        self._losses, self._order = Losses(), DeliveryOrder()
         self._subscribed: set[str] = set()
         self._taps: dict[str, Any] = {}  # subscription of each topic
         self._reliable: set[str] = set()
@@ -96,7 +97,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
             self.get_logger().info(f"{sum(self._bag.counts.values())} messages in {self._bag.path}")
             if self._losses.total:
                 self.get_logger().error(f"{self._losses.total.total()} messages were lost")
-        self._bag, self._disk_error, self._losses = None, "", Losses()
+        self._bag, self._disk_error, self._losses, self._order = None, "", Losses(), DeliveryOrder()
 
     def drain(self, spin_once: Callable[[], None]) -> None:
         """What was received is written, also what came just before the end."""
@@ -168,6 +169,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         if number is not None and (publisher or topic in self._alone):  # Jazzy: no publisher_gid
             self._losses.see(topic, publisher["data"] if publisher else b"", number)
         came_ns, sent_ns = info["received_timestamp"] or time.time_ns(), info["source_timestamp"] or None
+        came_ns = self._order.after_all_before(topic, came_ns)
         if not self._try_on_disk(partial(self._bag.write, topic, type_name, data, came_ns, sent_ns)):
             self._losses.add(topic, 1)
 
