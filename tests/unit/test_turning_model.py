@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from trackslip_estimation.filters.filter import Filter
-from trackslip_estimation.filters.model import Gaussian
 from trackslip_estimation.filters.turning_model import LOSS
 from trackslip_estimation.motion import Speeds
 from trackslip_estimation.slip_parameters import load_slip_parameters, make_filter
@@ -24,7 +23,7 @@ def lag(model: Filter, left: float, right: float) -> float:
     state = model.initial(np.zeros(3), np.eye(3))
     state.mean[3:] = 0.0
     state.mean[LOSS] = 1.0
-    twist = model.outputs(Gaussian(*state), Speeds(left, right, 0.0, differenced=False)).twist
+    twist = model.outputs(state, Speeds(left, right, 0.0, differenced=False)).twist
     return RADIUS * (left + right) / 2.0 - float(twist[0])
 
 

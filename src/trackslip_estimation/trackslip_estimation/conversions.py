@@ -76,7 +76,7 @@ def odometry(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -
 
 
 def blank_odometry(make: Make, odom_frame: str, base_frame: str) -> Any:
-    """nav_msgs/Odometry for ``fill_odometry``, which takes a tenth of the time that it takes to make one."""
+    """nav_msgs/Odometry for ``fill_odometry``, which is several times faster than to make one."""
     message = make("nav_msgs/msg/Odometry", header=header(make, 0, odom_frame), child_frame_id=base_frame)
     message.pose.covariance, message.twist.covariance = _BLANK_36.copy(), _BLANK_36.copy()
     return message
