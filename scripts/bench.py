@@ -17,14 +17,14 @@ from pathlib import Path
 import bench_bags
 import bench_filters
 import bench_nodes
-from trackslip_estimation.bags.parameters import bag_parameters
-from trackslip_estimation.bags.reader import Bag, open_bag
-from trackslip_estimation.replay.edits import Edits
-from trackslip_estimation.replay.inputs import in_live_order
-from trackslip_estimation.replay.run import replay
-from trackslip_estimation.slip_estimator import SlipEstimator
-from trackslip_estimation.slip_parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_bags.parameters import bag_parameters
+from trackslip_bags.reader import Bag, open_bag
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_sim.truth.bench import drive_seconds
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.inputs import in_live_order
+from trackslip_tools.replay.run import replay
 
 RUNS = 3
 DRIVE = 20.0  # s of the live graph

@@ -10,18 +10,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from trackslip_estimation.bags.reader import open_bag
-from trackslip_estimation.replay.edits import Edits
-from trackslip_estimation.replay.inputs import in_live_order, read_inputs
-from trackslip_estimation.replay.run import replay
-from trackslip_estimation.slip_estimator import SlipEstimator
-from trackslip_estimation.slip_parameters import load_slip_parameters
-from trackslip_estimation.tuning.reading import read_task
-from trackslip_estimation.tuning.workers import cores
-from trackslip_sim.offline import record_drive
+from trackslip_bags.reader import open_bag
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
-from trackslip_sim.scenarios import load_scenario
+from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.simulate import simulate
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.inputs import in_live_order, read_inputs
+from trackslip_tools.replay.run import replay
+from trackslip_tools.tuning.reading import read_task
+from trackslip_tools.tuning.workers import cores
 
 RUNS = 5
 SETS = 100  # of parameters

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_estimation.filters import equations
-from trackslip_estimation.filters.batch import Row, make_log, run
-from trackslip_estimation.filters.filter import Filter
-from trackslip_estimation.filters.model import DRIVEN, SPROCKETS, Gaussian, rate_measured
-from trackslip_estimation.motion import Motion, MotionState, Speeds
-from trackslip_estimation.slip_parameters import load_slip_parameters, make_filter
+from trackslip_estimation.slip.batch import Row, make_log, run
+from trackslip_estimation.slip.filter import Filter
+from trackslip_estimation.slip.models import dispatch as equations
+from trackslip_estimation.slip.models.model import DRIVEN, SPROCKETS, Gaussian, rate_measured
+from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
+from trackslip_estimation.slip.parameters import load_slip_parameters, make_filter
 
 ROWS = 20_000
 STRETCH = 0.01  # s

@@ -17,8 +17,8 @@ import rclpy
 
 from bench_devices import SICK_BAUD, WATSON_BAUD
 from bench_ros import FLOOR, Listener
+from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
 from trackslip_sim.demo.processes import executable
-from trackslip_sim.graph import DemoOptions, NodeSpec, demo_nodes
 
 DRIVERS = {
     "can_driver": ("sprockets", "hydraulics"),

@@ -13,8 +13,9 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from trackslip_estimation.slip_parameters import load_slip_parameters
-from trackslip_estimation.soils import Soil, load_soils
+from trackslip_common.soils import Soil, load_soils
+from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.terramechanics.domain import FloatArray
 from trackslip_estimation.terramechanics.resistance import longitudinal_resistance
 from trackslip_estimation.terramechanics.strength import thrust_limit
@@ -25,11 +26,10 @@ from trackslip_estimation.terramechanics.turning import (
     moment_with_centrifugal_force,
     triangular_moment,
 )
-from trackslip_estimation.vehicle import Vehicle
-from trackslip_sim.plots import COLOURS, DASHES, STYLE, label, panels, save
-from trackslip_sim.scenarios import load_scenario
-from trackslip_sim.study.figures import runs
-from trackslip_sim.study.parameters import load_study_parameters
+from trackslip_sim.demo.plots import COLOURS, DASHES, STYLE, label, panels, save
+from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.study.slip.figures import runs
+from trackslip_sim.study.slip.parameters import load_study_parameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import load_vehicle
 from trackslip_sim.truth.simulate import simulate

@@ -54,9 +54,9 @@ INSTRUMENTED = [
     "trackslip_common.parameters",
     "trackslip_drivers.protocols",
     "trackslip_sim.devices",
-    "trackslip_estimation.bags",
-    "trackslip_estimation.cli",
-    "trackslip_estimation.replay",
+    "trackslip_bags",
+    "trackslip_tools.cli",
+    "trackslip_tools.replay",
 ]
 NOT_INSTRUMENTED = [
     "trackslip_drivers.protocols.sick_crc",  # one loop: half of all time, no branch to learn

@@ -7,14 +7,14 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from trackslip_bags.importing.importer import import_log
+from trackslip_bags.importing.mapping import read_mapping
+from trackslip_bags.messages import header, make, serialize
+from trackslip_bags.parameters import bag_parameters
+from trackslip_bags.reader import open_bag
+from trackslip_bags.recovery.recover import recover
+from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
-from trackslip_estimation.bags.importer import import_log
-from trackslip_estimation.bags.mapping import read_mapping
-from trackslip_estimation.bags.messages import header, make, serialize
-from trackslip_estimation.bags.parameters import bag_parameters
-from trackslip_estimation.bags.reader import open_bag
-from trackslip_estimation.bags.recover import recover
-from trackslip_estimation.bags.writer import BagWriter
 
 Target = tuple[Callable[[bytes], None], list[bytes]]
 

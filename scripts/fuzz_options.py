@@ -5,9 +5,9 @@ import contextlib
 from collections.abc import Callable
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.cli.replay_options import parse_set
-from trackslip_estimation.replay.edits import parse_remap, parse_thin, parse_withhold
-from trackslip_estimation.slip_parameters import load_slip_parameters
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_tools.cli.replay_options import parse_set
+from trackslip_tools.replay.edits import parse_remap, parse_thin, parse_withhold
 
 Target = tuple[Callable[[bytes], None], list[bytes]]
 

@@ -18,14 +18,14 @@ from typing import Any
 
 import yaml
 
-from trackslip_estimation.bags.reader import open_bag
-from trackslip_estimation.replay.edits import Edits
-from trackslip_estimation.replay.output import summary
-from trackslip_estimation.replay.run import replay
-from trackslip_estimation.slip_parameters import load_slip_parameters
-from trackslip_sim.excavator import drive
-from trackslip_sim.offline import record_drive
+from trackslip_bags.reader import open_bag
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.output import summary
+from trackslip_tools.replay.run import replay
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 MANIFEST = BAGS / "manifest.yaml"

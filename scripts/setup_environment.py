@@ -56,7 +56,7 @@ def install_hook(ros: str, stamp: str) -> None:
 
     command = VENV / "bin" / "trackslip"
     command.unlink(missing_ok=True)
-    command.symlink_to(WORKSPACE / "install/trackslip_estimation/lib/trackslip_estimation/trackslip")
+    command.symlink_to(WORKSPACE / "install/trackslip_tools/lib/trackslip_tools/trackslip")
 
 
 def _ros_paths(ros: str) -> dict[str, list[str]]:

@@ -79,7 +79,7 @@ def set_up(requested: str) -> None:
         build_workspace(ros)
         install_hook(ros, workspace_digest)
         with Step("kernels compiled"):
-            run([str(VENV / "bin" / "python"), "-m", "trackslip_sim.warm_up"])
+            run([str(VENV / "bin" / "python"), "-m", "trackslip_sim.demo.warm_up"])
         WORKSPACE_STAMP.write_text(json.dumps({"digest": workspace_digest}))
 
 

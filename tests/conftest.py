@@ -11,7 +11,9 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-from trackslip_estimation.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+
+pytest_plugins = ["fixtures.recorded", "fixtures.thesis"]
 
 FloatArray = NDArray[np.float64]
 Segment = tuple[float, float, float, float, float, float]  # s; ω_L, ω_R rad/s; i_L, i_R; α rad

@@ -9,7 +9,6 @@ setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(),
-    package_data={f"{NAME}.report": ["templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -19,7 +18,7 @@ setup(
     zip_safe=False,
     maintainer="Trackslip maintainers",
     maintainer_email="maintainers@trackslip.invalid",
-    description="Pose and track slip of a tracked vehicle; recording, replay and study of bags",
+    description="Pose, track slip and soil of a tracked vehicle, estimated while it drives",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
@@ -27,7 +26,6 @@ setup(
             "slip_estimator = trackslip_estimation.executables:slip_estimator",
             "soil_estimator = trackslip_estimation.executables:soil_estimator",
             "record = trackslip_estimation.executables:record",
-            "trackslip = trackslip_estimation.cli.main:main",
         ]
     },
 )

@@ -14,15 +14,15 @@ from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import Imu, JointState, LaserScan
 from trackslip_msgs.msg import MeasurementReport
 
+from trackslip_bags.parameters import bag_parameters
+from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
-from trackslip_estimation.bags.parameters import bag_parameters
-from trackslip_estimation.bags.reader import open_bag
-from trackslip_estimation.replay.edits import Edits
-from trackslip_estimation.replay.run import replay
-from trackslip_estimation.slip_parameters import load_slip_parameters
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_sim.machine.scan_model import ANGLE_INCREMENT, ANGLE_MIN, TIME_INCREMENT, SiteScanner
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
-from trackslip_sim.scan_model import ANGLE_INCREMENT, ANGLE_MIN, TIME_INCREMENT, SiteScanner
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.run import replay
 
 pytestmark = pytest.mark.xdist_group("graph")
 

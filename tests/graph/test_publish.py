@@ -9,15 +9,15 @@ from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from trackslip_estimation.bags.reader import open_bag
-from trackslip_estimation.conversions import planar_pose
-from trackslip_estimation.replay.edits import Edits
-from trackslip_estimation.replay.run import replay
-from trackslip_estimation.slip_parameters import load_slip_parameters
-from trackslip_sim.offline import record_drive
+from trackslip_bags.reader import open_bag
+from trackslip_estimation.slip.conversions import planar_pose
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
-from trackslip_sim.scenarios import parse_scenario
+from trackslip_sim.scenarios.scenario import parse_scenario
 from trackslip_sim.truth.simulate import simulate
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.run import replay
 
 pytestmark = pytest.mark.xdist_group("graph")
 

@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from trackslip_estimation.bags.reader import open_bag
+from trackslip_bags.reader import open_bag
 
 pytestmark = pytest.mark.xdist_group("graph")
 
@@ -33,7 +33,7 @@ from rclpy.duration import Duration
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import offered
 from trackslip_common.topics import TOPICS
-from trackslip_estimation.bags.messages import make, serialize
+from trackslip_bags.messages import make, serialize
 
 factor, seconds = float(sys.argv[1]), float(sys.argv[2])
 fast = ("sprockets", "hydraulics", "odometry", "track_slip", "track_forces")
@@ -64,8 +64,8 @@ time.sleep(600)  # the middleware forgets what it holds for a publisher that is 
 # The recorder on a disk that hangs once.
 STALLING = """
 import time
-from trackslip_estimation.bags.writer import BagWriter
-from trackslip_estimation.nodes import record
+from trackslip_bags.writer import BagWriter
+from trackslip_bags.nodes import record
 
 write, calls = BagWriter.write, 0
 

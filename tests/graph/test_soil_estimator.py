@@ -13,14 +13,14 @@ from rclpy.parameter import Parameter
 from trackslip_msgs.msg import TrackHydraulics, TrackSlip
 
 from trackslip_common.nodes.messages import make
-from trackslip_estimation.conversions import in_six, planar_pose_message
-from trackslip_estimation.slip_parameters import load_slip_parameters
+from trackslip_estimation.slip.conversions import in_six, planar_pose_message
+from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil import records
 from trackslip_estimation.soil.records import Hydraulics, Place
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_sim.scenarios import Scenario, Segment
-from trackslip_sim.soil_inputs import Sensing, soil_inputs
+from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
+from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
 
 pytestmark = pytest.mark.xdist_group("graph")

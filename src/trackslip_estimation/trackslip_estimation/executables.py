@@ -20,5 +20,5 @@ def soil_estimator() -> None:
 
 
 def record() -> None:
-    """See ``trackslip_estimation.nodes.record``."""
-    start("trackslip_estimation.nodes.record")
+    """See ``trackslip_bags.nodes.record``."""
+    start("trackslip_bags.nodes.record")

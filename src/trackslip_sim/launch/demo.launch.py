@@ -9,7 +9,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from trackslip_sim.graph import DemoOptions, demo_nodes
+from trackslip_sim.demo.graph import DemoOptions, demo_nodes
 
 _ARGUMENTS = (
     ("duration", "40.0", "seconds of driving"),

@@ -7,12 +7,12 @@ import time
 from pathlib import Path
 
 from trackslip_common.errors import ExitCode
-from trackslip_estimation.cli.json_file import write_json
-from trackslip_sim.offline import record_drive
+from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
-from trackslip_sim.scenarios import load_scenario, scenario_names
+from trackslip_sim.scenarios.scenario import load_scenario, scenario_names
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import MODES, simulate
+from trackslip_tools.cli.json_file import write_json
 
 DESCRIPTION = "Drive a scenario on the truth model, and tell where it ends."
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"

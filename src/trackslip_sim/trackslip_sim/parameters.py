@@ -7,10 +7,10 @@ from typing import Any
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import Parameters, from_flat, parameter
-from trackslip_estimation.vehicle import Vehicle
+from trackslip_common.vehicle import Vehicle
 from trackslip_sim.devices.sick_device import SickDeviceParameters
-from trackslip_sim.scan_model import SiteParameters
-from trackslip_sim.sensors import SensorNoise
+from trackslip_sim.machine.scan_model import SiteParameters
+from trackslip_sim.machine.sensors import SensorNoise
 
 NODE = "emulator"
 DEFAULT_FILES = ("pc05.yaml", "site.yaml", "emulator.yaml")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from trackslip_common.tally import Tally
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.clusters import Beams, beams_on, clusters, rejoined
 from trackslip_estimation.box.fit import (
@@ -30,7 +31,6 @@ from trackslip_estimation.box.fit import (
 )
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.sides import SideDoubt, half_turn_variance
-from trackslip_estimation.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 

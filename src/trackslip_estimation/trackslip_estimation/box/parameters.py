@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.vehicle import Vehicle
+from trackslip_common.vehicle import Vehicle
 
 NODE = "box_localizer"
 DEFAULT_FILES = ("pc05.yaml", "site.yaml", "box_localizer.yaml")

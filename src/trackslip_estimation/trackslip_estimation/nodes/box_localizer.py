@@ -10,10 +10,10 @@ from trackslip_common.make import stamp_ns_of
 from trackslip_common.nodes.base import OK, WARN, Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
-from trackslip_estimation import conversions
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
-from trackslip_estimation.measurements import PoseFix
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.measurements import PoseFix
 
 
 class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from trackslip_common.nodes.base import ERROR, OK, WARN, Health
-from trackslip_estimation.slip_estimator import SlipEstimator
-from trackslip_estimation.source_watch import SourceWatch
-from trackslip_estimation.sources import named
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.source_watch import SourceWatch
+from trackslip_estimation.slip.sources import named
 
 _PATIENCE = 0.2  # s, the shortest silence worth a word
 

@@ -9,14 +9,16 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
 
+from trackslip_bags.parameters import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import to_flat
-from trackslip_estimation import conversions
-from trackslip_estimation.bags.parameters import parameters_text
-from trackslip_estimation.measurements import (
+from trackslip_estimation.nodes.estimator_health import estimator_health
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.measurements import (
     FREEZE,
     RELOAD,
     RESET,
@@ -27,11 +29,9 @@ from trackslip_estimation.measurements import (
     Outcome,
     Reload,
 )
-from trackslip_estimation.nodes.estimator_health import estimator_health
-from trackslip_estimation.slip_estimator import Estimate, SlipEstimator
-from trackslip_estimation.slip_parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters, reloadable
-from trackslip_estimation.source_watch import SourceWatch
-from trackslip_estimation.sources import named
+from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters, reloadable
+from trackslip_estimation.slip.source_watch import SourceWatch
+from trackslip_estimation.slip.sources import named
 
 
 class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):

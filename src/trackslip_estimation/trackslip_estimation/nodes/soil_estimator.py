@@ -7,12 +7,12 @@ from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 
+from trackslip_bags.parameters import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import to_flat
-from trackslip_estimation.bags.parameters import parameters_text
 from trackslip_estimation.nodes.soil_health import soil_health
 from trackslip_estimation.soil import conversions
 from trackslip_estimation.soil.records import HYDRAULICS, ODOMETRY, SLIPS, SoilInput

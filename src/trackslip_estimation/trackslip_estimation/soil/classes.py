@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.soils import Soil
+from trackslip_common.soils import Soil
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.strength import thrust_limit
-from trackslip_estimation.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 

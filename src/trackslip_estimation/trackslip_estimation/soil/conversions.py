@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.make import Make, header, stamp_ns_of
-from trackslip_estimation.conversions import PLANE_IN_6, UNOBSERVED, planar_pose
-from trackslip_estimation.motion import Motion
+from trackslip_estimation.slip.conversions import PLANE_IN_6, UNOBSERVED, planar_pose
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SlipSeed, TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
 

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.motion import Motion
+from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.dynamics_kernel import MU_L, MU_R, RATE, SPEED, Numbers, correct, predict
 from trackslip_estimation.soil.thrust import Thrust
 from trackslip_estimation.soil.tracks import frame_speeds
-from trackslip_estimation.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.compiled import compiled_upon
-from trackslip_estimation.filters import linear_algebra
-from trackslip_estimation.filters.linear_algebra import apply, sandwich
+from trackslip_common.compiled import compiled_upon
+from trackslip_estimation.kalman import linear_algebra
+from trackslip_estimation.kalman.linear_algebra import apply, sandwich
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import speed_of_flow
-from trackslip_estimation.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.clock_monitor import Continuity, Course
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.tally import Tally
-from trackslip_estimation.continuity import Continuity, Course
 from trackslip_estimation.soil.records import Hydraulics, Odometry, Refusal, Slips, SoilInput
 
 FloatArray = NDArray[np.float64]

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.motion import Motion
+from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.moments import Pressures
-from trackslip_estimation.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.motion import Motion
-from trackslip_estimation.slip_estimator import Estimate
+from trackslip_estimation.slip.estimator import Estimate
+from trackslip_estimation.slip.motion import Motion
 
 FloatArray = NDArray[np.float64]
 

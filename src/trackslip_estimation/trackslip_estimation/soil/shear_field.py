@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.compiled import compiled
+from trackslip_common.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.motion import Motion
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.strength_posterior import StrengthSummary
 from trackslip_estimation.soil.thrust import Thrust

@@ -12,8 +12,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.soils import load_soils
 from trackslip_common.tally import Tally
-from trackslip_estimation.motion import Motion
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.classes import SoilClasses
 from trackslip_estimation.soil.dynamics import Dynamics
 from trackslip_estimation.soil.flow_check import FlowCheck
@@ -30,7 +31,6 @@ from trackslip_estimation.soil.strength_posterior import (
 )
 from trackslip_estimation.soil.thrust import Thrust, ThrustMeter
 from trackslip_estimation.soil.tracks import track_speeds
-from trackslip_estimation.soils import load_soils
 
 FloatArray = NDArray[np.float64]
 

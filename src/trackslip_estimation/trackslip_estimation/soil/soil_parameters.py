@@ -7,6 +7,7 @@ from typing import Any
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import Parameters, flat_fields, from_flat, parameter, to_flat
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
 from trackslip_estimation.soil.moments import MomentParameters
@@ -14,7 +15,6 @@ from trackslip_estimation.soil.pressure_watch import WatchParameters
 from trackslip_estimation.soil.slip_seed import SeedParameters
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.thrust import ThrustParameters
-from trackslip_estimation.vehicle import Vehicle
 
 NODE = "soil_estimator"
 PARAMETERS = "soil_estimator/parameters"  # topic that carries them into bags

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.compiled import compiled
+from trackslip_common.compiled import compiled
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.records import Place
 from trackslip_estimation.soil.shear_field import carry, element_places, shares
-from trackslip_estimation.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.compiled import compiled
+from trackslip_common.compiled import compiled
 from trackslip_estimation.soil.shear_field import shares
 
 FloatArray = NDArray[np.float64]

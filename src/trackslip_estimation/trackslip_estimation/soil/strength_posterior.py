@@ -23,13 +23,13 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.motion import Motion
+from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import Place
 from trackslip_estimation.soil.shear_field import carry
 from trackslip_estimation.soil.straight import Hypotheses, Straight
 from trackslip_estimation.soil.strength_grid import NODES, log_likelihood
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
-from trackslip_estimation.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 

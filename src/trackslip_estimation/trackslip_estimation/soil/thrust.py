@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
-from trackslip_estimation.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 

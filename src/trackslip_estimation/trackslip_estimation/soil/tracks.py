@@ -8,7 +8,7 @@ r ω_j  speed of the track itself, v_j/(1 − i_j), from i = 1 − v/(r ω)   m/
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.vehicle import Vehicle
+from trackslip_common.vehicle import Vehicle
 
 FloatArray = NDArray[np.float64]
 

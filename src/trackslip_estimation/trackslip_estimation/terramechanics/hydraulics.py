@@ -20,8 +20,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.domain import FloatArray, checked
-from trackslip_estimation.vehicle import Vehicle
 
 
 def torque(pressure: ArrayLike, speed: ArrayLike, vehicle: Vehicle) -> FloatArray:

@@ -19,18 +19,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.errors import ExitCode
-from trackslip_estimation.bags.reader import Bag, open_bag
-from trackslip_estimation.dead_reckoning import dead_reckon
-from trackslip_estimation.measurements import Sprockets
-from trackslip_estimation.replay.edits import Edits, Withhold
-from trackslip_estimation.replay.run import Replay, replay
-from trackslip_estimation.replay.scoring import MOVING, in_order
-from trackslip_estimation.slip_parameters import SlipEstimatorParameters, load_slip_parameters
-from trackslip_sim.excavator import drive
-from trackslip_sim.offline import START_NS, record_drive
+from trackslip_estimation.slip.measurements import Sprockets
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.truth.record import Truth
+from trackslip_tools.replay.dead_reckoning import dead_reckon
+from trackslip_tools.replay.edits import Edits, Withhold
+from trackslip_tools.replay.run import Replay, replay
+from trackslip_tools.replay.scoring import MOVING, in_order
 
 FloatArray = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
-from trackslip_estimation.replay.scoring import Series
 from trackslip_sim.demo.results import DemoResult
 from trackslip_sim.demo.soil_picture import draw_soil
+from trackslip_tools.replay.scoring import Series
 
 FloatArray = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import yaml
 
 from trackslip_common.errors import InputError
-from trackslip_sim.graph import NodeSpec
+from trackslip_sim.demo.graph import NodeSpec
 
 _PR_SET_PDEATHSIG = 1
 _GRACE = 2.0  # s between asking and insisting

@@ -9,19 +9,19 @@ from pathlib import Path as File
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.parameters import bag_parameters
+from trackslip_bags.reader import Bag
 from trackslip_common.topics import SENSOR_TOPICS
-from trackslip_estimation.bags.parameters import bag_parameters
-from trackslip_estimation.bags.reader import Bag
-from trackslip_estimation.dead_reckoning import Path
-from trackslip_estimation.replay.edits import Edits
-from trackslip_estimation.replay.inputs import ODOMETRY, TRACK_SLIP
-from trackslip_estimation.replay.run import TRUE_ODOMETRY, TRUE_SLIP, LiveComparison, replay
-from trackslip_estimation.replay.scoring import Score, Series, moving_slips, score, slip_rmse
-from trackslip_estimation.replay.soil import replay_soil
-from trackslip_estimation.slip_parameters import load_slip_parameters
+from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.demo.soil_results import SoilResult, soil_result
+from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP
+from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, LiveComparison, replay
+from trackslip_tools.replay.scoring import Score, Series, moving_slips, score, slip_rmse
+from trackslip_tools.replay.soil import replay_soil
 
 FloatArray = NDArray[np.float64]
 

@@ -13,16 +13,16 @@ from pathlib import Path
 
 from rich.console import Console
 
+from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, InputError
-from trackslip_estimation.bags.reader import open_bag
-from trackslip_estimation.soils import load_soils
+from trackslip_common.soils import load_soils
+from trackslip_sim.demo.graph import DemoOptions, demo_nodes
 from trackslip_sim.demo.picture import draw
 from trackslip_sim.demo.processes import DemoFailure, Processes, interrupts_noted
 from trackslip_sim.demo.results import evaluate
 from trackslip_sim.demo.session import Session
 from trackslip_sim.demo.show import report
-from trackslip_sim.graph import DemoOptions, demo_nodes
-from trackslip_sim.scenarios import load_scenario
+from trackslip_sim.scenarios.scenario import load_scenario
 
 _LONGEST = 3600.0  # s
 

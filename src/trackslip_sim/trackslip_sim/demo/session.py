@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from trackslip_sim.demo.graph import NodeSpec
 from trackslip_sim.demo.processes import DemoFailure, Processes
 from trackslip_sim.demo.show import status
-from trackslip_sim.graph import NodeSpec
 from trackslip_sim.nodes.demo_monitor import DemoMonitor, join_graph, leave_graph
 
 _COMPILE = 180.0  # s, longest preparation of the drive; the first run compiles its kernel

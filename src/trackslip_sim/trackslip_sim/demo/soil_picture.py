@@ -6,7 +6,6 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from trackslip_estimation.replay.scoring import Series
 from trackslip_sim.demo.soil_results import (
     LIMIT,
     MODULUS,
@@ -18,6 +17,7 @@ from trackslip_sim.demo.soil_results import (
     THRUSTS,
     SoilResult,
 )
+from trackslip_tools.replay.scoring import Series
 
 FloatArray = NDArray[np.float64]
 

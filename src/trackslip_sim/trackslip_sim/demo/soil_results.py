@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.replay.scoring import Series
-from trackslip_estimation.replay.soil import TRUE_FORCES, TRUE_SOIL, SoilComparison, SoilReplay
 from trackslip_estimation.soil.conversions import FORCES, SOIL
+from trackslip_tools.replay.scoring import Series
+from trackslip_tools.replay.soil import TRUE_FORCES, TRUE_SOIL, SoilComparison, SoilReplay
 
 FloatArray = NDArray[np.float64]
 

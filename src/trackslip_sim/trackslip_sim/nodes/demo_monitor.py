@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import offered
 from trackslip_common.topics import SENSOR_TOPICS, TOPICS, Flow
-from trackslip_estimation.conversions import planar_pose
+from trackslip_estimation.slip.conversions import planar_pose
 
 WATCHED = (*SENSOR_TOPICS, "box_pose", "odometry", "track_slip")
 _ENDS = {  # topic → nodes that must have found each other on it

@@ -11,12 +11,12 @@ from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import ERROR, OK, Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
-from trackslip_estimation import conversions
-from trackslip_sim.cables import Cables
-from trackslip_sim.excavator import EmulatedExcavator, drive
-from trackslip_sim.faults import Fault, parse_fault
+from trackslip_estimation.slip import conversions
+from trackslip_sim.machine.cables import Cables
+from trackslip_sim.machine.excavator import EmulatedExcavator, drive
+from trackslip_sim.machine.faults import Fault, parse_fault
+from trackslip_sim.machine.truth_estimates import as_estimate, forces_message, soil_message
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
-from trackslip_sim.truth_estimates import as_estimate, forces_message, soil_message
 
 _TICK_NS = 2_000_000  # how finely the serial lines are dripped
 _TRUTH_PERIOD_NS = 10_000_000

@@ -10,11 +10,11 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Protocol
 
 from trackslip_common.errors import ExitCode, InputError
-from trackslip_estimation.cli.json_file import write_json
-from trackslip_estimation.cli.progress import shown
-from trackslip_sim.soil_study.study import SoilStudy
-from trackslip_sim.study.parameters import FILTERS, TRUTHS
-from trackslip_sim.study.run import SlipStudy
+from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
+from trackslip_sim.study.slip.run import SlipStudy
+from trackslip_sim.study.soil.study import SoilStudy
+from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.progress import shown
 
 DESCRIPTION = (
     "Estimate many simulated drives, and hold the errors against the least possible, or against the errors "

@@ -3,7 +3,7 @@
 
 import time
 
-from trackslip_sim.scenarios import load_scenario
+from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.simulate import simulate
 
 

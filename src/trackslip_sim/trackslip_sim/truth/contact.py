@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from trackslip_estimation.compiled import compiled
+from trackslip_common.compiled import compiled
 from trackslip_sim.truth.ground import soil_at
 from trackslip_sim.truth.record import FloatArray, IntArray
 

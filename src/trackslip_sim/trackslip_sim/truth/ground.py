@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
-from trackslip_estimation.compiled import compiled
-from trackslip_estimation.soils import Soil
+from trackslip_common.soils import Soil
 from trackslip_sim.truth.record import FloatArray, IntArray
 
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.soils import Soil
+from trackslip_common.soils import Soil
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.resistance import longitudinal_resistance
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_estimation.terramechanics.traction import thrust
-from trackslip_estimation.vehicle import Vehicle
-from trackslip_sim.scenarios import Scenario
+from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth.lag import kept_error, spools, top_speed
 from trackslip_sim.truth.record import FloatArray, Truth
 from trackslip_sim.truth.rows import WIDTH, Column, to_truth

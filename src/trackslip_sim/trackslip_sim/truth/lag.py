@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 
-from trackslip_estimation.compiled import compiled
+from trackslip_common.compiled import compiled
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import speed_of_flow
-from trackslip_estimation.vehicle import Vehicle
 from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.settings import TruthSettings
 

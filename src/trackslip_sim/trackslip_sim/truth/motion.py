@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.compiled import compiled
+from trackslip_common.compiled import compiled
 from trackslip_sim.truth.contact import shear_sums
 from trackslip_sim.truth.record import FloatArray
 

@@ -3,7 +3,7 @@
 
 import math
 
-from trackslip_estimation.compiled import compiled
+from trackslip_common.compiled import compiled
 from trackslip_sim.truth.record import FloatArray
 
 

@@ -5,8 +5,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import pressure_of_thrust
-from trackslip_estimation.vehicle import Vehicle
 from trackslip_sim.truth.record import FloatArray, Truth
 from trackslip_sim.truth.settings import TruthSettings
 

@@ -7,7 +7,7 @@ from typing import TypeVar
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, from_flat, parameter
-from trackslip_estimation.vehicle import Vehicle
+from trackslip_common.vehicle import Vehicle
 
 T = TypeVar("T", bound=Parameters)
 

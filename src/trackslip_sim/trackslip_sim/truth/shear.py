@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
+from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
-from trackslip_estimation.compiled import compiled
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
-from trackslip_estimation.vehicle import Vehicle
-from trackslip_sim.scenarios import Scenario
+from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth.contact import carry, element_loads, element_positions, find_soils, forget, mobilise
 from trackslip_sim.truth.ground import Ground, soil_at
 from trackslip_sim.truth.lag import kept_error, top_speed

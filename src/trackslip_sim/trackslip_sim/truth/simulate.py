@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.soils import load_soils
-from trackslip_estimation.vehicle import Vehicle
-from trackslip_sim.scenarios import Scenario
+from trackslip_common.soils import load_soils
+from trackslip_common.vehicle import Vehicle
+from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth import shear, thesis
 from trackslip_sim.truth.ground import Ground, build_ground
 from trackslip_sim.truth.record import Truth

@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.compiled import compiled
+from trackslip_common.compiled import compiled
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.strength import thrust_limit
-from trackslip_estimation.vehicle import Vehicle
-from trackslip_sim.scenarios import Scenario
+from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth.ground import Ground, soil_at
 from trackslip_sim.truth.lag import kept_error, spools, top_speed
 from trackslip_sim.truth.pose import move

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is in a bag, as text."""
+
+from datetime import datetime, timezone
+
+from trackslip_bags.reader import Bag
+
+_HEAD = ("topic", "type", "count", "rate (Hz)")
+
+
+def describe(bag: Bag) -> str:
+    """A few facts and a table of topics; the rate is the mean over the bag's whole duration."""
+    start = datetime.fromtimestamp(bag.start_ns * 1e-9, tz=timezone.utc)
+    lines = [
+        f"bag       {bag.path}",
+        f"start     {bag.start_ns * 1e-9:.3f} s ({start:%Y-%m-%d %H:%M:%S} UTC)",
+        f"duration  {bag.duration_s:.3f} s",
+        f"messages  {bag.message_count}",
+    ]
+    if bag.damage:
+        lines.append(f"damage    {bag.damage} (trackslip recover makes it whole)")
+    rows = [
+        (topic, info.type_name, str(info.count), _rate(info.count, bag.duration_s))
+        for topic, info in sorted(bag.topics.items())
+    ]
+    return "\n".join([*lines, "", *_table([_HEAD, *rows])])
+
+
+def _rate(count: int, duration_s: float) -> str:
+    return f"{count / duration_s:.2f}" if duration_s > 0.0 else "-"
+
+
+def _table(rows: list[tuple[str, ...]]) -> list[str]:
+    """Aligned columns: text to the left, numbers (the last two) to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for topic, kind, count, rate in rows:
+        left = f"{topic:<{widths[0]}}  {kind:<{widths[1]}}"
+        lines.append(f"{left}  {count:>{widths[2]}}  {rate:>{widths[3]}}")
+    return lines

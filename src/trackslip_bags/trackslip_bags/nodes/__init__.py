@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder, and the player that drives a live graph from a bag."""

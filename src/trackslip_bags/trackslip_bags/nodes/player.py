@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``replay``: publishes the messages of a bag as they are, and ``/clock``, for a live graph to work on."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import SetBool
+
+from trackslip_common.nodes.base import OK, Health, TrackslipNode
+from trackslip_common.nodes.messages import message_class
+from trackslip_common.nodes.qos import offered, reliable
+from trackslip_common.nodes.run import run
+from trackslip_common.parameters import Parameters
+from trackslip_common.topics import TOPICS
+from trackslip_tools.replay.playback import Playback
+
+_TICK = 0.002  # s, how late a message may be
+_LONGEST_TICK = 0.05  # s of publishing, before the executor has its turn
+_CLOCK_PERIOD = 0.01  # s on the wall
+_QUIET = 1.0  # s without a new subscriber: then all have found us
+_LONGEST_ACK = 2.0  # s, for what is on its way at the end
+_PAUSE_KEY = " "
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayerParameters(Parameters):
+    """None: the command line says it all."""
+
+
+class PlayerNode(TrackslipNode[PlayerParameters]):
+    """Publishes what is due, until the bag ends; the space bar and ``~/pause`` halt it.
+
+    Args:
+        playback: what is due when.
+        topics: name → type of what may come.
+        keys: what was typed since it was last asked.
+        show: told, now and then, how far it is.
+    """
+
+    def __init__(
+        self,
+        playback: Playback,
+        topics: Mapping[str, str],
+        keys: Callable[[], str],
+        show: Callable[[Playback], None],
+    ) -> None:
+        self._playback, self._topics = playback, topics
+        self._keys, self._show = keys, show
+        super().__init__("replay", PlayerParameters)
+        self.create_service(SetBool, "~/pause", self._on_pause)
+
+    def configure(self) -> None:
+        """Announce all topics, for subscribers to find."""
+        self._outlets = {
+            topic: self.outlasting(self.create_publisher(message_class(kind), topic, _quality(topic)))
+            for topic, kind in self._topics.items()
+        }
+        self._time = self.outlasting(self.create_publisher(ClockMessage, "/clock", 10))
+        self._matched, self._quiet_since = 0, time.monotonic()
+        self._is_open = False  # whether playing has begun
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_TICK, self._play, clock=steady)
+        self.create_timer(_CLOCK_PERIOD, self._tell_time, clock=steady)
+
+    def deactivate(self) -> None:
+        """Halt, as ``~/pause`` does."""
+        self._playback.paused = True
+
+    def health(self) -> list[Health]:
+        """How far it is."""
+        word = "paused" if self._playback.paused else "playing"
+        return [Health(OK, word, dict(self._playback.counts))]
+
+    def _play(self) -> None:
+        now_s = time.monotonic()
+        if not self.active or not (self._is_open or self._all_are_there(now_s)):
+            return
+        for message in self._playback.due(now_s):
+            self._outlets[message.topic].publish(message.raw)
+            if time.monotonic() > now_s + _LONGEST_TICK:
+                break
+        if self._playback.finished:
+            self._end()
+
+    def _all_are_there(self, now_s: float) -> bool:
+        """Subscribers take a while to find a new publisher, and what comes before that is lost to them."""
+        matched = sum(publisher.get_subscription_count() for publisher in self._outlets.values())
+        if matched != self._matched:
+            self._matched, self._quiet_since = matched, now_s
+        self._is_open = now_s - self._quiet_since >= _QUIET
+        if self._is_open:
+            self._warn_of_others()
+        return self._is_open
+
+    def _warn_of_others(self) -> None:
+        """Two publishers of one topic, such as a driver or a localizer that still runs, are no replay."""
+        if not self._matched:
+            self.get_logger().warning("nobody subscribes to what is played")
+        for topic in self._outlets:
+            others = {info.node_name for info in self.get_publishers_info_by_topic(topic)} - {self.get_name()}
+            if others:
+                self.get_logger().warning(f"{topic} is published by {', '.join(sorted(others))} too")
+
+    def _tell_time(self) -> None:
+        sec, nanosec = divmod(self._playback.bag_ns, 1_000_000_000)
+        self._time.publish(ClockMessage(clock=Time(sec=sec, nanosec=nanosec)))
+        if self._keys().count(_PAUSE_KEY) % 2 == 1:
+            self._playback.paused = not self._playback.paused
+        self._show(self._playback)
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        self._playback.paused = request.data
+        response.success, response.message = True, "paused" if request.data else "playing"
+        return response
+
+    def _end(self) -> None:
+        """Let all of it arrive; then the node ends."""
+        give_up_s = time.monotonic() + _LONGEST_ACK
+        for publisher in self._outlets.values():
+            publisher.wait_for_all_acked(Duration(seconds=max(give_up_s - time.monotonic(), 0.0)))
+        rclpy.try_shutdown()
+
+
+def _quality(topic: str) -> Any:
+    name = topic.removeprefix("/")
+    return offered(name) if name in TOPICS else reliable()
+
+
+def can_publish(type_name: str) -> bool:
+    """Whether the package of a message type is installed."""
+    try:
+        message_class(type_name)
+    except (ImportError, AttributeError, ValueError):
+        return False
+    return True
+
+
+def play(
+    playback: Playback,
+    topics: Mapping[str, str],
+    keys: Callable[[], str],
+    show: Callable[[Playback], None],
+) -> int:
+    """Play to the end or until Ctrl-C; returns the exit code."""
+    return run(lambda: PlayerNode(playback, topics, keys, show), argv=[])

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An estimator's parameters inside a bag: one std_msgs/String holding a ROS parameter file.
+
+A bag then replays with the vehicle it was recorded on, wherever its files have gone.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+
+from trackslip_bags.reader import Bag, BagMessage
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import flatten
+
+PARAMETERS_TOPIC = "slip_estimator/parameters"
+PARAMETERS_TYPE = "std_msgs/msg/String"
+_NODE = "slip_estimator"
+
+
+def parameters_text(parameters: Mapping[str, Any], node: str = _NODE) -> str:
+    """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them."""
+    text: str = yaml.safe_dump({node: {"ros__parameters": dict(parameters)}}, sort_keys=False)
+    return text
+
+
+def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
+    """Dotted name → value of the parameters that a bag begins with; empty where it holds none.
+
+    Later messages tell what was changed while the estimator ran.
+
+    Raises:
+        InputError: what is on the topic is no parameter file.
+    """
+    for message in bag.messages([f"{node}/parameters"]):
+        return read_parameters(bag, message, node)
+    return {}
+
+
+def read_parameters(bag: Bag, message: BagMessage, node: str = _NODE) -> dict[str, Any]:
+    """Dotted name → value of one such message.
+
+    Raises:
+        InputError: it is no parameter file.
+    """
+    content = bag.deserialize(message.raw, message.type_name)
+    try:
+        return flatten(yaml.safe_load(content.data)[node]["ros__parameters"])
+    except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"bag '{bag.path}': {node}/parameters holds no parameters of {node}") from error

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bag that was cut off or damaged still holds."""

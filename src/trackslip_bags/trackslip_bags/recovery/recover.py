@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Makes a whole bag of a damaged one: what can be read of it, with a new index and ``metadata.yaml``."""
+
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+from mcap.well_known import SchemaEncoding
+from rosbags.interfaces import MessageDefinitionFormat
+
+from trackslip_bags.metadata import METADATA, Schema
+from trackslip_bags.qos import present_qos
+from trackslip_bags.reader import ACCEPTED, Bag, TopicInfo, bag_files, open_bag
+from trackslip_bags.recovery.salvage import DamagedFile, SalvagedTopic, is_mcap
+from trackslip_bags.writer import BagWriter, own_schema
+from trackslip_common.errors import InputError
+
+_CDR = b"\0"  # how every CDR message begins
+_ENCODINGS = {MessageDefinitionFormat.MSG: SchemaEncoding.ROS2, MessageDefinitionFormat.IDL: "ros2idl"}
+
+
+@dataclass
+class Recovery:
+    """What was found, and what is lost."""
+
+    messages: int = 0
+    stated: int | None = None  # messages by ``metadata.yaml``, which a killed recorder leaves none of
+    refused: int = 0  # messages that are no CDR, or of a topic that has two types
+    lost_bytes: int = 0  # behind the last whole record
+    cut: int = 0  # files without an end
+    problems: list[str] = field(default_factory=list)  # of each damaged file
+
+
+class _Found(NamedTuple):
+    """One message that is whole."""
+
+    topic: SalvagedTopic
+    log_time_ns: int
+    publish_time_ns: int
+    data: bytes
+
+
+Part = Iterator[_Found | SalvagedTopic]  # messages of one file, then all its topics, the silent ones too
+
+
+def recover(
+    path: Path, output: Path, shown: Callable[[Sequence[Part]], Iterable[Part]] = lambda parts: parts
+) -> Recovery:
+    """Write what can be read of the bag at ``path`` to a new one; ``path`` itself stays as it is.
+
+    Args:
+        path: a bag's directory, or one file of it.
+        output: the directory to create.
+        shown: passes the parts on, one for each file, and may show how far it is.
+
+    Raises:
+        InputError: there is no bag at ``path``, or ``output`` exists or cannot be written.
+    """
+    recovery = Recovery(stated=_stated_count(path))
+    parts = _parts(path, recovery)
+    bag = BagWriter(output)
+    try:
+        for k, part in enumerate(shown(parts)):
+            if k > 0:
+                bag.split()
+            _copy(part, bag, recovery)
+        bag.close()
+    except BaseException as error:
+        bag.abandon()
+        shutil.rmtree(output, ignore_errors=True)  # half a recovery would look like a whole one
+        if isinstance(error, OSError):
+            raise InputError(f"bag '{output}' cannot be written ({error.strerror})") from error
+        raise
+    return recovery
+
+
+def _parts(path: Path, recovery: Recovery) -> list[Part]:
+    """What each file of a bag holds.
+
+    Raises:
+        InputError: there is no bag, or nothing of it can be read.
+    """
+    if not path.exists():
+        raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
+    files = [file for file in bag_files(path) if is_mcap(file)]
+    if files:
+        return [_from_mcap(file, recovery) for file in files]
+    return [_from_others(open_bag(path), recovery)]
+
+
+def _from_mcap(path: Path, recovery: Recovery) -> Part:
+    file = DamagedFile(path)
+    problem = ""
+    try:
+        for message in file.messages():
+            topic = file.topics[message.channel_id]
+            yield _Found(topic, message.log_time, message.publish_time, message.data)
+    except OSError as error:  # a bad disk: what came before it is kept
+        problem = error.strerror or "unreadable"
+    yield from file.topics.values()
+    recovery.cut += file.is_cut
+    recovery.lost_bytes += file.lost_bytes
+    if problem or file.problem:
+        recovery.problems.append(f"{path.name}: {problem or file.problem}")
+
+
+def _from_others(bag: Bag, recovery: Recovery) -> Part:
+    """A bag of SQLite files, which repair themselves as they are opened, or one of compressed files."""
+    topics = {name: _topic(name, info) for name, info in bag.topics.items()}
+    if bag.damage:
+        recovery.problems.append(bag.damage)
+    with bag:
+        try:
+            for message in bag.messages():
+                yield _Found(topics[message.topic], message.log_time_ns, message.log_time_ns, message.raw)
+        except InputError as error:
+            recovery.problems.append(str(error))
+    yield from topics.values()
+
+
+def _topic(name: str, info: TopicInfo) -> SalvagedTopic:
+    """A topic as MCAP has it; bags of old have no definitions, so that those known here must do."""
+    schema = Schema(_ENCODINGS.get(info.definition.format, ""), info.definition.data.encode(), "")
+    if not schema.encoding:
+        with suppress(InputError):  # nobody knows it: the bytes are kept all the same
+            schema = own_schema(info.type_name)
+    return SalvagedTopic(name, info.type_name, schema, "")
+
+
+def _copy(part: Part, bag: BagWriter, recovery: Recovery) -> None:
+    for item in part:
+        topic = item.topic if isinstance(item, _Found) else item
+        try:
+            if topic.topic not in bag.topics:
+                bag.add_topic(topic.topic, topic.type_name, present_qos(topic.qos_yaml), topic.schema)
+            if isinstance(item, _Found):
+                _write(item, bag, recovery)
+        except InputError:  # the topic is there with another type
+            recovery.refused += isinstance(item, _Found)
+
+
+def _write(found: _Found, bag: BagWriter, recovery: Recovery) -> None:
+    if not found.data.startswith(_CDR):  # ros2 bag compresses message by message if it is told to
+        recovery.refused += 1
+        return
+    topic = found.topic
+    bag.write(topic.topic, topic.type_name, found.data, found.log_time_ns, found.publish_time_ns)
+    recovery.messages += 1
+
+
+def _stated_count(path: Path) -> int | None:
+    """How many messages the recorder wrote, by its own word."""
+    try:
+        text = (path / METADATA).read_text(encoding="utf-8")
+        count = yaml.safe_load(text)["rosbag2_bagfile_information"]["message_count"]
+    except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
+        return None
+    return count if isinstance(count, int) else None

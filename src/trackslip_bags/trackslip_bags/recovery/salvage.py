@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be read of a damaged MCAP file: every whole chunk up to the place where it was cut off.
+
+A recorder that was killed leaves a file without an end; a bad disk leaves chunks that fail their checksum.
+"""
+
+import os
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import breakup_chunk
+from mcap.well_known import MessageEncoding
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+
+from trackslip_bags.metadata import Schema as KnownSchema
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = 9  # bytes before the content of a record: what it is (1), its length (8)
+_LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
+_LATEST_NS = 2**63 - 1  # rosbag2's times are signed
+_FORMATS = {
+    "ros2msg": MessageDefinitionFormat.MSG,
+    "ros2idl": MessageDefinitionFormat.IDL,
+    "omgidl": MessageDefinitionFormat.IDL,
+}
+
+
+def is_mcap(path: Path) -> bool:
+    """Whether a file begins as MCAP does."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(_MAGIC)) == _MAGIC
+    except OSError:
+        return False
+
+
+class SalvagedTopic(NamedTuple):
+    """One channel of a damaged file."""
+
+    topic: str
+    type_name: str
+    schema: KnownSchema
+    qos_yaml: str
+
+    @property
+    def definition(self) -> MessageDefinition:
+        """As rosbags has it."""
+        kind = _FORMATS.get(self.schema.encoding, MessageDefinitionFormat.NONE)
+        return MessageDefinition(kind, self.schema.data.decode())
+
+
+class DamagedFile:
+    """An MCAP file, read in the order written, from which nothing is taken that fails a check.
+
+    What is lost is known once ``messages`` has ended.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.topics: dict[int, SalvagedTopic] = {}
+        self.is_cut = False  # it has no end
+        self.lost_bytes = 0  # behind the last whole record
+        self.bad_chunks = 0
+        self.bad_records = 0  # inside whole chunks: of no known channel, or without a time
+        self._schemas: dict[int, Schema] = {}
+
+    @property
+    def problem(self) -> str:
+        """What is wrong with it, in a few words; empty where nothing is."""
+        parts = [
+            "cut short" if self.is_cut else "",
+            f"{self.bad_chunks} damaged chunks" if self.bad_chunks else "",
+            f"{self.bad_records} unusable records" if self.bad_records else "",
+        ]
+        return ", ".join(filter(None, parts))
+
+    def messages(self) -> Iterator[Message]:
+        """Every message that is whole; its channel is in ``topics`` by then.
+
+        Raises:
+            OSError: the file cannot be read.
+        """
+        with self.path.open("rb") as stream:
+            self._read_summary(stream)
+            for opcode, content in self._records(stream):
+                for record in self._inside(opcode, content):
+                    if isinstance(record, Message):
+                        if self._is_usable(record):
+                            yield record
+                    else:
+                        self._take(record)
+
+    def _read_summary(self, stream: IO[bytes]) -> None:
+        """Where a file has its end, channels are listed there too: its first chunk may be a bad one."""
+        try:
+            summary = make_reader(stream).get_summary()
+        except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
+            summary = None
+        if summary is not None:
+            for record in (*summary.schemas.values(), *summary.channels.values()):
+                self._take(record)
+        stream.seek(0)
+
+    def _records(self, stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
+        """(opcode, content) of each whole record, up to the file's end or to where it was cut."""
+        size = os.fstat(stream.fileno()).st_size
+        end = len(_MAGIC)
+        self.is_cut = True
+        opcode = 0
+        if stream.read(end) != _MAGIC:
+            self.lost_bytes = size
+            return
+        while opcode != Opcode.FOOTER:
+            head = stream.read(_HEAD)
+            opcode, length = head[0] if head else 0, int.from_bytes(head[1:], "little")
+            sound = 0 < opcode <= _LAST_OPCODE or opcode >= _FIRST_PRIVATE
+            if len(head) < _HEAD or not sound or end + _HEAD + length > size:
+                self.lost_bytes = size - end
+                return
+            yield opcode, stream.read(length)
+            end += _HEAD + length
+        self.is_cut = stream.read() != _MAGIC
+
+    def _inside(self, opcode: int, content: bytes) -> list[object]:
+        """What a record holds that matters here; nothing where it fails its checks."""
+        stream = ReadDataStream(BytesIO(content))
+        try:
+            if opcode == Opcode.CHUNK:
+                return list(breakup_chunk(Chunk.read(stream), validate_crc=True))
+            if opcode == Opcode.MESSAGE:
+                return [Message.read(stream, len(content))]
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                return [(Schema if opcode == Opcode.SCHEMA else Channel).read(stream)]
+        except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
+            if opcode == Opcode.CHUNK:
+                self.bad_chunks += 1
+            else:
+                self.bad_records += 1
+        return []
+
+    def _take(self, record: object) -> None:
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel) and record.message_encoding == MessageEncoding.CDR:
+            try:
+                self.topics[record.id] = _topic(record, self._schemas[record.schema_id])
+            except (KeyError, UnicodeDecodeError):
+                self.bad_records += 1
+
+    def _is_usable(self, message: Message) -> bool:
+        usable = message.channel_id in self.topics and message.log_time <= _LATEST_NS
+        self.bad_records += not usable
+        return usable
+
+
+class Salvage(NamedTuple):
+    """What a damaged file still holds; messages are (log time in ns, channel, CDR bytes) in log order.
+
+    They are held in memory: a recording is split long before that matters. ``problem`` is empty where the
+    file turned out to be whole.
+    """
+
+    topics: dict[int, SalvagedTopic]
+    messages: list[tuple[int, int, bytes]]
+    problem: str
+
+
+def salvage(path: Path) -> Salvage:
+    """Read a damaged file as far as it goes.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    file = DamagedFile(path)
+    messages = [(m.log_time, m.channel_id, m.data) for m in file.messages()]
+    messages.sort(key=lambda message: message[0])
+    return Salvage(file.topics, messages, file.problem)
+
+
+def _topic(channel: Channel, schema: Schema) -> SalvagedTopic:
+    known = schema.encoding in _FORMATS
+    data = schema.data if known else b""
+    data.decode()
+    encoding = schema.encoding if known else ""
+    definition = KnownSchema(encoding, data, channel.metadata.get("topic_type_hash", ""))
+    return SalvagedTopic(
+        channel.topic, schema.name, definition, channel.metadata.get("offered_qos_profiles", "")
+    )

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes rosbag2 bags (MCAP storage) from messages that are serialized already.
+
+A chunk is closed and handed to the operating system at the latest ``CHUNK_SPAN_NS`` of data after it was
+begun: a recorder killed at any moment loses no more than that, and the file up to there stays readable.
+Each file of a split bag stands for itself: it has all topics and definitions.
+"""
+
+import math
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+
+from trackslip_bags.metadata import METADATA, Extent, Schema, Topic, metadata_text
+from trackslip_bags.types import ros_distro, schema_text, type_hash
+from trackslip_common.errors import InputError
+
+CHUNK_SPAN_NS = 500_000_000
+
+_NO_QOS = "[]"  # an empty list in metadata.yaml's own terms: ros2 bag plays with default QoS
+
+
+class BagWriter:
+    """One bag being written: a directory with ``<name>_0.mcap`` and so on, ``metadata.yaml`` once closed.
+
+    Args:
+        path: the directory to create.
+        distro: ROS distribution to name in the metadata; by default the one in use.
+        split_size: bytes of a file from which on another one is begun.
+        split_duration: s of log time that a file spans at most.
+
+    Raises:
+        InputError: ``path`` exists already or cannot be created.
+        OSError: from any method: the disk is full or gone. What was flushed before is there.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        distro: str | None = None,
+        split_size: float = math.inf,
+        split_duration: float = math.inf,
+    ) -> None:
+        self.path = Path(path)
+        self.distro = distro or ros_distro()
+        self._split_size, self._split_ns = split_size, split_duration * 1e9
+        self.topics: dict[str, Topic] = {}
+        self._extents: dict[str, Extent] = {}  # by file name
+        self._chunk_start_ns: int | None = None
+        self._saved: dict[str, int] = {}  # counts at the last flush
+        try:
+            self.path.mkdir(parents=True)
+        except FileExistsError:
+            raise InputError(f"bag '{self.path}' exists already; accepted: a path where nothing is") from None
+        except OSError as error:
+            raise InputError(f"bag '{self.path}' cannot be created ({error.strerror})") from error
+        self._begin_file()
+
+    def add_topic(self, topic: str, type_name: str, qos_yaml: str = "", schema: Schema | None = None) -> None:
+        """Make a topic known before its first message; again with the same type does nothing.
+
+        Args:
+            topic: its name.
+            type_name: ``package/msg/Name``.
+            qos_yaml: rosbag2's text of the offered QoS profiles (a YAML list, version 9).
+            schema: the definition of the type; by default the one known here.
+
+        Raises:
+            InputError: the type is unknown, or the topic is there with another type.
+        """
+        known = self.topics.get(topic)
+        if known is not None:
+            if known.type_name != type_name:
+                raise InputError(f"topic '{topic}' is of type {known.type_name} in this bag, not {type_name}")
+            return
+        added = Topic(type_name, schema or own_schema(type_name), qos_yaml or _NO_QOS)
+        self.topics[topic] = added
+        self._file.add_topic(topic, added)
+
+    def write(
+        self,
+        topic: str,
+        type_name: str,
+        data: bytes,
+        log_time_ns: int,
+        publish_time_ns: int | None = None,
+    ) -> None:
+        """Append one serialized (CDR) message as it is; its topic is added where it is new.
+
+        Raises:
+            InputError: as ``add_topic``.
+        """
+        known = self.topics.get(topic)
+        if known is None or known.type_name != type_name:
+            self.add_topic(topic, type_name)
+            known = self.topics[topic]
+        if self._chunk_start_ns is None:
+            self._chunk_start_ns = log_time_ns
+        elif abs(log_time_ns - self._chunk_start_ns) >= CHUNK_SPAN_NS:  # either way: clocks get set
+            self.flush()
+            self._chunk_start_ns = log_time_ns
+        if self._is_full(log_time_ns):
+            self.split()
+        self._file.write(
+            topic, data, log_time_ns, log_time_ns if publish_time_ns is None else publish_time_ns
+        )
+        known.count += 1
+
+    def flush(self) -> None:
+        """Close the chunk and hand it to the operating system: for a recorder whose topics fall silent."""
+        self._file.flush()
+        self._chunk_start_ns = None
+        self._saved = self.counts
+
+    def split(self) -> None:
+        """Go on in another file."""
+        self._file.close()
+        self._begin_file()
+
+    @property
+    def file(self) -> Path:
+        """The file that is being written."""
+        return self._file.path
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages written, per topic."""
+        return {name: topic.count for name, topic in self.topics.items()}
+
+    @property
+    def unsaved(self) -> dict[str, int]:
+        """Messages that the operating system does not have yet, per topic."""
+        return {name: count - self._saved.get(name, 0) for name, count in self.counts.items()}
+
+    def close(self) -> None:
+        """Finish the file and write ``metadata.yaml``; closing again does nothing."""
+        if self._file.closed:
+            return
+        self._file.close()
+        unfinished = self.path / f"{METADATA}.tmp"
+        text = metadata_text(self.topics, self._extents, self.distro)
+        unfinished.write_text(text, encoding="utf-8")
+        unfinished.replace(self.path / METADATA)
+
+    def abandon(self) -> None:
+        """Leave the file as a killed recorder would: for a disk that takes no more."""
+        self._file.abandon()
+
+    def __enter__(self) -> "BagWriter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _begin_file(self) -> None:
+        name = f"{self.path.resolve().name}_{len(self._extents)}.mcap"
+        self._extents[name] = Extent()
+        self._file = _File(self.path / name, self._extents[name], self.topics)
+
+    def _is_full(self, log_time_ns: int) -> bool:
+        extent = self._file.extent
+        if not extent.count:
+            return False
+        span_ns = max(log_time_ns, extent.end_ns) - min(log_time_ns, extent.start_ns)
+        return span_ns >= self._split_ns or self._file.size >= self._split_size
+
+
+class _File:
+    """One MCAP file, and what is in it."""
+
+    def __init__(self, path: Path, extent: Extent, topics: Mapping[str, Topic]) -> None:
+        self.path = path
+        self.extent = extent
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[tuple[str, Schema], int] = {}
+        self._stream = path.open("xb")
+        self._mcap = Writer(self._stream, compression=CompressionType.ZSTD)
+        self._mcap.start(profile="ros2", library="trackslip")
+        self._stream.flush()
+        for name, topic in topics.items():
+            self.add_topic(name, topic)
+
+    def add_topic(self, name: str, topic: Topic) -> None:
+        key = topic.type_name, topic.schema
+        if key not in self._schemas:
+            schema = topic.schema
+            self._schemas[key] = self._mcap.register_schema(topic.type_name, schema.encoding, schema.data)
+        about = {"offered_qos_profiles": topic.qos_yaml, "topic_type_hash": topic.schema.type_hash}
+        self._channels[name] = self._mcap.register_channel(
+            name, MessageEncoding.CDR, self._schemas[key], about
+        )
+
+    def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        self._mcap.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
+        self.extent.add(log_time_ns)
+
+    def flush(self) -> None:
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+
+    @property
+    def size(self) -> int:
+        """Bytes so far, those of the chunk in progress not counted."""
+        return self._stream.tell()
+
+    @property
+    def closed(self) -> bool:
+        return self._stream.closed
+
+    def close(self) -> None:
+        self._mcap.finish()  # type: ignore[no-untyped-call]
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+
+    def abandon(self) -> None:
+        with suppress(OSError):  # of what could not be written; the file is closed all the same
+            self._stream.close()
+
+
+def own_schema(type_name: str) -> Schema:
+    """The definition known here.
+
+    Raises:
+        InputError: there is none.
+    """
+    return Schema(SchemaEncoding.ROS2, schema_text(type_name).encode(), type_hash(type_name))

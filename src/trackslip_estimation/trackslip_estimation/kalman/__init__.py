@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kalman filters over a state with a mean and a covariance; they know no vehicle and no sensor."""

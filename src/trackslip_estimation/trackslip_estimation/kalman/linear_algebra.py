@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Algebra of small matrices, compiled; each sum has one order, so a replay repeats every bit.
+
+A, B   any matrices
+P, S   symmetric, positive (semi)definite
+L      lower triangular root, L Lᵀ = P
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+
+FloatArray = NDArray[np.float64]
+
+_LOST = 1e-14  # a pivot below this share of its diagonal is rounding
+
+
+@compiled
+def wrap(angle: float) -> float:
+    """The same angle in (−π, π]."""
+    return -((-angle + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+@compiled
+def times(A: FloatArray, B: FloatArray) -> FloatArray:
+    """A B; the zeros of A, of which Jacobians are full, cost nothing."""
+    product = np.zeros((A.shape[0], B.shape[1]))
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            a = A[i, k]
+            if a != 0.0:
+                for j in range(B.shape[1]):
+                    product[i, j] += a * B[k, j]
+    return product
+
+
+@compiled
+def apply(A: FloatArray, v: FloatArray) -> FloatArray:
+    """(m,) A v."""
+    product = np.zeros(A.shape[0])
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            product[i] += A[i, k] * v[k]
+    return product
+
+
+@compiled
+def sandwich(A: FloatArray, P: FloatArray) -> FloatArray:
+    """A P Aᵀ, exactly symmetric."""
+    whole = times(A, np.ascontiguousarray(times(A, P).T))
+    for i in range(whole.shape[0]):
+        for j in range(i):
+            whole[i, j] = whole[j, i] = (whole[i, j] + whole[j, i]) / 2.0
+    return whole
+
+
+@compiled
+def root(P: FloatArray) -> FloatArray:
+    """L by Cholesky; a direction without variance, or with less than none by rounding, gets none."""
+    n = P.shape[0]
+    L = np.zeros((n, n))
+    for j in range(n):
+        pivot = P[j, j]
+        for k in range(j):
+            pivot -= L[j, k] * L[j, k]
+        if pivot <= _LOST * P[j, j]:
+            continue
+        L[j, j] = math.sqrt(pivot)
+        for i in range(j + 1, n):
+            rest = P[i, j]
+            for k in range(j):
+                rest -= L[i, k] * L[j, k]
+            L[i, j] = rest / L[j, j]
+    return L
+
+
+@compiled
+def solve(L: FloatArray, B: FloatArray) -> FloatArray:
+    """(L Lᵀ)⁻¹ B, nothing along directions in which L is singular."""
+    X = B.copy()
+    n = L.shape[0]
+    for column in range(B.shape[1]):
+        for i in range(n):
+            for k in range(i):
+                X[i, column] -= L[i, k] * X[k, column]
+            X[i, column] = X[i, column] / L[i, i] if L[i, i] > 0.0 else 0.0
+        for i in range(n - 1, -1, -1):
+            for k in range(i + 1, n):
+                X[i, column] -= L[k, i] * X[k, column]
+            X[i, column] = X[i, column] / L[i, i] if L[i, i] > 0.0 else 0.0
+    return X
+
+
+@compiled
+def weighted_square(L: FloatArray, v: FloatArray) -> float:
+    """vᵀ (L Lᵀ)⁻¹ v."""
+    total = 0.0
+    weighed = solve(L, v.copy().reshape((-1, 1)))
+    for i in range(v.size):
+        total += v[i] * weighed[i, 0]
+    return total
+
+
+@compiled
+def joseph(P: FloatArray, K: FloatArray, H: FloatArray, R: FloatArray) -> FloatArray:
+    """(I − K H) P (I − K H)ᵀ + K R Kᵀ."""
+    keep = times(K, H)
+    for i in range(keep.shape[0]):
+        for j in range(keep.shape[1]):
+            keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]
+    kept, learned = sandwich(keep, P), sandwich(K, R)
+    for i in range(kept.shape[0]):
+        for j in range(kept.shape[1]):
+            kept[i, j] += learned[i, j]
+    return kept

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The slip estimator: pose, slip of each track and slip angle from any measurements, in any order."""

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between messages and the estimator's records. Knows both sides; holds no logic.
+
+Reading works on any object with the fields of the message, rclpy's or a bag's. Writing goes through
+``make``, which builds a message from its type name and fields, so that live node and replay share it.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.make import Make, header, set_stamp, stamp_ns_of
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+from trackslip_estimation.slip.estimator import Estimate
+from trackslip_estimation.slip.measurements import PoseFix, Report, SlipFix, Sprockets, YawRate
+
+FloatArray = NDArray[np.float64]
+
+PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
+UNOBSERVED = 1e6  # variance of what a planar estimate says nothing of
+_BLANK_36 = np.diag(np.full(6, UNOBSERVED)).ravel()
+_PLANE_IN_36 = np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel()
+
+
+def sprockets(message: Any, source: str) -> Sprockets:
+    """From sensor_msgs/JointState. A joint or a speed that is missing reads nan, and is refused."""
+    names = list(message.name)
+
+    def value(of: Any, joint: str) -> float:
+        at = names.index(joint) if joint in names else len(of)
+        return float(of[at]) if at < len(of) else math.nan
+
+    left, right = (value(message.velocity, joint) for joint in (LEFT_SPROCKET, RIGHT_SPROCKET))
+    positions = None
+    if len(message.position) > 0:
+        positions = (value(message.position, LEFT_SPROCKET), value(message.position, RIGHT_SPROCKET))
+    return Sprockets(source, stamp_ns_of(message), left, right, positions)
+
+
+def yaw_rate(message: Any, source: str, default_variance: float) -> YawRate:
+    """From sensor_msgs/Imu; a variance of zero means unknown (REP-145)."""
+    variance = float(message.angular_velocity_covariance[8])
+    if variance == 0.0:
+        variance = default_variance
+    return YawRate(source, stamp_ns_of(message), float(message.angular_velocity.z), variance)
+
+
+def pose_fix(message: Any, source: str) -> PoseFix:
+    """From geometry_msgs/PoseWithCovarianceStamped, the planar part."""
+    pose = planar_pose(message.pose.pose)
+    covariance = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[PLANE_IN_6]
+    return PoseFix(source, stamp_ns_of(message), pose, covariance)
+
+
+def slip_fix(message: Any, source: str) -> SlipFix:
+    """From trackslip_msgs/TrackSlip, but for the slip angle."""
+    covariance = np.asarray(message.covariance, dtype=np.float64).reshape(3, 3)[:2, :2]
+    slips = np.array((message.left_slip, message.right_slip))
+    return SlipFix(source, stamp_ns_of(message), slips, covariance)
+
+
+def planar_pose(pose: Any) -> FloatArray:
+    """(3,) x, y, heading of a geometry_msgs/Pose."""
+    q = pose.orientation
+    heading = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return np.array((pose.position.x, pose.position.y, heading))
+
+
+def odometry(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:
+    """nav_msgs/Odometry of an estimate."""
+    message = blank_odometry(make, odom_frame, base_frame)
+    fill_odometry(message, estimate)
+    return message
+
+
+def blank_odometry(make: Make, odom_frame: str, base_frame: str) -> Any:
+    """nav_msgs/Odometry for ``fill_odometry``, which is several times faster than to make one."""
+    message = make("nav_msgs/msg/Odometry", header=header(make, 0, odom_frame), child_frame_id=base_frame)
+    message.pose.covariance, message.twist.covariance = _BLANK_36.copy(), _BLANK_36.copy()
+    return message
+
+
+def fill_odometry(message: Any, estimate: Estimate) -> None:
+    """Put another estimate into the message."""
+    set_stamp(message, estimate.stamp_ns)
+    pose, twist = message.pose.pose, message.twist.twist
+    pose.position.x, pose.position.y, heading = estimate.pose.tolist()
+    pose.orientation.z, pose.orientation.w = math.sin(heading / 2.0), math.cos(heading / 2.0)
+    twist.linear.x, twist.linear.y, twist.angular.z = estimate.outputs.twist.tolist()
+    message.pose.covariance[_PLANE_IN_36] = estimate.pose_covariance.ravel()
+    message.twist.covariance[_PLANE_IN_36] = estimate.outputs.twist_covariance.ravel()
+
+
+def transforms(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:
+    """tf2_msgs/TFMessage of an estimate."""
+    pose = planar_pose_message(make, estimate.pose)
+    transform = make(
+        "geometry_msgs/msg/Transform",
+        translation=_vector(make, pose.position.x, pose.position.y, 0.0),
+        rotation=pose.orientation,
+    )
+    stamped = make(
+        "geometry_msgs/msg/TransformStamped",
+        header=header(make, estimate.stamp_ns, odom_frame),
+        child_frame_id=base_frame,
+        transform=transform,
+    )
+    return make("tf2_msgs/msg/TFMessage", transforms=[stamped])
+
+
+def track_slip(make: Make, estimate: Estimate, base_frame: str) -> Any:
+    """trackslip_msgs/TrackSlip of an estimate."""
+    left, right, angle = (float(v) for v in estimate.outputs.slips)
+    return make(
+        "trackslip_msgs/msg/TrackSlip",
+        header=header(make, estimate.stamp_ns, base_frame),
+        left_slip=left,
+        right_slip=right,
+        slip_angle=angle,
+        covariance=estimate.outputs.slip_covariance.flatten(),
+        motion_state=int(estimate.motion),
+    )
+
+
+def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:
+    """geometry_msgs/PoseWithCovarianceStamped of a fix."""
+    return make(
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        header=header(make, fix.stamp_ns, frame),
+        pose=make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=planar_pose_message(make, fix.pose),
+            covariance=in_six(fix.covariance),
+        ),
+    )
+
+
+def measurement_report(make: Make, report: Report, sequence: int) -> Any:
+    """trackslip_msgs/MeasurementReport."""
+    return make(
+        "trackslip_msgs/msg/MeasurementReport",
+        header=header(make, report.stamp_ns, ""),
+        source=report.source,
+        sequence=sequence,
+        outcome=int(report.outcome),
+        nis=report.nis,
+        gate=report.gate,
+        dof=report.dof,
+    )
+
+
+def planar_pose_message(make: Make, pose: FloatArray) -> Any:
+    """geometry_msgs/Pose of (3,) x, y, heading."""
+    x, y, heading = (float(v) for v in pose)
+    orientation = make(
+        "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(heading / 2.0), w=math.cos(heading / 2.0)
+    )
+    position = make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
+    return make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
+
+
+def in_six(covariance: FloatArray) -> FloatArray:
+    """(36,) row-major 6×6 with the planar (3, 3) in its place, the rest marked as not observed."""
+    six = _BLANK_36.copy()
+    six[_PLANE_IN_36] = covariance.ravel()
+    return six
+
+
+def _vector(make: Make, x: float, y: float, z: float) -> Any:
+    return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The thesis' kinematic sub-model (3.17)–(3.20), (3.23), with its errata applied, and a gyro bias.
+
+    x, y, φ    position of the track-contact centre C, heading   m, m, rad (site frame)
+    i_L, i_R   longitudinal slip, v_j = r ω_j (1 − i_j)          1
+    α          slip angle, tan α = v_y / v_x                     rad
+    b_g        bias of the yaw-rate gyro                         rad/s
+    ω_L, ω_R   sprocket speeds, the input                        rad/s
+    r, B       rolling radius, tread                             m
+
+    v_x = (v_L + v_R)/2                      φ̇ = (v_R − v_L)/B
+    ẋ = v_x (cos φ − sin φ tan α)            ẏ = v_x (sin φ + cos φ tan α)
+    i̇_L, i̇_R, α̇, ḃ_g = 0 + noise
+
+Noise densities are in continuous time, so that splitting a step does not change what it adds.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.slip.models.model import FREE_SLIPS, POSE, Gaussian
+from trackslip_estimation.slip.motion import Motion, MotionState
+
+FloatArray = NDArray[np.float64]
+
+LEFT_SLIP, RIGHT_SLIP, SLIP_ANGLE, GYRO_BIAS = range(3, 7)
+SIZE = 7
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlipNoise(Parameters):
+    """Initial uncertainty and process noise of the sub-model."""
+
+    encoder: float = parameter("multiplicative noise of the sprocket speeds (3.21)", unit="√s", ge=0.0)
+    slip_steady: float = parameter("slip, speeds similar and steady (3.22)", unit="1/√s", ge=0.0)
+    slip_moving: float = parameter("slip, speeds differ or change (3.22)", unit="1/√s", ge=0.0)
+    slip_angle_steady: float = parameter("slip angle, straight", unit="rad/√s", ge=0.0)
+    slip_angle_turning: float = parameter("slip angle, turning", unit="rad/√s", ge=0.0)
+    gyro_bias: float = parameter("walk of the gyro bias", unit="rad/s/√s", ge=0.0)
+    initial_slip: float = parameter("standard deviation of the slips at the start", gt=0.0)
+    initial_slip_angle: float = parameter(
+        "standard deviation of the slip angle at the start", unit="rad", gt=0.0
+    )
+    initial_gyro_bias: float = parameter(
+        "standard deviation of the gyro bias at the start", unit="rad/s", gt=0.0
+    )
+
+
+@dataclass(frozen=True)
+class SlipModel:
+    """Numbers of the sub-model for one vehicle (a ``model.Model``)."""
+
+    rolling_radius: float  # m
+    tread: float  # m
+    encoder_resolution: float  # rad
+    noise: SlipNoise
+
+    code = FREE_SLIPS
+
+    def initial(self, pose: FloatArray, pose_covariance: FloatArray) -> Gaussian:
+        """Unknown slips about zero."""
+        mean = np.zeros(SIZE)
+        mean[POSE] = pose
+        noise = self.noise
+        deviations = (
+            noise.initial_slip,
+            noise.initial_slip,
+            noise.initial_slip_angle,
+            noise.initial_gyro_bias,
+        )
+        covariance = np.diag((0.0, 0.0, 0.0, *np.square(deviations)))
+        covariance[POSE, POSE] = pose_covariance
+        return Gaussian(mean, covariance)
+
+    def constants(self) -> dict[str, float]:
+        """What the compiled equations need."""
+        return {
+            "rolling_radius": self.rolling_radius,
+            "tread": self.tread,
+            "encoder_resolution": self.encoder_resolution,
+            "encoder": self.noise.encoder,
+        }
+
+    def walk(self, motion: MotionState) -> FloatArray:
+        """(3.22) by the jump hypothesis."""
+        noise = self.noise
+        slip = noise.slip_moving if motion.slips_move else noise.slip_steady
+        turning = motion.motion is Motion.TURNING or motion.changing
+        angle = noise.slip_angle_turning if turning else noise.slip_angle_steady
+        if motion.motion is Motion.STANDING:
+            slip = angle = 0.0  # undefined at ω = 0: frozen
+        return np.array((0.0, 0.0, 0.0, slip, slip, angle, noise.gyro_bias))
+
+
+@compiled
+def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float, float]:
+    """v_x m/s, v_y m/s, φ̇ rad/s of C (3.17)–(3.19)."""
+    v_left = c.rolling_radius * left * (1.0 - x[LEFT_SLIP])
+    v_right = c.rolling_radius * right * (1.0 - x[RIGHT_SLIP])
+    v_x = (v_left + v_right) / 2.0
+    return v_x, v_x * math.tan(x[SLIP_ANGLE]), (v_right - v_left) / c.tread
+
+
+@compiled
+def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+    """(3, 7) derivative of ``twist`` by the state."""
+    J = np.zeros((3, SIZE))
+    tan = math.tan(x[SLIP_ANGLE])
+    J[0, LEFT_SLIP] = -c.rolling_radius * left / 2.0
+    J[0, RIGHT_SLIP] = -c.rolling_radius * right / 2.0
+    J[1, LEFT_SLIP], J[1, RIGHT_SLIP] = tan * J[0, LEFT_SLIP], tan * J[0, RIGHT_SLIP]
+    J[1, SLIP_ANGLE] = twist(x, left, right, c)[0] * (1.0 + tan * tan)
+    J[2, LEFT_SLIP] = c.rolling_radius * left / c.tread
+    J[2, RIGHT_SLIP] = -c.rolling_radius * right / c.tread
+    return J
+
+
+@compiled
+def twist_by_speed(x: FloatArray, c: Any) -> FloatArray:
+    """(3, 2) derivative of ``twist`` by (ω_L, ω_R)."""
+    left = c.rolling_radius * (1.0 - x[LEFT_SLIP])
+    right = c.rolling_radius * (1.0 - x[RIGHT_SLIP])
+    tan = math.tan(x[SLIP_ANGLE])
+    return np.array(
+        (
+            (left / 2.0, right / 2.0),
+            (tan * left / 2.0, tan * right / 2.0),
+            (-left / c.tread, right / c.tread),
+        )
+    )
+
+
+@compiled
+def slips(x: FloatArray) -> FloatArray:
+    """(3,) i_L, i_R, α: they are states."""
+    return x[LEFT_SLIP : SLIP_ANGLE + 1].copy()
+
+
+@compiled
+def slips_jacobian() -> FloatArray:
+    """(3, 7) derivative of ``slips`` by the state."""
+    S = np.zeros((3, SIZE))
+    S[0, LEFT_SLIP] = S[1, RIGHT_SLIP] = S[2, SLIP_ANGLE] = 1.0
+    return S

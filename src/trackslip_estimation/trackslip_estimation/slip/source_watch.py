@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the sources of the estimator do: which are lost, and whether their innovations are honest.
+
+d²    normalised innovation squared, χ² with n degrees of freedom if all is honest
+"""
+
+from collections import defaultdict, deque
+from collections.abc import Mapping
+
+from scipy.stats import chi2
+
+from trackslip_estimation.slip.measurements import Outcome, Report
+
+_WINDOW_NS = 10_000_000_000
+_CONFIDENCE = 0.95
+
+
+class SourceWatch:
+    """Follows the reports; its time is that of the stamps."""
+
+    def __init__(self, timeouts_ns: Mapping[str, int]) -> None:
+        """``timeouts_ns``: of each source that is expected."""
+        self.expect(timeouts_ns)
+        self.clear()
+
+    def expect(self, timeouts_ns: Mapping[str, int]) -> None:
+        """Other timeouts."""
+        self._timeouts_ns = timeouts_ns
+
+    def clear(self) -> None:
+        """The estimate begins anew."""
+        self._taken_ns: dict[str, int] = {}
+        self._innovations: dict[str, deque[Report]] = defaultdict(deque)
+
+    def add(self, report: Report) -> None:
+        """One more report."""
+        if report.outcome is Outcome.RESTARTED:
+            self.clear()
+        if report.outcome.refused:
+            return
+        for source in self._timeouts_ns:  # all are due from the start on
+            self._taken_ns.setdefault(source, report.stamp_ns)
+        self._taken_ns[report.source] = max(report.stamp_ns, self._taken_ns.get(report.source, 0))
+        if report.dof:
+            self._innovations[report.source].append(report)
+
+    def lost(self, now_ns: int) -> dict[str, float]:
+        """Source → seconds since something was last taken of it, where that is beyond its timeout."""
+        since = {source: now_ns - self._taken_ns.get(source, now_ns) for source in self._timeouts_ns}
+        return {source: ns * 1e-9 for source, ns in since.items() if ns > self._timeouts_ns[source]}
+
+    def innovations(self, now_ns: int) -> dict[str, str]:
+        """Source → mean d² over the last seconds, and the bounds within which an honest one lies."""
+        found = {}
+        for source, reports in sorted(self._innovations.items()):
+            while reports and reports[0].stamp_ns < now_ns - _WINDOW_NS:
+                reports.popleft()
+            if reports:
+                dof, n = sum(r.dof for r in reports), len(reports)
+                low, high = chi2.ppf(((1.0 - _CONFIDENCE) / 2.0, (1.0 + _CONFIDENCE) / 2.0), dof) / n
+                mean = sum(r.nis for r in reports) / n
+                found[source] = f"{mean:.2f} ({low:.2f} to {high:.2f} if honest), n {n}"
+        return found

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulator's bus and serial ports: what joins the excavator's devices to the drivers."""
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import can
+
+from trackslip_drivers.transports.can_bus import CanBus
+from trackslip_sim.devices.pty_port import PtyPort
+from trackslip_sim.machine.excavator import EmulatedExcavator
+from trackslip_sim.machine.faults import SICK, UNPLUG, WATSON
+from trackslip_sim.parameters import EmulatorParameters
+
+
+class Cables:
+    """Open from the start.
+
+    Raises:
+        can.CanError, OSError: bus or port cannot be opened.
+    """
+
+    def __init__(self, p: EmulatorParameters) -> None:
+        with ExitStack() as opened:
+            self._bus = CanBus(p.can_interface, p.can_channel, p.can_port)
+            opened.callback(self._bus.close)
+            self._ports = {}
+            for sensor in (WATSON, SICK):
+                self._ports[sensor] = PtyPort(Path(p.device_directory) / sensor)
+                opened.callback(self._ports[sensor].close)
+            self._opened = opened.pop_all()
+
+    @property
+    def bytes_lost(self) -> int:
+        """Sent on serial lines that nobody read."""
+        return sum(port.bytes_lost for port in self._ports.values())
+
+    def exchange(self, excavator: EmulatedExcavator, now_ns: int) -> None:
+        """Carry frames and bytes, both ways.
+
+        Raises:
+            OSError: bus or port failed.
+        """
+        for sensor, port in self._ports.items():
+            plugged = excavator.faults.at(sensor, UNPLUG, now_ns) is None
+            if plugged and not port.plugged:
+                port.plug()
+            elif not plugged:
+                port.close()
+        try:
+            for frame in excavator.step_can(now_ns):
+                self._bus.write(frame)
+        except can.CanError as error:
+            raise OSError(f"CAN: {error}") from error
+        watson, sick = self._ports[WATSON], self._ports[SICK]
+        excavator.hear_watson(watson.read(), now_ns)
+        watson.write(excavator.step_watson(now_ns))
+        excavator.hear_sick(sick.read(), now_ns, sick.baud)
+        sent = excavator.step_sick(now_ns)
+        if sick.baud == excavator.sick.baud:
+            sick.write(sent)
+
+    def close(self) -> None:
+        """Pull them out; safe to call twice."""
+        self._opened.close()

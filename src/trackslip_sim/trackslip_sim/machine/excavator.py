@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated excavator: one true drive behind three devices that speak bytes. No port, no clock."""
+
+import math
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.config_files import config_file, node_defaults
+from trackslip_common.parameters import Parameters, from_flat
+from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers.protocols.can_frames import ENCODERS, PRESSURES, FrameSet
+from trackslip_drivers.protocols.watson import BITS_PER_CHAR, GRAVITY, TESLA_PER_MILLIGAUSS, Layout
+from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_drivers.watson_parameters import WatsonParameters
+from trackslip_sim.devices.can_device import CanDevice
+from trackslip_sim.devices.line import BaudLine
+from trackslip_sim.devices.sick_device import SickDevice
+from trackslip_sim.devices.watson_device import WatsonDevice
+from trackslip_sim.machine.faults import CAN, POWER_CYCLE, SICK, WATSON, WRONG_BAUD, Faults
+from trackslip_sim.machine.faulty_line import FaultyBus, FaultySerial
+from trackslip_sim.machine.faulty_readings import FaultyReadings, FullScales
+from trackslip_sim.machine.scan_model import SiteScanner
+from trackslip_sim.machine.sensors import MachineSensors
+from trackslip_sim.parameters import EmulatorParameters
+from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.simulate import simulate
+
+FloatArray = NDArray[np.float64]
+T = TypeVar("T", bound=Parameters)
+
+
+def drive(p: EmulatorParameters) -> Truth:
+    """The true motion that the parameters ask for.
+
+    Raises:
+        InputError: scenario or soil is unknown, or refused.
+    """
+    scenario = load_scenario(p.scenario)
+    if p.duration > 0.0:
+        scenario = scenario.stretched(p.duration)
+    return simulate(scenario, soil=p.soil or None, mode=p.mode, vehicle=p.vehicle)
+
+
+class EmulatedExcavator:
+    """Devices from power-on at ``start_ns``; they measure ``truth`` from ``drive_start_ns`` on.
+
+    Each device is set up as its driver's defaults in ``config/`` expect it, and fails as ``faults`` says.
+    """
+
+    def __init__(self, p: EmulatorParameters, truth: Truth, start_ns: int) -> None:
+        self.drive_start_ns = start_ns + round(p.lead_in * 1e9)
+        self.end_ns = self.drive_start_ns + round(truth.duration * 1e9)
+        self.sensors = MachineSensors(truth, p.noise, self.drive_start_ns, p.seed)
+        self.faults = Faults(load_scenario(p.scenario).faults, self.drive_start_ns)
+        can = default_parameters(CanDriverParameters, "can_driver")
+        watson = default_parameters(WatsonParameters, "watson_imu")
+        sick = default_parameters(SickParameters, "sick_pls")
+        frames = FrameSet(config_file(can.dbc_file))
+        layout = Layout(watson.channels, watson.formats, watson.full_scales)
+        self._scanner = SiteScanner(p.site, p.vehicle, p.seed)
+        self._readings = readings = FaultyReadings(
+            self.faults, self.sensors, self._scan, _full_scales(frames, layout, sick), p.seed
+        )
+        boot_ns = round(p.can_delay * 1e9)
+        measures = (readings.sprockets, readings.hydraulics)
+        self.can = CanDevice(frames, can.belt_ratio, *measures, start_ns + boot_ns)
+        self._watson_line = BaudLine(watson.serial_baud, BITS_PER_CHAR)
+        self.watson = WatsonDevice(layout, self._watson_line, readings.imu, True, start_ns)
+        self.sick = SickDevice(sick, p.sick_start, readings.ranges, start_ns)
+        self._power_on: dict[str, Callable[[int], None]] = {
+            CAN: lambda now_ns: self.can.start(now_ns + boot_ns),
+            WATSON: self.watson.power_cycle,
+            SICK: self.sick.power_cycle,
+        }
+        self._without_power: set[str] = set()
+        self._bus = FaultyBus(CAN, self.faults, p.seed)
+        self._lines = {sensor: FaultySerial(sensor, self.faults, p.seed) for sensor in (WATSON, SICK)}
+
+    def step_can(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Frames due by now."""
+        frames = self.can.step(min(now_ns, self.end_ns)) if self._powered(CAN, now_ns) else []
+        return self._bus.carry(frames, now_ns)
+
+    def step_watson(self, now_ns: int) -> bytes:
+        """Characters that have left by now; the last line drains after the end."""
+        if not self._powered(WATSON, now_ns):
+            sent = b""
+        elif now_ns < self.end_ns:
+            sent = self.watson.step(now_ns)
+        else:
+            sent = self._watson_line.take(now_ns)
+        return self._lines[WATSON].carry(sent, now_ns)
+
+    def step_sick(self, now_ns: int) -> bytes:
+        """Characters that have left by now."""
+        self.sick.status = self._readings.status(now_ns)
+        on = self._powered(SICK, now_ns) and now_ns < self.end_ns
+        return self._lines[SICK].carry(self.sick.step(now_ns) if on else b"", now_ns)
+
+    def hear_watson(self, data: bytes, now_ns: int) -> None:
+        """What the host has written to the inertial unit."""
+        if data and self._hears(WATSON, now_ns):
+            self.watson.receive(data, now_ns)
+
+    def hear_sick(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
+        """What the host has written to the scanner, and at which rate."""
+        if data and self._hears(SICK, now_ns):
+            self.sick.receive(data, now_ns, host_baud)
+
+    def emitted(self) -> dict[str, int]:
+        """How many messages of each sensor topic the devices have sent so far, whatever became of them."""
+        frames, lines = self.can.frames_emitted, self.watson.lines_emitted
+        return {
+            "sprockets": frames[ENCODERS],
+            "hydraulics": frames[PRESSURES],
+            "imu/data_raw": lines,
+            "imu/mag": lines,
+            "scan": self.sick.scans_emitted,
+        }
+
+    def _scan(self, stamp_ns: int) -> FloatArray:
+        return self._scanner.scan(self.sensors.time(stamp_ns), self.sensors.pose_at)
+
+    def _powered(self, sensor: str, now_ns: int) -> bool:
+        """Whether it lives; it boots as its power comes back."""
+        if self.faults.at(sensor, POWER_CYCLE, now_ns) is not None:
+            self._without_power.add(sensor)
+        elif sensor in self._without_power:
+            self._without_power.remove(sensor)
+            self._power_on[sensor](now_ns)
+        return sensor not in self._without_power
+
+    def _hears(self, sensor: str, now_ns: int) -> bool:
+        return self._powered(sensor, now_ns) and self.faults.at(sensor, WRONG_BAUD, now_ns) is None
+
+
+def _full_scales(frames: FrameSet, layout: Layout, sick: SickParameters) -> FullScales:
+    """What the contract of the frames, the unit's layout and the scanner's range give."""
+    pressure = frames.by_name[PRESSURES].get_signal_by_name("supply_pressure").maximum
+    inertial = {channel.name: channel.full_scale for channel in layout.channels}
+    return FullScales(
+        pressure=float(pressure or 0.0),
+        acceleration=inertial["XA"] * GRAVITY,
+        rate=math.radians(inertial["XR"]),
+        field=inertial.get("XM", 0.0) * TESLA_PER_MILLIGAUSS,
+        range=sick.range_max,
+    )
+
+
+def default_parameters(cls: type[T], node: str, *files: str) -> T:
+    """A node's own default parameters, from its file or these of ``config/``."""
+    return from_flat(cls, node_defaults(node, *(files or (f"{node}.yaml",))), node)

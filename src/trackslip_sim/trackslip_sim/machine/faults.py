@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes wrong with the emulated sensors, and when: records, and the list of those at work.
+
+    {sensor: watson, kind: power_cycle, start: 12.0, duration: 0.5}
+    {sensor: sick, kind: corrupted_bytes, start: 20.0, duration: 5.0, value: 0.01}
+
+Times are seconds of the drive: 0 as it begins, negative while the machine stands before it. The effects are
+in ``faulty_line`` (bytes and frames), ``faulty_readings`` (what is measured) and ``excavator`` (power).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import yaml
+
+from trackslip_common.errors import InputError
+from trackslip_sim.scenarios.checks import number, refuse_unknown, text
+
+CAN, WATSON, SICK = SENSORS = ("can", "watson", "sick")
+_SERIAL = (WATSON, SICK)
+_NS_PER_S = 1_000_000_000
+_LONGEST = 86_400.0  # s
+_KEYS = ("sensor", "kind", "start", "duration", "value")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One way to fail: who can, and what its ``value`` means (0 < value ≤ largest; empty: it has none)."""
+
+    sensors: tuple[str, ...]
+    value: str = ""
+    largest: float = 1.0
+
+
+POWER_CYCLE = "power_cycle"
+UNPLUG = "unplug"
+LOST_BYTES = "lost_bytes"
+DOUBLED_BYTES = "doubled_bytes"
+CORRUPTED_BYTES = "corrupted_bytes"
+WRONG_BAUD = "wrong_baud"
+BUS_OFF = "bus_off"
+LOST_FRAMES = "lost_frames"
+BURSTS = "bursts"
+STUCK = "stuck"
+NOISE = "noise"
+POLLUTION = "pollution"
+OCCLUSION = "occlusion"
+GLARE = "glare"
+
+_SHARE_OF_BYTES = "share of all bytes"
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        POWER_CYCLE: Kind(SENSORS),  # off for the duration, then it boots
+        UNPLUG: Kind(SENSORS),  # a serial port disappears, a bus falls silent; the sensor lives on
+        LOST_BYTES: Kind(SENSORS, _SHARE_OF_BYTES),
+        DOUBLED_BYTES: Kind(SENSORS, _SHARE_OF_BYTES),
+        CORRUPTED_BYTES: Kind(SENSORS, _SHARE_OF_BYTES),
+        WRONG_BAUD: Kind(_SERIAL),  # either end reads the other as noise
+        BUS_OFF: Kind((CAN,)),  # an error frame, silence, and in the end another: restarted
+        LOST_FRAMES: Kind((CAN,), "share of all frames"),
+        BURSTS: Kind(SENSORS, "s for which all is held back, to come at once", 60.0),
+        STUCK: Kind(SENSORS),  # measures what it did as the fault began
+        NOISE: Kind(SENSORS, "standard deviation, as a share of full scale"),
+        POLLUTION: Kind((SICK,)),
+        OCCLUSION: Kind((SICK,), "rad around the middle beam that something near covers", math.pi),
+        GLARE: Kind((SICK,), "share of the rays that are dazzled"),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One failure of one sensor.
+
+    Raises:
+        InputError: there is no such sensor or kind, they do not go together, or a number is out of range.
+    """
+
+    sensor: str
+    kind: str
+    start: float  # s of the drive
+    duration: float  # s
+    value: float = 0.0  # as its ``Kind`` says
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(f"fault: kind '{self.kind}' is unknown; accepted: {', '.join(KINDS)}")
+        kind = KINDS[self.kind]
+        if self.sensor not in kind.sensors:
+            raise InputError(
+                f"fault: sensor '{self.sensor}' has no {self.kind}; accepted: {', '.join(kind.sensors)}"
+            )
+        if not math.isfinite(self.start):
+            raise InputError(f"fault: start = {self.start!r} is refused; accepted: a finite number of s")
+        if not 0.0 < self.duration <= _LONGEST:
+            raise InputError(
+                f"fault: duration = {self.duration!r} is refused; accepted: > 0 and <= {_LONGEST:g} s"
+            )
+        if not kind.value and self.value != 0.0:
+            raise InputError(f"fault: value = {self.value!r} is refused; accepted: none for {self.kind}")
+        if kind.value and not 0.0 < self.value <= kind.largest:
+            raise InputError(
+                f"fault: value = {self.value!r} is refused; "
+                f"accepted for {self.kind}: > 0 and <= {kind.largest:g} ({kind.value})"
+            )
+
+    def __str__(self) -> str:
+        """As diagnostics show it."""
+        value = f" {self.value:g}" if self.value else ""
+        return f"{self.sensor} {self.kind}{value} until {self.start + self.duration:.1f} s"
+
+
+def read_fault(tree: Mapping[str, Any]) -> Fault:
+    """A fault from the mapping of a scenario file.
+
+    Raises:
+        InputError: a key is missing or unknown, or a value is refused.
+    """
+    refuse_unknown(tree, _KEYS)
+    value = number(tree, "value") if "value" in tree else 0.0
+    sensor, kind = text(tree, "sensor"), text(tree, "kind")
+    return Fault(sensor, kind, number(tree, "start"), number(tree, "duration"), value)
+
+
+def parse_fault(yaml_text: str, now: float) -> Fault:
+    """A fault from one YAML mapping, such as a message holds; without ``start`` it begins now (s).
+
+    Raises:
+        InputError: the text is no YAML mapping, or its content is refused.
+    """
+    try:
+        tree = yaml.safe_load(yaml_text)
+    except yaml.YAMLError as error:
+        raise InputError(f"fault: not YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(tree, Mapping):
+        raise InputError(f"fault: {yaml_text!r} is refused; accepted: a mapping of {', '.join(_KEYS)}")
+    return read_fault({"start": now, **tree})
+
+
+class Faults:
+    """Those known, asked by the time of the emulator's clock.
+
+    Args:
+        faults: scripted beforehand.
+        drive_start_ns: where the time of the faults is 0.
+
+    Attributes:
+        added: how many more have come since.
+    """
+
+    def __init__(self, faults: tuple[Fault, ...], drive_start_ns: int) -> None:
+        self._faults = list(faults)
+        self._start_ns = drive_start_ns
+        self.added = 0
+
+    def add(self, fault: Fault, now_ns: int) -> None:
+        """One more; those that are over are forgotten."""
+        now = self.time(now_ns)
+        self._faults = [known for known in self._faults if known.start + known.duration > now]
+        self._faults.append(fault)
+        self.added += 1
+
+    def time(self, now_ns: int) -> float:
+        """Seconds of the drive."""
+        return (now_ns - self._start_ns) / _NS_PER_S
+
+    def at(self, sensor: str, kind: str, now_ns: int) -> Fault | None:
+        """The fault of that kind at work now; the latest, where there are several."""
+        now = self.time(now_ns)
+        for fault in reversed(self._faults):
+            if fault.sensor == sensor and fault.kind == kind and _covers(fault, now):
+                return fault
+        return None
+
+    def at_work(self, now_ns: int) -> list[Fault]:
+        """All at work now."""
+        now = self.time(now_ns)
+        return [fault for fault in self._faults if _covers(fault, now)]
+
+
+def _covers(fault: Fault, now: float) -> bool:
+    return fault.start <= now < fault.start + fault.duration

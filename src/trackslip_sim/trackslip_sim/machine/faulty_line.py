@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bad line does to what a sensor sends: bytes on a serial line, frames on a CAN bus."""
+
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG
+from trackslip_sim.machine import faults as f
+from trackslip_sim.machine.faults import Fault, Faults
+
+T = TypeVar("T")
+Frame = tuple[int, bytes]  # (arbitration id, payload)
+
+BUS_OFF_FRAME: Frame = (ERROR_FLAG | 0x40, bytes(8))
+RESTARTED_FRAME: Frame = (ERROR_FLAG | 0x100, bytes(8))
+_FRAME_LENGTH = 8  # the most bytes of payload
+_NS_PER_S = 1_000_000_000
+
+
+class _HeldBack(Generic[T]):
+    """Lets things pass, or keeps them until the next whole multiple of the fault's value."""
+
+    def __init__(self) -> None:
+        self._held: list[T] = []
+        self._burst = 0
+
+    def carry(self, things: Sequence[T], fault: Fault | None, now: float) -> list[T]:
+        """What comes out now (s)."""
+        self._held += things
+        burst = 0 if fault is None else int((now - fault.start) / fault.value)
+        if fault is not None and burst == self._burst:
+            return []
+        self._burst = burst
+        out, self._held = self._held, []
+        return out
+
+
+class FaultySerial:
+    """From a serial sensor to the host."""
+
+    def __init__(self, sensor: str, faults: Faults, seed: int) -> None:
+        self._sensor = sensor
+        self._faults = faults
+        self._bytes = _BadBytes(sensor, faults, np.random.default_rng(seed))
+        self._held: _HeldBack[int] = _HeldBack()
+
+    def carry(self, data: bytes, now_ns: int) -> bytes:
+        """What arrives now of what was sent; what an unplugged port loses is the port's affair."""
+        if self._faults.at(self._sensor, f.WRONG_BAUD, now_ns) is not None:
+            data = self._bytes.noise(len(data))
+        bursts = self._faults.at(self._sensor, f.BURSTS, now_ns)
+        data = self._bytes.spoil(data, now_ns)
+        return bytes(self._held.carry(data, bursts, self._faults.time(now_ns)))
+
+
+class FaultyBus:
+    """From the valve controller to whoever listens; its checks find what happens to bytes on the way."""
+
+    def __init__(self, sensor: str, faults: Faults, seed: int) -> None:
+        self._sensor = sensor
+        self._faults = faults
+        self._random = np.random.default_rng(seed)
+        self._bytes = _BadBytes(sensor, faults, self._random)
+        self._held: _HeldBack[Frame] = _HeldBack()
+        self._off = False
+
+    def carry(self, frames: Sequence[Frame], now_ns: int) -> list[Frame]:
+        """What is on the bus now of what was sent."""
+        was_off, self._off = self._off, self._at(f.BUS_OFF, now_ns) is not None
+        if self._off:
+            return [] if was_off else [BUS_OFF_FRAME]
+        lost = self._at(f.LOST_FRAMES, now_ns)
+        if self._at(f.UNPLUG, now_ns) is not None:
+            frames = []
+        elif lost is not None:
+            frames = [frame for frame in frames if self._random.random() >= lost.value]
+        frames = [(name, self._bytes.spoil(data, now_ns)[:_FRAME_LENGTH]) for name, data in frames]
+        out = self._held.carry(frames, self._at(f.BURSTS, now_ns), self._faults.time(now_ns))
+        return [RESTARTED_FRAME, *out] if was_off else out
+
+    def _at(self, kind: str, now_ns: int) -> Fault | None:
+        return self._faults.at(self._sensor, kind, now_ns)
+
+
+class _BadBytes:
+    """Loses, doubles and changes bytes at the rates asked for."""
+
+    def __init__(self, sensor: str, faults: Faults, random: np.random.Generator) -> None:
+        self._sensor = sensor
+        self._faults = faults
+        self._random = random
+
+    def spoil(self, data: bytes, now_ns: int) -> bytes:
+        """The bytes as they arrive."""
+        if not data:
+            return data
+        if lost := self._faults.at(self._sensor, f.LOST_BYTES, now_ns):
+            data = bytes(byte for byte, gone in zip(data, self._chosen(data, lost), strict=True) if not gone)
+        if doubled := self._faults.at(self._sensor, f.DOUBLED_BYTES, now_ns):
+            chosen = self._chosen(data, doubled)
+            data = b"".join(bytes((byte,)) * (1 + twice) for byte, twice in zip(data, chosen, strict=True))
+        if corrupted := self._faults.at(self._sensor, f.CORRUPTED_BYTES, now_ns):
+            data = corrupt(data, corrupted.value, self._random)
+        return data
+
+    def noise(self, count: int) -> bytes:
+        """What bytes become that are read at another rate."""
+        return self._random.bytes(count)
+
+    def _chosen(self, data: bytes, fault: Fault) -> list[bool]:
+        chosen: list[bool] = (self._random.random(len(data)) < fault.value).tolist()
+        return chosen
+
+
+def corrupt(data: bytes, rate: float, random: np.random.Generator) -> bytes:
+    """Each byte changed to any other with probability ``rate``."""
+    values = np.frombuffer(data, dtype=np.uint8)
+    change = random.integers(1, 256, len(values), dtype=np.uint8)
+    hit = random.random(len(values)) < rate
+    return np.where(hit, values ^ change, values).astype(np.uint8).tobytes()

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bad sensor measures: nothing new, with more noise, or what stands in its way."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, Vector
+from trackslip_sim.machine import faults as f
+from trackslip_sim.machine.faults import Faults
+from trackslip_sim.machine.sensors import MachineSensors
+
+FloatArray = NDArray[np.float64]
+T = TypeVar("T")
+
+_NEAR = 0.5  # m, distance of what covers the laser
+_POLLUTED = 0x80  # in the scanner's status
+
+
+@dataclass(frozen=True)
+class FullScales:
+    """What a share of 1 means as noise."""
+
+    pressure: float  # Pa
+    acceleration: float  # m/s²
+    rate: float  # rad/s
+    field: float  # T
+    range: float  # m
+
+
+class FaultyReadings:
+    """The readings of ``sensors`` and ``scan``, with what is wrong with them at their stamp."""
+
+    def __init__(
+        self,
+        faults: Faults,
+        sensors: MachineSensors,
+        scan: Callable[[int], FloatArray],
+        full_scales: FullScales,
+        seed: int,
+    ) -> None:
+        self._faults = faults
+        self._sensors = sensors
+        self._scan = scan
+        self._full = full_scales
+        self._random = np.random.default_rng(seed)
+        self._held: dict[str, object] = {}
+
+    def sprockets(self, stamp_ns: int) -> SprocketSample:
+        """An encoder is stuck or is not: it has no noise."""
+        return self._fresh("sprockets", f.CAN, stamp_ns, self._sensors.sprockets)
+
+    def hydraulics(self, stamp_ns: int) -> HydraulicsSample:
+        """Pressures with more noise."""
+        sample = self._fresh("hydraulics", f.CAN, stamp_ns, self._sensors.hydraulics)
+        left, right, supply = self._noise(f.CAN, stamp_ns, 3) * self._full.pressure
+        return replace(
+            sample,
+            left_pressure=sample.left_pressure + float(left),
+            right_pressure=sample.right_pressure + float(right),
+            supply_pressure=sample.supply_pressure + float(supply),
+        )
+
+    def imu(self, stamp_ns: int) -> ImuSample:
+        """All channels with more noise."""
+        sample = self._fresh("imu", f.WATSON, stamp_ns, self._sensors.imu)
+        noise = self._noise(f.WATSON, stamp_ns, 9)
+        field = sample.magnetic_field
+        return replace(
+            sample,
+            acceleration=_added(sample.acceleration, noise[0:3] * self._full.acceleration),
+            angular_velocity=_added(sample.angular_velocity, noise[3:6] * self._full.rate),
+            magnetic_field=None if field is None else _added(field, noise[6:9] * self._full.field),
+        )
+
+    def ranges(self, stamp_ns: int) -> FloatArray:
+        """(361,) m; nan where dazzled."""
+        ranges = self._fresh("ranges", f.SICK, stamp_ns, self._scan)
+        ranges = np.maximum(ranges + self._noise(f.SICK, stamp_ns, len(ranges)) * self._full.range, 0.0)
+        if occlusion := self._faults.at(f.SICK, f.OCCLUSION, stamp_ns):
+            angles = np.linspace(-np.pi / 2.0, np.pi / 2.0, len(ranges))
+            ranges = np.where(np.abs(angles) <= occlusion.value / 2.0, np.minimum(ranges, _NEAR), ranges)
+        if glare := self._faults.at(f.SICK, f.GLARE, stamp_ns):
+            ranges = np.where(self._random.random(len(ranges)) < glare.value, np.nan, ranges)
+        return ranges
+
+    def status(self, stamp_ns: int) -> int:
+        """The status byte of the scanner."""
+        return _POLLUTED if self._faults.at(f.SICK, f.POLLUTION, stamp_ns) else 0
+
+    def _fresh(self, name: str, sensor: str, stamp_ns: int, read: Callable[[int], T]) -> T:
+        """What is measured now, or while stuck what was first measured then."""
+        if self._faults.at(sensor, f.STUCK, stamp_ns) is None:
+            self._held.pop(name, None)
+            return read(stamp_ns)
+        if name not in self._held:
+            self._held[name] = read(stamp_ns)
+        return self._held[name]  # type: ignore[return-value]  # each name holds one type
+
+    def _noise(self, sensor: str, stamp_ns: int, count: int) -> FloatArray:
+        """(count,) of full scale."""
+        fault = self._faults.at(sensor, f.NOISE, stamp_ns)
+        return np.zeros(count) if fault is None else fault.value * self._random.standard_normal(count)
+
+
+def _added(vector: Vector, noise: FloatArray) -> Vector:
+    x, y, z = (value + float(extra) for value, extra in zip(vector, noise, strict=True))
+    return x, y, z

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the soil estimator is given on a true drive: hydraulics, and slips with errors that last.
+
+v_x, v_y, φ̇   true twist, and what an estimator with lasting errors makes of it   m/s, rad/s
+r ω_j          true track speeds: encoders are good                               m/s
+i_j            1 − v_j/(r ω_j) with the estimated v_j                             1
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.slip.motion import MotionParameters, MotionState, Speeds, classify
+from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SoilInput
+from trackslip_estimation.soil.tracks import frame_speeds
+from trackslip_sim.truth.record import FloatArray, Truth
+
+START_NS = 10_000_000_000
+_PERIOD_NS = 10_000_000
+_HYDRAULICS_DELAY_NS = 4_000_000  # after the slips: frames of their own
+_SLOWEST = 0.005  # m/s of a track, below which it has no slip
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """Errors of what is given."""
+
+    pressure_stddev: float = 3.0e4  # Pa
+    offsets: tuple[float, float] = (0.0, 0.0)  # Pa, of the left and the right transducer
+    speed_stddev: float = 0.003  # m/s, of v_x and v_y
+    yaw_rate_stddev: float = 0.003  # rad/s
+    position_stddev: float = 0.003  # m
+    error_time: float = 0.5  # s, for which errors of the twist and the position last
+
+
+def soil_inputs(
+    truth: Truth, vehicle: Vehicle, limits: MotionParameters, sensing: Sensing, seed: int = 0
+) -> Iterator[SoilInput]:
+    """At 100 Hz each, in the order in which they come."""
+    rng = np.random.default_rng(seed)
+    step = _PERIOD_NS * 1e-9
+    at = truth.interpolate(np.arange(round(truth.duration / step)) * step)
+    later = truth.interpolate(at.t + _HYDRAULICS_DELAY_NS * 1e-9)
+    twists = np.stack((at.v_x, at.v_y, at.yaw_rate), axis=-1)
+    tracks = np.stack((at.left_speed, at.right_speed), axis=-1) * vehicle.rolling_radius
+    poses = np.stack((at.x, at.y, at.yaw), axis=-1)
+    deviations = np.array((sensing.speed_stddev, sensing.speed_stddev, sensing.yaw_rate_stddev))
+    kept, state = math.exp(-step / sensing.error_time), MotionState()
+    error, astray = deviations * rng.standard_normal(3), sensing.position_stddev * rng.standard_normal(2)
+    doubt = np.diag((sensing.position_stddev**2, sensing.position_stddev**2, 0.0))
+    for k in range(len(at)):
+        stamp_ns = START_NS + k * _PERIOD_NS
+        error = kept * error + math.sqrt(1.0 - kept**2) * deviations * rng.standard_normal(3)
+        astray = kept * astray + math.sqrt(1.0 - kept**2) * sensing.position_stddev * rng.standard_normal(2)
+        speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]), 0.0, differenced=False)
+        state = classify(state, speeds, step, limits)
+        twist = twists[k] + (error if np.abs(tracks[k]).max() > _SLOWEST else 0.0)
+        place = Place(poses[k] + np.append(astray, 0.0), doubt)
+        yield Odometry(stamp_ns, twist, np.diag(np.square(deviations)), place)
+        yield Slips(stamp_ns, np.append(_slips(twist, tracks[k], vehicle), 0.0), state.motion)
+        left, right = sensing.pressure_stddev * rng.standard_normal(2) + sensing.offsets
+        yield Hydraulics(
+            stamp_ns + _HYDRAULICS_DELAY_NS,
+            float(later.left_pressure[k] + left),
+            float(later.right_pressure[k] + right),
+            float(later.left_spool[k]),
+            float(later.right_spool[k]),
+        )
+
+
+def _slips(twist: FloatArray, tracks: FloatArray, vehicle: Vehicle) -> FloatArray:
+    """(2,) of left and right; 0 while the track stands."""
+    rolls = np.abs(tracks) > _SLOWEST
+    share = np.divide(frame_speeds(twist, vehicle), tracks, out=np.ones(2), where=rolls)
+    return 1.0 - share

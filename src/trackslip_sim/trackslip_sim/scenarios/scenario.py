@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenarios: what is commanded, on which ground, and what fails (``config/scenarios/*.yaml``)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.config_files import config_directory, read_yaml
+from trackslip_common.errors import InputError
+from trackslip_sim.machine.faults import Fault, read_fault
+from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
+from trackslip_sim.truth.ground import Patch
+from trackslip_sim.truth.record import FloatArray
+
+_KEYS = ("name", "soil", "patches", "segments", "relief_pressure", "faults")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Commanded sprocket speeds, held for a while.
+
+    Raises:
+        InputError: the duration is not above 0, or a number is not finite.
+    """
+
+    duration: float  # s
+    left: float  # rad/s
+    right: float  # rad/s
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.duration) and self.duration > 0.0):
+            raise InputError(f"segment: duration = {self.duration!r} is refused; accepted: > 0 s")
+        for name in ("left", "right"):
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(
+                    f"segment: {name} = {getattr(self, name)!r} is refused; accepted: finite rad/s"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """One run: segments in order, from rest at the site's origin, on ``soil`` with patches over it."""
+
+    name: str
+    soil: str
+    segments: tuple[Segment, ...]
+    patches: tuple[Patch, ...] = ()
+    relief_pressure: float | None = None  # Pa; None: the vehicle's
+    faults: tuple[Fault, ...] = ()  # of the sensors, while the emulator drives it
+
+    def __post_init__(self) -> None:
+        if not self.segments:
+            raise InputError(f"scenario '{self.name}': segments = [] is refused; accepted: one or more")
+        if self.relief_pressure is not None and not 0.0 < self.relief_pressure < math.inf:
+            raise InputError(
+                f"scenario '{self.name}': relief_pressure = {self.relief_pressure!r} is refused;"
+                " accepted: > 0 Pa"
+            )
+
+    @property
+    def duration(self) -> float:
+        """Sum of the segments, s."""
+        return sum(segment.duration for segment in self.segments)
+
+    def stretched(self, duration: float) -> Scenario:
+        """The scenario cut, or its segments repeated, to ``duration``, s.
+
+        Raises:
+            InputError: the duration is not above 0.
+        """
+        if not (math.isfinite(duration) and duration > 0.0):
+            raise InputError(f"duration: {duration!r} is refused; accepted: > 0 s")
+        segments: list[Segment] = []
+        left = duration
+        while left > 1e-9:
+            for segment in self.segments:
+                part = min(segment.duration, left)
+                segments.append(dataclasses.replace(segment, duration=part))
+                left -= part
+                if left <= 1e-9:
+                    break
+        return dataclasses.replace(self, segments=tuple(segments))
+
+    def commands(self, step: float) -> FloatArray:
+        """Commanded (left, right) sprocket speeds (n, 2), rad/s, at the starts of n steps.
+
+        Raises:
+            InputError: the scenario is shorter than one step.
+        """
+        count = round(self.duration / step)
+        if count < 1:
+            raise InputError(
+                f"scenario '{self.name}': {self.duration!r} s is shorter than a step; accepted: >= {step:g} s"
+            )
+        ends = np.cumsum([segment.duration for segment in self.segments])
+        starts = (np.arange(count) + 0.5) * step
+        index = np.minimum(np.searchsorted(ends, starts), len(ends) - 1)
+        speeds = np.array([[segment.left, segment.right] for segment in self.segments], dtype=np.float64)
+        chosen: FloatArray = speeds[index]
+        return chosen
+
+
+def scenario_names() -> list[str]:
+    """Names of the scenarios in ``config/scenarios``."""
+    return sorted(path.stem for path in (config_directory() / "scenarios").glob("*.yaml"))
+
+
+def load_scenario(name_or_file: str) -> Scenario:
+    """A scenario by its name in ``config/scenarios``, or from a file of the user's own.
+
+    Raises:
+        InputError: there is no such scenario, or its file is refused.
+    """
+    named = config_directory() / "scenarios" / f"{name_or_file}.yaml"
+    for path in (named, Path(name_or_file)):
+        if path.is_file():
+            try:
+                return parse_scenario(read_yaml(path))
+            except InputError as error:
+                raise InputError(f"{path}: {error}") from error
+    raise InputError(
+        f"scenario: '{name_or_file}' is unknown; accepted: {', '.join(scenario_names())}, or a YAML file"
+    )
+
+
+def parse_scenario(tree: Mapping[str, Any]) -> Scenario:
+    """A scenario from the mapping of its file.
+
+    Raises:
+        InputError: a key is missing or unknown, or a value is refused.
+    """
+    refuse_unknown(tree, _KEYS)
+    patches = tuple(each(tree, "patches", _patch))
+    segments = tuple(each(tree, "segments", _segment))
+    if "soil" not in tree and not patches:
+        raise InputError("soil is missing; accepted: a name, or 'patches' with one or more")
+    return Scenario(
+        name=text(tree, "name"),
+        soil=text(tree, "soil") if "soil" in tree else patches[0].soil,
+        segments=segments,
+        patches=patches,
+        relief_pressure=number(tree, "relief_pressure") if "relief_pressure" in tree else None,
+        faults=tuple(each(tree, "faults", read_fault)),
+    )
+
+
+def _patch(entry: Mapping[str, Any]) -> Patch:
+    edges = ("from_x", "to_x", "from_y", "to_y")
+    refuse_unknown(entry, ("soil", *edges))
+    return Patch(soil=text(entry, "soil"), **{edge: number(entry, edge) for edge in edges})
+
+
+def _segment(entry: Mapping[str, Any]) -> Segment:
+    keys = ("duration", "left", "right")
+    refuse_unknown(entry, keys)
+    return Segment(**{key: number(entry, key) for key in keys})

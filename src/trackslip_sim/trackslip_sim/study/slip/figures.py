@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The study as pictures: single runs beside the thesis' Figs 6.3 to 6.14, and what the Monte Carlo says."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_sim.demo.plots import BAND, COLOURS, STYLE, save
+from trackslip_sim.study.slip.drive import make_drive
+from trackslip_sim.study.slip.evaluate import Trace, make_setting, trace
+from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters
+from trackslip_sim.study.slip.results import Row
+
+# name → filter, σ_xy m, σ_ω rad/s, and which figures of the thesis have these
+CONDITIONS: Mapping[str, tuple[str, float, float, str]] = MappingProxyType(
+    {
+        "fig_6_3": ("ekf", 0.001, 0.01, "6.3, 6.4"),
+        "fig_6_5": ("daf", 0.001, 0.01, "6.5, 6.6"),
+        "fig_6_7": ("ekf", 0.001, 0.1, "6.7, 6.8"),
+        "fig_6_9": ("ekf", 0.01, 0.1, "6.9, 6.10"),
+        "fig_6_11": ("daf", 0.01, 0.1, "6.11, 6.12"),
+        "fig_6_13": ("ekf", 0.1, 0.1, "6.13, 6.14"),
+    }
+)
+_TRUTH, _LEFT, _RIGHT, _ANGLE = "#222222", COLOURS[2], COLOURS[3], COLOURS[4]
+_PANEL = (3.3, 2.5)  # inches
+_EVERY = 10  # samples, of an estimate that is drawn
+_RMSE = {"position": (1e3, "position (mm)"), "slip": (100.0, "slip (%)")}  # name → scale, label
+_NEES = {"nees_pose": (1.0, "NEES of the pose"), "nees_slip": (1.0, "NEES of the slips")}
+
+
+def runs(p: StudyParameters, estimator: SlipEstimatorParameters) -> Iterator[tuple[str, Figure]]:
+    """One run under each of the thesis' conditions on each soil, on the shear truth."""
+    drives = {soil: make_drive(p, estimator, soil) for soil in p.soils}
+    for name, (filter_, sigma_xy, sigma_omega, numbers) in CONDITIONS.items():
+        figure, axes = _grid(3, len(drives))
+        for column, (soil, drive) in enumerate(drives.items()):
+            cell = Cell(SHEAR, soil, filter_, sigma_xy, sigma_omega)
+            found = trace(make_setting(cell, drive, p, estimator), seed=0)
+            _draw_path(axes[0][column], found, soil.replace("_", " "))
+            _draw_slips(axes[1][column], found, p.settling)
+            _draw_angle(axes[2][column], found, p.settling)
+        for row in range(3):
+            axes[row][0].legend(fontsize=7)
+        given = f"σ_xy = {1e3 * sigma_xy:g} mm, σ_ω = {sigma_omega:g} rad/s, {filter_.upper()}"
+        figure.suptitle(f"Figs {numbers}: {given}", x=0.01, ha="left")
+        yield name, figure
+
+
+def write_monte_carlo(rows: Sequence[Row], folder: Path) -> None:
+    """All of ``monte_carlo`` as PNG files."""
+    with style.context(dict(STYLE)):
+        for name, figure in monte_carlo(rows):
+            save(figure, folder / f"{name}.png")
+
+
+def monte_carlo(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
+    """Errors and NEES over σ_xy against their bounds, each truth by itself."""
+    for truth in dict.fromkeys(row.truth for row in rows):
+        chosen = [row for row in rows if row.truth == truth]
+        title = f"RMSE on the {truth} truth; dotted: the posterior Cramér–Rao bound"
+        yield f"study_rmse_{truth}", _over_sigma(chosen, title, _RMSE, _draw_rmse)
+        title = f"NEES on the {truth} truth; tinted: 95 % of the means of {chosen[0].seeds} honest runs"
+        yield f"study_nees_{truth}", _over_sigma(chosen, title, _NEES, _draw_nees)
+
+
+def _grid(rows: int, columns: int) -> tuple[Figure, list[list[Axes]]]:
+    figure = Figure(figsize=(_PANEL[0] * columns, _PANEL[1] * rows))
+    return figure, [list(row) for row in figure.subplots(rows, columns, squeeze=False)]
+
+
+def _draw_path(axes: Axes, found: Trace, soil: str) -> None:
+    axes.plot(*found.poses[:, :2].T, color=_TRUTH, linewidth=2.5, label="truth")
+    axes.plot(*found.estimated_poses[:, :2].T, color=_LEFT, linewidth=1.0, label="estimate")
+    axes.set(title=soil, xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    axes.set_adjustable("datalim")
+
+
+def _draw_slips(axes: Axes, found: Trace, settling: float) -> None:
+    for side, (colour, name) in enumerate(((_LEFT, "left"), (_RIGHT, "right"))):
+        _draw_band(axes, found, side, (100.0, colour, name))
+    _draw_settling(axes, settling, "slip (%)")
+    low, high = 100.0 * np.percentile(found.slips[:, :2], (0.5, 99.5))
+    axes.set_ylim(low - 8.0, high + 8.0)
+
+
+def _draw_angle(axes: Axes, found: Trace, settling: float) -> None:
+    _draw_band(axes, found, 2, (1e3, _ANGLE, "slip angle"))
+    _draw_settling(axes, settling, "slip angle (mrad)")
+    axes.set_ylim(-40.0, 40.0)
+
+
+def _draw_band(axes: Axes, found: Trace, which: int, look: tuple[float, str, str]) -> None:
+    """Truth, estimate, and twice its standard deviation."""
+    scale, colour, name = look
+    t, some = found.t[::_EVERY], slice(None, None, _EVERY)
+    mean, sigma = scale * found.estimated_slips[some, which], scale * found.slip_deviations[some, which]
+    axes.fill_between(t, mean - 2.0 * sigma, mean + 2.0 * sigma, color=colour, alpha=0.25, linewidth=0.0)
+    axes.plot(t, mean, color=colour, linewidth=0.8, label=f"{name}, ±2σ")
+    axes.plot(found.t, scale * found.slips[:, which], color=_TRUTH, linewidth=1.0)
+
+
+def _draw_settling(axes: Axes, settling: float, unit: str) -> None:
+    axes.axvspan(0.0, settling, color=BAND, zorder=0)
+    axes.set(xlabel="time (s)", ylabel=unit)
+
+
+def _over_sigma(
+    rows: Sequence[Row],
+    title: str,
+    quantities: Mapping[str, tuple[float, str]],
+    draw: Callable[[Axes, Sequence[Row], str, float, dict[str, Any]], None],
+) -> Figure:
+    """A column of panels for each soil, a row for each quantity."""
+    soils = list(dict.fromkeys(row.soil for row in rows))
+    figure, axes = _grid(len(quantities), len(soils))
+    for column, soil in enumerate(soils):
+        for panels, (name, (scale, unit)) in zip(axes, quantities.items(), strict=True):
+            panels[column].set(xscale="log", xlabel="σ_xy (mm)", ylabel=unit)
+            _label_ticks(panels[column], sorted({row.sigma_xy for row in rows}))
+            for curve, look in _curves([row for row in rows if row.soil == soil]):
+                draw(panels[column], curve, name, scale, look)
+            panels[column].set_ylim(bottom=0.0)
+        axes[0][column].set_title(soil.replace("_", " "))
+    axes[0][0].legend(fontsize=7)
+    figure.suptitle(title, x=0.01, ha="left")
+    return figure
+
+
+def _label_ticks(axes: Axes, sigma: Sequence[float]) -> None:
+    axes.set_xticks(sigma, [f"{1e3 * value:g}" for value in sigma])
+    axes.xaxis.set_minor_locator(NullLocator())
+
+
+def _curves(rows: Sequence[Row]) -> Iterator[tuple[list[Row], dict[str, Any]]]:
+    """Rows that differ in σ_xy only, and how to draw them: the DAF's dashed, as the EKF's lie below."""
+    omegas = list(dict.fromkeys(row.sigma_omega for row in rows))
+    for filter_, omega in dict.fromkeys((row.filter, row.sigma_omega) for row in rows):
+        curve = sorted(
+            (row for row in rows if (row.filter, row.sigma_omega) == (filter_, omega)),
+            key=lambda row: row.sigma_xy,
+        )
+        colour = COLOURS[(2 + omegas.index(omega)) % len(COLOURS)]
+        dash = "-" if filter_ == "ekf" else (0, (3, 3))
+        name = f"{filter_.upper()}, σ_ω = {omega:g} rad/s"
+        yield curve, {"color": colour, "linestyle": dash, "marker": "o", "markersize": 3, "label": name}
+
+
+def _draw_rmse(axes: Axes, curve: Sequence[Row], name: str, scale: float, look: dict[str, Any]) -> None:
+    sigma = [row.sigma_xy for row in curve]
+    axes.plot(sigma, [scale * getattr(row, f"{name}_rmse") for row in curve], **look)
+    least = [scale * getattr(row, f"{name}_bound") for row in curve]
+    axes.plot(sigma, least, color=look["color"], linestyle=":", linewidth=1.0)
+
+
+def _draw_nees(axes: Axes, curve: Sequence[Row], name: str, scale: float, look: dict[str, Any]) -> None:
+    axes.axhspan(*getattr(curve[0], f"{name}_bounds"), color=BAND, zorder=0, linewidth=0.0)
+    axes.plot([row.sigma_xy for row in curve], [scale * getattr(row, name) for row in curve], **look)

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run of a cell: a truth and what the sensors say of it, drawn from one seed."""
+
+import zlib
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.kalman.linear_algebra import root
+from trackslip_estimation.slip.batch import Log
+from trackslip_estimation.slip.filter import Filter
+from trackslip_estimation.slip.models.model import Gaussian
+from trackslip_sim.study.slip.drive import Drive, fix_deviations
+from trackslip_sim.study.slip.kernels import draw, nearest, slips_of
+from trackslip_sim.study.slip.parameters import MATCHED, Cell
+
+FloatArray = NDArray[np.float64]
+RecordArray = NDArray[np.void]
+
+
+class Setting(NamedTuple):
+    """What the runs of a cell have in common."""
+
+    cell: Cell
+    drive: Drive
+    log: Log  # without values
+    filter: Filter
+    linear: RecordArray  # constants of the same model under the EKF
+    sigma_heading: float  # rad
+
+
+class Trial(NamedTuple):
+    """One run before it is filtered."""
+
+    log: Log
+    start: Gaussian  # what a filter begins with
+    start_state: FloatArray  # (n,) the truth there
+    states: FloatArray  # (k, n) the truth at the rows, as states of the filter's model
+    slips: FloatArray  # (k, 3) left slip, right slip, slip angle
+
+
+def generator(cell: Cell, seed: int) -> np.random.Generator:
+    """The same for every filter and σ, so that these compare; another truth or soil has draws of its own."""
+    return np.random.default_rng((seed, zlib.crc32(f"{cell.truth} {cell.soil}".encode())))
+
+
+def make_trial(setting: Setting, seed: int) -> Trial:
+    """Draw one run."""
+    random = generator(setting.cell, seed)
+    return (_matched if setting.cell.truth == MATCHED else _shear)(setting, random)
+
+
+def _matched(setting: Setting, random: np.random.Generator) -> Trial:
+    """The truth is the filter's model: a start from its covariance, noise from its Q and R."""
+    log, true_speeds = setting.log, setting.drive.true_speeds
+    deviations = fix_deviations(setting.cell, setting.sigma_heading)
+    start = setting.filter.initial(np.zeros(3), np.diag(np.square(deviations)))
+    n = start.mean.size
+    start_state = start.mean + root(start.covariance) @ random.standard_normal(n)
+    normals = random.standard_normal((len(log.values), n + 3))
+    rows = (log.times, true_speeds, log.flags, log.noises)
+    states, values = draw(*rows, start_state, normals, setting.linear)
+    slips = slips_of(states, true_speeds, setting.linear)
+    return Trial(log._replace(values=values), start, start_state, states, slips)
+
+
+def _shear(setting: Setting, random: np.random.Generator) -> Trial:
+    """The truth has nothing of the model; only the gyro's bias is drawn as the filter expects it."""
+    at, fixes, rates = setting.drive.truth, setting.drive.fixes, setting.drive.rates
+    poses = np.stack((at.x, at.y, at.yaw), axis=1)
+    deviations = fix_deviations(setting.cell, setting.sigma_heading)
+    covariance = np.diag(np.square(deviations))
+    start = setting.filter.initial(deviations * random.standard_normal(3), covariance)
+    prior = setting.filter.initial(np.zeros(3), covariance)
+    prior.mean[-1] = np.sqrt(prior.covariance[-1, -1]) * random.standard_normal()
+    values = np.zeros((len(poses), 3))
+    values[fixes] = poses[fixes] + deviations * random.standard_normal((np.count_nonzero(fixes), 3))
+    noise = setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
+    values[rates, 0] = at.yaw_rate[rates] + prior.mean[-1] + noise
+    twists = np.stack((at.v_x, at.yaw_rate), axis=1)
+    true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
+    states = nearest(poses, twists, true_speeds, *prior, setting.linear)
+    slips = np.stack((at.left_slip, at.right_slip, at.slip_angle), axis=1)
+    return Trial(setting.log._replace(values=values), start, prior.mean, states, slips)

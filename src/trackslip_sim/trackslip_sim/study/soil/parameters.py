@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the Monte Carlo of the soil estimator varies and holds (``config/study.yaml``)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.parameters import Parameters, from_flat, parameter
+from trackslip_common.soils import load_soils, soil
+from trackslip_sim.scenarios.scenario import Scenario, load_scenario
+from trackslip_sim.truth.ground import build_ground
+
+NODE = "soil_study"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoilStudyParameters(Parameters):
+    """The drives, their sensors, and the grid."""
+
+    scenarios: tuple[str, ...] = parameter("names in config/scenarios, or files")
+    duration: float = parameter("of each drive, repeated or cut; 0: as it is", unit="s", ge=0.0, le=3600.0)
+    stand: float = parameter("standing before each drive", unit="s", ge=1.0, le=600.0)
+    soils: tuple[str, ...] = parameter("names in config/soils.yaml")
+    drawn: bool = parameter("also machines drawn from what the estimator expects")
+    sigma_xy: tuple[float, ...] = parameter("noise of the fixes, x and y", unit="m", gt=0.0, le=100.0)
+    sigma_heading: float = parameter("noise of the fixes' heading", unit="rad", gt=0.0, le=3.0)
+    seeds: int = parameter("runs of each cell", ge=1, le=100_000)
+    sprocket_rate: float = parameter("sprocket samples and pressures", unit="Hz", ge=1.0, le=1000.0)
+    gyro_rate: float = parameter("yaw rates", unit="Hz", ge=1.0, le=1000.0)
+    fix_rate: float = parameter("poses", unit="Hz", ge=1.0, le=1000.0)
+    fix_delay: float = parameter("until a pose arrives", unit="s", ge=0.0, le=10.0)
+    offset_stddev: float = parameter("offset of a pressure transducer", unit="Pa", ge=0.0)
+    load_stddev: float = parameter("centre of gravity of a drawn machine", unit="m", ge=0.0)
+
+
+@dataclass(frozen=True)
+class SoilCell:
+    """One combination; its seeds are its runs."""
+
+    scenario: str
+    soil: str  # where the drive begins
+    drawn: bool
+    sigma_xy: float  # m
+
+
+def load_soil_study_parameters(given: dict[str, object]) -> SoilStudyParameters:
+    """The defaults of ``config/`` with names over them.
+
+    Raises:
+        InputError: a name is unknown or a value refused.
+    """
+    return from_flat(SoilStudyParameters, node_defaults(NODE, "study.yaml") | given, NODE)
+
+
+def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:
+    """The grid, what varies fastest last; a scenario with patches is driven on the soils it names.
+
+    Raises:
+        InputError: a scenario or soil is unknown, or the soil lacks a value that the truth needs.
+    """
+    machines = (False, True) if p.drawn else (False,)
+    for name in p.scenarios:
+        scenario = load_scenario(name)
+        soils = (scenario.soil,) if scenario.patches else p.soils
+        for base in soils:
+            _check(base, scenario)
+        for combination in product(soils, machines, p.sigma_xy):
+            yield SoilCell(name, *combination)
+
+
+def _check(base: str, scenario: Scenario) -> None:
+    """Refuse before the first run what the truth would refuse in it."""
+    build_ground(soil(base), scenario.patches, load_soils())

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the runs of a cell come to: medians, the worst, and how many intervals hold the truth.
+
+An honest interval from 5 to 95 % holds it in nine of ten runs.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from trackslip_sim.study.soil.parameters import SoilCell
+from trackslip_sim.study.soil.score import Interval, Result
+
+
+@dataclass(frozen=True)
+class SoilRow:
+    """One soil: errors over the truth, and counts of runs."""
+
+    scenario: str
+    soil: str
+    drawn: bool
+    sigma_xy: float  # m
+    seeds: int
+    F_max_error: float
+    F_max_worst: float
+    F_max_inside: int
+    K_error: float
+    K_worst: float
+    K_inside: int
+    K_ratio: float  # 95 % point over 5 % point
+    identifiable: int
+    class_probability: float  # of the true class
+    mu_r_error: float
+    mu_r_worst: float
+    mu_r_inside: int
+    M_r_error: float  # in steady turns
+    M_r_worst: float
+    M_r_inside: int  # in the last of them
+    driving_thrust_error: float
+    driving_thrust_worst: float
+    braking_thrust_error: float
+    braking_thrust_worst: float
+    offset_residue: float  # Pa
+    offset_residue_worst: float  # Pa
+
+
+@dataclass(frozen=True)
+class ChangeRow:
+    """One border between two soils."""
+
+    scenario: str
+    soil: str  # before
+    into: str
+    drawn: bool
+    sigma_xy: float  # m
+    seeds: int
+    recognised: int  # runs
+    recognised_after: float  # s; inf where more than half of the runs never did
+    recognised_after_worst: float  # s
+    wrong_before: float  # probability
+    wrong_before_worst: float
+
+
+AnyRow: TypeAlias = SoilRow | ChangeRow
+
+
+def summary(cell: SoilCell, results: Sequence[Result]) -> AnyRow:
+    """The row of a cell: of a border where one was crossed, else of the soil."""
+    return _change(cell, results) if any(r.into for r in results) else _soil(cell, results)
+
+
+def _soil(cell: SoilCell, results: Sequence[Result]) -> SoilRow:
+    limit, limit_worst = _errors(r.limit for r in results)
+    modulus, modulus_worst = _errors(r.modulus for r in results)
+    mu_r, mu_r_worst = _errors(r.mu_r for r in results)
+    moment, moment_worst = _spread(r.moment_error for r in results)
+    driving, driving_worst = _spread(r.driving_error for r in results)
+    braking, braking_worst = _spread(r.braking_error for r in results)
+    residue, residue_worst = _spread(r.offset_residue for r in results)
+    return SoilRow(
+        **asdict(cell),
+        seeds=len(results),
+        F_max_error=limit,
+        F_max_worst=limit_worst,
+        F_max_inside=_inside(r.limit_interval for r in results),
+        K_error=modulus,
+        K_worst=modulus_worst,
+        K_inside=_inside(r.modulus_interval for r in results),
+        K_ratio=float(np.median([r.modulus_interval[1] / r.modulus_interval[0] for r in results])),
+        identifiable=sum(r.identifiable for r in results),
+        class_probability=float(np.median([r.probability for r in results])),
+        mu_r_error=mu_r,
+        mu_r_worst=mu_r_worst,
+        mu_r_inside=_inside(r.mu_r_interval for r in results),
+        M_r_error=moment,
+        M_r_worst=moment_worst,
+        M_r_inside=_inside(r.moment_interval for r in results),
+        driving_thrust_error=driving,
+        driving_thrust_worst=driving_worst,
+        braking_thrust_error=braking,
+        braking_thrust_worst=braking_worst,
+        offset_residue=residue,
+        offset_residue_worst=residue_worst,
+    )
+
+
+def _change(cell: SoilCell, results: Sequence[Result]) -> ChangeRow:
+    after, after_worst = _spread(r.recognised_after for r in results)
+    wrong, wrong_worst = _spread(r.wrong_before for r in results)
+    return ChangeRow(
+        **asdict(cell),
+        into=next(r.into for r in results if r.into),
+        seeds=len(results),
+        recognised=int(np.isfinite([r.recognised_after for r in results]).sum()),
+        recognised_after=after,
+        recognised_after_worst=after_worst,
+        wrong_before=wrong,
+        wrong_before_worst=wrong_worst,
+    )
+
+
+def _errors(found: Iterable[float]) -> tuple[float, float]:
+    """Of numbers over their truth."""
+    return _spread(abs(value - 1.0) for value in found)
+
+
+def _spread(values: Iterable[float]) -> tuple[float, float]:
+    """Median and worst; nan of nothing but nan."""
+    there = np.array([value for value in values if not np.isnan(value)])
+    return (float(np.median(there)), float(there.max())) if there.size else (float("nan"), float("nan"))
+
+
+def _inside(intervals: Iterable[Interval]) -> int:
+    """How many hold the truth, 1."""
+    return sum(low <= 1.0 <= high for low, high in intervals)

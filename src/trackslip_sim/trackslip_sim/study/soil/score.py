@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run of the soil estimator held against its truth.
+
+F_j      thrust of the soil on a track                                    N
+M_r      moment of the lateral resistance, μ_l W l/3 of the mobilised μ_l N m
+μ_r      coefficient of longitudinal resistance                           1
+K        shear deformation modulus                                        m
+F_max    maximal tractive effort of a track                               N
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.soils import soil
+from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.soil.classes import limit_of
+from trackslip_estimation.soil.records import TrackForces
+from trackslip_estimation.soil.soil_estimator import SoilState
+from trackslip_estimation.soil.thrust import PressureOffsets
+from trackslip_sim.study.soil.trial import (
+    START_NS,
+    Readings,
+    Setting,
+    Trial,
+    drive,
+    load_setting,
+    outputs,
+    read,
+)
+from trackslip_sim.truth.record import Truth
+from trackslip_tools.replay.scoring import MOVING
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Interval = tuple[float, float]
+
+RECOGNISED = 0.8  # probability of a class that is taken for certain
+_NAN = float("nan")
+_TAIL = 1.645  # standard deviations: a normal variable is within with 90 %
+_STEADY = 2.0  # s for which a turn has lasted
+_UNEQUAL = 0.1  # of the faster track, by which the other is slower in a turn
+_CONSTANT = 0.05  # of the faster track, within which both stay
+
+
+@dataclass(frozen=True)
+class Result:
+    """One run. Numbers at its end, and their intervals from 5 to 95 %, are over the truth.
+
+    An error is its RMS over that of the truth. What did not happen, such as a turn, is nan.
+    """
+
+    limit: float  # F_max
+    limit_interval: Interval
+    modulus: float  # K
+    modulus_interval: Interval
+    identifiable: bool
+    reason: str  # why not
+    probability: float  # of the true class
+    mu_r: float
+    mu_r_interval: Interval
+    moment_error: float  # of M_r, in steady turns
+    moment_interval: Interval  # of M_r, in the last of them
+    driving_error: float  # of F_j, while the motor drives
+    braking_error: float  # of F_j, while the track drives the motor
+    offset_residue: float  # Pa, of the worse transducer after standing
+    into: str  # the soil beyond the first border that was crossed; empty: none was
+    recognised_after: float  # s from there to a probability of RECOGNISED; inf: never
+    wrong_before: float  # probability of all but the true class, as it was crossed
+
+
+def run(trial: Trial, setting: Setting | None = None) -> Result:
+    """Drive, estimate, compare."""
+    setting = setting or load_setting()
+    truth = drive(trial, setting=setting)
+    readings = read(trial, truth, setting)
+    published = list(outputs(readings, setting))
+    states = [output for output in published if isinstance(output, SoilState)]
+    forces = [output for output in published if isinstance(output, TrackForces)]
+    vehicle = setting.soil.vehicle
+    return Result(
+        **_strength(states[-1], truth, vehicle),
+        **_moment(states, truth, vehicle),
+        **_thrust(forces, truth, vehicle, trial.stand),
+        offset_residue=_offset_residue(readings, setting, trial.stand),
+        **change_of(states, truth),
+    )
+
+
+def _strength(last: SoilState, truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
+    """What is known at the end of the soil that is there."""
+    ground, found = soil(truth.soil_name()), last.strength
+    modulus, limit, mu_r = ground.value("shear_modulus"), limit_of(ground, vehicle), ground.value("mu_r")
+    return {
+        "limit": found.thrust_limit / limit,
+        "limit_interval": _over(found.thrust_limit_interval, limit),
+        "modulus": found.shear_modulus / modulus,
+        "modulus_interval": _over(found.shear_modulus_interval, modulus),
+        "identifiable": found.identifiable,
+        "reason": found.reason,
+        "probability": last.classes[ground.name],
+        "mu_r": last.mu_r / mu_r,
+        "mu_r_interval": _over(_around(last.mu_r, last.mu_r_variance), mu_r),
+    }
+
+
+def _moment(states: Sequence[SoilState], truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
+    times = _times(states)
+    steady = np.flatnonzero(steady_turns(truth, times))
+    if not steady.size:
+        return {"moment_error": _NAN, "moment_interval": (_NAN, _NAN)}
+    arm = vehicle.weight * vehicle.contact_length / 3.0
+    true = truth.interpolate(times[steady]).turning_moment / arm
+    last = states[int(steady[-1])]
+    return {
+        "moment_error": _relative(np.array([states[k].mu_l for k in steady.tolist()]), true),
+        "moment_interval": _over(_around(last.mu_l, last.mu_l_variance), float(true[-1])),
+    }
+
+
+def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin: float) -> dict[str, Any]:
+    """Of both tracks together, where they run, after ``begin`` s."""
+    forces = [force for force, t in zip(forces, _times(forces), strict=True) if t > begin]
+    at = truth.interpolate(_times(forces))
+    true = np.column_stack((at.left_thrust, at.right_thrust))
+    found = np.array([force.thrust for force in forces]).reshape(true.shape)
+    tracks = vehicle.rolling_radius * np.column_stack((at.left_speed, at.right_speed))
+    runs, drives = np.abs(tracks) > MOVING, true * tracks > 0.0
+    return {
+        "driving_error": _relative(found[runs & drives], true[runs & drives]),
+        "braking_error": _relative(found[runs & ~drives], true[runs & ~drives]),
+    }
+
+
+def _offset_residue(readings: Readings, setting: Setting, stand: float) -> float:
+    """What the estimator's learning of offsets leaves after standing."""
+    offsets, period = PressureOffsets(setting.soil.thrust), 1.0 / setting.study.sprocket_rate
+    for reading in readings.pressures[: round(stand / period)]:
+        offsets.step(np.array((reading.left_pressure, reading.right_pressure)), period)
+    return float(np.abs(offsets.mean - readings.offsets).max())
+
+
+def change_of(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:
+    """How the first border between soils is noticed."""
+    crossings = np.flatnonzero(np.diff(truth.soil_index))
+    if not crossings.size:
+        return {"into": "", "recognised_after": _NAN, "wrong_before": _NAN}
+    k = int(crossings[0])
+    before, into, crossed = truth.soil_name(k), truth.soil_name(k + 1), float(truth.t[k + 1])
+    timed = list(zip(_times(states).tolist(), states, strict=True))
+    certain = [t - crossed for t, state in timed if t > crossed and state.classes[into] > RECOGNISED]
+    known = [state.classes[before] for t, state in timed if t <= crossed]
+    return {
+        "into": into,
+        "recognised_after": certain[0] if certain else math.inf,
+        "wrong_before": 1.0 - known[-1],
+    }
+
+
+def steady_turns(truth: Truth, times: FloatArray) -> BoolArray:
+    """(n,) whether at times (n,), s, the machine has turned for a while with hardly changing tracks."""
+    window = times[:, np.newaxis] - np.linspace(0.0, _STEADY, 21)
+    tracks = np.stack([np.interp(window, truth.t, speed) for speed in (truth.left_speed, truth.right_speed)])
+    fastest = np.abs(tracks).max(axis=(0, 2))
+    turning = (np.abs(tracks[1] - tracks[0]) > _UNEQUAL * fastest[:, np.newaxis]).all(axis=1)
+    constant = (np.ptp(tracks, axis=2) < _CONSTANT * fastest).all(axis=0)
+    steady: BoolArray = turning & constant
+    return steady
+
+
+def _times(published: Sequence[SoilState] | Sequence[TrackForces]) -> FloatArray:
+    """(n,) s of the truth."""
+    return np.array([(one.stamp_ns - START_NS) * 1e-9 for one in published])
+
+
+def _around(mean: float, variance: float) -> Interval:
+    spread = _TAIL * math.sqrt(variance)
+    return mean - spread, mean + spread
+
+
+def _over(interval: Interval, truth: float) -> Interval:
+    low, high = interval
+    return low / truth, high / truth
+
+
+def _relative(found: FloatArray, true: FloatArray) -> float:
+    """RMS of the error over that of the truth; nan of nothing."""
+    if not true.size:
+        return _NAN
+    return float(np.sqrt(np.mean(np.square(found - true)) / np.mean(np.square(true))))

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run of the soil estimator on the shear truth, drawn from one seed.
+
+Encoders, gyro, fixes and pressures are drawn as the emulator has them, and pass the slip estimator and the
+soil estimator in the order of their arrival.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.parameters import to_flat
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.soil.records import Hydraulics, inputs_of
+from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
+from trackslip_sim.machine.sensors import SensorNoise
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
+from trackslip_sim.study.soil.parameters import SoilStudyParameters, load_soil_study_parameters
+from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.settings import load_settings
+from trackslip_sim.truth.simulate import simulate
+
+FloatArray = NDArray[np.float64]
+
+START_NS = 1_000_000_000  # the stamp at time 0 of the truth
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is driven, and the seed of all that is drawn."""
+
+    soil: str  # where the drive begins
+    sigma_xy: float  # m, of the fixes
+    seed: int
+    drawn: bool = False  # a machine that differs from the nominal one as the estimator's parameters expect
+    scenario: str = "field_trial"
+    duration: float = 0.0  # s, the scenario repeated or cut; 0: as it is
+    stand: float = 0.0  # s of standing before it
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all runs have in common."""
+
+    study: SoilStudyParameters
+    slip: SlipEstimatorParameters
+    soil: SoilEstimatorParameters
+    noise: SensorNoise
+
+
+class Readings(NamedTuple):
+    """What the sensors say of a drive."""
+
+    arrivals: Sequence[Measurement]  # all that the slip estimator gets, in the order of arrival
+    pressures: Sequence[Hydraulics]  # one at each stamp of the sprockets
+    offsets: FloatArray  # (2,) Pa, of the left and the right transducer
+
+
+def load_setting(
+    study: SoilStudyParameters | None = None,
+    slip: Mapping[str, Any] = MappingProxyType({}),
+    soil: Mapping[str, Any] = MappingProxyType({}),
+) -> Setting:
+    """The defaults of ``config/``, with dotted names over those of the two estimators.
+
+    Raises:
+        InputError: a name is unknown or a value refused.
+    """
+    slip_p = load_slip_parameters(slip)
+    soil_p = load_soil_parameters(to_flat(slip_p.vehicle, "vehicle."), soil)
+    noise = load_emulator_parameters({}).noise
+    return Setting(study or load_soil_study_parameters({}), slip_p, soil_p, noise)
+
+
+def drive(trial: Trial, scenario: Scenario | None = None, setting: Setting | None = None) -> Truth:
+    """The true motion of the nominal or of a drawn machine; another scenario than the trial's as it is."""
+    scenario, setting = scenario or _scenario_of(trial), setting or load_setting()
+    vehicle, settings = setting.soil.vehicle, load_settings()
+    if trial.drawn:
+        p = setting.soil.strength
+        radius, efficiency, load = np.random.default_rng((trial.seed, 1)).standard_normal(3).tolist()
+        vehicle = dataclasses.replace(
+            vehicle,
+            rolling_radius=vehicle.rolling_radius * (1.0 + p.slip_bias_stddev * radius),
+            motor_efficiency=vehicle.motor_efficiency * (1.0 + p.thrust_scale_stddev * efficiency),
+        )
+        settings = dataclasses.replace(settings, load_x=setting.study.load_stddev * load)
+    return simulate(scenario, soil=trial.soil, vehicle=vehicle, settings=settings)
+
+
+def _scenario_of(trial: Trial) -> Scenario:
+    scenario = load_scenario(trial.scenario)
+    if trial.duration > 0.0:
+        scenario = scenario.stretched(trial.duration)
+    standing = (Segment(trial.stand, 0.0, 0.0),) if trial.stand > 0.0 else ()
+    return dataclasses.replace(scenario, segments=(*standing, *scenario.segments))
+
+
+def estimates(trial: Trial, truth: Truth, setting: Setting | None = None) -> Iterator[SoilState]:
+    """What the soil estimator says of the soil on a drive."""
+    setting = setting or load_setting()
+    for output in outputs(read(trial, truth, setting), setting):
+        if isinstance(output, SoilState):
+            yield output
+
+
+def outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
+    """All that the soil estimator publishes."""
+    slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
+    pressures = iter(readings.pressures)
+    for measurement in readings.arrivals:
+        _, estimate = slip_estimator.advance(measurement)
+        if isinstance(measurement, Sprockets):
+            yield from soil_estimator.advance(next(pressures))
+            for given in () if estimate is None else inputs_of(estimate):
+                yield from soil_estimator.advance(given)
+
+
+def read(trial: Trial, truth: Truth, setting: Setting) -> Readings:
+    """Draw what the sensors say of a drive."""
+    random = np.random.default_rng((trial.seed, round(trial.sigma_xy * 1e6)))
+    arrivals = _arrivals(trial, truth, setting, random)
+    return Readings(arrivals, *_pressures(truth, setting, random))
+
+
+def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Generator) -> list[Measurement]:
+    """The first fix, at rest, comes first."""
+    p, noise, resolution = setting.study, setting.noise, setting.slip.encoder_resolution
+    arrivals: list[tuple[float, int, Measurement]] = []
+    at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / p.sprocket_rate))
+    angles = np.stack((at.left_angle, at.right_angle), axis=1)
+    zero = resolution * random.uniform(0.0, 1.0, 2)
+    counted = np.floor((angles + zero) / resolution) * resolution
+    for t, (left, right), v_l, v_r in zip(at.t, counted.tolist(), at.left_speed, at.right_speed, strict=True):
+        arrivals.append((t, 1, Sprockets("sprockets", _stamp(t), float(v_l), float(v_r), (left, right))))
+    at = truth.interpolate(np.arange(0.5 / p.gyro_rate, truth.duration, 1.0 / p.gyro_rate))
+    rates = at.yaw_rate + noise.gyro_bias + noise.gyro_stddev * random.standard_normal(len(at))
+    for t, rate in zip(at.t, rates.tolist(), strict=True):
+        arrivals.append((t, 2, YawRate("imu/data_raw", _stamp(t), rate, noise.gyro_stddev**2)))
+    at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / p.fix_rate))
+    deviations = np.array((trial.sigma_xy, trial.sigma_xy, p.sigma_heading))
+    poses = np.stack((at.x, at.y, at.yaw), axis=1) + deviations * random.standard_normal((len(at), 3))
+    for t, pose in zip(at.t, poses, strict=True):
+        fix = PoseFix("box_pose", _stamp(t), pose, np.diag(np.square(deviations)))
+        arrivals.append((t + p.fix_delay if t > 0.0 else 0.0, 0, fix))
+    return [measurement for _, _, measurement in sorted(arrivals, key=lambda arrival: arrival[:2])]
+
+
+def _pressures(
+    truth: Truth, setting: Setting, random: np.random.Generator
+) -> tuple[list[Hydraulics], FloatArray]:
+    """At the stamps of the sprockets, and (2,) the offsets of the transducers."""
+    at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / setting.study.sprocket_rate))
+    offsets = setting.study.offset_stddev * random.standard_normal(2)
+    values = np.stack((at.left_pressure, at.right_pressure), axis=1) + offsets
+    values += setting.noise.pressure_stddev * random.standard_normal(values.shape)
+    rows = np.column_stack((values, at.left_spool, at.right_spool)).tolist()
+    return [Hydraulics(_stamp(t), *row) for t, row in zip(at.t, rows, strict=True)], offsets
+
+
+def _stamp(t: float) -> int:
+    return START_NS + round(float(t) * 1e9)

@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+from setuptools import find_packages, setup
+
+NAME = "trackslip_tools"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={f"{NAME}.report": ["templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="Trackslip maintainers",
+    maintainer_email="maintainers@trackslip.invalid",
+    description="Replay, smoothing, tuning, calibration and reports of bags; the command trackslip",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["trackslip = trackslip_tools.cli.main:main"]},
+)

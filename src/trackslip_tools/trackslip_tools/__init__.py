@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work at the desk: replay, smoothing, tuning, calibration, reports, and the command line."""

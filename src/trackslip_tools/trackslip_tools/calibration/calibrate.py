@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that drives tell of the machine and its sensors, and what of it the nodes are to be told."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from trackslip_common.config_files import node_defaults
+from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
+from trackslip_estimation.slip.sources import named
+from trackslip_tools.calibration import gyro, standing, timing, tracks
+from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.recording import Recording
+
+_VEHICLE_NODES = (NODE, "soil_estimator", "box_localizer")
+_DRIVERS = {"imu/data_raw": "watson_imu", "box_pose": "sick_pls"}  # whose ``time_offset`` moves a topic
+_LEAST_SPREAD = 0.02  # of κ, before the first turn
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was found, and the parameters that follow from it."""
+
+    findings: Mapping[str, Finding]
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # node → dotted name → value
+
+
+def calibrate(
+    recordings: Sequence[Recording],
+    p: SlipEstimatorParameters,
+    sources: tuple[str, str],
+    *,
+    hard_ground: bool = False,
+) -> Calibration:
+    """``sources``: topics of gyro and poses; ``hard_ground``: that nothing slips on the straights."""
+    headings = gyro.scale_and_delay(recordings)
+    findings = {
+        "gyro_bias": standing.gyro_bias(recordings),
+        "gyro_sign": _sign(headings["gyro_scale"], timing.gyro_sense(recordings)),
+        **headings,
+        **gyro.mounting(recordings),
+        "gyro_delay": timing.gyro_delay(recordings),
+        **standing.pressure_offsets(recordings),
+    }
+    unit = _gyro_of(findings)
+    findings["effective_rolling_radius"] = tracks.way_per_radian(recordings, unit)
+    findings["rolling_radius"] = _rolling_radius(
+        findings["effective_rolling_radius"], hard_ground=hard_ground
+    )
+    radius = findings["rolling_radius"].value or p.vehicle.rolling_radius
+    if not hard_ground:
+        findings["common_slip"] = _common_slip(findings["effective_rolling_radius"], radius)
+    turns = tracks.turning(recordings, unit)
+    findings |= _turning(turns.gain, findings["gyro_scale"], radius, p.vehicle.tread)
+    findings["tread"] = refused(
+        "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
+    )
+    return Calibration(findings, _parameters(findings, turns.spread * p.vehicle.tread / radius, p, sources))
+
+
+def _gyro_of(findings: Mapping[str, Finding]) -> tracks.Gyro:
+    """Scale, or only its sign where no more is known, and bias."""
+    scale = findings["gyro_scale"].value or findings["gyro_sign"].value or 1.0
+    return tracks.Gyro(scale, findings["gyro_bias"].value or 0.0)
+
+
+def _sign(scale: Finding, sense: Finding) -> Finding:
+    """1, or −1 for a unit that is upside down; by the headings, or else by the sense of the tracks."""
+    for finding in (scale, sense):
+        if finding.interval is not None and finding.interval[0] * finding.interval[1] > 0.0:
+            sign = math.copysign(1.0, finding.interval[0])
+            return found(sign, 0.0, "1", finding.basis)
+    return refused(sense.reason or "too uncertain", "1")
+
+
+def _rolling_radius(way: Finding, *, hard_ground: bool) -> Finding:
+    if way.interval is None:
+        return refused(way.reason, "m")
+    if hard_ground:
+        return Finding("m", way.value, way.interval, f"{way.basis}, no slip")
+    least = f"at least {way.interval[0]:.4f} m where the machine drives itself"
+    return refused(f"shows only as r (1 − i₀), {least}; --hard-ground says that nothing slipped", "m")
+
+
+def _common_slip(way: Finding, radius: float) -> Finding:
+    """i₀, if the radius that the parameters give is right."""
+    if way.value is None or way.interval is None:
+        return refused(way.reason, "1")
+    spread = (way.interval[1] - way.value) / radius
+    return found(1.0 - way.value / radius, spread, "1", f"if r is {radius:g} m")
+
+
+def _turning(gain: Finding, scale: Finding, radius: float, tread: float) -> dict[str, Finding]:
+    """κ and B/κ, with what the scale of the gyro leaves open."""
+    if gain.value is None or gain.interval is None:
+        return {"turning_efficiency": refused(gain.reason, "1"), "effective_tread": refused(gain.reason, "m")}
+    shares = [(gain.interval[1] - gain.value) / abs(gain.value)]
+    basis = gain.basis
+    if scale.value is None or scale.interval is None:
+        basis += ", the scale of the gyro taken as 1"
+    else:
+        shares.append((scale.interval[1] - scale.value) / abs(scale.value))
+    share = math.hypot(*shares)
+    if share >= 1.0:
+        reason = f"the turns differ too much: r κ/B is {gain.value:.3f} ± {share * gain.value:.3f}"
+        return {"turning_efficiency": refused(reason, "1"), "effective_tread": refused(reason, "m")}
+    efficiency, effective = gain.value * tread / radius, radius / gain.value
+    interval = (effective / (1.0 + share), effective / (1.0 - share))
+    return {
+        "turning_efficiency": found(efficiency, share * efficiency, "1", f"{basis}; if B is {tread:g} m"),
+        "effective_tread": Finding("m", effective, interval, f"B/κ on this ground: {basis}"),
+    }
+
+
+def _parameters(
+    findings: Mapping[str, Finding], spread: float, p: SlipEstimatorParameters, sources: tuple[str, str]
+) -> dict[str, dict[str, Any]]:
+    """Node → dotted name → value, of all that was found and that a node can be told."""
+    told: dict[str, dict[str, Any]] = {}
+
+    def tell(node: str, name: str, value: Any) -> None:
+        told.setdefault(node, {})[name] = value
+
+    if findings["rolling_radius"].value is not None:
+        for node in _VEHICLE_NODES:
+            tell(node, "vehicle.rolling_radius", findings["rolling_radius"].value)
+    gyros = named(p.yaw_rate_sources)
+    for name, key in (("yaw_rate_signs", "gyro_sign"), ("yaw_rate_scales", "gyro_scale")):
+        value = findings[key].value
+        if value is not None and sources[0] in gyros:
+            own = (
+                list(getattr(p, name))
+                if len(getattr(p, name)) == len(gyros)
+                else list(getattr(p, name)) * len(gyros)
+            )
+            own[gyros.index(sources[0])] = round(value) if key == "gyro_sign" else abs(value)
+            tell(NODE, name, own)
+    efficiency = findings["turning_efficiency"]
+    if efficiency.value is not None and efficiency.interval is not None and 0.0 < efficiency.value <= 1.0:
+        tell(NODE, "turning.initial_efficiency", efficiency.value)
+        uncertain = max(spread, efficiency.interval[1] - efficiency.value, _LEAST_SPREAD)
+        tell(NODE, "turning.initial_efficiency_stddev", uncertain)
+    for node, offset in _time_offsets(findings, sources).items():
+        tell(node, "time_offset", offset)
+    return told
+
+
+def _time_offsets(findings: Mapping[str, Finding], sources: tuple[str, str]) -> dict[str, float]:
+    """Driver → offset that brings its stamps to those of the sprockets; where the interval leaves out zero.
+
+    On top of the offset with which the bags were recorded, taken as that of ``config/``.
+    """
+    offsets, late = {}, 0.0
+    for topic, key in zip(sources, ("gyro_delay", "pose_delay"), strict=True):
+        finding, node = findings[key], _DRIVERS.get(topic)
+        if (
+            finding.value is None
+            or finding.interval is None
+            or finding.interval[0] * finding.interval[1] <= 0.0
+        ):
+            continue
+        late += finding.value
+        if node is not None:
+            offsets[node] = float(node_defaults(node, f"{node}.yaml")["time_offset"]) - late
+    return offsets

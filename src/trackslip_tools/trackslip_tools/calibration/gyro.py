@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gyro against the headings of the poses and the axis of the turns: scale, sign, delay, mounting.
+
+z, ω     rates of the unit about its axes, turn of the machine about the vertical   rad/s
+n        vertical in the frame of the unit, z = s₀ ω n + b                          1
+s, b     scale about the unit's z axis, s₀ n_z, and bias                            1, rad/s
+ψ_k, δ   headings of the poses, and by how much their stamps are later              rad, s
+Θ(t)     integral of z about the unit's z axis                                      rad
+
+    ψ_k − ψ_{k−1} = [Θ(t_k − δ) − Θ(t_{k−1} − δ) − b (t_k − t_{k−1})] / s + noise
+
+A machine on a plane turns about the plane's normal, so n is the mounting, whatever the slope. How far it
+leans from z shrinks s by the cosine; how far the unit is turned about z no turn can show.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.recording import Recording, Series
+from trackslip_tools.calibration.regression import Fit, Increments, clustered, of_increments
+from trackslip_tools.calibration.spans import blocks, spans, unbroken
+
+FloatArray = NDArray[np.float64]
+
+LEAST_TURN = 1.0  # rad in all, below which nothing is said of turns
+_LARGEST_DELAY = 1.0  # s
+_WIDEST_DELAY = 0.1  # s, half of an interval that is worth nothing
+_DOUBTFUL = 0.3  # rad, claimed of a heading that is none
+_OUTLIER = 5.0  # robust standard deviations
+_FLOOR = 5e-4  # rad, no heading is better
+_SHORTEST = 0.5  # s, of a turn
+_ROUNDS = 5  # of Gauss and Newton, for the delay
+
+
+class _Pair(NamedTuple):
+    """Headings of a recording, and the gyro over all of their time."""
+
+    t: FloatArray  # (k,) s
+    headings: FloatArray  # (k,) rad
+    variances: FloatArray  # (k,)
+    gyro: Series
+    angle: CubicHermiteSpline  # Θ
+
+    def increments(self) -> Increments:
+        """From heading to heading; those with a gap of the gyro in between are left out."""
+        margins = self.t[:-1] - _LARGEST_DELAY, self.t[1:] + _LARGEST_DELAY
+        kept = unbroken(self.gyro.t, *margins)
+        joined = kept & np.concatenate(([False], kept[:-1]))
+        before, after = self.variances[:-1], self.variances[1:]
+        z, walk = np.diff(self.headings), np.diff(self.t)
+        return Increments(z[kept], before[kept], after[kept], walk[kept], joined[kept])
+
+    def design(self, delay: float) -> FloatArray:
+        """(n, 3) what the gyro turned, its rate changed, and the time that went by, with those increments."""
+        margins = self.t[:-1] - _LARGEST_DELAY, self.t[1:] + _LARGEST_DELAY
+        at = self.t - delay
+        columns = (np.diff(self.angle(at)), np.diff(self.angle(at, 1)), np.diff(self.t))
+        return np.column_stack(columns)[unbroken(self.gyro.t, *margins)]
+
+
+def mounting(recordings: Sequence[Recording]) -> dict[str, Finding]:
+    """Roll and pitch that turn the frame of the unit onto the machine's."""
+    rows, clusters = [np.empty((0, 3))], [np.empty(0, dtype=np.int64)]
+    for k, recording in enumerate(recordings):
+        t, rates = recording.gyro
+        for span in spans(recording, Motion.TURNING, _SHORTEST, settling=0.0):
+            inside = span.holds(t)
+            rows.append(rates[inside])
+            clusters.append(blocks(t[inside], 1.0, k))
+    rates, cluster, turned = np.concatenate(rows), np.concatenate(clusters), _turned(recordings)
+    if turned < LEAST_TURN:
+        return dict.fromkeys(("imu_roll", "imu_pitch"), _too_little(turned, "rad"))
+    X = np.column_stack((rates[:, 2], np.ones(len(rates))))
+    findings = {}
+    for name, leaning in (("imu_roll", rates[:, 1]), ("imu_pitch", -rates[:, 0])):
+        fit = clustered(X, leaning, cluster)
+        if fit is None:
+            findings[name] = refused("one turn only", "rad")
+        else:
+            findings[name] = found(math.atan(fit.values[0]), fit.spread(), "rad", f"{turned:.1f} rad turned")
+    return findings
+
+
+def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
+    """Scale of the gyro, with its sign, and by how much the stamps of the poses are later than its own."""
+    pairs = [pair for pair in map(_pair, recordings) if pair is not None]
+    if not pairs:
+        reason = "no heading of a pose source while the gyro is heard"
+        return {"gyro_scale": refused(reason, "1"), "pose_delay": refused(reason, "s")}
+    turned = _turned(recordings)
+    if turned < LEAST_TURN:
+        return {"gyro_scale": _too_little(turned, "1"), "pose_delay": _too_little(turned, "s")}
+    fit, delay = _fitted(pairs)
+    if fit is None:
+        reason = "headings and gyro do not fit each other"
+        return {"gyro_scale": refused(reason, "1"), "pose_delay": refused(reason, "s")}
+    basis = f"{sum(len(pair.t) for pair in pairs)} headings, {turned:.1f} rad turned"
+    inverse = float(fit.values[0])
+    uncertain = fit.spread(1) / abs(inverse)
+    late = found(delay, uncertain, "s", basis)
+    if uncertain > _WIDEST_DELAY:
+        late = refused(f"the rate of turn changes too little to tell it better than ±{uncertain:.2f} s", "s")
+    return {"gyro_scale": found(1.0 / inverse, fit.spread() / inverse**2, "1", basis), "pose_delay": late}
+
+
+def _fitted(pairs: Sequence[_Pair]) -> tuple[Fit | None, float]:
+    """Coefficients 1/s, δ/s beyond the returned δ, b/s of each recording."""
+    parts = [pair.increments() for pair in pairs]
+    data = Increments(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    counts, delay, fit = [len(part.z) for part in parts], 0.0, None
+    for _ in range(_ROUNDS):
+        designs = [pair.design(delay) for pair in pairs]
+        times = [np.where(np.arange(len(pairs)) == k, design[:, 2:], 0.0) for k, design in enumerate(designs)]
+        X = np.column_stack((np.concatenate(designs)[:, :2], np.concatenate(times)))
+        fit = of_increments(X, data)
+        if fit is None or not sum(counts):
+            return None, 0.0
+        step = -float(fit.values[1] / fit.values[0])
+        delay = min(max(delay + step, -_LARGEST_DELAY), _LARGEST_DELAY)
+        if abs(step) < 1e-4:
+            break
+    return fit, delay
+
+
+def _pair(recording: Recording) -> _Pair | None:
+    """None where either is missing. Doubtful headings are left out, and those that do not fit the gyro."""
+    gyro, (t, poses) = recording.gyro, recording.poses
+    if len(gyro.t) < 4:
+        return None
+    inside = (t >= gyro.t[0] + _LARGEST_DELAY) & (t <= gyro.t[-1] - _LARGEST_DELAY)
+    sure = inside & (poses[:, 5] <= _DOUBTFUL**2)
+    t, headings, variances = t[sure], poses[sure, 2], np.maximum(poses[sure, 5], _FLOOR**2)
+    if len(t) < 4:
+        return None
+    angle = CubicHermiteSpline(gyro.t, recording.turned(), gyro.values[:, 2])
+    X = np.column_stack((angle(t), t, np.ones(len(t))))
+    rest = headings - X @ np.linalg.lstsq(X, headings, rcond=None)[0]
+    away = np.abs(rest - np.median(rest))
+    fits = away <= _OUTLIER * max(1.4826 * float(np.median(away)), 10.0 * _FLOOR)
+    return _Pair(t[fits], headings[fits], variances[fits], gyro, angle) if fits.sum() >= 4 else None
+
+
+def _turned(recordings: Sequence[Recording]) -> float:
+    """What the gyro shows of all turns, rad."""
+    total = 0.0
+    for recording in recordings:
+        angle = recording.turned()
+        for span in spans(recording, Motion.TURNING, _SHORTEST, settling=0.0):
+            within = angle[span.holds(recording.gyro.t)]
+            total += abs(float(within[-1] - within[0])) if len(within) else 0.0
+    return total
+
+
+def _too_little(turned: float, unit: str) -> Finding:
+    return refused(f"turns of {turned:.2f} rad in all; {LEAST_TURN:g} rad tell something", unit)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What sensors show while nothing moves: the bias of the gyro, the offsets of the pressure transducers."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.recording import Recording, Series
+from trackslip_tools.calibration.regression import clustered
+from trackslip_tools.calibration.spans import blocks, spans
+
+FloatArray = NDArray[np.float64]
+
+_LEAST_BLOCKS = 3
+_CLOSED = 0.02  # of a spool's stroke
+_ODD = 6.0  # robust standard deviations
+
+
+def gyro_bias(recordings: Sequence[Recording]) -> Finding:
+    """What the gyro shows about its z axis at rest."""
+    return _at_rest([(recording, recording.gyro, 2) for recording in recordings], "gyro", "rad/s")
+
+
+def pressure_offsets(recordings: Sequence[Recording]) -> dict[str, Finding]:
+    """What the transducers show while the machine stands with closed spools.
+
+    A stop may trap oil in the lines: seconds that differ from most are left out. What all of the standing has
+    in common, as on a slope, cannot be told from an offset.
+    """
+    closed = [(recording, _closed(recording.hydraulics)) for recording in recordings]
+    return {
+        f"{side}_pressure_offset": _at_rest([(r, series, k) for r, series in closed], "hydraulics", "Pa")
+        for k, side in enumerate(("left", "right"))
+    }
+
+
+def _closed(hydraulics: Series) -> Series:
+    """The readings with both spools closed, or of machines that do not tell where they are."""
+    t, values = hydraulics
+    kept = ~(np.abs(values[:, 2:]) > _CLOSED).any(axis=1)
+    return Series(t[kept], values[kept])
+
+
+def _at_rest(series: Sequence[tuple[Recording, Series, int]], sensor: str, unit: str) -> Finding:
+    """Mean of a column over all standing but odd seconds; the errors within a second may go together."""
+    readings, clusters = [], []
+    for k, (recording, (t, values), column) in enumerate(series):
+        for span in spans(recording, Motion.STANDING, 1.0):
+            inside = span.holds(t)
+            readings.append(values[inside, column])
+            clusters.append(blocks(t[inside], 1.0, k))
+    z = np.concatenate(readings) if readings else np.empty(0)
+    cluster = np.concatenate(clusters) if clusters else np.empty(0, dtype=np.int64)
+    usual = _usual(z, cluster)
+    fit = clustered(np.ones((int(usual.sum()), 1)), z[usual], cluster[usual]) if len(z) else None
+    if fit is None or fit.dof < _LEAST_BLOCKS:
+        return refused(f"the machine does not stand for {_LEAST_BLOCKS} s with its {sensor} heard", unit)
+    return found(fit.values[0], fit.spread(), unit, f"{fit.dof + 1} s of standing")
+
+
+def _usual(z: FloatArray, cluster: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(n,) whether a reading belongs to a cluster whose mean is like that of most."""
+    if not len(z):
+        return np.zeros(0, dtype=np.bool_)
+    _, of = np.unique(cluster, return_inverse=True)
+    means = np.bincount(of, z) / np.bincount(of)
+    away = np.abs(means - np.median(means))
+    usual: NDArray[np.bool_] = (away <= _ODD * 1.4826 * np.median(away))[of]
+    return usual

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The clock of the gyro against that of the sprockets.
+
+z, Δ     rate that the gyro shows, difference of the sprocket angles, right less left   rad/s, rad
+δ        by how much the stamps of the gyro are later                                   s
+
+    z(t) = a Δ̇(t − δ) + b
+
+The best fit lies at the top of the cross-correlation of z and Δ̇, between samples too. Where the ground is
+weak the yaw rate does not follow the tracks, and nothing can be said.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.recording import Recording
+from trackslip_tools.calibration.regression import Fit, clustered
+from trackslip_tools.calibration.spans import blocks, spans, unbroken
+
+FloatArray = NDArray[np.float64]
+
+GROUND_LAG = 0.03  # s at most by which firm ground answers later than the tracks turn
+_SHORTEST = 1.5  # s, of a turn
+_LATEST = 0.5  # s, searched
+_GRID = 0.02  # s
+_WINDOW = 0.05  # s, half of that over which sprocket speeds are taken: a count is 5e-4 rad
+_BLOCK = 5.0  # s in which errors of the yaw rate go together: a turn, more or less
+_ROUNDS = 4  # of Gauss and Newton
+_WEAK = 0.05  # of the variance of the yaw rate, left over
+_DIFFERENCE = np.array((-1.0, 1.0))
+_NO_TURNS = "no turns with the gyro heard"
+
+
+def gyro_delay(recordings: Sequence[Recording]) -> Finding:
+    """By how much the stamps of the gyro are later than those of the sprockets.
+
+    Firm ground adds a lag of its own, up to ``GROUND_LAG``: half of it is taken off, the interval covers all.
+    """
+    heard = _with_turns(recordings)
+    if not heard:
+        return refused(_NO_TURNS, "s")
+    lates = np.arange(-_LATEST, _LATEST + _GRID / 2.0, _GRID)
+    late = float(lates[int(np.argmin([_against_sprockets(heard, float(late))[2] for late in lates]))])
+    for _ in range(_ROUNDS):
+        fit, step, unexplained = _against_sprockets(heard, late)
+        late += step
+    if fit is None:
+        return refused("the drive is too short", "s")
+    if unexplained > _WEAK:
+        return refused(f"the yaw rate follows the tracks badly: {unexplained:.0%} of it is left over", "s")
+    spread = fit.spread(1) / abs(float(fit.values[0])) + GROUND_LAG / 2.0
+    return found(late - GROUND_LAG / 2.0, spread, "s", f"{len(heard)} drives, {unexplained:.1%} left over")
+
+
+def gyro_sense(recordings: Sequence[Recording]) -> Finding:
+    """a: above zero where the unit is the right way up, for a machine turns the way its tracks do."""
+    heard = _with_turns(recordings)
+    fit = _against_sprockets(heard, 0.0)[0] if heard else None
+    if fit is None:
+        return refused(_NO_TURNS, "1")
+    return found(fit.values[0], fit.spread(), "1", "by the sense of the tracks")
+
+
+def _with_turns(recordings: Sequence[Recording]) -> list[Recording]:
+    return [r for r in recordings if spans(r, Motion.TURNING, _SHORTEST) and len(r.gyro.t) > 3]
+
+
+def _against_sprockets(recordings: Sequence[Recording], late: float) -> tuple[Fit | None, float, float]:
+    """Fit of a, a δ' and b; the step δ' that it asks for beyond ``late``; the share of variance left over."""
+    rows, rates, clusters = [], [], []
+    for k, recording in enumerate(recordings):
+        t, z = recording.gyro.t, recording.gyro.values[:, 2]
+        at = t - late
+        margin = _LATEST + 2.0 * _WINDOW
+        kept = unbroken(recording.sprockets.t, t - margin, t + margin)
+        left, right = (recording.angles_at(at + shift) for shift in (-_WINDOW, _WINDOW))
+        farther = [recording.angles_at(at + shift) for shift in (-2.0 * _WINDOW, 0.0, 2.0 * _WINDOW)]
+        rate = (right - left) @ _DIFFERENCE / (2.0 * _WINDOW)
+        change = (farther[2] - 2.0 * farther[1] + farther[0]) @ _DIFFERENCE / (2.0 * _WINDOW) ** 2
+        ones = np.zeros((len(t), len(recordings)))
+        ones[:, k] = 1.0
+        rows.append(np.column_stack((rate, -change, ones))[kept])
+        rates.append(z[kept])
+        clusters.append(blocks(t[kept], _BLOCK, k))
+    X, rate = np.concatenate(rows), np.concatenate(rates)
+    fit = clustered(X, rate, np.concatenate(clusters))
+    if fit is None:
+        return None, 0.0, float("inf")
+    return fit, float(fit.values[1] / fit.values[0]), float(np.var(rate - X @ fit.values) / np.var(rate))

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tracks against poses and gyro: way for the turn of the sprockets, turn for their difference.
+
+θ̄, Δ     mean of both sprocket angles, right less left                  rad
+r, i₀    rolling radius, slip common to both tracks                     m, 1
+B, κ     tread, turning efficiency                                      m, 1
+s, Ψ     way along the heading, turn (of the gyro, less its bias)       m, rad
+
+    straight    ds = r (1 − i₀) dθ̄            turning    dΨ = (r κ/B) dΔ
+
+What of it is r and what is slip no straight line can show, nor a turn what is κ and what is 1/B: tracks turn
+by sliding, on hard ground too (dry clay: κ about 0.5). So there is no tread here. B is measured with a tape;
+B/κ is what plain dead reckoning would have to take for it, on this ground.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.recording import Recording
+from trackslip_tools.calibration.regression import Increments, clustered, of_increments
+from trackslip_tools.calibration.spans import Span, spans, unbroken
+
+FloatArray = NDArray[np.float64]
+
+LEAST_WAY = 3.0  # m of straights in all
+LEAST_TURNS = 3
+_SHORTEST_STRAIGHT, _SHORTEST_TURN = 2.0, 1.5  # s
+_LEAST_FIXES = 4  # in a straight
+_FLOOR = 1e-3  # m, no fix is better
+_COMPLEX = np.array((1.0, 1.0j))
+
+
+class Gyro(NamedTuple):
+    """What is known of the gyro."""
+
+    scale: float  # below 0 where it is upside down
+    bias: float  # rad/s
+
+    def headings(self, recording: Recording, t: FloatArray) -> FloatArray | None:
+        """Turn since the first of these times; None where the gyro is not heard throughout."""
+        known = recording.gyro.t
+        if not unbroken(known, t[:1], t[-1:])[0]:
+            return None
+        shown = np.interp(t, known, recording.turned())
+        return np.asarray((shown - shown[0] - self.bias * (t - t[0])) / self.scale)
+
+
+class Turns(NamedTuple):
+    """How the machine turned."""
+
+    gain: Finding  # r κ/B, 1
+    spread: float  # standard deviation of r κ/B from turn to turn
+
+
+def way_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
+    """r (1 − i₀) from the straights."""
+    parts = [
+        part
+        for recording in recordings
+        for span in spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
+        if (part := _straight(recording, span, gyro)) is not None
+    ]
+    way = sum(float(np.abs(data.z.sum())) for data, _ in parts)
+    if way < LEAST_WAY:
+        return refused(f"straights with fixes of {way:.1f} m in all; {LEAST_WAY:g} m tell something", "m")
+    data = Increments(
+        *(np.concatenate(columns) for columns in zip(*(part for part, _ in parts), strict=True))
+    )
+    fit = of_increments(np.concatenate([turned for _, turned in parts])[:, np.newaxis], data)
+    if fit is None:
+        return refused("too few fixes on the straights", "m")
+    return found(fit.values[0], fit.spread(), "m", f"{len(parts)} straights, {way:.1f} m")
+
+
+def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
+    """r κ/B from the turns."""
+    turned, differences = [], []
+    for recording in recordings:
+        for span in spans(recording, Motion.TURNING, _SHORTEST_TURN):
+            edges = np.array(span)
+            headings = gyro.headings(recording, edges)
+            if headings is not None:
+                left, right = np.diff(recording.angles_at(edges), axis=0)[0]
+                turned.append(float(headings[1]))
+                differences.append(right - left)
+    if len(turned) < LEAST_TURNS:
+        reason = (
+            f"{len(turned)} turns of {_SHORTEST_TURN:g} s with the gyro heard; {LEAST_TURNS} tell something"
+        )
+        return Turns(refused(reason, "1"), float("nan"))
+    X, z = np.array(differences)[:, np.newaxis], np.array(turned)
+    fit = clustered(X, z, np.arange(len(z)))
+    if fit is None:
+        return Turns(refused("one turn outweighs all others", "1"), float("nan"))
+    basis = f"{len(z)} turns, {np.abs(z).sum():.1f} rad"
+    return Turns(found(fit.values[0], fit.spread(), "1", basis), float(np.std(z / X[:, 0], ddof=1)))
+
+
+def _straight(recording: Recording, span: Span, gyro: Gyro) -> tuple[Increments, FloatArray] | None:
+    """Way from fix to fix along the heading, and what the sprockets turned; None where there is little of it.
+
+    The gyro carries the heading within the straight, where it is heard; the whole is turned so that no way is
+    left across.
+    """
+    t, poses = recording.poses
+    inside = span.holds(t)
+    if inside.sum() < _LEAST_FIXES:
+        return None
+    t, fixes = t[inside], poses[inside]
+    steps = np.diff(fixes[:, :2], axis=0) @ _COMPLEX
+    headings = gyro.headings(recording, (t[1:] + t[:-1]) / 2.0)
+    steps = steps if headings is None else steps * np.exp(-1j * headings)
+    turned = np.diff(recording.angles_at(t).mean(axis=1))
+    total = np.sum(steps) * np.sign(np.sum(turned))
+    if total == 0.0:
+        return None
+    along = np.real(steps * np.conj(total) / abs(total))
+    variances = np.maximum(fixes[:, 3:5].mean(axis=1), _FLOOR**2)
+    joined = np.arange(len(along)) > 0
+    return Increments(along, variances[:-1], variances[1:], np.abs(turned), joined), turned

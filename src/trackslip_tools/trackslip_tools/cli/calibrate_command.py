@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip calibrate``: what drives tell of the machine and its sensors, as a parameter file."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from trackslip_bags.reader import Bag, open_bag, require_topics
+from trackslip_common.errors import ExitCode
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_tools.calibration.calibrate import calibrate
+from trackslip_tools.calibration.output import summary, text, write_parameters
+from trackslip_tools.calibration.recording import read_recording
+from trackslip_tools.cli import replay_options
+from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.progress import shown
+from trackslip_tools.replay.edits import relative
+
+DESCRIPTION = (
+    "Find rolling radius, gyro scale and mounting, delays and offsets from bags, with 95 % intervals."
+)
+EXAMPLE = "trackslip calibrate bags/slalom_sand out/demo/bag --output calibration.yaml"
+
+_REFERENCE = "reference_pose"  # of an imported log
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    add = parser.add_argument
+    add(
+        "bags",
+        metavar="BAG",
+        type=Path,
+        nargs="+",
+        help="of the same machine; on the same ground for κ and i₀",
+    )
+    add(
+        "--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the first bag's own"
+    )
+    add("--gyro", metavar="TOPIC", help="the gyro; default: the first of yaw_rate_sources")
+    add("--poses", metavar="TOPIC", help=f"fixes; default: the first of pose_sources, or {_REFERENCE}")
+    add(
+        "--hard-ground",
+        action="store_true",
+        help="nothing slips on the straights: they show the rolling radius",
+    )
+    add("--output", metavar="YAML", type=Path, help="write the parameters for the nodes, with the evidence")
+    add("--json", metavar="FILE", type=Path, help="write everything that was found as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Calibrate, print what was found, write what was asked for.
+
+    Raises:
+        InputError: a bag, a parameter or an option cannot be used.
+    """
+    with open_bag(args.bags[0]) as bag:
+        p = replay_options.parameters_of(bag, args.params, [])
+        gyro, poses = _sources(args, bag, p)
+    recordings = []
+    for path in shown(args.bags, "reading"):
+        with open_bag(path) as bag:
+            if bag.damage:
+                print(f"note: {bag.damage}", file=sys.stderr)
+            require_topics(bag, filter(None, (args.gyro, args.poses)))
+            recordings.append(read_recording(bag, gyro, poses, p.motion))
+    result = calibrate(recordings, p, (gyro, poses), hard_ground=args.hard_ground)
+    names = [str(path) for path in args.bags]
+    print(text(result))
+    if args.output is not None:
+        write_parameters(args.output, result, names)
+        print(f"parameters: {args.output}")
+    if args.json is not None:
+        write_json(args.json, summary(result, names))
+    return ExitCode.DONE if any(finding.is_found for finding in result.findings.values()) else ExitCode.FAILED
+
+
+def _sources(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:
+    """Topics of gyro and poses; '' where there is none."""
+    there = {relative(topic) for topic, info in bag.topics.items() if info.count}
+    gyro = args.gyro or next((source for source in p.yaw_rate_sources if source in there), "")
+    poses = args.poses or next((s for s in (*p.pose_sources, _REFERENCE) if s in there), "")
+    return relative(gyro), relative(poses)

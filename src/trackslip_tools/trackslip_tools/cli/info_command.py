@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip info``: what a bag holds."""
+
+import argparse
+from pathlib import Path
+
+from trackslip_bags.info import describe
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import ExitCode
+
+DESCRIPTION = "List a bag's topics, types, counts, rates and duration."
+EXAMPLE = "trackslip info out/demo/bag"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("bag", metavar="BAG", type=Path, help="rosbag2 directory, .mcap or .db3 file")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the table.
+
+    Raises:
+        InputError: the bag cannot be read.
+    """
+    with open_bag(args.bag) as bag:
+        print(describe(bag))
+    return ExitCode.DONE

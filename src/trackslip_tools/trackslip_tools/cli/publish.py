@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip replay --publish``: a bag drives a live graph."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from trackslip_bags.reader import Bag, require_topics
+from trackslip_common.errors import InputError
+from trackslip_tools.cli.keyboard import Keyboard
+from trackslip_tools.cli.nodes import node_module
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.playback import Playback, played, played_topics
+
+_RATES = (0.01, 100.0)
+_OFFLINE = ("params", "set", "thin", "reference", "output", "json")  # options that make no sense here
+_LIVE = ("rate", "paused", "loop", "also")  # options that make sense here alone
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that belong to ``--publish``."""
+    group = parser.add_argument_group("driving a live graph (needs ROS)")
+    add = group.add_argument
+    add("--publish", action="store_true", help="publish the bag and /clock instead; the space bar pauses")
+    add("--rate", metavar="R", type=_rate, help="times real time (default: 1)")
+    add("--paused", action="store_true", help="begin paused: the space bar or /replay/pause starts it")
+    add("--loop", action="store_true", help="begin again at the end")
+    add(
+        "--also",
+        metavar="TOPIC",
+        action="append",
+        default=[],
+        help="publish what the estimators make, too, such as odometry",
+    )
+
+
+def refuse_without_publish(args: argparse.Namespace) -> None:
+    """Options that only a live graph gives a meaning.
+
+    Raises:
+        InputError: one of them was given.
+    """
+    _refuse(args, _LIVE, "only together with --publish")
+
+
+def publish(bag: Bag, edits: Edits, args: argparse.Namespace) -> int:
+    """Play the bag; returns the exit code.
+
+    Raises:
+        InputError: an option or a topic cannot be used, or ROS is not there.
+    """
+    _refuse(args, _OFFLINE, "not together with --publish")
+    require_topics(bag, [*edits.remap, *args.also])
+    player = node_module("player", "--publish")
+    topics = played_topics(bag, edits, args.also)
+    for topic in [topic for topic, kind in topics.items() if not player.can_publish(kind)]:
+        print(f"note: {topic} is left out, {topics.pop(topic)} is not installed", file=sys.stderr)
+    for edit in edits.withhold:
+        if f"/{edit.topic}" not in topics:
+            accepted = ", ".join(sorted(topics))
+            raise InputError(f"--withhold {edit.topic}: there is no such topic; accepted: {accepted}")
+    playback = Playback(partial(played, bag, edits, topics), args.rate or 1.0, args.paused, args.loop)
+    if playback.finished:
+        raise InputError(f"bag '{bag.path}': nothing to publish between --start and --stop")
+    with Keyboard() as keyboard, _progress(bag) as show:
+        code: int = player.play(playback, topics, keyboard.typed, show)
+    print(f"{sum(playback.counts.values())} messages published")
+    for topic, count in sorted(playback.counts.items()):
+        print(f"  {topic:<24}{count:>8}")
+    return code
+
+
+def _rate(text: str) -> float:
+    with suppress(ValueError):
+        if _RATES[0] <= float(text) <= _RATES[1]:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"'{text}' is refused; accepted: {_RATES[0]:g} to {_RATES[1]:g}")
+
+
+def _refuse(args: argparse.Namespace, names: tuple[str, ...], why: str) -> None:
+    given = [f"--{name}" for name in names if getattr(args, name)]
+    if given:
+        raise InputError(f"{', '.join(given)}: accepted {why}")
+
+
+@contextmanager
+def _progress(bag: Bag) -> Iterator[Callable[[Playback], None]]:
+    """A function that shows how far the playback is: a bar on a terminal, nothing in a pipe."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} s of the bag"))
+    with Progress(
+        *columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("playing", total=bag.duration_s)
+
+        def show(playback: Playback) -> None:
+            reached = (playback.bag_ns - bag.start_ns) * 1e-9
+            bar.update(task, completed=reached, description="paused " if playback.paused else "playing")
+
+        yield show

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip record``: the recorder, with its parameters as options."""
+
+import argparse
+import json
+
+from trackslip_tools.cli.nodes import node_module
+
+DESCRIPTION = (
+    "Record all topics of the project, and more if wanted, until Ctrl-C; the node 'record' (needs ROS)."
+)
+EXAMPLE = "trackslip record --output runs/field_3 --more-topics '/gnss.*' --split-duration 600"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments; what is not given is as in ``record.yaml``."""
+    add = parser.add_argument
+    add("--output", metavar="BAG", help="directory to create (default: trackslip_<date>_<time>)")
+    add("--more-topics", metavar="REGEX", help="record topics whose whole name matches, too")
+    add("--split-size", metavar="B", type=int, help="begin another file at this size; 0: never")
+    add("--split-duration", metavar="S", type=float, help="begin another file after this time; 0: never")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the node to its end; returns its exit code.
+
+    Raises:
+        InputError: ROS is not there.
+    """
+    names = ("output", "more_topics", "split_size", "split_duration")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
+    code: int = node_module("record", "record").record(["--ros-args", *options])
+    return code

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip recover``: a whole bag from one whose recorder was killed, or whose disk failed."""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from trackslip_bags.info import describe
+from trackslip_bags.reader import open_bag
+from trackslip_bags.recovery.recover import Recovery, recover
+from trackslip_bags.writer import CHUNK_SPAN_NS
+from trackslip_common.errors import ExitCode
+from trackslip_tools.cli.progress import shown
+
+DESCRIPTION = "Rewrite a damaged bag: what can be read of it, with a new index; the damaged one stays."
+EXAMPLE = "trackslip recover bags/power_cut --output out/recovered"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("bag", metavar="BAG", type=Path, help="bag directory, or one file of it")
+    parser.add_argument(
+        "--output", metavar="BAG", type=Path, help="directory to create (default: BAG_recovered)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Recover, say what was lost, and show what the new bag holds.
+
+    Raises:
+        InputError: there is no bag, or the output exists or cannot be written.
+    """
+    damaged = args.bag.resolve()
+    output = args.output or damaged.with_name(f"{damaged.stem}_recovered")
+    for line in _lines(recover(args.bag, output, partial(shown, label="recovering"))):
+        print(line)
+    with open_bag(output) as bag:
+        print(describe(bag))
+    return ExitCode.DONE
+
+
+def _lines(recovery: Recovery) -> list[str]:
+    """What was lost."""
+    lines = list(recovery.problems)
+    if recovery.lost_bytes:
+        lines.append(f"lost: {recovery.lost_bytes} bytes behind the last whole chunk")
+    if recovery.refused:
+        lines.append(f"lost: {recovery.refused} messages that are not CDR, or of a topic with two types")
+    if recovery.stated is not None and recovery.stated > recovery.messages:
+        lines.append(f"lost: {recovery.stated - recovery.messages} of {recovery.stated} messages")
+    elif recovery.cut:
+        span = CHUNK_SPAN_NS * 1e-9
+        lines.append(f"lost: what a recorder that was killed had in hand, at most {span:g} s if it was ours")
+    return lines or ["nothing was lost"]

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip replay``: the estimator over a bag."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import ExitCode
+from trackslip_tools.cli import publish, replay_options
+from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.replay.output import summary, text, write_estimates
+from trackslip_tools.replay.run import replay
+from trackslip_tools.replay.soil import replay_soil
+
+DESCRIPTION = "Run the slip estimator over a bag, in process, in the order in which it ran live."
+EXAMPLE = "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.pose_timeouts=[3.0]"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    add = parser.add_argument
+    add("bag", metavar="BAG", type=Path, help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file")
+    add("--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the bag's own")
+    replay_options.add_options(parser)
+    add("--output", metavar="BAG", type=Path, help="write the estimates to a new bag")
+    add("--json", metavar="FILE", type=Path, help="write the summary as JSON")
+    publish.add_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay, print the summary, write what was asked for; or give the bag to a live graph.
+
+    Raises:
+        InputError: the bag, a parameter or an option cannot be used.
+    """
+    edits, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    with open_bag(args.bag) as bag:
+        if bag.damage:
+            print(f"note: {bag.damage}", file=sys.stderr)
+        if args.publish:
+            return publish.publish(bag, edits, args)
+        publish.refuse_without_publish(args)
+        p = replay_options.parameters_of(bag, args.params, args.set)
+        replay_options.require_named(bag, p, edits, reference)
+        of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
+        result = replay(bag, p, edits, reference)
+        result.soil = replay_soil(bag, result.inputs, result.estimates, edits, of_soil)
+    print(text(result))
+    if args.output is not None:
+        write_estimates(args.output, result, p)
+        print(f"estimates: {args.output}")
+    if args.json is not None:
+        write_json(args.json, summary(result))
+    return ExitCode.DONE if result.estimates else ExitCode.FAILED

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The options of every command that replays bags: which part of a bag, what is hidden, which parameters."""
+
+import argparse
+import math
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from trackslip_bags.parameters import bag_parameters
+from trackslip_bags.reader import Bag, require_topics
+from trackslip_common.config_files import config_file, node_parameters, parse_yaml, read_yaml
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, flat_fields, to_flat
+from trackslip_common.topics import TOPICS
+from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
+from trackslip_tools.replay.edits import Edits, parse_remap, parse_thin, parse_withhold, relative
+from trackslip_tools.replay.inputs import SPROCKETS
+
+_LONGEST = 1e9  # s, some thirty years
+_POSES = (TOPICS["box_pose"].type_name, TOPICS["odometry"].type_name)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare all of them but the parameter files."""
+    add = parser.add_argument
+    add(
+        "--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files"
+    )
+    add("--remap", metavar="from:=to", action="append", default=[], help="read topic 'from' as 'to'")
+    add("--start", metavar="S", type=float, default=0.0, help="seconds from the bag's first message")
+    add("--stop", metavar="S", type=float, default=float("inf"), help="seconds from the bag's first message")
+    add(
+        "--withhold",
+        metavar="TOPIC[:T0:T1]",
+        action="append",
+        default=[],
+        help="hide a topic from the estimator",
+    )
+    add(
+        "--thin",
+        metavar="TOPIC:HZ[:SIGMA]",
+        action="append",
+        default=[],
+        help="keep a topic at HZ; SIGMA m of noise is added to its positions",
+    )
+    add("--seed", metavar="N", type=_seed, default=0, help="of the added noise")
+    add("--reference", metavar="TOPIC", help="score against this topic, every sample of it")
+
+
+def edits_of(args: argparse.Namespace) -> Edits:
+    """What the options change in a bag.
+
+    Raises:
+        InputError: an option has another form, or a value out of range.
+    """
+    if not -_LONGEST <= args.start < args.stop or _LONGEST < args.stop < math.inf:
+        accepted = f"start before stop, both at most {_LONGEST:g} s"
+        raise InputError(f"--start {args.start:g} --stop {args.stop:g}: accepted: {accepted}")
+    return Edits(
+        start_s=args.start,
+        stop_s=args.stop,
+        remap=dict(map(parse_remap, args.remap)),
+        withhold=tuple(map(parse_withhold, args.withhold)),
+        thin=tuple(map(parse_thin, args.thin)),
+        seed=args.seed,
+    )
+
+
+def parameters_of(bag: Bag, files: Iterable[str], settings: Iterable[str]) -> SlipEstimatorParameters:
+    """Defaults, then what the bag carries, then files, then ``--set``: the last one counts.
+
+    Raises:
+        InputError: a file, a name or a value is refused.
+    """
+    return load_slip_parameters(*_layers(bag, files, settings, NODE, SlipEstimatorParameters))
+
+
+def soil_parameters_of(
+    bag: Bag, p: SlipEstimatorParameters, files: Iterable[str], settings: Iterable[str]
+) -> SoilEstimatorParameters:
+    """The same for the soil estimator, which has the vehicle of the slip estimator.
+
+    Raises:
+        InputError: a file, a name or a value is refused.
+    """
+    carried, *given = _layers(bag, files, settings, SOIL_NODE, SoilEstimatorParameters)
+    return load_soil_parameters(carried, to_flat(p.vehicle, "vehicle."), *given)
+
+
+def _layers(
+    bag: Bag, files: Iterable[str], settings: Iterable[str], node: str, kind: type[Parameters]
+) -> list[Mapping[str, Any]]:
+    """What the bag carries for a node, then each file, then ``--set``."""
+    known = {name for name, _, _ in flat_fields(kind)}
+    carried = bag_parameters(bag, node)
+    for name in sorted(carried.keys() - known):
+        print(f"note: the bag's parameter '{name}' is not one of this version", file=sys.stderr)
+    layers: list[Mapping[str, Any]] = [{n: v for n, v in carried.items() if n in known}]
+    for name in files:
+        path = config_file(name)
+        by_node = {n: node_parameters(read_yaml(path), n, str(path)) for n in (NODE, SOIL_NODE)}
+        if not any(by_node.values()):
+            accepted = f"{NODE}: {{ros__parameters: {{...}}}}, or /** for {NODE}"
+            raise InputError(f"--params {path}: nothing for {NODE} in it; accepted: {accepted}")
+        layers.append(by_node[node])
+    layers.append(parse_settings(settings, node))
+    return layers
+
+
+def reference_of(args: argparse.Namespace) -> str | None:
+    """The topic to score against, where one is named."""
+    return relative(args.reference) if args.reference else None
+
+
+def require_named(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None) -> None:
+    """A topic that an option names and nobody knows is a slip of the pen.
+
+    Raises:
+        InputError: there is such a topic.
+    """
+    require_topics(bag, edits.remap)
+    types = {edits.remap.get(relative(t), relative(t)): info.type_name for t, info in bag.topics.items()}
+    if reference is not None and reference not in types:
+        require_topics(bag, [reference])
+    if reference is not None and types[reference] not in _POSES:
+        accepted = " or ".join(_POSES)
+        raise InputError(f"--reference {reference}: it is a {types[reference]}; accepted: {accepted}")
+    sources = (*p.pose_sources, *p.yaw_rate_sources, *p.slip_sources)
+    known = types.keys() | {SPROCKETS, *filter(None, sources)}
+    for option, named in (("--withhold", edits.withhold), ("--thin", edits.thin)):
+        for edit in named:
+            if edit.topic not in known:
+                there = ", ".join(sorted(known))
+                raise InputError(f"{option} {edit.topic}: there is no such topic; accepted: {there}")
+
+
+def parse_settings(texts: Iterable[str], node: str) -> dict[str, Any]:
+    """What the texts of ``--set`` give one of the two estimators, as dotted names.
+
+    Raises:
+        InputError: a text is not of the other estimator and has another form.
+    """
+    other = {NODE: SOIL_NODE, SOIL_NODE: NODE}[node]
+    return dict(parse_set(text, node) for text in texts if not text.startswith(f"{other}."))
+
+
+def parse_set(text: str, of_node: str = NODE) -> tuple[str, Any]:
+    """``slip_estimator.history_window=3.0`` → dotted name within the node, value as YAML reads it.
+
+    Raises:
+        InputError: the text has another form.
+    """
+    name, sign, value = text.partition("=")
+    node, dot, parameter = name.partition(".")
+    if not sign or not dot or not parameter or node != of_node:
+        raise InputError(f"--set {text}: accepted: {of_node}.<parameter>=<value>")
+    return parameter, parse_yaml(value, f"--set {text}")
+
+
+def _seed(text: str) -> int:
+    """A seed of numpy's generators."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is refused; accepted: a whole number >= 0")
+    return int(text)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip report``: one HTML page about a run, or about several side by side."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import ExitCode, InputError
+from trackslip_tools.cli import replay_options
+from trackslip_tools.cli.progress import shown
+from trackslip_tools.replay.run import replay
+from trackslip_tools.replay.soil import replay_soil
+from trackslip_tools.report.panel import MOST_RUNS
+from trackslip_tools.report.recording import Recording, read_recording
+from trackslip_tools.report.run import Run
+from trackslip_tools.smoothing.smoothing import smooth
+
+DESCRIPTION = "Replay one bag, or several, and show what came of it on one page of HTML."
+EXAMPLE = "trackslip report out/demo/bag --params own --params tuned.yaml --output report.html"
+
+_OWN = "own"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    add = parser.add_argument
+    add("bags", metavar="BAG", type=Path, nargs="+", help="several are compared")
+    add(
+        "--params",
+        metavar="FILE",
+        action="append",
+        help=f"ROS parameter file over the bag's own; several are compared, '{_OWN}' is none of them",
+    )
+    replay_options.add_options(parser)
+    add("--smooth", action="store_true", help="show beside each estimate what the smoother makes of it")
+    add("--output", metavar="HTML", type=Path, required=True, help="file to write")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay, write the page, say where it is.
+
+    Raises:
+        InputError: a bag, a parameter or an option cannot be used.
+    """
+    files = args.params or [_OWN]
+    count = len(args.bags) * len(files)
+    if count > MOST_RUNS:
+        raise InputError(f"{count} runs (bags × --params) in one report; accepted: at most {MOST_RUNS}")
+    edits, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    several = (len(args.bags) > 1, len(files) > 1)
+    pairs = [(path, name) for path in args.bags for name in files]
+    recordings: dict[Path, Recording] = {}
+    runs = []
+    for path, name in shown(pairs, "replaying"):
+        with open_bag(path) as bag:
+            given = ([] if name == _OWN else [name], args.set)
+            p = replay_options.parameters_of(bag, *given)
+            of_soil = replay_options.soil_parameters_of(bag, p, *given)
+            replay_options.require_named(bag, p, edits, reference)
+            if path not in recordings:
+                recordings[path] = read_recording(bag, edits)
+            result = replay(bag, p, edits, reference)
+            result.soil = replay_soil(bag, result.inputs, result.estimates, edits, of_soil)
+        made = Run(_label(path, name, *several), recordings[path], p, edits, result)
+        runs.append(replace(made, smoothed=smooth(made.inputs, p).smoothed) if args.smooth else made)
+    page = _page(runs)
+    _write(args.output, page)
+    print(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
+    return ExitCode.DONE if any(one.replay.estimates for one in runs) else ExitCode.FAILED
+
+
+def _label(path: Path, name: str, bags: bool, files: bool) -> str:
+    """What tells this run from the others."""
+    if files and not bags:
+        return name
+    return str(path) if name == _OWN and not files else f"{path}, {name}"
+
+
+def _page(runs: Sequence[Run]) -> str:
+    from trackslip_tools.report.page import render  # Bokeh: half a second that other commands spare
+
+    return render(runs)
+
+
+def _write(path: Path, page: str) -> None:
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--output: '{path}' cannot be written ({error.strerror})") from error

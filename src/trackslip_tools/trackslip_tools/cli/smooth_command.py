@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip smooth``: the best that a bag can tell of each moment, from what came before and after it."""
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import ExitCode
+from trackslip_tools.cli import replay_options
+from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.progress import shown
+from trackslip_tools.smoothing.smooth_bag import smooth_bag, write_smoothed
+
+DESCRIPTION = "Smooth a bag: pose and slips at each moment from what came before and after it."
+EXAMPLE = "trackslip smooth out/demo/bag --withhold box_pose:20:30 --output out/smoothed"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    add = parser.add_argument
+    add("bag", metavar="BAG", type=Path, help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file")
+    add("--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the bag's own")
+    replay_options.add_options(parser)
+    add("--output", metavar="BAG", type=Path, help="write smoothed/odometry and smoothed/track_slip there")
+    add("--json", metavar="FILE", type=Path, help="write the errors of filter and smoother as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Smooth, print the errors, write what was asked for.
+
+    Raises:
+        InputError: the bag, a parameter or an option cannot be used.
+    """
+    edits, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    with open_bag(args.bag) as bag:
+        if bag.damage:
+            print(f"note: {bag.damage}", file=sys.stderr)
+        p = replay_options.parameters_of(bag, args.params, args.set)
+        replay_options.require_named(bag, p, edits, reference)
+        result = smooth_bag(bag, p, edits, reference, partial(shown, label="filtering"))
+    print(result)
+    if args.output is not None:
+        write_smoothed(args.output, result, p)
+        print(f"smoothed: {args.output}")
+    if args.json is not None:
+        write_json(args.json, result.summary())
+    return ExitCode.DONE if result.estimates.smoothed else ExitCode.FAILED

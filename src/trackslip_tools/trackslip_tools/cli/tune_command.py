@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip tune``: the parameters with which the estimator explains recorded drives best."""
+
+import argparse
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+from trackslip_bags.reader import open_bag
+from trackslip_common.config_files import config_file
+from trackslip_common.errors import ExitCode
+from trackslip_tools.cli import replay_options
+from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.progress import counted
+from trackslip_tools.tuning.evidence import JOURNAL, NUMBERS, PARAMETERS, numbers, table, write_evidence
+from trackslip_tools.tuning.journal import Journal
+from trackslip_tools.tuning.plan import LIKELIHOOD, read_plan
+from trackslip_tools.tuning.reading import read_task
+from trackslip_tools.tuning.task import Task
+from trackslip_tools.tuning.tuner import Tuner
+from trackslip_tools.tuning.workers import cluster, cores
+
+DESCRIPTION = "Find the parameters of the slip estimator that explain bags best, on all cores or a cluster."
+EXAMPLE = "trackslip tune bags/slalom_sand bags/outage_sandy_loam --plan tune.yaml --output out/tuned"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    add = parser.add_argument
+    add("bags", metavar="BAG", type=Path, nargs="+", help="rosbag2 directory, .mcap or .db3 file")
+    add("--plan", metavar="FILE", default="tune.yaml", help="what is tuned, within which bounds, for what")
+    add(
+        "--output",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=f"gets {PARAMETERS}, the evidence, and the journal from which an interrupted run goes on",
+    )
+    add("--params", metavar="FILE", action="append", default=[], help="ROS parameter file over the bag's own")
+    replay_options.add_options(parser)
+    add("--jobs", metavar="N", type=int, default=-1, help="cores to use (default: all)")
+    add("--scheduler", metavar="tcp://HOST:PORT", help="use the workers of this Dask scheduler instead")
+    add("--no-cross-validation", action="store_true", help="do not tune again without each bag in turn")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Tune, print the evidence, write it.
+
+    Raises:
+        InputError: a bag, a parameter or an option cannot be used.
+    """
+    plan = read_plan(config_file(args.plan))
+    tasks = [_read(bag, args, needs_reference=plan.effort.objective != LIKELIHOOD) for bag in args.bags]
+    cross_validate = not args.no_cross_validation and len(tasks) > 1
+    sets = plan.effort.evaluations * (1 + len(tasks) * cross_validate)
+    with ExitStack() as stack:
+        journal = stack.enter_context(Journal(args.output / JOURNAL, tasks, plan.bounds))
+        if len(journal):
+            print(f"note: {args.output / JOURNAL} holds {len(journal)} scores; going on", file=sys.stderr)
+        workers = cluster(tasks, args.scheduler) if args.scheduler else cores(tasks, args.jobs)
+        work = stack.enter_context(workers)
+        advance = stack.enter_context(counted(sets, "tuning"))
+        tuning = Tuner(plan, tasks, work, journal, advance).run(cross_validate)
+    write_evidence(args.output, tuning, tasks[0].p)
+    write_json(args.output / NUMBERS, numbers(tuning))
+    print(table(tuning))
+    print(f"\nparameters: {args.output / PARAMETERS}")
+    return ExitCode.DONE if tuning.improves_unseen else ExitCode.FAILED
+
+
+def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
+    edits, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    with open_bag(path) as bag:
+        if bag.damage:
+            print(f"note: {bag.damage}", file=sys.stderr)
+        p = replay_options.parameters_of(bag, args.params, args.set)
+        replay_options.require_named(bag, p, edits, reference)
+        return read_task(bag, p, edits, reference, needs_reference=needs_reference)

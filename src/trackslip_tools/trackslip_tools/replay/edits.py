@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay changes in a bag before the estimator sees it: window, names, outages, thinning.
+
+Times are seconds from the bag's first message.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.measurements import Input, PoseFix
+
+_RATES = (1e-6, 1e6)  # Hz; beyond them a period is no whole number of ns, or longer than any log
+_LARGEST_SIGMA = 1e6  # m
+
+
+class Arrival(NamedTuple):
+    """A measurement, or what a user asked, and the log time of its message."""
+
+    log_time_ns: int
+    measurement: Input
+
+
+@dataclass(frozen=True)
+class Withhold:
+    """Hides a topic from the estimator between two times."""
+
+    topic: str
+    start_s: float = -math.inf
+    stop_s: float = math.inf
+
+
+@dataclass(frozen=True)
+class Thin:
+    """Keeps a topic at a rate, and adds noise to the positions of what is kept."""
+
+    topic: str
+    rate_hz: float
+    sigma: float | None = None  # m
+
+
+@dataclass(frozen=True)
+class Edits:
+    """All changes of one replay."""
+
+    start_s: float = 0.0
+    stop_s: float = math.inf
+    remap: dict[str, str] = field(default_factory=dict)
+    withhold: tuple[Withhold, ...] = ()
+    thin: tuple[Thin, ...] = ()
+    seed: int = 0
+
+    @property
+    def changes_inputs(self) -> bool:
+        """Whether the estimator sees anything else than it saw live."""
+        return self != Edits(seed=self.seed)
+
+    def hides(self, topic: str, t: float) -> bool:
+        """Whether a topic is withheld at a time, s."""
+        return any(w.topic == topic and w.start_s <= t < w.stop_s for w in self.withhold)
+
+
+def parse_withhold(text: str) -> Withhold:
+    """``TOPIC`` or ``TOPIC:T0:T1``.
+
+    Raises:
+        InputError: the text has another form.
+    """
+    topic, *times = text.split(":")
+    if topic and not times:
+        return Withhold(relative(topic))
+    start_s, stop_s = _numbers(text, times, "--withhold", "TOPIC or TOPIC:T0:T1 (s)", 2, 2)
+    if not topic or start_s >= stop_s:
+        raise InputError(f"--withhold {text}: accepted: TOPIC or TOPIC:T0:T1 with T0 < T1 (s)")
+    return Withhold(relative(topic), start_s, stop_s)
+
+
+def parse_thin(text: str) -> Thin:
+    """``TOPIC:HZ`` or ``TOPIC:HZ:SIGMA``.
+
+    Raises:
+        InputError: the text has another form.
+    """
+    topic, *rest = text.split(":")
+    rate_hz, *sigma = _numbers(text, rest, "--thin", "TOPIC:HZ or TOPIC:HZ:SIGMA (m)", 1, 2)
+    if (
+        not topic
+        or not _RATES[0] <= rate_hz <= _RATES[1]
+        or not all(0.0 < s <= _LARGEST_SIGMA for s in sigma)
+    ):
+        ranges = f"{_RATES[0]:g} <= HZ <= {_RATES[1]:g} and 0 < SIGMA <= {_LARGEST_SIGMA:g} (m)"
+        raise InputError(f"--thin {text}: accepted: TOPIC:HZ[:SIGMA] with {ranges}")
+    return Thin(relative(topic), rate_hz, sigma[0] if sigma else None)
+
+
+def parse_remap(text: str) -> tuple[str, str]:
+    """``from:=to``.
+
+    Raises:
+        InputError: the text has another form.
+    """
+    before, sign, after = text.partition(":=")
+    if not sign or not before or not after:
+        raise InputError(f"--remap {text}: accepted: from:=to")
+    return relative(before), relative(after)
+
+
+def relative(topic: str) -> str:
+    """A topic's name as nodes give it."""
+    return topic.removeprefix("/")
+
+
+def apply(edits: Edits, arrivals: Iterable[Arrival], origin_ns: int) -> list[Arrival]:
+    """The arrivals as the estimator shall see them; ``origin_ns`` is the bag's first log time."""
+    kept = [
+        arrival
+        for arrival in arrivals
+        if not edits.hides(arrival.measurement.source, (arrival.log_time_ns - origin_ns) * 1e-9)
+    ]
+    for thin in edits.thin:
+        kept = list(_thinned(thin, kept, np.random.default_rng(edits.seed)))
+    return kept
+
+
+def _thinned(thin: Thin, arrivals: Iterable[Arrival], rng: np.random.Generator) -> Iterator[Arrival]:
+    """The first message at or after each tick of the wanted rate."""
+    period_ns = round(1e9 / thin.rate_hz)
+    due_ns: int | None = None
+    for arrival in arrivals:
+        measurement = arrival.measurement
+        if measurement.source != thin.topic:
+            yield arrival
+            continue
+        if due_ns is not None and measurement.stamp_ns < due_ns:
+            continue
+        due_ns = measurement.stamp_ns if due_ns is None else due_ns
+        due_ns += period_ns * ((measurement.stamp_ns - due_ns) // period_ns + 1)
+        yield arrival._replace(measurement=_noisy(measurement, thin.sigma, rng))
+
+
+def _noisy(measurement: Input, sigma: float | None, rng: np.random.Generator) -> Input:
+    """Position noise of ``sigma`` added, and said so in the covariance."""
+    if sigma is None or not isinstance(measurement, PoseFix):
+        return measurement
+    pose, covariance = measurement.pose.copy(), measurement.covariance.copy()
+    pose[:2] += rng.normal(0.0, sigma, 2)
+    covariance[:2, :] = covariance[:, :2] = 0.0
+    covariance[0, 0] = covariance[1, 1] = sigma**2
+    return replace(measurement, pose=pose, covariance=covariance)
+
+
+def _numbers(text: str, parts: list[str], option: str, form: str, least: int, most: int) -> list[float]:
+    try:
+        numbers = [float(part) for part in parts]
+    except ValueError as error:
+        raise InputError(f"{option} {text}: accepted: {form}") from error
+    if not least <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
+        raise InputError(f"{option} {text}: accepted: {form}")
+    return numbers

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay leaves behind: a bag of its estimates, a summary for people, and one for programs."""
+
+from pathlib import Path
+from typing import Any
+
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.parameters import PARAMETERS_TOPIC, parameters_text
+from trackslip_bags.reader import absolute
+from trackslip_bags.writer import BagWriter
+from trackslip_common.parameters import to_flat
+from trackslip_common.topics import TOPICS
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_tools.replay.inputs import ODOMETRY, REPORTS, TRACK_SLIP
+from trackslip_tools.replay.run import Replay, message_of
+from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
+
+_NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
+
+
+def write_estimates(path: Path, result: Replay, p: SlipEstimatorParameters) -> None:
+    """The estimates, the report on each measurement, and the parameters, each logged at its stamp.
+
+    Raises:
+        InputError: the path exists already.
+    """
+    with BagWriter(path) as bag:
+
+        def write(topic: str, message: Any, stamp_ns: int) -> None:
+            bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
+
+        if result.steps:
+            text = make("std_msgs/msg/String", data=parameters_text(to_flat(p)))
+            logged_ns = min((r.stamp_ns for r, _ in result.steps if r.stamp_ns), default=0)
+            write(PARAMETERS_TOPIC, text, logged_ns)
+        for sequence, (report, estimate) in enumerate(result.steps):
+            logged_ns = report.stamp_ns or logged_ns  # commands have no stamp
+            write(REPORTS, conversions.measurement_report(make, report, sequence), logged_ns)
+            if estimate is not None:
+                for topic in (ODOMETRY, TRACK_SLIP):
+                    write(topic, message_of(topic, estimate, p), estimate.stamp_ns)
+        if result.soil is not None:
+            for topic, message, stamp_ns in soil_messages(result.soil):
+                write(topic, message, stamp_ns)
+
+
+def summary(result: Replay) -> dict[str, Any]:
+    """The contents of ``--json``; null where something could not be computed."""
+    rmse: dict[str, float | None] = {}
+    for name in _NAMES:
+        found = result.scores.get(name)
+        rmse[name] = found.position if found else None
+    of_filter = result.scores.get("filter")
+    rmse["heading"] = of_filter.heading if of_filter else None
+    rmse["slip"] = result.slip_rmse
+    content = {
+        "duration_s": result.duration_s,
+        "messages": dict(sorted(result.inputs.messages.items())),
+        "rejected": result.rejected.by_source(),
+        "final": _final(result),
+        "reference": result.reference,
+        "rmse": rmse,
+        "nees": result.nees,
+        "real_time_factor": result.duration_s / result.elapsed_s,
+    }
+    if result.live is not None:
+        content["replay_matches"] = result.live.matches
+    if result.soil is not None:
+        content["soil"] = soil_summary(result.soil)
+    return content
+
+
+def text(result: Replay) -> str:
+    """The summary as lines for a terminal."""
+    speed = result.duration_s / result.elapsed_s
+    lines = [f"{result.duration_s:.1f} s replayed in {result.elapsed_s:.1f} s ({speed:.0f} × real time)"]
+    lines += [f"  {topic:<24}{n:>8} messages" for topic, n in sorted(result.inputs.messages.items())]
+    for source, reasons in result.rejected.by_source().items():
+        lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]
+    final = _final(result)
+    if final is None:
+        lines.append("no estimate: nothing to start from (no fix of a pose source, no initial pose)")
+    else:
+        lines.append("final  " + "  ".join(f"{name} {value:.4f}" for name, value in final.items()))
+    lines += _scores(result)
+    lines += _live(result)
+    if result.soil is not None:
+        lines += soil_lines(result.soil)
+    return "\n".join(lines)
+
+
+def _final(result: Replay) -> dict[str, float] | None:
+    estimates = result.estimates
+    if not estimates:
+        return None
+    x, y, yaw = (float(v) for v in estimates[-1].pose)
+    left, right, _ = (float(v) for v in estimates[-1].outputs.slips)
+    return {"x": x, "y": y, "yaw": yaw, "left_slip": left, "right_slip": right}
+
+
+def _scores(result: Replay) -> list[str]:
+    if result.reference is None:
+        return ["no reference in the bag: nothing to score against (--reference TOPIC names one)"]
+    lines = [f"RMSE against {result.reference}        position m   heading rad"]
+    for name, label in _NAMES.items():
+        found = result.scores.get(name)
+        numbers = f"{found.position:>12.4f}{found.heading:>14.4f}" if found else f"{'–':>12}{'–':>14}"
+        lines.append(f"  {label:<32}{numbers}")
+    if result.slip_rmse is not None:
+        lines.append(f"  slip RMSE {result.slip_rmse:.4f}")
+    if result.nees is not None:
+        lines.append(f"  mean NEES of pose {result.nees:.2f} (3 if honest)")
+    return lines
+
+
+def _live(result: Replay) -> list[str]:
+    live = result.live
+    if live is None:
+        return []
+    lines = [str(live)]
+    if live.lost_inputs:
+        lines.append(f"  the bag lacks {live.lost_inputs} measurements that the live estimator took")
+    if live.lost_reports:
+        lines.append(f"  the bag lacks {live.lost_reports} lines of the live estimator's journal")
+    return lines

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a bag a live graph is given, and when: its messages against the clock on the wall."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from typing import NamedTuple
+
+from trackslip_bags.reader import Bag, absolute
+from trackslip_tools.replay.edits import Edits, relative
+
+# What the estimators of the live graph make themselves, and what belongs to the graph, not to the bag.
+OWN_OUTPUTS = frozenset(
+    {
+        "odometry",
+        "track_slip",
+        "track_forces",
+        "soil",
+        "slip_seed",
+        "measurement_reports",
+        "slip_estimator/parameters",
+        "soil_estimator/parameters",
+        "diagnostics",
+        "tf",
+        "rosout",
+        "parameter_events",
+    }
+)
+CLOCK = "clock"  # the player's own
+
+
+class Played(NamedTuple):
+    """One message to publish; ``raw`` is its CDR form."""
+
+    topic: str
+    log_time_ns: int
+    raw: bytes
+
+
+def played_topics(bag: Bag, edits: Edits, also: Collection[str]) -> dict[str, str]:
+    """Name to publish under → type: all topics of the bag but ``OWN_OUTPUTS``, those only if in ``also``."""
+    barred = (OWN_OUTPUTS - {relative(topic) for topic in also}) | {CLOCK}
+    return {
+        _published(topic, edits): info.type_name
+        for topic, info in bag.topics.items()
+        if relative(topic) not in barred
+    }
+
+
+def played(bag: Bag, edits: Edits, topics: Collection[str]) -> Iterator[Played]:
+    """The messages to publish under these names, in log order, less what is withheld."""
+    wanted = [topic for topic in bag.topics if _published(topic, edits) in topics]
+    start_ns = bag.start_ns + round(edits.start_s * 1e9)
+    stop_ns = bag.start_ns + round(edits.stop_s * 1e9) if math.isfinite(edits.stop_s) else None
+    for message in bag.messages(wanted, start_ns, stop_ns):
+        name = _published(message.topic, edits)
+        if not edits.hides(relative(name), (message.log_time_ns - bag.start_ns) * 1e-9):
+            yield Played(name, message.log_time_ns, message.raw)
+
+
+class Playback:
+    """A bag being played. Times on the wall are seconds of any clock that only goes forward."""
+
+    def __init__(
+        self, messages: Callable[[], Iterator[Played]], rate: float, paused: bool = False, loop: bool = False
+    ) -> None:
+        self.paused = paused
+        self.counts: Counter[str] = Counter()  # messages played, by topic
+        self.bag_ns = 0  # log time that is reached
+        self._begin = messages
+        self._rate = rate
+        self._loop = loop
+        self._now_s: float | None = None
+        self._messages: Iterator[Played] = iter(())
+        self._next: Played | None = None
+        self._rewind()
+
+    @property
+    def finished(self) -> bool:
+        """Whether all was played."""
+        return self._next is None
+
+    def due(self, now_s: float) -> Iterator[Played]:
+        """Let the time pass until now; the messages whose turn has come. Those not taken stay due."""
+        if self._now_s is not None and not self.paused:
+            self.bag_ns += round((now_s - self._now_s) * self._rate * 1e9)
+        self._now_s = now_s
+        while self._next is not None and self._next.log_time_ns <= self.bag_ns and not self.paused:
+            message, self._next = self._next, next(self._messages, None)
+            self.counts[message.topic] += 1
+            if self._next is None and self._loop:
+                self._rewind()
+            yield message
+
+    def _rewind(self) -> None:
+        self._messages = self._begin()
+        self._next = next(self._messages, None)
+        if self._next is not None:
+            self.bag_ns = self._next.log_time_ns
+
+
+def _published(topic: str, edits: Edits) -> str:
+    name = relative(topic)
+    return absolute(edits.remap.get(name, name))

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors against a reference: every sample of it, at its own stamp, with no re-alignment.
+
+e      error of x, y, heading        m, m, rad
+P      covariance that was claimed   (3, 3)
+NEES   eᵀ P⁻¹ e, on average 3 if P is honest
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.estimator import Estimate
+from trackslip_tools.replay.dead_reckoning import Path
+
+FloatArray = NDArray[np.float64]
+
+MOVING = 0.05  # m/s of the faster track's frame, below which slip is not scored
+
+
+class Series(NamedTuple):
+    """Numbers over time, from one topic."""
+
+    stamps_ns: NDArray[np.int64]  # (n,) increasing
+    values: FloatArray  # (n, k)
+
+    def since(self, start_ns: int) -> "Series":
+        """What is not before a stamp."""
+        kept = self.stamps_ns >= start_ns
+        return Series(self.stamps_ns[kept], self.values[kept])
+
+
+@dataclass(frozen=True)
+class Score:
+    """Root mean square errors of one path, over the samples that it covers."""
+
+    samples: int
+    position: float  # m
+    heading: float  # rad
+
+
+def in_order(estimates: Sequence[Estimate]) -> list[Estimate]:
+    """By stamp; of two with the same one, before and after a restart, the later one counts."""
+    by_stamp = {e.stamp_ns: e for e in estimates}
+    return [by_stamp[stamp] for stamp in sorted(by_stamp)]
+
+
+def path_of(estimates: Sequence[Estimate]) -> Path:
+    """The published poses as a path with continuous heading."""
+    poses = np.array([e.pose for e in estimates])
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Path(np.array([e.stamp_ns for e in estimates], dtype=np.int64), poses)
+
+
+def score(path: Path, reference: Path) -> Score | None:
+    """Errors at the stamps of the reference; None where the path covers none of them."""
+    errors = _errors(path, reference)
+    if not len(errors):
+        return None
+    position, heading = np.hypot(errors[:, 0], errors[:, 1]), errors[:, 2]
+    return Score(len(errors), _rms(position), _rms(heading))
+
+
+def mean_nees(estimates: Sequence[Estimate], reference: Path) -> float | None:
+    """Mean NEES of (x, y, heading), each sample with the covariance of the estimate nearest in time."""
+    return nees(path_of(estimates), np.array([e.pose_covariance for e in estimates]), reference)
+
+
+def nees(path: Path, covariances: FloatArray, reference: Path) -> float | None:
+    """Mean NEES of a path whose poses have ``covariances`` (n, 3, 3)."""
+    found = nees_of_each(path, covariances, reference)[0]
+    return float(np.mean(found)) if len(found) else None
+
+
+def nees_of_each(path: Path, covariances: FloatArray, reference: Path) -> tuple[FloatArray, FloatArray]:
+    """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |P| there."""
+    errors = _errors(path, reference)
+    midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
+    nearest = covariances[np.searchsorted(midpoints, reference.stamps_ns[_inside(path, reference)])]
+    weighed = np.linalg.solve(nearest, errors[:, :, np.newaxis])[:, :, 0]
+    return np.sum(errors * weighed, axis=1), np.linalg.slogdet(nearest)[1]
+
+
+def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:
+    """The samples of the true slips at which a track's frame moves: elsewhere a slip means nothing.
+
+    ``odometry`` is the truth at the same stamps: x, y, heading, v_x, v_y, yaw rate, ….
+    """
+    _, at, of = np.intersect1d(slips.stamps_ns, odometry.stamps_ns, return_indices=True)
+    v_x, rate = odometry.values[of, 3], odometry.values[of, 5]
+    kept = at[np.abs(v_x) + np.abs(rate) * tread / 2.0 > MOVING]
+    return Series(slips.stamps_ns[kept], slips.values[kept])
+
+
+def slip_rmse(estimated: Series, true: Series) -> float | None:
+    """RMS error of left and right slip together, at the stamps of the truth."""
+    own = estimated.stamps_ns
+    inside = (true.stamps_ns >= own[0]) & (true.stamps_ns <= own[-1])
+    if not inside.any():
+        return None
+    t, wanted = (own - own[0]) * 1e-9, (true.stamps_ns[inside] - own[0]) * 1e-9
+    columns = [np.interp(wanted, t, estimated.values[:, side]) for side in (0, 1)]
+    return _rms(np.stack(columns, axis=-1) - true.values[inside, :2])
+
+
+def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:
+    inside: NDArray[np.bool_] = (reference.stamps_ns >= path.stamps_ns[0]) & (
+        reference.stamps_ns <= path.stamps_ns[-1]
+    )
+    return inside
+
+
+def _errors(path: Path, reference: Path) -> FloatArray:
+    """(k, 3) at the samples of the reference that the path covers, heading in (−π, π]."""
+    inside = _inside(path, reference)
+    errors = path.at(reference.stamps_ns[inside]) - reference.poses[inside]
+    errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
+    return errors
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the soil estimator's part of a replay leaves behind: messages, lines for people, JSON for programs."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from trackslip_bags.messages import make
+from trackslip_bags.parameters import parameters_text
+from trackslip_common.parameters import to_flat
+from trackslip_estimation.soil import conversions
+from trackslip_estimation.soil.soil_parameters import NODE, PARAMETERS
+from trackslip_tools.replay.soil import SoilReplay
+
+
+def soil_messages(result: SoilReplay) -> Iterator[tuple[str, Any, int]]:
+    """Topic, message and stamp of the parameters and of each output."""
+    if result.outputs:
+        text = parameters_text(to_flat(result.parameters), NODE)
+        yield PARAMETERS, make("std_msgs/msg/String", data=text), result.outputs[0].stamp_ns
+    for output in result.outputs:
+        message = conversions.message_of(make, output, result.parameters.base_frame)
+        yield conversions.topic_of(output), message, output.stamp_ns
+
+
+def soil_summary(result: SoilReplay) -> dict[str, Any] | None:
+    """The last state of the soil, as ``--json`` has it; None where there is none."""
+    if not result.states:
+        return None
+    last = result.states[-1]
+    found = last.strength
+    content: dict[str, Any] = {
+        "mu_r": last.mu_r,
+        "mu_l": last.mu_l,
+        "K": found.shear_modulus,
+        "K_interval": found.shear_modulus_interval,
+        "F_max": found.thrust_limit,
+        "F_max_interval": found.thrust_limit_interval,
+        "identifiable": found.identifiable,
+        "reason": found.reason,
+        "classes": last.classes,
+        "rejected": result.rejected.by_source(),
+    }
+    if result.live is not None:
+        content["replay_matches"] = result.live.matches
+    return content
+
+
+def soil_lines(result: SoilReplay) -> list[str]:
+    """The same for a terminal."""
+    lines = []
+    for source, reasons in result.rejected.by_source().items():
+        lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]
+    if not result.states:
+        return lines
+    last = result.states[-1]
+    found = last.strength
+    (k_low, k_high), (f_low, f_high) = found.shear_modulus_interval, found.thrust_limit_interval
+    mu_r = f"μ_r {last.mu_r:.3f} ± {last.mu_r_variance**0.5:.3f}"
+    mu_l = f"mobilised μ_l {last.mu_l:.3f} ± {last.mu_l_variance**0.5:.3f}"
+    modulus = f"K {100 * found.shear_modulus:.2f} cm ({100 * k_low:.2f} to {100 * k_high:.2f})"
+    limit = f"F_max {found.thrust_limit:.0f} N ({f_low:.0f} to {f_high:.0f})"
+    lines += [f"soil   {mu_r}  {mu_l}", f"  {modulus}  {limit}"]
+    if not found.identifiable:
+        lines.append(f"  not identifiable: {found.reason}")
+    likely = sorted(last.classes.items(), key=lambda item: -item[1])[:3]
+    if likely:
+        lines.append("  " + "  ".join(f"{name} {100 * p:.0f} %" for name, p in likely))
+    return lines if result.live is None else [*lines, str(result.live)]

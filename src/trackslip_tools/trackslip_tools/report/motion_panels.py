@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plots of how the machine moved: errors against the reference, slips, slip angle, speeds."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP
+from trackslip_tools.replay.scoring import Series, moving_slips
+from trackslip_tools.report.panel import (
+    INK,
+    SIGMAS,
+    Curve,
+    Form,
+    Panel,
+    Shown,
+    colour_in,
+    name_in,
+    shown_of,
+    within,
+)
+from trackslip_tools.report.run import Run, States, recordings
+
+FloatArray = NDArray[np.float64]
+
+
+class _Quantity(NamedTuple):
+    """A column of the estimates, and the same one of the truth."""
+
+    title: str
+    axis: str
+    estimate: str  # fields of ``States``
+    covariance: str
+    column: int
+    truth: str  # topic
+    true_column: int
+    scale: float = 1.0
+
+
+_DEGREES = 180.0 / np.pi
+_QUANTITIES = (
+    _Quantity("Slip of the left track", "slip, 1", "slips", "slip_covariances", 0, TRUE_SLIP, 0),
+    _Quantity("Slip of the right track", "slip, 1", "slips", "slip_covariances", 1, TRUE_SLIP, 1),
+    _Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, 2, _DEGREES),
+    _Quantity("Speed", "v_x, m/s", "twists", "twist_covariances", 0, TRUE_ODOMETRY, 3),
+    _Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, 5, _DEGREES),
+)
+
+
+def error_panels(runs: Sequence[Run]) -> list[Panel]:
+    """Distance and heading from the reference, with what the estimate claims of them."""
+    distance, heading = [], []
+    for run, shown in _shown(runs):
+        errors = errors_of(run, shown.states)
+        if errors is None:
+            continue
+        label, colour = name_in(runs, run, shown.name), colour_in(runs, run, shown.colour)
+        variances = np.diagonal(errors.covariances, axis1=1, axis2=2)
+        away = 100.0 * np.hypot(errors.values[:, 0], errors.values[:, 1])
+        claimed = 100.0 * SIGMAS * np.sqrt(variances[:, 0] + variances[:, 1])
+        band = (np.zeros_like(away), claimed)
+        distance.append(Curve(label, colour, errors.times, away, shown.form, band))
+        turned = _DEGREES * errors.values[:, 2]
+        band = within(np.zeros_like(turned), _DEGREES * np.sqrt(variances[:, 2]))
+        heading.append(Curve(label, colour, errors.times, turned, shown.form, band))
+    if not distance:
+        return []
+    return [
+        Panel("Position: distance from the reference", "error, cm", distance, from_zero=True),
+        Panel("Heading: difference from the reference", "error, °", heading, limits=(0.0,)),
+    ]
+
+
+def motion_panels(runs: Sequence[Run]) -> list[Panel]:
+    """Slips, slip angle, speed and yaw rate, each with ±2σ, and the truth where a bag has it."""
+    panels = []
+    for quantity in _QUANTITIES:
+        curves = [*_truths(runs, quantity), *_estimates(runs, quantity)]
+        if curves:
+            panels.append(Panel(quantity.title, quantity.axis, curves, limits=(0.0,)))
+    return panels
+
+
+class Errors(NamedTuple):
+    """Estimate less reference, at the samples of the reference that the estimate covers."""
+
+    times: FloatArray  # (n,) s from the bag's first message
+    values: FloatArray  # (n, 3) m, m, rad
+    covariances: FloatArray  # (n, 3, 3) claimed by the next estimate
+
+
+def errors_of(run: Run, states: States) -> Errors | None:
+    """None where there is no reference, or no estimate of its time."""
+    reference = run.replay.paths.get("reference")
+    if reference is None:
+        return None
+    values = states.path.at(reference.stamps_ns) - reference.poses
+    covered = np.isfinite(values[:, 0])
+    if not covered.any():
+        return None
+    values[:, 2] = np.angle(np.exp(1j * values[:, 2]))
+    stamps_ns = reference.stamps_ns[covered]
+    next_one = np.searchsorted(states.path.stamps_ns, stamps_ns)
+    return Errors(run.recording.seconds(stamps_ns), values[covered], states.pose_covariances[next_one])
+
+
+def true_slips(run: Run) -> Series | None:
+    """(n, 3+) where the bag has them, while the machine moves: else they mean nothing."""
+    slips, odometry = (run.replay.inputs.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
+    if slips is None or odometry is None:
+        return None
+    return moving_slips(odometry, slips, run.parameters.vehicle.tread)
+
+
+def _truths(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:
+    """One curve for each bag that has the truth."""
+    bags = recordings(runs)
+    for run in bags:
+        series = run.replay.inputs.series.get(quantity.truth)
+        if quantity.truth == TRUE_SLIP and series is not None:
+            series = _broken_at_rest(series, true_slips(run))
+        if series is not None:
+            label = "truth" if len(bags) == 1 else f"truth, {run.label}"
+            colour = INK if len(bags) == 1 else colour_in(runs, run, INK)
+            form = Form.LINE if len(bags) == 1 else Form.DOTTED
+            values = quantity.scale * series.values[:, quantity.true_column]
+            yield Curve(label, colour, run.recording.seconds(series.stamps_ns), values, form)
+
+
+def _broken_at_rest(slips: Series, moving: Series | None) -> Series:
+    """The slips with nan where they mean nothing."""
+    if moving is None:
+        return slips
+    at_rest = ~np.isin(slips.stamps_ns, moving.stamps_ns)
+    return Series(slips.stamps_ns, np.where(at_rest[:, np.newaxis], np.nan, slips.values))
+
+
+def _estimates(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:
+    for run, shown in _shown(runs):
+        states = shown.states
+        columns, covariances = getattr(states, quantity.estimate), getattr(states, quantity.covariance)
+        values = quantity.scale * columns[:, quantity.column]
+        sigmas = quantity.scale * np.sqrt(covariances[:, quantity.column, quantity.column])
+        if quantity.estimate == "slips":
+            values, sigmas = (np.where(states.moving, column, np.nan) for column in (values, sigmas))
+        label, colour = name_in(runs, run, shown.name), colour_in(runs, run, shown.colour)
+        times = run.recording.seconds(states.path.stamps_ns)
+        yield Curve(label, colour, times, values, shown.form, within(values, sigmas))
+
+
+def _shown(runs: Sequence[Run]) -> Iterator[tuple[Run, Shown]]:
+    return ((run, shown) for run in runs for shown in shown_of(run))

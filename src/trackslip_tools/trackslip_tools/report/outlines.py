@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shapes about the path: ellipses of uncertainty, and the box where the laser found it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.slip.measurements import Outcome, PoseFix
+from trackslip_tools.report.panel import SIGMAS
+from trackslip_tools.report.run import Run, States
+
+FloatArray = NDArray[np.float64]
+
+BOX_SOURCE = "box_pose"
+_ELLIPSES, _BOXES = 90, 30  # over the whole run
+_TURN = np.linspace(0.0, 2.0 * np.pi, 33)
+_CIRCLE = np.stack((np.cos(_TURN), np.sin(_TURN)))  # (2, 33)
+_CORNERS = np.array(((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (1.0, 1.0))).T  # (2, 5)
+
+
+def ellipses(states: States) -> FloatArray:
+    """(k, 33, 2) closed outlines of 2σ of the position, evenly spread over the time."""
+    chosen = _spread(len(states.path.stamps_ns), _ELLIPSES)
+    roots = np.linalg.cholesky(states.pose_covariances[chosen, :2, :2])
+    outlines = np.swapaxes(SIGMAS * roots @ _CIRCLE, 1, 2)
+    return np.asarray(states.path.poses[chosen, np.newaxis, :2] + outlines, dtype=np.float64)
+
+
+def boxes(run: Run) -> FloatArray:
+    """(k, 5, 2) closed outlines of the box by fixes that were taken, evenly spread over them."""
+    fixes = fixes_of(run).get(BOX_SOURCE)
+    if fixes is None:
+        return np.empty((0, 5, 2))
+    return np.array([_box(run.parameters.vehicle, pose) for pose in fixes[_spread(len(fixes), _BOXES)]])
+
+
+def fixes_of(run: Run) -> dict[str, FloatArray]:
+    """By source: (n, 3) poses of the fixes that were taken."""
+    taken = {(r.source, r.stamp_ns) for r, _ in run.replay.steps if r.outcome is Outcome.ACCEPTED}
+    found: dict[str, list[FloatArray]] = {}
+    for m in run.inputs:
+        if isinstance(m, PoseFix) and (m.source, m.stamp_ns) in taken:
+            found.setdefault(m.source, []).append(m.pose)
+    return {source: np.array(poses) for source, poses in sorted(found.items())}
+
+
+def _box(vehicle: Vehicle, pose: FloatArray) -> FloatArray:
+    half = 0.5 * np.array((vehicle.box_length, vehicle.box_width))
+    centre = np.array((vehicle.box_x, vehicle.box_y))
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array(((c, -s), (s, c)))
+    return np.asarray(pose[:2] + (_CORNERS.T * half + centre) @ turn.T, dtype=np.float64)
+
+
+def _spread(size: int, wanted: int) -> NDArray[np.intp]:
+    """Up to ``wanted`` indices, evenly spread from the first to the last."""
+    return np.unique(np.linspace(0, size - 1, min(size, wanted)).round().astype(np.intp))

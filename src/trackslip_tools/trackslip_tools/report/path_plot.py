@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws where the machine went: paths, ellipses, the box as the laser saw it, and a marker of the time."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from bokeh.models import (
+    BoxZoomTool,
+    ColumnDataSource,
+    DataRange1d,
+    GlyphRenderer,
+    PanTool,
+    ResetTool,
+    SaveTool,
+    WheelZoomTool,
+)
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.report.decimate import extremes
+from trackslip_tools.report.outlines import boxes, ellipses, fixes_of
+from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, colour_in, name_in
+from trackslip_tools.report.plots import dress
+from trackslip_tools.report.run import Run, recordings
+
+FloatArray = NDArray[np.float64]
+
+_HEIGHT = 620
+
+
+class Track(NamedTuple):
+    """What the linked cursor needs of one run."""
+
+    path: ColumnDataSource  # t, x, y, heading
+    marker: ColumnDataSource  # x, y, heading: the machine at the cursor
+
+
+class PathPlot(NamedTuple):
+    """The plot and its tracks."""
+
+    plot: figure
+    tracks: list[Track]
+
+
+def path_plot(runs: Sequence[Run], samples: int) -> PathPlot:
+    """All runs in one plot; of each path at most so many samples are drawn."""
+    zoom, wheel = BoxZoomTool(match_aspect=True), WheelZoomTool(modifiers={"ctrl": True})
+    plot = figure(
+        name="path",
+        title="Path, ellipses at 2σ",
+        match_aspect=True,
+        height=_HEIGHT,
+        sizing_mode="stretch_width",
+        tools=[zoom, wheel, PanTool(), ResetTool(), SaveTool()],
+        active_drag=zoom,
+        active_scroll=wheel,
+        x_axis_label="x, m",
+        y_axis_label="y, m",
+        min_border_left=60,
+    )
+    for run in recordings(runs):
+        _draw_laser(plot, run, samples)
+    lines = [line for run in recordings(runs) for line in _draw_references(plot, runs, run, samples)]
+    tracks = []
+    for run in runs:
+        if run.states is not None:
+            line, track = _draw_estimate(plot, runs, run, samples)
+            lines.append(line)
+            tracks.append(track)
+    if lines:
+        room = {"range_padding": 1.0, "range_padding_units": "absolute"}
+        plot.x_range, plot.y_range = (DataRange1d(renderers=lines, **room) for _ in "xy")
+    dress(plot)
+    return PathPlot(plot, tracks)
+
+
+def _draw_laser(plot: figure, run: Run, samples: int) -> None:
+    """What the laser saw, and the box by its fixes."""
+    recording = run.recording
+    if recording.laser is not None:
+        points = recording.points[:: -(-len(recording.points) // samples) or 1]
+        x, y = points.T.astype(np.float32)
+        plot.scatter(x, y, marker="dot", size=6, color=GREY, alpha=0.7, legend_label="laser points")
+        look = {"marker": "triangle", "size": 11, "color": GREY, "legend_label": "laser"}
+        plot.scatter(*recording.laser[:, np.newaxis], **look)
+    outlines = boxes(run)
+    if len(outlines):
+        x, y = (list(outlines[:, :, axis]) for axis in (0, 1))
+        plot.multi_line(x, y, color=GREEN, alpha=0.45, line_width=1, legend_label="box by the laser")
+    for (source, poses), colour in zip(fixes_of(run).items(), (PURPLE, GREEN, ORANGE), strict=False):
+        x, y = poses[:: -(-len(poses) // samples), :2].T
+        look = {"marker": "cross", "size": 6, "color": colour, "alpha": 0.8}
+        plot.scatter(x, y, **look, legend_label=f"fixes of {source}")
+
+
+def _draw_references(plot: figure, runs: Sequence[Run], run: Run, samples: int) -> list[GlyphRenderer]:
+    """The reference and, in a report of one run, the encoders alone."""
+    lines = []
+    encoders, reference = (run.replay.paths.get(name) for name in ("dead_reckoning", "reference"))
+    if run.smoothed_states is not None and len(runs) == 1:
+        source = _source(run, run.smoothed_states.path, samples)
+        look = {"color": PURPLE, "line_dash": "dashed", "line_width": 1.5}
+        lines.append(plot.line("x", "y", source=source, legend_label="smoothed", **look))
+    if encoders is not None and len(runs) == 1:
+        source = _source(run, encoders, samples)
+        look = {"color": ORANGE, "line_dash": "dashed", "line_width": 1.5}
+        lines.append(plot.line("x", "y", source=source, legend_label="encoders alone", **look))
+    if reference is not None and len(reference.stamps_ns):
+        source = _source(run, reference, samples)
+        bags = recordings(runs)
+        look = {"color": INK, "line_width": 3, "legend_label": name_in(bags, run, "reference")}
+        if len(bags) > 1:
+            look |= {"color": colour_in(runs, run, INK), "line_dash": "dotted"}
+        lines.append(plot.line("x", "y", source=source, **look))
+    return lines
+
+
+def _draw_estimate(plot: figure, runs: Sequence[Run], run: Run, samples: int) -> tuple[GlyphRenderer, Track]:
+    assert run.states is not None
+    colour, label = colour_in(runs, run, BLUE), name_in(runs, run, "estimate")
+    outlines = ellipses(run.states)
+    x, y = (list(outlines[:, :, axis]) for axis in (0, 1))
+    plot.patches(x, y, color=colour, fill_alpha=0.2, line_alpha=0.6, legend_label=label)
+    source = _source(run, run.states.path, samples)
+    line = plot.line("x", "y", source=source, color=colour, line_width=1.8, legend_label=label)
+    first = {name: [float(source.data[name][0])] for name in ("x", "y", "heading")}
+    marker = ColumnDataSource(first)
+    vehicle = run.parameters.vehicle
+    size = {"width": vehicle.contact_length, "height": vehicle.tread + vehicle.track_width}
+    look = {"fill_color": colour, "fill_alpha": 0.25, "line_color": colour, "line_width": 1.5}
+    plot.rect("x", "y", angle="heading", source=marker, **size, **look)
+    plot.ray("x", "y", angle="heading", length=0.9 * vehicle.contact_length, source=marker, color=colour)
+    return line, Track(source, marker)
+
+
+def _source(run: Run, path: Path, samples: int) -> ColumnDataSource:
+    kept = extremes([path.poses[:, 0], path.poses[:, 1]], samples)
+    x, y, heading = path.poses[kept].T
+    t = run.recording.seconds(path.stamps_ns[kept])
+    return ColumnDataSource(
+        {"t": t.astype(np.float32), "x": x, "y": y, "heading": heading.astype(np.float32)}
+    )

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws plots over time with Bokeh: one x axis for all of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from bokeh.models import (
+    BoxZoomTool,
+    ColumnDataSource,
+    CustomJS,
+    FixedTicker,
+    GlyphRenderer,
+    HoverTool,
+    PanTool,
+    Range1d,
+    ResetTool,
+    SaveTool,
+    Span,
+    WheelZoomTool,
+)
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from trackslip_tools.report.decimate import extremes
+from trackslip_tools.report.panel import BLUE, GRID, INK, ORANGE, PAPER, Curve, Form, Panel
+from trackslip_tools.report.recording import Recording
+
+FloatArray = NDArray[np.float64]
+
+_HEIGHT = 230
+_DASHES = {Form.LINE: "solid", Form.DASHED: "dashed", Form.DOTTED: "dotted"}
+_INNER, _MIDDLE = (0.5, 99.5), (10.0, 90.0)  # percentiles of values and of band edges that stay in sight
+_LEGEND_WIDTH, _LEGEND_ROW = 90, 22  # characters, pixels
+_ROOM = 0.2  # about the values, share of their span
+
+
+def time_range(recordings: Sequence[Recording]) -> Range1d:
+    """What all plots over time show at first."""
+    start, stop = (min(r.start_s for r in recordings), max(r.stop_s for r in recordings))
+    return Range1d(start, max(stop, start + 1e-3))
+
+
+def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
+    """A panel; of each curve at most so many samples are drawn."""
+    plot = time_figure(panel.title, panel.axis, x_range, logarithmic=panel.logarithmic)
+    for limit in panel.limits:
+        look = {"line_color": INK, "line_alpha": 0.6, "line_dash": "dotted"}
+        plot.add_layout(Span(location=limit, dimension="width", **look))
+    bands = sum(curve.band is not None for curve in panel.curves)
+    alpha = 0.25 / max(bands, 1) ** 0.5
+    drawn = {curve: _draw(plot, curve, samples, alpha) for curve in panel.curves}
+    _add_hover(plot, drawn)
+    low, high = _visible(panel)
+    plot.y_range = Range1d(low, high)
+    dress(plot)
+    return plot
+
+
+def messages_plot(recording: Recording, title: str, x_range: Range1d, samples: int) -> figure:
+    """A row for each topic: where messages are, where they are missing."""
+    timings = {name: timing for name, timing in recording.timings.items() if len(timing.times)}
+    names = list(timings)[::-1]
+    plot = time_figure(title, "", x_range, height=90 + 20 * len(names))
+    for row, name in enumerate(names):
+        gaps = timings[name].gaps
+        edges = [timings[name].times[0], *(edge for gap in gaps for edge in gap), timings[name].times[-1]]
+        plot.hbar(y=row, height=0.5, left=edges[::2], right=edges[1::2], color=BLUE, line_width=1.5)
+        if gaps:
+            starts, stops = zip(*gaps, strict=True)
+            plot.hbar(y=row, height=0.5, left=starts[:samples], right=stops[:samples], color=ORANGE)
+    plot.y_range = Range1d(-0.7, len(names) - 0.3)
+    plot.yaxis.ticker = FixedTicker(ticks=list(range(len(names))))
+    plot.yaxis.major_label_overrides = dict(enumerate(names))
+    dress(plot)
+    plot.ygrid.visible = False
+    return plot
+
+
+def time_figure(
+    title: str, axis: str, x_range: Range1d, *, height: int = _HEIGHT, logarithmic: bool = False
+) -> figure:
+    """An empty plot over the common time."""
+    zoom = BoxZoomTool(dimensions="width")
+    wheel = WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
+    plot = figure(
+        title=title,
+        x_range=x_range,
+        y_axis_type="log" if logarithmic else "linear",
+        height=height,
+        sizing_mode="stretch_width",
+        tools=[zoom, wheel, PanTool(), ResetTool(), SaveTool()],
+        active_drag=zoom,
+        active_scroll=wheel,
+        y_axis_label=axis,
+        min_border_left=78,
+        min_border_right=12,
+    )
+    plot.js_on_event("doubletap", CustomJS(args={"range": x_range}, code="range.reset()"))
+    return plot
+
+
+def dress(plot: figure) -> None:
+    """What all plots of a report look like."""
+    plot.toolbar.logo = None
+    plot.toolbar.autohide = True
+    plot.background_fill_color = plot.border_fill_color = PAPER
+    plot.outline_line_color = plot.border_line_color = None
+    plot.title.text_color, plot.title.text_font_size = INK, "13px"
+    for axis in (*plot.xaxis, *plot.yaxis):
+        axis.axis_label_text_color = axis.major_label_text_color = INK
+        axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = GRID
+        axis.axis_label_text_font_style = "normal"
+    plot.grid.grid_line_color = GRID
+    if plot.legend:
+        legend = plot.legend[0]
+        plot.add_layout(legend, "above")
+        legend.orientation, legend.click_policy = "horizontal", "hide"
+        legend.label_text_color = INK
+        legend.background_fill_color = legend.border_line_color = None
+        legend.padding = legend.margin = 0
+        longest = max(len(item.label.value) for item in legend.items)
+        legend.ncols = max(1, min(len(legend.items), _LEGEND_WIDTH // (longest + 5)))
+        plot.height += _LEGEND_ROW * (-(-len(legend.items) // legend.ncols) - 1)
+
+
+def _draw(plot: figure, curve: Curve, samples: int, band_alpha: float) -> GlyphRenderer:
+    """A curve and, below it, its band."""
+    kept = extremes([curve.values, *(curve.band or ())], samples)
+    columns = {"t": curve.times[kept], "value": curve.values[kept]}
+    if curve.band is not None:
+        columns["low"], columns["high"] = (edge[kept] for edge in curve.band)
+    source = ColumnDataSource({name: column.astype(np.float32) for name, column in columns.items()})
+    look = {"legend_label": curve.label, "source": source, "name": curve.label}
+    if curve.band is not None:
+        plot.varea("t", "low", "high", fill_color=curve.colour, fill_alpha=band_alpha, **look)
+    look["color"] = curve.colour
+    if curve.form in _DASHES:
+        look |= {"line_width": 2.2 if curve.colour == INK else 1.5, "line_dash": _DASHES[curve.form]}
+        drawn = plot.line("t", "value", **look)
+    else:
+        marker, size = ("circle", 3.5) if curve.form is Form.POINTS else ("x", 8)
+        drawn = plot.scatter("t", "value", marker=marker, size=size, **look)
+    return drawn
+
+
+def _add_hover(plot: figure, drawn: dict[Curve, GlyphRenderer]) -> None:
+    """The numbers at the mouse: of all lines at its time, or of a point that it is on."""
+    tips = "<div><b>$name</b> @value{0.0000} at @t{0.00} s</div>"
+    for mode, lines in (("vline", True), ("mouse", False)):
+        shown = [renderer for curve, renderer in drawn.items() if (curve.form in _DASHES) == lines]
+        plot.add_tools(HoverTool(renderers=shown, tooltips=tips, mode=mode, visible=False))
+
+
+def _visible(panel: Panel) -> tuple[float, float]:
+    """Bounds of the y axis that single spikes and the first moments' wide bands do not stretch."""
+    lows, highs = list(panel.limits), list(panel.limits)
+    for curve in panel.curves:
+        values = curve.values[np.isfinite(curve.values)]
+        if len(values):
+            low, high = np.percentile(values, _INNER)
+            lows, highs = [*lows, low], [*highs, high]
+        for edge in curve.band or ():
+            middle = np.percentile(edge[np.isfinite(edge)], _MIDDLE) if np.isfinite(edge).any() else ()
+            lows, highs = [*lows, *middle], [*highs, *middle]
+    if panel.logarithmic:
+        low, high = max(min(lows), 1e-3), max(max(highs), 10.0)
+        return low / 1.5, 1.5 * high
+    low, high = min(lows), max(highs)
+    room = _ROOM * max(high - low, 1e-6)
+    return (0.0 if panel.from_zero else low - room), high + room

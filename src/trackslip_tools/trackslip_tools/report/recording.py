@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a report takes from the bag itself, beside the replay: times of all messages, soil, forces, laser."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_bags.parameters import bag_parameters
+from trackslip_bags.reader import Bag
+from trackslip_common.config_files import node_defaults
+from trackslip_common.make import stamp_ns_of
+from trackslip_common.parameters import from_flat
+from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
+from trackslip_tools.replay.edits import Edits, relative
+
+FloatArray = NDArray[np.float64]
+
+FORCES, SOIL, TRUE_SOIL, SCAN = "track_forces", "soil", "truth/soil", "scan"
+_NUMBERS = (FORCES, SOIL, TRUE_SOIL)
+_SCANS = 60  # of a bag, evenly spread: enough to see walls and the way of the box
+_CELL = 0.04  # m; of points closer together one is shown
+_FEW = 5  # messages that make no rate
+_GAP_PERIODS, _LEAST_GAP = 5.0, 0.1  # a gap: longer than so many usual periods, and than so many s
+
+
+class Gap(NamedTuple):
+    """A stretch without messages, s from the bag's first message."""
+
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """When the messages of one topic were logged."""
+
+    times: FloatArray  # (n,) s from the bag's first message
+
+    @property
+    def period(self) -> float:
+        """The usual time between two messages, s; nan where there are fewer than two."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else float("nan")
+
+    @property
+    def rate(self) -> float:
+        """Messages per second from the first to the last; nan where there are fewer than two."""
+        span = float(np.ptp(self.times)) if len(self.times) else 0.0
+        return (len(self.times) - 1) / span if span > 0.0 else float("nan")
+
+    @property
+    def regular(self) -> bool:
+        """Whether messages come at a steady rate: then a missing one can be told."""
+        if len(self.times) < _FEW:
+            return False
+        early, late = np.percentile(np.diff(self.times), (25.0, 75.0))
+        return bool(self.period / 2.0 < early and late < 2.0 * self.period)
+
+    @property
+    def lost(self) -> float:
+        """Share of the messages that are missing at the usual period; nan of an irregular topic."""
+        return max(0.0, 1.0 - self.rate * self.period) if self.regular else float("nan")
+
+    @property
+    def gaps(self) -> list[Gap]:
+        """Stretches in which messages of a regular topic are missing."""
+        if not self.regular:
+            return []
+        limit = max(_GAP_PERIODS * self.period, _LEAST_GAP)
+        longer = np.flatnonzero(np.diff(self.times) > limit)
+        return [Gap(float(self.times[i]), float(self.times[i + 1])) for i in longer]
+
+    @property
+    def longest(self) -> float:
+        """The longest time between two messages, s; nan where there are fewer than two."""
+        return float(np.max(np.diff(self.times))) if len(self.times) > 1 else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """All scalar fields of a topic over time, by their names in the message."""
+
+    times: FloatArray  # (n,) s from the bag's first message, by stamp
+    fields: dict[str, FloatArray]  # (n,) each
+    messages: Sequence[Any]  # (n,)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One bag, or the part of it that is looked at."""
+
+    path: str
+    start_ns: int
+    start_s: float  # of what is looked at, from the bag's first message
+    stop_s: float
+    damage: str
+    parameters: dict[str, Any]  # that the bag carries, by dotted name
+    timings: dict[str, Timing]  # by topic
+    numbers: dict[str, Numbers]  # of forces and soil, where the bag has them
+    laser: FloatArray | None  # (2,) its place, m in odom
+    points: FloatArray  # (n, 2) what it saw, m in odom
+
+    def seconds(self, stamps_ns: NDArray[np.int64]) -> FloatArray:
+        """Times from the bag's first message."""
+        return _seconds(stamps_ns, self.start_ns)
+
+
+def read_recording(bag: Bag, edits: Edits) -> Recording:
+    """Read it once; topics by the names that the estimator knows them by.
+
+    Raises:
+        InputError: the bag is damaged inside.
+    """
+    names = {topic: edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+    start_s, stop_s = max(edits.start_s, 0.0), min(edits.stop_s, bag.duration_s)
+    logged: dict[str, list[int]] = {name: [] for name in names.values()}
+    kept: dict[str, list[Any]] = defaultdict(list)
+    scans = sum(info.count for topic, info in bag.topics.items() if names[topic] == SCAN)
+    stride = -(-scans // _SCANS) or 1
+    window = (bag.start_ns + round(start_s * 1e9), bag.start_ns + round(stop_s * 1e9) + 1)
+    for message in bag.messages(None, *window):
+        name = names[message.topic]
+        logged[name].append(message.log_time_ns)
+        if name in _NUMBERS or (name == SCAN and len(logged[name]) % stride == 0):
+            kept[name].append(bag.deserialize(message.raw, message.type_name))
+    timings = {name: Timing(_seconds(times, bag.start_ns)) for name, times in sorted(logged.items())}
+    numbers = {name: numbers_of(kept[name], bag.start_ns) for name in _NUMBERS if kept[name]}
+    laser, points = _laser_view(kept[SCAN])
+    return Recording(
+        path=str(bag.path),
+        start_ns=bag.start_ns,
+        start_s=start_s,
+        stop_s=stop_s,
+        damage=bag.damage,
+        parameters=bag_parameters(bag),
+        timings=timings,
+        numbers=numbers,
+        laser=laser,
+        points=points,
+    )
+
+
+def numbers_of(messages: Sequence[Any], start_ns: int) -> Numbers:
+    """All scalar fields of messages of one type, at least one of them."""
+    times = _seconds([stamp_ns_of(message) for message in messages], start_ns)
+    names = [f.name for f in fields(messages[0])]
+    scalars = [name for name in names if isinstance(getattr(messages[0], name), (bool, int, float))]
+    columns = {name: np.array([getattr(m, name) for m in messages], dtype=np.float64) for name in scalars}
+    return Numbers(times, columns, messages)
+
+
+def _seconds(stamps_ns: Sequence[int] | NDArray[np.int64], start_ns: int) -> FloatArray:
+    return np.asarray((np.asarray(stamps_ns, dtype=np.int64) - start_ns) * 1e-9, dtype=np.float64)
+
+
+def _laser_view(scans: list[Any]) -> tuple[FloatArray | None, FloatArray]:
+    """The laser's place and the points (n, 2) that it saw, by the site's numbers in ``config/``."""
+    if not scans:
+        return None, np.empty((0, 2))
+    p = from_flat(BoxNodeParameters, node_defaults(NODE, *DEFAULT_FILES), NODE)
+    clouds = []
+    for scan in scans:
+        ranges = np.asarray(scan.ranges, dtype=np.float64)
+        seen = np.isfinite(ranges) & (ranges > scan.range_min) & (ranges < scan.range_max)
+        angles = p.laser_yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(seen)
+        clouds.append(ranges[seen, np.newaxis] * np.stack((np.cos(angles), np.sin(angles)), axis=-1))
+    place = np.array((p.laser_x, p.laser_y))
+    _, first = np.unique(np.round(np.concatenate(clouds) / _CELL), axis=0, return_index=True)
+    return place, place + np.concatenate(clouds)[np.sort(first)]

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run of a report: a bag, the parameters it was replayed with, and what came of it."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.estimator import Estimate
+from trackslip_estimation.slip.measurements import Input
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.edits import Edits, apply
+from trackslip_tools.replay.run import Replay
+from trackslip_tools.replay.scoring import in_order, path_of
+from trackslip_tools.replay.soil_output import soil_messages
+from trackslip_tools.report.recording import FORCES, SOIL, Numbers, Recording, numbers_of
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """The published estimates as arrays."""
+
+    path: Path  # (n,) stamps and poses
+    pose_covariances: FloatArray  # (n, 3, 3)
+    twists: FloatArray  # (n, 3) v_x m/s, v_y m/s, yaw rate rad/s
+    twist_covariances: FloatArray  # (n, 3, 3)
+    slips: FloatArray  # (n, 3) left, right, slip angle rad
+    slip_covariances: FloatArray  # (n, 3, 3)
+    moving: NDArray[np.bool_]  # (n,) whether slips mean anything
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """All that a report says about one replay."""
+
+    label: str
+    recording: Recording
+    parameters: SlipEstimatorParameters
+    edits: Edits
+    replay: Replay
+    smoothed: Sequence[Estimate] = ()  # by the smoother, where it was asked for
+
+    @cached_property
+    def states(self) -> States | None:
+        """None where the estimator found nothing to start from."""
+        estimates = in_order(self.replay.estimates)
+        return _states(estimates) if estimates else None
+
+    @cached_property
+    def smoothed_states(self) -> States | None:
+        """None where the smoother was not asked, or had nothing to start from."""
+        return _states(self.smoothed) if self.smoothed else None
+
+    @cached_property
+    def inputs(self) -> list[Input]:
+        """The measurements as the estimator saw them, thinned and withheld ones left out."""
+        arrivals = apply(self.edits, self.replay.inputs.arrivals, self.replay.inputs.origin_ns)
+        return [arrival.measurement for arrival in arrivals]
+
+    @cached_property
+    def numbers(self) -> dict[str, Numbers]:
+        """Forces and soil by topic: of the replay where it computed them, else as the bag has them."""
+        computed: dict[str, list[Any]] = defaultdict(list)
+        for topic, message, _ in soil_messages(self.replay.soil) if self.replay.soil is not None else ():
+            if topic in (FORCES, SOIL):
+                computed[topic].append(message)
+        start_ns = self.recording.start_ns
+        replayed = {topic: numbers_of(messages, start_ns) for topic, messages in computed.items()}
+        return self.recording.numbers | replayed
+
+
+def recordings(runs: Sequence[Run]) -> list[Run]:
+    """Of the runs over the same bag, the first one: what the bag alone tells is told once."""
+    first: dict[str, Run] = {}
+    for run in runs:
+        first.setdefault(run.recording.path, run)
+    return list(first.values())
+
+
+def _states(estimates: Sequence[Estimate]) -> States:
+    return States(
+        path_of(estimates),
+        np.array([e.pose_covariance for e in estimates]),
+        np.array([e.outputs.twist for e in estimates]),
+        np.array([e.outputs.twist_covariance for e in estimates]),
+        np.array([e.outputs.slips for e in estimates]),
+        np.array([e.outputs.slip_covariance for e in estimates]),
+        np.array([e.motion is not Motion.STANDING for e in estimates]),
+    )

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tables of a report, as rows of text."""
+
+import math
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from typing import Any
+
+from trackslip_common.parameters import Parameters, flat_fields, to_flat
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_tools.report.panel import COLOURS
+from trackslip_tools.report.run import Run
+from trackslip_tools.report.verdict import Verdict, verdicts
+
+Row = tuple[str, ...]
+
+
+def run_facts(runs: Sequence[Run]) -> list[dict[str, str]]:
+    """What heads the page, for each run."""
+    return [_facts(run, COLOURS[index]) for index, run in enumerate(runs)]
+
+
+def verdict_rows(runs: Sequence[Run]) -> list[tuple[str, list[Verdict]]]:
+    """Each check, with what it came to for each run."""
+    found = [verdicts(run) for run in runs]
+    return [(name, [checks[name] for checks in found]) for name in found[0]]
+
+
+def topic_rows(run: Run) -> list[Row]:
+    """Topic, messages, usual rate, mean rate, lost, gaps, longest silence."""
+    rows: list[Row] = []
+    for name, timing in run.recording.timings.items():
+        usual = 1.0 / timing.period if timing.period else math.nan
+        rates = (_number(usual, ".2f"), _number(timing.rate, ".2f"), _number(100.0 * timing.lost, ".2f"))
+        gaps = (str(len(timing.gaps)), _number(timing.longest, ".3f"))
+        rows.append((name, str(len(timing.times)), *rates, *gaps))
+    return rows
+
+
+def rejection_rows(run: Run) -> list[Row]:
+    """Source, reason, count, share of the source's messages."""
+    soil = run.replay.soil
+    parts = [(run.replay.rejected, run.replay.inputs.messages)]
+    parts += [(soil.rejected, soil.messages)] if soil is not None else []
+    return [
+        (source, reason, str(count), _number(100.0 * count / max(messages.get(source, count), 1), ".2f"))
+        for rejected, messages in parts
+        for source, reasons in rejected.by_source().items()
+        for reason, count in reasons.items()
+    ]
+
+
+def parameter_rows(runs: Sequence[Run]) -> list[Row]:
+    """Name, what it is with its unit, the default, the value of each run."""
+    rows = _rows(load_slip_parameters(), [run.parameters for run in runs], "slip_estimator")
+    soils = [run.replay.soil.parameters for run in runs if run.replay.soil is not None]
+    if len(soils) == len(runs):
+        rows += _rows(load_soil_parameters(), soils, "soil_estimator")
+    return rows
+
+
+def _rows(defaults: Parameters, of_runs: Sequence[Parameters], node: str) -> list[Row]:
+    columns = [to_flat(parameters) for parameters in (defaults, *of_runs)]
+    rows = []
+    for name, _, spec in flat_fields(type(defaults)):
+        meaning = f"{spec.description}, {spec.unit}" if spec.unit else spec.description
+        rows.append((f"{node}.{name}", meaning, *(_value(column[name]) for column in columns)))
+    return rows
+
+
+def differing(rows: Sequence[Row]) -> list[Row]:
+    """Rows of parameters in which not all values, default included, are the same."""
+    return [row for row in rows if len(set(row[2:])) > 1]
+
+
+def _facts(run: Run, colour: str) -> dict[str, str]:
+    recording, p = run.recording, run.parameters
+    start = datetime.fromtimestamp(recording.start_ns * 1e-9, tz=timezone.utc)
+    return {
+        "label": run.label,
+        "colour": colour,
+        "bag": recording.path,
+        "date": f"{start:%Y-%m-%d %H:%M:%S} UTC",
+        "looked_at": f"{recording.start_s:g} to {recording.stop_s:.1f} s",
+        "duration": f"{recording.stop_s - recording.start_s:.1f} s",
+        "filter": f"{p.filter}, model {p.model}",
+        "speed": f"{run.replay.duration_s / run.replay.elapsed_s:.0f} × real time",
+    }
+
+
+def _number(value: float, form: str) -> str:
+    return f"{value:{form}}" if math.isfinite(value) else "–"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return ", ".join(map(_value, value)) if isinstance(value, list) else str(value)

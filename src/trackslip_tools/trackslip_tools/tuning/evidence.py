@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a tuning leaves behind: a parameter file that the nodes load, and beside it what it rests on."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import to_flat
+from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
+from trackslip_tools.tuning.plan import changed
+from trackslip_tools.tuning.task import Score
+from trackslip_tools.tuning.tuner import Tuning
+
+PARAMETERS, TABLE, NUMBERS, JOURNAL = "slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl"
+
+
+def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> None:
+    """Parameters and table; ``p`` is what tuning started from.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    values = to_flat(changed(p, tuning.values))
+    tree: dict[str, Any] = {}
+    for name in tuning.values:
+        *groups, last = name.split(".")
+        inner = tree
+        for group in groups:
+            inner = inner.setdefault(group, {})
+        inner[last] = values[name]
+    text = f"# Found by trackslip tune on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
+    text += yaml.safe_dump({NODE: {"ros__parameters": tree}}, sort_keys=False)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / PARAMETERS).write_text(text, encoding="utf-8")
+        (folder / TABLE).write_text(f"# What {PARAMETERS} rests on\n\n{table(tuning)}\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--output: '{folder}' cannot be written ({error.strerror})") from error
+
+
+def numbers(tuning: Tuning) -> dict[str, Any]:
+    """For programs."""
+    return {
+        "objective": tuning.plan.effort.objective,
+        "values": {"before": tuning.values_before, "after": tuning.values},
+        "bags": [
+            {"bag": bag, "before": before._asdict(), "after": after._asdict()}
+            for bag, before, after in zip(tuning.bags, tuning.before, tuning.after, strict=True)
+        ],
+        "left_out": [
+            {"bag": tuning.bags[fold.bag], "values": fold.values, "score": fold.score._asdict()}
+            for fold in tuning.folds
+        ],
+        "improves_unseen": tuning.improves_unseen,
+    }
+
+
+def table(tuning: Tuning) -> str:
+    """Markdown: the values, then each bag before and after, and as it is where it had no say."""
+    ranges = {
+        name: [fold.values[name] for fold in tuning.folds] or [value] for name, value in tuning.values.items()
+    }
+    values = [
+        [
+            name,
+            f"{tuning.values_before[name]:.4g}",
+            f"{value:.4g}",
+            f"{min(ranges[name]):.4g} to {max(ranges[name]):.4g}" if tuning.folds else "",
+        ]
+        for name, value in tuning.values.items()
+    ]
+    sources = sorted({source for score in tuning.before for source in score.nis})
+    rows = []
+    unseen = {fold.bag: fold.score for fold in tuning.folds}
+    for bag, name in enumerate(tuning.bags):
+        stages = (("before", tuning.before[bag]), ("after", tuning.after[bag]), ("unseen", unseen.get(bag)))
+        rows += [[name, stage, *_cells(score, sources)] for stage, score in stages if score is not None]
+    heading = ["bag", "", "ln likelihood", *(f"NIS {source}" for source in sources), "refused"]
+    heading += ["position m", "heading rad", "NEES", "ln pose"]
+    notes = (
+        "ln likelihood: mean of a measurement; ln pose: of a pose of the reference. NIS: mean of a source's "
+        "normalised innovation squared over its degrees of freedom, 1 if honest. NEES: mean of the pose's "
+        "against the reference, 3 if honest."
+    )
+    if tuning.folds:
+        notes += " Unseen: with the values found on the other bags alone, whose range the first table gives."
+        worse = "" if tuning.improves_unseen else "not "
+        notes += f"\n\nBags that had no say are {worse}better off on average."
+    parts = (
+        _aligned(["parameter", "before", "after", "without one bag"], values),
+        _aligned(heading, rows),
+        notes,
+    )
+    return "\n\n".join(parts)
+
+
+def _cells(score: Score, sources: Sequence[str]) -> list[str]:
+    nis = [_number(score.nis.get(source, math.nan), ".2f") for source in sources]
+    errors = (_number(score.position, ".4f"), _number(score.heading, ".4f"), _number(score.nees, ".2f"))
+    pose = _number(score.pose_log_likelihood, ".2f")
+    return [f"{score.log_likelihood:.3f}", *nis, str(sum(score.rejected.values())), *errors, pose]
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else ""
+
+
+def _aligned(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table that is also one to the eye."""
+    widths = [max(map(len, column)) for column in zip(heading, *rows, strict=True)]
+    lines = [heading, ["-" * width for width in widths], *rows]
+    return "\n".join(
+        "| " + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) + " |"
+        for line in lines
+    )

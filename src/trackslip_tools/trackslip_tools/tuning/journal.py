@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What has been scored, on disk: an interrupted search goes on where it stood.
+
+The first line tells what the scores belong to; each other one holds a bag, a set of values, and its score.
+A line that was cut short is scored again.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from trackslip_common.errors import InputError
+from trackslip_tools.tuning.task import Score, Task
+
+Values = tuple[float, ...]
+
+
+class Journal:
+    """Scores by bag and values; each is on disk as soon as it is known."""
+
+    def __init__(self, path: Path, tasks: Iterable[Task], names: Iterable[str]) -> None:
+        """Open a journal, with what it holds.
+
+        Raises:
+            InputError: it cannot be written, or belongs to other bags, parameters or names.
+        """
+        self._scores: dict[tuple[int, Values], Score] = {}
+        heading = {"names": list(names), "of": _fingerprint(tasks)}
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+            known = [entry for entry in map(_parsed, lines) if entry is not None]
+            if known and known[0] != heading:
+                raise InputError(
+                    f"'{path}' is of other bags or parameters; accepted: another --output, or remove it"
+                )
+            for entry in known[1:]:
+                self._scores[entry["bag"], tuple(entry["values"])] = Score(**entry["score"])
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("w" if not known else "a", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"journal '{path}' cannot be used ({error.strerror})") from error
+        except (KeyError, TypeError, UnicodeDecodeError) as error:
+            raise InputError(f"'{path}' is no journal of tune; accepted: another --output") from error
+        if not known:
+            self._write(heading)
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def __len__(self) -> int:
+        return len(self._scores)
+
+    def __contains__(self, key: tuple[int, Values]) -> bool:
+        return key in self._scores
+
+    def __getitem__(self, key: tuple[int, Values]) -> Score:
+        return self._scores[key]
+
+    def add(self, bag: int, values: Values, score: Score) -> None:
+        """One more."""
+        self._scores[bag, values] = score
+        self._write({"bag": bag, "values": values, "score": score._asdict()})
+
+    def _write(self, entry: Mapping[str, Any]) -> None:
+        self._file.write("\n" * bool(self._file.tell()) + json.dumps(entry))
+        self._file.flush()
+
+
+def _parsed(line: str) -> Any:
+    try:
+        return json.loads(line)
+    except ValueError:
+        return None
+
+
+def _fingerprint(tasks: Iterable[Task]) -> str:
+    """Of all that a score depends on but the values."""
+    digest = hashlib.sha256()
+    for task in tasks:
+        digest.update(repr((task.p, task.log.start.stamp_ns)).encode())
+        for array in task.log.log:
+            digest.update(array.tobytes())
+        if task.reference is not None:
+            digest.update(task.reference.stamps_ns.tobytes() + task.reference.poses.tobytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is tuned, within which bounds, and for what: the tune file.
+
+objective: likelihood          # of the innovations; pose: of a reference's poses; position: its mean error
+evaluations: 500               # sets of parameters that one search may try
+seed: 0
+parameters:                    # of slip_estimator, dotted names; a list gets the same value everywhere
+  turning.turning_misfit: {low: 0.01, high: 1.0, scale: log}
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.config_files import read_yaml
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, flat_fields, from_flat, parameter
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+
+FloatArray = NDArray[np.float64]
+
+LIKELIHOOD, POSE, POSITION = "likelihood", "pose", "position"
+_AT_READING = "yaw_rate_stddev"  # goes into the measurements when a bag is read
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds(Parameters):
+    """Where the value of a parameter is looked for."""
+
+    low: float = parameter("smallest value that is tried")
+    high: float = parameter("largest value that is tried")
+    scale: str = parameter("whether equal steps are equal differences or ratios", choices=("linear", "log"))
+
+    def __post_init__(self) -> None:
+        """Check also what belongs together.
+
+        Raises:
+            InputError: a value is refused, or two do not go together.
+        """
+        super().__post_init__()
+        if not self.low < self.high:
+            raise InputError(f"low: {self.low:g} is out of range; accepted: < {self.high:g}, which is high")
+        if self.scale == "log" and self.low <= 0.0:
+            raise InputError(f"low: {self.low:g} is out of range; accepted: > 0 with scale: log")
+
+    def value(self, share: float) -> float:
+        """The value at a share of the way from low to high."""
+        if self.scale == "log":
+            ratio: float = (self.high / self.low) ** share
+            return min(max(self.low * ratio, self.low), self.high)
+        return self.low + (self.high - self.low) * share
+
+    def share(self, value: float) -> float:
+        """How far a value lies on that way, in 0 … 1; those outside are put at its ends."""
+        inside = min(max(value, self.low), self.high)
+        if self.scale == "log":
+            return math.log(inside / self.low) / math.log(self.high / self.low)
+        return (inside - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort(Parameters):
+    """What is looked for, and for how long."""
+
+    objective: str = parameter("what is made best", choices=(LIKELIHOOD, POSE, POSITION))
+    evaluations: int = parameter("sets of parameters that one search may try", ge=20, le=1_000_000)
+    seed: int = parameter("of the search", ge=0)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A tune file."""
+
+    effort: Effort
+    bounds: dict[str, Bounds]  # by dotted name
+
+    def values(self, shares: FloatArray) -> dict[str, float]:
+        """Dotted name → value, of a point (d,) in the unit cube."""
+        return {
+            name: bounds.value(float(share))
+            for (name, bounds), share in zip(self.bounds.items(), shares, strict=True)
+        }
+
+    def shares(self, p: SlipEstimatorParameters) -> FloatArray:
+        """(d,) the point of present values; of a list the first."""
+        return np.array([bounds.share(value_of(p, name)) for name, bounds in self.bounds.items()])
+
+
+def read_plan(path: Path) -> Plan:
+    """A tune file.
+
+    Raises:
+        InputError: it cannot be read, a name is no number of the slip estimator, or a value is refused.
+    """
+    tree = read_yaml(path)
+    wanted = tree.pop("parameters", None)
+    if not isinstance(wanted, Mapping) or not wanted:
+        raise InputError(
+            f"{path}: parameters: nothing to tune; accepted: name: {{low: …, high: …, scale: log}}"
+        )
+    return Plan(
+        from_flat(Effort, tree, str(path)),
+        {str(name): _bounds(f"{path}: {name}", str(name), given) for name, given in wanted.items()},
+    )
+
+
+def value_of(p: SlipEstimatorParameters, name: str) -> float:
+    """The value of a parameter by its dotted name; of a list the first."""
+    value: Any = p
+    for part in name.split("."):
+        value = getattr(value, part)
+    return float(value[0] if isinstance(value, tuple) else value)
+
+
+def changed(p: SlipEstimatorParameters, values: Mapping[str, float]) -> SlipEstimatorParameters:
+    """Parameters with other values; a list gets the value everywhere.
+
+    Raises:
+        InputError: a value is refused.
+    """
+    kinds = {name: kind for name, kind, _ in flat_fields(SlipEstimatorParameters)}
+    return p.changed({name: value if kinds[name] is float else [value] for name, value in values.items()})
+
+
+def _bounds(where: str, name: str, given: object) -> Bounds:
+    numbers = {
+        known: spec
+        for known, kind, spec in flat_fields(SlipEstimatorParameters)
+        if kind in (float, tuple[float, ...]) and known != _AT_READING
+    }
+    if name not in numbers:
+        raise InputError(f"{where}: not to be tuned; accepted: {', '.join(numbers)}")
+    if not isinstance(given, Mapping):
+        raise InputError(f"{where}: {given!r} gives no bounds; accepted: {{low: …, high: …, scale: log}}")
+    bounds = from_flat(Bounds, {"scale": "linear", **given}, where)
+    for end in (bounds.low, bounds.high):
+        if not numbers[name].accepts(end):
+            raise InputError(f"{where}: {end:g} is out of range; accepted: {numbers[name].accepted()}")
+    return bounds

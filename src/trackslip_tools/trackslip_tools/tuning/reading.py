@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a bag to what the tuner scores."""
+
+from trackslip_bags.reader import Bag
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.measurements import KINDS
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_tools.replay import edits as editing
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.inputs import read_inputs
+from trackslip_tools.replay.run import own_reference, reference_path
+from trackslip_tools.tuning.task import Task, make_task
+
+
+def read_task(
+    bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None, *, needs_reference: bool
+) -> Task:
+    """A bag's measurements and its reference, where it has one.
+
+    What was asked of the estimator while it ran, but for its pose, is left out.
+
+    Raises:
+        InputError: the bag lacks what is needed.
+    """
+    reference = reference or own_reference(bag)
+    inputs = read_inputs(bag, p, edits, (reference,) if reference else ())
+    arrivals = editing.apply(edits, inputs.arrivals, inputs.origin_ns)
+    measurements = [a.measurement for a in arrivals if isinstance(a.measurement, KINDS)]
+    series = inputs.series.get(reference or "")
+    if series is None and needs_reference:
+        raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")
+    return make_task(str(bag.path), measurements, p, None if series is None else reference_path(series, 0))

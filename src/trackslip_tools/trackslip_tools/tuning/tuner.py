@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tunes over many bags, and over all but each: what a bag without a say gains is what tuning is worth."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_tools.tuning.journal import Journal
+from trackslip_tools.tuning.plan import POSE, POSITION, Plan, value_of
+from trackslip_tools.tuning.search import search
+from trackslip_tools.tuning.task import Score, Task
+from trackslip_tools.tuning.workers import Work
+
+FloatArray = NDArray[np.float64]
+
+_WORST = 1e9  # cost of what has no score
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A search in which one bag had no say."""
+
+    bag: int
+    values: dict[str, float]
+    score: Score  # of that bag
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What a tuning found."""
+
+    plan: Plan
+    bags: list[str]
+    values_before: dict[str, float]  # of the first bag
+    values: dict[str, float]
+    before: list[Score]  # of each bag
+    after: list[Score]
+    folds: list[Fold]  # empty where there is one bag, or none was wanted
+
+    @property
+    def improves_unseen(self) -> bool:
+        """Whether bags without a say are better off on average; where none was left out, whether all are."""
+        objective = self.plan.effort.objective
+        then = [fold.score for fold in self.folds] or self.after
+        changes = [
+            cost(objective, score) - cost(objective, self.before[bag]) for bag, score in enumerate(then)
+        ]
+        return sum(changes) <= 0.0
+
+
+class Tuner:
+    """Searches that share their scores."""
+
+    def __init__(
+        self, plan: Plan, tasks: Sequence[Task], work: Work, journal: Journal, advance: Callable[[int], None]
+    ) -> None:
+        """``advance`` is told how many sets were scored, or known, at each turn."""
+        self._plan, self._tasks, self._work, self._journal = plan, tasks, work, journal
+        self._advance = advance
+
+    def run(self, cross_validate: bool) -> Tuning:
+        """Tune over all bags; and over all but one, for each."""
+        everyone = range(len(self._tasks))
+        start = np.mean([self._plan.shares(task.p) for task in self._tasks], axis=0)
+        best = self._search(everyone, start)
+        folds = []
+        if cross_validate and len(self._tasks) > 1:
+            for left_out in everyone:
+                values = self._search([bag for bag in everyone if bag != left_out], start)
+                folds.append(Fold(left_out, values, self._scores([values], [left_out])[0][0]))
+        return Tuning(
+            self._plan,
+            [task.name for task in self._tasks],
+            {name: value_of(self._tasks[0].p, name) for name in self._plan.bounds},
+            best,
+            [task.score({}) for task in self._tasks],
+            self._scores([best], everyone)[0],
+            folds,
+        )
+
+    def _search(self, bags: Sequence[int], start: FloatArray) -> dict[str, float]:
+        effort = self._plan.effort
+
+        def costs(points: FloatArray) -> FloatArray:
+            rows = self._scores([self._plan.values(point) for point in points], bags)
+            self._advance(len(rows))
+            return np.array([np.mean([cost(effort.objective, score) for score in row]) for row in rows])
+
+        return self._plan.values(search(costs, start, effort.evaluations, effort.seed))
+
+    def _scores(self, sets: Sequence[dict[str, float]], bags: Sequence[int]) -> list[list[Score]]:
+        """Of each set and bag; the journal's where it knows them."""
+        wanted = dict.fromkeys((bag, tuple(values.values())) for values in sets for bag in bags)
+        missing = [key for key in wanted if key not in self._journal]
+        jobs = [(bag, dict(zip(self._plan.bounds, values, strict=True))) for bag, values in missing]
+        for key, score in zip(missing, self._work(jobs), strict=True):
+            self._journal.add(*key, score)
+        return [[self._journal[bag, tuple(values.values())] for bag in bags] for values in sets]
+
+
+def cost(objective: str, score: Score) -> float:
+    """What is made small: minus a mean ln likelihood, or ln of the position error (m)."""
+    if objective == POSITION:
+        value = math.log(max(score.position, 1e-9))
+    else:
+        value = -(score.pose_log_likelihood if objective == POSE else score.log_likelihood)
+    return value if math.isfinite(value) else _WORST

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorded runs of bags/: unchanged, readable, and replayed to the numbers of their manifest."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import ExitCode
+from trackslip_tools.cli.main import main
+
+BAGS = Path(__file__).parents[2] / "bags"
+MANIFEST: dict[str, Any] = yaml.safe_load((BAGS / "manifest.yaml").read_text(encoding="utf-8"))
+MOST_BYTES = 5_000_000  # of all together
+
+each = pytest.mark.parametrize("name", MANIFEST["bags"])
+
+
+def test_the_manifest_names_every_file_and_they_are_small() -> None:
+    named = {BAGS / name / file for name, bag in MANIFEST["bags"].items() for file in bag["sha256"]}
+    there = {path for path in BAGS.rglob("*") if path.is_file()}
+    assert there - named == {BAGS / "manifest.yaml", *(BAGS / "scenarios").iterdir()}
+    assert sum(path.stat().st_size for path in there) <= MOST_BYTES
+    scenarios = {bag["made"]["scenario"] for bag in MANIFEST["bags"].values()}
+    assert {f"scenarios/{path.name}" for path in (BAGS / "scenarios").iterdir()} <= scenarios
+
+
+@each
+def test_the_files_are_those_that_were_recorded(name: str) -> None:
+    for file, digest in MANIFEST["bags"][name]["sha256"].items():
+        assert hashlib.sha256((BAGS / name / file).read_bytes()).hexdigest() == digest
+
+
+@each
+def test_holds_what_the_manifest_says(name: str) -> None:
+    holds = MANIFEST["bags"][name]["holds"]
+    with open_bag(BAGS / name) as bag:
+        assert {topic: info.count for topic, info in bag.topics.items()} == holds["messages"]
+        assert sum(1 for _ in bag.messages()) == sum(holds["messages"].values())
+        assert bag.duration_s == pytest.approx(holds["duration_s"], abs=1e-6)
+        assert bool(bag.damage) == holds["damaged"]
+
+
+@each
+def test_replays_to_the_expected_numbers(name: str, tmp_path: Path) -> None:
+    assert main(["replay", str(BAGS / name), "--json", str(tmp_path / "found.json")]) == ExitCode.DONE
+    found, expected = json.loads((tmp_path / "found.json").read_text()), MANIFEST["bags"][name]["replay"]
+    within = MANIFEST["tolerances"]
+    kinds = {"x": "position", "y": "position", "yaw": "heading", "heading": "heading"}
+    kinds |= dict.fromkeys(("left_slip", "right_slip", "slip"), "slip")
+    for group in ("final", "rmse"):
+        for key, value in expected[group].items():
+            assert found[group][key] == pytest.approx(value, abs=within[kinds.get(key, "position")]), (
+                group,
+                key,
+            )
+    assert found["nees"] == pytest.approx(expected["nees"], abs=within["nees"])
+    assert found["rejected"] == expected["rejected"]
+
+
+def test_between_them_they_show_what_a_reader_must_bear() -> None:
+    """One cut short, one with sensors that fail: what makes the others worth less alone."""
+    bags = MANIFEST["bags"].values()
+    assert sum(bag["holds"]["damaged"] for bag in bags) == 1
+    rates = [bag["holds"]["messages"]["/imu/data_raw"] / bag["holds"]["duration_s"] for bag in bags]
+    assert min(rates) < 0.8 * max(rates)

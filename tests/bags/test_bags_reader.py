@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reader: every form of bag that rosbag2 writes, damaged ones, and what is no bag."""
+
+import shutil
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from trackslip_bags.info import describe
+from trackslip_bags.messages import header, make, serialize
+from trackslip_bags.reader import Bag, open_bag, require_topics
+from trackslip_bags.types import typestore
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import InputError
+
+TEXT = "std_msgs/msg/String"
+IMU = "sensor_msgs/msg/Imu"
+MS = 1_000_000
+FORMS = [
+    (StoragePlugin.SQLITE3, CompressionMode.NONE),
+    (StoragePlugin.SQLITE3, CompressionMode.FILE),
+    (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+    (StoragePlugin.MCAP, CompressionMode.NONE),
+    (StoragePlugin.MCAP, CompressionMode.FILE),
+    (StoragePlugin.MCAP, CompressionMode.STORAGE),
+]
+
+
+def text(data: str) -> bytes:
+    return serialize(make(TEXT, data=data))
+
+
+def write_texts(path: Path, times_ns: list[int], topic: str = "/a") -> Path:
+    with BagWriter(path) as bag:
+        for time_ns in times_ns:
+            bag.write(topic, TEXT, text(str(time_ns)), time_ns)
+    return path
+
+
+def write_long(path: Path) -> Path:
+    """4 s of IMU at 100 Hz: eight chunks."""
+    with BagWriter(path) as bag:
+        for i in range(400):
+            bag.write("/imu", IMU, serialize(make(IMU, header=header(i * 10 * MS, "imu_link"))), i * 10 * MS)
+    return path
+
+
+def times(bag: Bag) -> list[int]:
+    return [message.log_time_ns for message in bag.messages()]
+
+
+@pytest.mark.parametrize(("storage", "compression"), FORMS)
+@pytest.mark.parametrize("version", [8, 9])
+def test_bags_of_others_open(
+    tmp_path: Path, storage: StoragePlugin, compression: CompressionMode, version: Literal[8, 9]
+) -> None:
+    writer = Writer(tmp_path / "bag", version=version, storage_plugin=storage)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        a = writer.add_connection("/a", TEXT, typestore=typestore())
+        b = writer.add_connection("/b", IMU, typestore=typestore())
+        writer.write(a, 30, text("second"))
+        writer.write(a, 10, text("first"))
+        writer.write(b, 20, serialize(make(IMU, header=header(20, "imu_link"))))
+    with open_bag(tmp_path / "bag") as bag:
+        assert bag.damage == ""
+        assert {name: (info.type_name, info.count) for name, info in bag.topics.items()} == {
+            "/a": (TEXT, 2),
+            "/b": (IMU, 1),
+        }
+        assert (bag.start_ns, bag.end_ns, bag.message_count) == (10, 30, 3)
+        assert [(m.topic, m.log_time_ns) for m in bag.messages()] == [("/a", 10), ("/b", 20), ("/a", 30)]
+        assert [bag.deserialize(m.raw, TEXT).data for m in bag.messages(["/a"])] == ["first", "second"]
+
+
+@pytest.mark.parametrize(("storage", "compression"), FORMS)
+def test_split_bags_of_others_open(
+    tmp_path: Path, storage: StoragePlugin, compression: CompressionMode
+) -> None:
+    """As ``ros2 bag record --max-bag-size`` leaves them: one ``metadata.yaml`` over all files."""
+    whole = tmp_path / "split"
+    whole.mkdir()
+    found: list[dict[str, Any]] = []
+    for k in range(3):
+        writer = Writer(tmp_path / f"split_{k}", version=9, storage_plugin=storage)
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+        with writer:
+            connection = writer.add_connection("/a", TEXT, typestore=typestore())
+            for i in range(2):
+                writer.write(connection, 100 * k + i, text(f"{k}{i}"))
+        about = yaml.safe_load((writer.path / "metadata.yaml").read_text(encoding="utf-8"))
+        found.append(about["rosbag2_bagfile_information"])
+        (file,) = found[-1]["relative_file_paths"]
+        shutil.move(writer.path / file, whole / file)
+    first = found[0]
+    first["relative_file_paths"] = [about["relative_file_paths"][0] for about in found]
+    first["files"] = [about["files"][0] for about in found]
+    first["duration"], first["message_count"] = {"nanoseconds": 201}, 6
+    first["topics_with_message_count"][0]["message_count"] = 6
+    (whole / "metadata.yaml").write_text(
+        yaml.safe_dump({"rosbag2_bagfile_information": first}), encoding="utf-8"
+    )
+    with open_bag(whole) as bag:
+        assert (bag.damage, bag.topics["/a"].count) == ("", 6)
+        assert times(bag) == [0, 1, 100, 101, 200, 201]
+        assert [bag.deserialize(m.raw, TEXT).data for m in bag.messages()][-1] == "21"
+
+
+def test_a_bare_file_opens(tmp_path: Path) -> None:
+    path = write_texts(tmp_path / "bag", [1, 2])
+    with open_bag(path / "bag_0.mcap") as bag:
+        assert (bag.damage, times(bag)) == ("", [1, 2])
+
+
+def test_messages_are_in_log_order_and_ties_as_written(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        for time_ns, data in ((50, "d"), (10, "a"), (10, "b"), (40, "c"), (2 * 10**9, "f"), (60, "e")):
+            writer.write("/x" if data < "c" else "/y", TEXT, text(data), time_ns)
+    with open_bag(tmp_path / "bag") as bag:
+        assert "".join(bag.deserialize(m.raw, TEXT).data for m in bag.messages()) == "abcdef"
+
+
+def test_topics_and_times_are_selected(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        for i in range(10):
+            writer.write("/even" if i % 2 == 0 else "/odd", TEXT, text(str(i)), i)
+    with open_bag(tmp_path / "bag") as bag:
+        assert [m.log_time_ns for m in bag.messages(["even"], start_ns=2, stop_ns=8)] == [2, 4, 6]
+        assert [m.log_time_ns for m in bag.messages(["/even", "odd"], start_ns=8)] == [8, 9]
+        assert list(bag.messages(["neither"])) == []
+        assert list(bag.messages([])) == []
+
+
+@pytest.mark.parametrize("with_metadata", [True, False])
+@pytest.mark.parametrize("kept", [0.15, 0.3, 0.5, 0.7, 0.9, 0.99])
+def test_a_cut_file_opens_up_to_its_last_whole_chunk(
+    tmp_path: Path, kept: float, with_metadata: bool
+) -> None:
+    path = write_long(tmp_path / "bag")
+    file = path / "bag_0.mcap"
+    data = file.read_bytes()
+    file.write_bytes(data[: int(len(data) * kept)])
+    if not with_metadata:
+        (path / "metadata.yaml").unlink()
+    with open_bag(path) as bag:
+        assert bag.damage == "bag_0.mcap: cut short"
+        found = times(bag)
+        assert len(found) % 50 == 0
+        assert found == [i * 10 * MS for i in range(len(found))]
+        assert len(found) == bag.topics["/imu"].count == bag.message_count
+        assert len(found) * 10 * MS >= (kept - 0.3) * 4e9
+        assert bag.end_ns == found[-1]
+        assert next(iter(bag.messages(start_ns=bag.end_ns))).log_time_ns == bag.end_ns
+
+
+def test_a_lost_summary_costs_nothing(tmp_path: Path) -> None:
+    path = write_long(tmp_path / "bag")
+    file = path / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:-8])
+    with open_bag(path) as bag:
+        assert len(times(bag)) == 400
+
+
+def test_no_metadata_costs_nothing(tmp_path: Path) -> None:
+    path = write_long(tmp_path / "bag")
+    (path / "metadata.yaml").unlink()
+    with open_bag(path) as bag:
+        assert len(times(bag)) == 400
+        assert bag.damage == "no metadata.yaml"
+
+
+def test_a_split_recording_is_read_as_one(tmp_path: Path) -> None:
+    whole = tmp_path / "split"
+    whole.mkdir()
+    for number in (2, 10, 1):  # as numbers, not as text
+        part = write_texts(tmp_path / str(number), [number * 100, number * 100 + 1])
+        shutil.copy(part / f"{number}_0.mcap", whole / f"split_{number}.mcap")
+    last = whole / "split_10.mcap"
+    last.write_bytes(last.read_bytes()[:-8])
+    with open_bag(whole) as bag:
+        assert times(bag) == [100, 101, 200, 201, 1000, 1001]
+        assert (bag.start_ns, bag.end_ns, bag.topics["/a"].count) == (100, 1001, 6)
+        assert bag.damage == "split_10.mcap: cut short"
+
+
+def test_damage_inside_is_reported_not_read(tmp_path: Path) -> None:
+    path = write_long(tmp_path / "bag")
+    file = path / "bag_0.mcap"
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    inside = summary.chunk_indexes[3].chunk_start_offset + 80
+    data = bytearray(file.read_bytes())
+    data[inside : inside + 64] = b"\xff" * 64
+    file.write_bytes(bytes(data))
+    with open_bag(path) as bag, pytest.raises(InputError, match="damaged inside") as caught:
+        list(bag.messages())
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("bag.bag", b"#ROSBAG V2.0\n"),
+        ("bag.mcap", b""),
+        ("bag.mcap", b"\x89MCAP0\r\n"),
+        ("bag.mcap", b"no mcap at all, but longer than any footer would be\n"),
+        ("bag.db3", b"SQLite format 3\x00 and then nothing of the kind"),
+        ("log.csv", b"t,x\n0,1\n"),
+        ("bag", None),
+    ],
+)
+def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes | None) -> None:
+    path = tmp_path / name
+    if content is None:
+        path.mkdir()
+    else:
+        path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        open_bag(path)
+    message = str(caught.value)
+    assert str(path) in message
+    assert "accepted: a rosbag2 directory" in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    "content", ["", "hello", "[1, 2]", "rosbag2_bagfile_information: {version: 99}", "{{{"]
+)
+def test_bad_metadata_does_not_hide_the_messages(tmp_path: Path, content: str) -> None:
+    path = write_texts(tmp_path / "bag", [1, 2, 3])
+    (path / "metadata.yaml").write_text(content, encoding="utf-8")
+    with open_bag(path) as bag:
+        assert times(bag) == [1, 2, 3]
+        assert bag.damage
+
+
+def test_a_missing_bag_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nowhere' not found"):
+        open_bag(tmp_path / "nowhere")
+
+
+def test_missing_topics_are_named_with_those_present(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/silent", TEXT)
+        writer.write("/a", TEXT, text(""), 0)
+    with open_bag(tmp_path / "bag") as bag:
+        require_topics(bag, ["a"])
+        with pytest.raises(InputError, match=r"no messages on /silent, /sprockets; it holds: /a$"):
+            require_topics(bag, {"sprockets", "silent", "/a"})
+
+
+def test_bytes_of_another_type_are_refused(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/imu", IMU, b"\x00\x01\x00\x00abc", 0)
+    with open_bag(tmp_path / "bag") as bag, pytest.raises(InputError, match=f"bad {IMU}"):
+        bag.deserialize(next(bag.messages()).raw, IMU)
+
+
+def test_the_description_names_every_topic(tmp_path: Path) -> None:
+    with open_bag(write_long(tmp_path / "bag")) as bag:
+        lines = describe(bag).splitlines()
+    assert "duration  3.990 s" in lines
+    assert lines[-1].split() == ["/imu", IMU, "400", "100.25"]
+    assert lines[-2].split()[:3] == ["topic", "type", "count"]

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of several files: when the writer begins another, and that they are read as one."""
+
+import math
+import random
+from pathlib import Path
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from trackslip_bags.messages import header, make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+
+IMU = "sensor_msgs/msg/Imu"
+TEXT = "std_msgs/msg/String"
+MS = 1_000_000
+
+
+def write_imu(path: Path, count: int, size: float = math.inf, duration: float = math.inf) -> Path:
+    """At 100 Hz; one message on a topic that then falls silent."""
+    with BagWriter(path, split_size=size, split_duration=duration) as bag:
+        bag.write("/once", TEXT, serialize(make(TEXT, data="first")), 0)
+        for i in range(count):
+            bag.write("/imu", IMU, serialize(make(IMU, header=header(i * 10 * MS, "imu_link"))), i * 10 * MS)
+    return path
+
+
+def test_files_span_no_more_than_they_should(tmp_path: Path) -> None:
+    path = write_imu(tmp_path / "run", 450, duration=1.0)
+    info = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    names = [f"run_{k}.mcap" for k in range(5)]
+    assert sorted(file.name for file in path.glob("*.mcap")) == names
+    assert info["relative_file_paths"] == [file["path"] for file in info["files"]] == names
+    starts = [file["starting_time"]["nanoseconds_since_epoch"] for file in info["files"]]
+    assert starts == [k * 1000 * MS for k in range(5)]
+    assert [file["duration"]["nanoseconds"] for file in info["files"]] == [990 * MS] * 4 + [490 * MS]
+    assert [file["message_count"] for file in info["files"]] == [101, 100, 100, 100, 50]
+    assert info["message_count"] == 451
+    assert info["duration"] == {"nanoseconds": 4490 * MS}
+    counts = {t["topic_metadata"]["name"]: t["message_count"] for t in info["topics_with_message_count"]}
+    assert counts == {"/once": 1, "/imu": 450}
+
+
+def test_a_large_file_is_followed_by_another(tmp_path: Path) -> None:
+    noise = random.Random(1)
+    with BagWriter(tmp_path / "bag", split_size=100_000) as bag:
+        for i in range(200):
+            data = serialize(make(TEXT, data=noise.randbytes(5000).hex()))
+            bag.write("/noise", TEXT, data, i * 100 * MS)
+    sizes = [file.stat().st_size for file in sorted(tmp_path.glob("bag/*.mcap"), key=lambda f: len(f.name))]
+    assert len(sizes) > 5
+    assert all(100_000 <= size < 200_000 for size in sizes[:-1])
+
+
+def test_the_whole_is_read_as_one_by_all(tmp_path: Path) -> None:
+    path = write_imu(tmp_path / "bag", 450, duration=1.0)
+    expected = sorted([0, *(i * 10 * MS for i in range(450))])
+    with open_bag(path) as bag:
+        assert bag.damage == ""
+        assert [m.log_time_ns for m in bag.messages()] == expected
+        assert bag.topics["/imu"].count == 450
+    with AnyReader([path]) as reader:
+        assert [time_ns for _, time_ns, _ in reader.messages()] == expected
+
+
+def test_each_file_stands_for_itself(tmp_path: Path) -> None:
+    """Foxglove and ``mcap`` open any of them alone: all topics with their definitions, all checksums."""
+    path = write_imu(tmp_path / "bag", 250, duration=1.0)
+    total = 0
+    for file in path.glob("*.mcap"):
+        with file.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            summary = reader.get_summary()
+            assert summary is not None
+            assert {channel.topic for channel in summary.channels.values()} == {"/once", "/imu"}
+            assert {(s.name, s.encoding) for s in summary.schemas.values()} == {
+                (TEXT, "ros2msg"),
+                (IMU, "ros2msg"),
+            }
+            total += sum(1 for _ in reader.iter_messages())
+    assert total == 251
+
+
+def test_a_clock_set_back_does_not_split_at_every_message(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", split_duration=10.0) as bag:
+        for at_s in (1000, 1001, 2, 3, 4, 5):
+            bag.write("/once", TEXT, serialize(make(TEXT, data=str(at_s))), at_s * 1000 * MS)
+    assert len(list(tmp_path.glob("bag/*.mcap"))) == 2
+
+
+@pytest.mark.parametrize("flushed", [True, False])
+def test_what_is_not_flushed_is_told(tmp_path: Path, flushed: bool) -> None:
+    bag = BagWriter(tmp_path / "bag")
+    bag.write("/once", TEXT, serialize(make(TEXT, data="a")), 0)
+    if flushed:
+        bag.flush()
+    bag.write("/once", TEXT, serialize(make(TEXT, data="b")), 1)
+    assert bag.unsaved == {"/once": 1 if flushed else 2}
+    bag.close()

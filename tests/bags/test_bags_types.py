@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Message definitions: found, hashed as ROS does, and read as a bag defines them."""
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+from rosbags.typesys import get_types_from_msg
+
+from trackslip_bags import messages, types
+from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
+
+STANDARD = (
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/LaserScan",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "nav_msgs/msg/Odometry",
+    "diagnostic_msgs/msg/DiagnosticArray",
+)
+
+
+@pytest.fixture(autouse=True)
+def fresh_store() -> Iterator[None]:
+    types.typestore.cache_clear()
+    yield
+    types.typestore.cache_clear()
+
+
+def ros_descriptions() -> Iterator[Path]:
+    """The .json type descriptions that rosidl installs, where ROS is installed."""
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    for type_name in (*STANDARD, *project_types()):
+        package, _, name = type_name.split("/")
+        paths = (Path(prefix) / "share" / package / "msg" / f"{name}.json" for prefix in prefixes if prefix)
+        yield from (path for path in paths if path.is_file())
+
+
+def project_types() -> list[str]:
+    folder = Path(__file__).parents[2] / "src" / "trackslip_msgs" / "msg"
+    return sorted(f"trackslip_msgs/msg/{path.stem}" for path in folder.glob("*.msg"))
+
+
+def test_the_hash_is_the_one_ros_computes() -> None:
+    paths = list(ros_descriptions())
+    if not paths:
+        pytest.skip("no installed ROS messages to compare with")
+    for path in paths:
+        first = json.loads(path.read_text(encoding="utf-8"))["type_hashes"][0]
+        assert types.type_hash(first["type_name"]) == first["hash_string"]
+
+
+@pytest.mark.parametrize("type_name", [*STANDARD, *project_types()])
+def test_a_schema_defines_the_type_and_all_inside_it(type_name: str) -> None:
+    defined = get_types_from_msg(types.schema_text(type_name), type_name)
+    assert type_name in defined
+    for name, definition in defined.items():
+        assert definition[1] == types.typestore().fielddefs[name][1]
+
+
+def test_project_messages_are_known() -> None:
+    assert "trackslip_msgs/msg/TrackSlip" in project_types()
+    message = messages.make("trackslip_msgs/msg/TrackSlip", left_slip=0.25)
+    assert message.left_slip == 0.25
+    assert message.covariance.shape == (9,)
+
+
+def test_a_foreign_type_is_found_with_its_inner_types(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for package, name, text in (
+        ("inner_msgs", "Wheel", "float64 speed\n"),
+        (
+            "outer_msgs",
+            "Wheels",
+            "# all of them\nstd_msgs/Header header\ninner_msgs/Wheel[] wheels\nTag tag\n",
+        ),
+        ("outer_msgs", "Tag", "string<=8 text\n"),
+    ):
+        folder = tmp_path / "share" / package / "msg"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.msg").write_text(text, encoding="utf-8")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    wheel = messages.make("inner_msgs/msg/Wheel", speed=2.5)
+    message = messages.make(
+        "outer_msgs/msg/Wheels", wheels=[wheel], tag=messages.make("outer_msgs/msg/Tag", text="a")
+    )
+    again = messages.deserialize(messages.serialize(message), "outer_msgs/msg/Wheels")
+    assert again == message
+
+
+@pytest.mark.parametrize("name", ["nowhere_msgs/msg/Nothing", "std_msgs/String", "../etc/passwd", ""])
+def test_an_unknown_type_is_named(name: str) -> None:
+    with pytest.raises(InputError) as caught:
+        types.schema_text(name)
+    assert f"'{name}'" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unreadable_definition_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "share" / "bad_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Bad.msg").write_text("float64 [[[\n", encoding="utf-8")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    with pytest.raises(InputError, match=r"Bad\.msg"):
+        types.ensure("bad_msgs/msg/Bad")
+
+
+def test_a_bag_with_an_older_definition_is_read_by_its_own() -> None:
+    older = MessageDefinition(MessageDefinitionFormat.MSG, "float64 left_slip\n")
+    store = types.store_for("trackslip_msgs/msg/TrackSlip", older)
+    raw = b"\x00\x01\x00\x00" + np.float64(0.5).tobytes()
+    assert store.deserialize_cdr(raw, "trackslip_msgs/msg/TrackSlip").left_slip == 0.5
+    assert messages.make("trackslip_msgs/msg/TrackSlip").right_slip == 0.0
+
+
+def test_the_same_definition_shares_the_store() -> None:
+    text = types.schema_text("sensor_msgs/msg/Imu")
+    definition = MessageDefinition(MessageDefinitionFormat.MSG, text)
+    assert types.store_for("sensor_msgs/msg/Imu", definition) is types.typestore()
+
+
+@pytest.mark.parametrize("stamp_ns", [0, 1, 999_999_999, 1_000_000_000, 1_731_000_000_123_456_789])
+def test_stamps_survive(stamp_ns: int) -> None:
+    assert (
+        stamp_ns_of(messages.make("sensor_msgs/msg/Imu", header=messages.header(stamp_ns, "odom")))
+        == stamp_ns
+    )
+
+
+def test_a_few_bytes_behind_a_message_are_accepted() -> None:
+    name = "sensor_msgs/msg/JointState"
+    raw = messages.serialize(messages.make(name, velocity=[1.0, 2.0]))
+    assert list(messages.deserialize(raw + b"\x07" * 8, name).velocity) == [1.0, 2.0]
+    with pytest.raises(ValueError, match="more bytes"):
+        messages.deserialize(raw + bytes(65), name)
+    with pytest.raises(ValueError, match="no CDR header"):
+        messages.deserialize(b"\x01" + raw, name)
+
+
+def test_both_byte_orders_are_read() -> None:
+    name = "geometry_msgs/msg/Vector3"
+    vector = messages.make(name, x=1.0, y=-2.0, z=0.5)
+    raw = bytes(types.typestore().serialize_cdr(vector, name, little_endian=False))
+    assert messages.deserialize(raw, name) == vector
+
+
+def test_an_unknown_field_is_refused() -> None:
+    with pytest.raises(TypeError):
+        messages.make("std_msgs/msg/String", text="a")

@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A CSV log and a mapping become a bag; every mistake in either is one clear line."""
+
+import argparse
+import copy
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from trackslip_bags.importing.importer import import_log
+from trackslip_bags.importing.mapping import read_mapping
+from trackslip_bags.parameters import PARAMETERS_TOPIC, bag_parameters
+from trackslip_bags.reader import Bag, open_bag
+from trackslip_common.config_files import config_file
+from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
+from trackslip_tools.cli import import_command, info_command
+
+ROOT = Path(__file__).parents[2]
+SHARED = Path(os.environ.get("TRACKSLIP_SHARED", ROOT.parent / "shared"))
+WARTHOG = SHARED / "data" / "warthog_grass_a.csv"
+
+LOG = """\
+t,wl,wr,gx,gy,gz,n,x,y,heading,pl,pr
+1000,180,-90,0,0,90,7,0,0,0,10,20
+1050,180,-90,0,0,90,7,0,0,0,10,20
+1100,360,-90,0,0,90,8,150,-25,90,10,20
+1150,360,-90,0,0,90,8,150,-25,90,10,20
+1200,360,-90,0,0,90,9,300,-50,180,10,20
+"""
+
+MAPPING: dict[str, Any] = {
+    "time": {"column": "t", "unit": "ms"},
+    "start": 100.0,
+    "topics": {
+        "sprockets": {
+            "left_velocity": {"column": "wl", "unit": "deg/s"},
+            "right_velocity": {"column": "wr", "unit": "deg/s", "scale": -1.0},
+            "time_offset": 0.02,
+        },
+        "imu/data_raw": {
+            "angular_velocity_x": {"column": "gx", "unit": "deg/s"},
+            "angular_velocity_y": {"column": "gy", "unit": "deg/s"},
+            "angular_velocity_z": {"column": "gz", "unit": "deg/s"},
+        },
+        "reference_pose": {
+            "x": {"column": "x", "unit": "cm"},
+            "y": {"column": "y", "unit": "cm"},
+            "yaw": {"column": "heading", "unit": "deg"},
+            "new_when_changes": "n",
+            "time_offset": -0.4,
+            "stddev": {"x": 0.1, "y": 0.2, "yaw": 0.3},
+        },
+    },
+    "parameters": {"pose_sources": ["reference_pose"]},
+}
+
+
+def import_text(folder: Path, log: str = LOG, mapping: dict[str, Any] = MAPPING) -> Path:
+    """Run the importer on a log and a mapping given as such; the bag's path."""
+    (folder / "log.csv").write_text(log, encoding="utf-8")
+    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    import_log(folder / "log.csv", read_mapping(folder / "map.yaml"), folder / "bag")
+    return folder / "bag"
+
+
+def contents(bag: Bag, topic: str) -> list[Any]:
+    return [bag.deserialize(message.raw, message.type_name) for message in bag.messages([topic])]
+
+
+def changed(**edits: Any) -> dict[str, Any]:
+    """The good mapping with dotted keys set (None removes); `__` stands for the dot."""
+    mapping = copy.deepcopy(MAPPING)
+    for dotted, value in edits.items():
+        *parents, last = dotted.split("__")
+        section = mapping
+        for name in parents:
+            section = section[{"imu": "imu/data_raw"}.get(name, name)]
+        if value is None:
+            del section[last]
+        else:
+            section[last] = value
+    return mapping
+
+
+def test_units_signs_and_offsets(tmp_path: Path) -> None:
+    with open_bag(import_text(tmp_path)) as bag:
+        sprockets = contents(bag, "sprockets")
+        imu = contents(bag, "imu/data_raw")
+        poses = contents(bag, "reference_pose")
+    assert [stamp_ns_of(m) for m in sprockets] == [(101_020 + 50 * i) * 1_000_000 for i in range(5)]
+    assert sprockets[0].name == ["left_sprocket", "right_sprocket"]
+    np.testing.assert_allclose(sprockets[2].velocity, [2.0 * math.pi, math.pi / 2.0])
+    assert len(sprockets[0].position) == len(sprockets[0].effort) == 0
+    assert imu[0].angular_velocity.z == pytest.approx(math.pi / 2.0)
+    assert imu[0].orientation_covariance[0] == imu[0].linear_acceleration_covariance[0] == -1.0
+    assert (imu[0].header.frame_id, poses[0].header.frame_id) == ("imu_link", "odom")
+    assert [stamp_ns_of(m) for m in poses] == [100_700_000_000, 100_800_000_000]
+    position, turn = poses[0].pose.pose.position, poses[0].pose.pose.orientation
+    assert (position.x, position.y, position.z) == (1.5, -0.25, 0.0)
+    assert 2.0 * math.atan2(turn.z, turn.w) == pytest.approx(math.pi / 2.0)
+    covariance = poses[0].pose.covariance.reshape(6, 6)
+    np.testing.assert_allclose(np.diag(covariance), [0.01, 0.04, 0.0, 0.0, 0.0, 0.09])
+
+
+def test_the_bag_is_in_the_order_of_stamps(tmp_path: Path) -> None:
+    with open_bag(import_text(tmp_path)) as bag:
+        logged = [m.log_time_ns for m in bag.messages()]
+        stamped = [
+            (m.log_time_ns, stamp_ns_of(bag.deserialize(m.raw, m.type_name)))
+            for m in bag.messages(["sprockets", "imu/data_raw", "reference_pose"])
+        ]
+        assert next(bag.messages()).topic == f"/{PARAMETERS_TOPIC}"
+    assert logged == sorted(logged)
+    assert all(log_time == stamp for log_time, stamp in stamped)
+
+
+def test_parameters_travel_in_the_bag(tmp_path: Path) -> None:
+    vehicle = read_mapping(config_file("mappings/warthog.yaml")).parameters["vehicle"]
+    mapping = changed(parameters={"vehicle": vehicle, "late_window": 0.5})
+    with open_bag(import_text(tmp_path, mapping=mapping)) as bag:
+        parameters = bag_parameters(bag)
+    assert parameters["vehicle.tread"] == 1.08
+    assert parameters["late_window"] == 0.5
+    assert len(parameters) == len(vehicle) + 1
+
+
+def test_no_parameters_no_message(tmp_path: Path) -> None:
+    with open_bag(import_text(tmp_path, mapping=changed(parameters=None))) as bag:
+        assert bag_parameters(bag) == {}
+        assert f"/{PARAMETERS_TOPIC}" not in bag.topics
+
+
+def test_positions_accelerations_and_hydraulics(tmp_path: Path) -> None:
+    mapping = changed(
+        topics__sprockets__left_position={"column": "wl", "unit": "rev"},
+        topics__sprockets__right_position={"column": "wr", "unit": "rad"},
+        topics__imu__linear_acceleration_x={"column": "gx", "unit": "g"},
+        topics__imu__linear_acceleration_y={"column": "gy", "unit": "g"},
+        topics__imu__linear_acceleration_z={"column": "n", "unit": "g"},
+        topics__hydraulics={
+            "left_pressure": {"column": "pl", "unit": "bar"},
+            "right_pressure": {"column": "pr", "unit": "bar"},
+        },
+    )
+    with open_bag(import_text(tmp_path, mapping=mapping)) as bag:
+        sprockets = contents(bag, "sprockets")[0]
+        imu = contents(bag, "imu/data_raw")[0]
+        hydraulics = contents(bag, "hydraulics")[0]
+    np.testing.assert_allclose(sprockets.position, [360.0 * math.pi, -90.0])
+    assert imu.linear_acceleration.z == pytest.approx(7 * 9.80665)
+    assert imu.linear_acceleration_covariance[0] == 0.0
+    assert (hydraulics.left_pressure, hydraulics.right_pressure) == (1e6, 2e6)
+    assert math.isnan(hydraulics.left_spool)
+    assert math.isnan(hydraulics.supply_pressure)
+
+
+def test_spreadsheet_habits_are_accepted(tmp_path: Path) -> None:
+    lines = LOG.replace("\n", "\r\n").replace("t,wl,", '\ufefft, "wl" ,', 1).replace(' "wl" ', "wl")
+    with open_bag(import_text(tmp_path, log=lines + "\r\n")) as bag:
+        assert bag.topics["/sprockets"].count == 5
+
+
+BAD_MAPPINGS = {
+    "unknown key 'colour'": changed(colour="red"),
+    "key 'time' is missing": changed(time=None),
+    "key 'topics' is missing": changed(topics=None),
+    "topics is empty": changed(topics={}),
+    "topics: unknown key 'gnss'; accepted: sprockets, imu/data_raw": changed(topics__gnss={}),
+    "sprockets: 3 is not accepted": changed(topics__sprockets=3),
+    "sprockets: key 'left_velocity' is missing": changed(topics__sprockets__left_velocity=None),
+    "sprockets: key 'right_position' is missing": changed(
+        topics__sprockets__left_position={"column": "wl", "unit": "rad"}
+    ),
+    "sprockets: unknown key 'stddev'": changed(topics__sprockets__stddev={"x": 1.0}),
+    "sprockets.left_velocity.unit: 'm/s' is unknown; accepted: rad/s, deg/s, rpm": changed(
+        topics__sprockets__left_velocity__unit="m/s"
+    ),
+    "sprockets.left_velocity: key 'unit' is missing": changed(topics__sprockets__left_velocity__unit=None),
+    "sprockets.left_velocity: 'wl' is not accepted": changed(topics__sprockets__left_velocity="wl"),
+    "sprockets.right_velocity.scale: 'minus' is not accepted": changed(
+        topics__sprockets__right_velocity__scale="minus"
+    ),
+    "sprockets.right_velocity.scale: nan is not accepted": changed(
+        topics__sprockets__right_velocity__scale=math.nan
+    ),
+    "sprockets.time_offset: True is not accepted": changed(topics__sprockets__time_offset=True),
+    "sprockets.frame: 5 is not accepted": changed(topics__sprockets__frame=5),
+    "reference_pose: key 'stddev' is missing": changed(topics__reference_pose__stddev=None),
+    "reference_pose.stddev: key 'yaw' is missing": changed(topics__reference_pose__stddev__yaw=None),
+    "reference_pose.stddev.x: 0 is out of range; accepted: > 0": changed(topics__reference_pose__stddev__x=0),
+    "time.unit: 'h' is unknown; accepted: s, ms, us, ns": changed(time__unit="h"),
+    "start: 'noon' is not accepted": changed(start="noon"),
+    "parameters: ['tread'] is not accepted": changed(parameters=["tread"]),
+    "parameters.vehicle: parameter 'mass' is missing": changed(parameters={"vehicle": {"tread": 1.0}}),
+    "parameters.vehicle: unknown parameter 'wheels'": changed(parameters={"vehicle": {"wheels": 4}}),
+    "no column speed; the columns are: t, wl, wr": changed(topics__sprockets__left_velocity__column="speed"),
+    "no column m;": changed(topics__reference_pose__new_when_changes="m"),
+    "column 'gx' never changes": changed(topics__reference_pose__new_when_changes="gx"),
+    "the log begins at -1.000 s; accepted: a 'start'": changed(start=-2.0),
+}
+
+
+@pytest.mark.parametrize("message", BAD_MAPPINGS)
+def test_a_malformed_mapping_is_named_in_one_line(tmp_path: Path, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        import_text(tmp_path, mapping=BAD_MAPPINGS[message])
+    assert message in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "bag").exists()
+
+
+BAD_LOGS = {
+    "line 3, column 'wl': 'fast' is not accepted": LOG.replace("1050,180", "1050,fast"),
+    "line 4, column 'wl': '' is not accepted": LOG.replace("1100,360", "1100,"),
+    "line 2, column 'gz': 'nan' is not accepted": LOG.replace("0,0,90,7,0", "0,0,nan,7,0", 1),
+    "line 6, column 'heading': '' is not accepted": LOG.replace(",300,-50,180,10,20", ",300,-50"),
+    "column 't' goes back from 1150 to 1100": LOG.replace("1200", "1100"),
+    "no rows below the header": LOG.splitlines()[0] + "\n",
+    "no column t, gx": "",
+    "no column t": LOG.replace(",", ";"),
+}
+
+
+@pytest.mark.parametrize("message", BAD_LOGS)
+def test_a_bad_log_is_named_in_one_line(tmp_path: Path, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        import_text(tmp_path, log=BAD_LOGS[message])
+    assert message in str(caught.value)
+    assert "log.csv" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00\x01", None])
+def test_an_unreadable_log_is_named(tmp_path: Path, content: bytes | None) -> None:
+    if content is not None:
+        (tmp_path / "log.csv").write_bytes(content)
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(MAPPING), encoding="utf-8")
+    with pytest.raises(InputError, match=r"log\.csv: cannot be read"):
+        import_log(tmp_path / "log.csv", read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
+
+
+def parsed(command: Any, *arguments: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return parser.parse_args(arguments)
+
+
+def test_the_commands_show_what_they_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "log.csv").write_text(LOG, encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(MAPPING), encoding="utf-8")
+    log, mapping, bag = (str(tmp_path / name) for name in ("log.csv", "map.yaml", "bag"))
+    arguments = parsed(import_command, log, "--mapping", mapping, "--output", bag)
+    assert import_command.run(arguments) == 0
+    made = capsys.readouterr().out
+    assert info_command.run(parsed(info_command, bag)) == 0
+    assert capsys.readouterr().out == made
+    assert "/reference_pose" in made
+    with pytest.raises(InputError, match="exists already"):
+        import_command.run(arguments)
+
+
+@pytest.mark.skipif(not WARTHOG.is_file(), reason="the recorded log is not here")
+def test_the_warthog_log(tmp_path: Path) -> None:
+    mapping = read_mapping(config_file("mappings/warthog.yaml"))
+    counts, left_out = import_log(WARTHOG, mapping, tmp_path / "bag")
+    assert left_out == {"/sprockets": 4}  # moved back by 0.15 s
+    with open_bag(tmp_path / "bag") as bag:
+        assert bag.damage == ""
+        assert {name: info.count for name, info in bag.topics.items()} == counts
+        assert counts["/sprockets"] + 4 == counts["/imu/data_raw"] == 7259
+        assert bag.duration_s == pytest.approx(362.9, abs=0.01)
+        rate = counts["/reference_pose"] / bag.duration_s
+        assert 4.0 < rate < 5.5
+        accelerations = [m.linear_acceleration.z for m in contents(bag, "imu/data_raw")]
+        assert np.mean(accelerations) == pytest.approx(9.81, abs=0.1)
+        stamps = np.diff([stamp_ns_of(m) for m in contents(bag, "reference_pose")])
+        assert stamps.min() > 0
+        assert bag_parameters(bag)["vehicle.tread"] == 1.08

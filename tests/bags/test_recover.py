@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip recover``: a whole bag of what a damaged one still holds, and a word on what it does not."""
+
+import hashlib
+import random
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from trackslip_bags.messages import header, make, serialize
+from trackslip_bags.qos import offered_qos
+from trackslip_bags.reader import open_bag
+from trackslip_bags.recovery.recover import recover
+from trackslip_bags.types import typestore
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import ExitCode, InputError
+from trackslip_tools.cli.main import main
+
+IMU, TEXT = "sensor_msgs/msg/Imu", "std_msgs/msg/String"
+MS = 1_000_000
+COUNT = 400
+LATCHED = offered_qos(latched=True)
+
+
+def imu(i: int) -> bytes:
+    return serialize(make(IMU, header=header(i * 10 * MS, f"imu {i}")))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """4 s of IMU at 100 Hz in eight chunks, sent before they were logged; and a silent topic."""
+    path = tmp_path_factory.mktemp("recover") / "bag"
+    with BagWriter(path) as bag:
+        bag.add_topic("/imu", IMU, LATCHED)
+        bag.add_topic("/silent", TEXT)
+        for i in range(COUNT):
+            bag.write("/imu", IMU, imu(i), i * 10 * MS, i * 9 * MS)
+    return path
+
+
+@pytest.fixture
+def damaged(whole: Path, tmp_path: Path) -> Path:
+    """A copy, to be damaged."""
+    return Path(shutil.copytree(whole, tmp_path / "bag"))
+
+
+def cut(path: Path, kept: float) -> None:
+    """Keep so much of a recording, and no metadata, as a power cut does."""
+    file = path / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[: int(file.stat().st_size * kept)])
+    (path / "metadata.yaml").unlink()
+
+
+def spoil_chunk(path: Path, number: int) -> None:
+    file = path / "bag_0.mcap"
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    data = bytearray(file.read_bytes())
+    inside = summary.chunk_indexes[number].chunk_start_offset + 80
+    data[inside : inside + 8] = b"\xff" * 8
+    file.write_bytes(bytes(data))
+
+
+def contents(path: Path) -> list[bytes]:
+    """The IMU messages of a bag that must be whole, by three readers that check it."""
+    with open_bag(path) as bag:
+        assert bag.damage == ""
+        ours = [m.raw for m in bag.messages(["/imu"])]
+    with AnyReader([path]) as reader:
+        assert [raw for connection, _, raw in reader.messages() if connection.topic == "/imu"] == ours
+    theirs = []
+    for file in sorted(path.glob("*.mcap")):
+        with file.open("rb") as stream:
+            theirs += [m.data for _, _, m in make_reader(stream, validate_crcs=True).iter_messages(["/imu"])]
+    assert theirs == ours
+    return ours
+
+
+@pytest.mark.parametrize("kept", [0.12, 0.3, 0.5, 0.7, 0.9, 0.99])
+def test_a_cut_bag_comes_back_up_to_its_last_whole_chunk(
+    damaged: Path, tmp_path: Path, kept: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut(damaged, kept)
+    before = hashlib.sha256((damaged / "bag_0.mcap").read_bytes()).digest()
+    assert main(["recover", str(damaged)]) == ExitCode.DONE
+    shown = capsys.readouterr().out
+    assert "bag_0.mcap: cut short\n" in shown
+    assert "lost: what a recorder that was killed had in hand, at most 0.5 s" in shown
+    found = contents(tmp_path / "bag_recovered")
+    assert len(found) % 50 == 0
+    assert len(found) >= (kept - 0.3) * COUNT
+    assert found == [imu(i) for i in range(len(found))]
+    assert hashlib.sha256((damaged / "bag_0.mcap").read_bytes()).digest() == before
+    assert [file.name for file in damaged.iterdir()] == ["bag_0.mcap"]
+
+
+def test_topics_types_times_and_quality_of_service_come_along(damaged: Path, tmp_path: Path) -> None:
+    cut(damaged, 0.9)
+    recover(damaged, tmp_path / "out")
+    with (tmp_path / "out" / "out_0.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        times = [(m.log_time, m.publish_time) for _, _, m in reader.iter_messages()]
+        summary = reader.get_summary()
+    assert times[:3] == [(0, 0), (10 * MS, 9 * MS), (20 * MS, 18 * MS)]
+    assert summary is not None
+    channels = {channel.topic: channel for channel in summary.channels.values()}
+    assert channels.keys() == {"/imu", "/silent"}
+    assert channels["/imu"].metadata["offered_qos_profiles"] == LATCHED
+    assert channels["/imu"].metadata["topic_type_hash"].startswith("RIHS01_")
+
+
+def test_a_spoilt_chunk_costs_no_more_than_itself(
+    damaged: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spoil_chunk(damaged, 3)
+    assert main(["recover", str(damaged), "--output", str(tmp_path / "out")]) == ExitCode.DONE
+    shown = capsys.readouterr().out
+    assert "bag_0.mcap: 1 damaged chunks\n" in shown
+    assert "lost: 50 of 400 messages\n" in shown
+    assert contents(tmp_path / "out") == [imu(i) for i in range(COUNT) if not 150 <= i < 200]
+
+
+def test_a_spoilt_first_chunk_which_names_the_topics_costs_no_more(damaged: Path, tmp_path: Path) -> None:
+    spoil_chunk(damaged, 0)
+    recover(damaged, tmp_path / "out")
+    assert contents(tmp_path / "out") == [imu(i) for i in range(50, COUNT)]
+
+
+def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", split_duration=1.0) as bag:
+        for i in range(COUNT):
+            bag.write("/imu", IMU, imu(i), i * 10 * MS)
+    last = tmp_path / "bag" / "bag_3.mcap"
+    last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    recovery = recover(tmp_path / "bag", tmp_path / "out")
+    assert (recovery.cut, len(recovery.problems)) == (1, 1)
+    assert len(list((tmp_path / "out").glob("*.mcap"))) == 4
+    found = contents(tmp_path / "out")
+    assert found == [imu(i) for i in range(len(found))]
+    assert 300 <= len(found) < 400
+
+
+def test_one_file_of_a_bag_will_do(damaged: Path, tmp_path: Path) -> None:
+    cut(damaged, 0.5)
+    assert main(["recover", str(damaged / "bag_0.mcap")]) == ExitCode.DONE
+    assert contents(damaged / "bag_0_recovered")
+
+
+def test_a_whole_bag_loses_nothing(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["recover", str(whole), "--output", str(tmp_path / "out")]) == ExitCode.DONE
+    assert capsys.readouterr().out.startswith("nothing was lost\n")
+    assert contents(tmp_path / "out") == contents(whole)
+
+
+def test_a_recorder_killed_before_its_first_chunk_leaves_an_empty_bag(tmp_path: Path) -> None:
+    killed = BagWriter(tmp_path / "bag")
+    killed.write("/imu", IMU, imu(0), 0)
+    killed.abandon()
+    shutil.copytree(tmp_path / "bag", tmp_path / "copy")
+    file = tmp_path / "copy" / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:30])
+    recovery = recover(tmp_path / "copy", tmp_path / "out")
+    assert (recovery.messages, recovery.cut) == (0, 1)
+    assert contents(tmp_path / "out") == []
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize("with_metadata", [True, False])
+def test_bags_of_ros2_bag_are_recovered(tmp_path: Path, storage: StoragePlugin, with_metadata: bool) -> None:
+    with Writer(tmp_path / "bag", version=9, storage_plugin=storage) as bag:
+        connection = bag.add_connection("/imu", IMU, typestore=typestore())
+        for i in range(20):
+            bag.write(connection, i * 10 * MS, imu(i))
+    if not with_metadata:
+        (tmp_path / "bag" / "metadata.yaml").unlink()
+    assert recover(tmp_path / "bag", tmp_path / "out").messages == 20
+    assert contents(tmp_path / "out") == [imu(i) for i in range(20)]
+
+
+def test_what_is_no_message_is_left_out_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a killed ``ros2 bag record --compression-mode message`` nobody knows that it was compressed."""
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/imu", IMU, typestore=typestore())
+        writer.write(connection, 0, imu(0))
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    assert main(["recover", str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == ExitCode.DONE
+    assert "lost: 1 messages that are not CDR" in capsys.readouterr().out
+    assert contents(tmp_path / "out") == []
+
+
+def test_topics_whose_type_nobody_knows_come_along(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    with (tmp_path / "bag" / "bag_0.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start(profile="ros2", library="another")
+        schema = writer.register_schema("strange_msgs/msg/Strange", "ros2msg", b"uint8 value\n")
+        channel = writer.register_channel("/strange", "cdr", schema)
+        writer.add_message(channel, 5, b"\0\1\0\0\x07", 5)
+        writer.flush()
+    recover(tmp_path / "bag", tmp_path / "out")
+    with open_bag(tmp_path / "out") as bag:
+        (message,) = bag.messages()
+        assert bag.deserialize(message.raw, message.type_name).value == 7
+
+
+def refuse(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    assert main(["recover", *map(str, arguments)]) == ExitCode.BAD_INPUT
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+def test_nothing_is_overwritten(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").mkdir()
+    assert "exists already" in refuse(capsys, whole, "--output", tmp_path / "out")
+    assert "exists already" in refuse(capsys, whole, "--output", whole)
+    assert list((tmp_path / "out").iterdir()) == []
+    assert len(contents(whole)) == COUNT
+
+
+@pytest.mark.parametrize("content", [b"", b"no mcap at all, but longer than any footer would be\n", None])
+def test_what_is_no_bag_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | None
+) -> None:
+    path = tmp_path / "bag.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    error = refuse(capsys, path)
+    assert str(path) in error
+    assert "accepted: a rosbag2 directory" in error
+    assert not (tmp_path / "bag_recovered").exists()
+
+
+def test_a_full_disk_leaves_no_half_recovery(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = BagWriter.write
+
+    def until_full(self: BagWriter, *arguments: Any) -> None:
+        if self.counts["/imu"] == 100:
+            raise OSError(28, "No space left on device")
+        write(self, *arguments)
+
+    monkeypatch.setattr(BagWriter, "write", until_full)
+    with pytest.raises(InputError, match="out' cannot be written"):
+        recover(whole, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_damage_never_makes_a_bad_bag(whole: Path, tmp_path: Path, seed: int) -> None:
+    """Cut, overwritten, doubled, or with a piece missing: all that comes back was in the bag, in order."""
+    random_ = random.Random(seed)
+    data = bytearray((whole / "bag_0.mcap").read_bytes())
+    for _ in range(random_.randint(1, 4)):
+        at, length = random_.randrange(20, len(data)), random_.randint(1, 200)
+        kind = random_.choice(("cut", "overwrite", "remove", "double"))
+        if kind == "cut":
+            del data[at:]
+        elif kind == "overwrite":
+            data[at : at + length] = random_.randbytes(length)
+        elif kind == "remove":
+            del data[at : at + length]
+        else:
+            data[at:at] = data[at : at + length]
+    (tmp_path / "bag_0.mcap").write_bytes(bytes(data))
+    recover(tmp_path / "bag_0.mcap", tmp_path / "out")
+    found = contents(tmp_path / "out")
+    known = {imu(i): i for i in range(COUNT)}
+    numbers = [known[raw] for raw in found]
+    assert numbers == sorted(set(numbers))

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Machine code on disk: found again by another process, and never older than its sources."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+CALLEE = """
+from trackslip_common.compiled import compiled
+
+@compiled
+def inner(x: float) -> float:
+    return x + {added}
+"""
+CALLER = """
+from inner import inner
+from trackslip_common.compiled import compiled
+
+@compiled
+def outer(x: float) -> float:
+    return 10.0 * inner(x)
+
+print(outer(1.0), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def run(folder: Path) -> list[float]:
+    """What the caller prints: its result, and how many of its compilations it found on disk."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    environment["NUMBA_CACHE_DIR"] = str(folder / "cache")
+    done = subprocess.run(
+        [sys.executable, "outer.py"], cwd=folder, env=environment, capture_output=True, text=True, check=True
+    )
+    return [float(word) for word in done.stdout.split()]
+
+
+def test_a_kernel_is_compiled_once_and_again_when_what_it_calls_changes(tmp_path: Path) -> None:
+    (tmp_path / "outer.py").write_text(CALLER, encoding="utf-8")
+    (tmp_path / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
+    assert run(tmp_path) == [20.0, 0.0]
+    assert run(tmp_path) == [20.0, 1.0]
+    (tmp_path / "inner.py").write_text(CALLEE.format(added=2.0), encoding="utf-8")
+    assert run(tmp_path) == [30.0, 0.0]
+
+
+def test_a_kernel_upon_another_folder_is_compiled_again_when_that_changes(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    inner = tmp_path / "below" / "inner.py"
+    caller = CALLER.replace("from inner import inner", "import below.inner\nfrom below.inner import inner")
+    caller = caller.replace("import compiled", "import compiled_upon").replace(
+        "@compiled", "@compiled_upon(below.inner)"
+    )
+    (tmp_path / "outer.py").write_text(caller, encoding="utf-8")
+    inner.write_text(CALLEE.format(added=1.0), encoding="utf-8")
+    assert run(tmp_path) == [20.0, 0.0]
+    assert run(tmp_path) == [20.0, 1.0]
+    inner.write_text(CALLEE.format(added=2.0), encoding="utf-8")
+    assert run(tmp_path) == [30.0, 0.0]

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of ``config/``: found, read, refused when they are no parameter files, and all of them good."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trackslip_bags.nodes.record import RecordParameters
+from trackslip_common.config_files import (
+    config_directory,
+    config_file,
+    node_defaults,
+    node_parameters,
+    parse_yaml,
+    read_yaml,
+)
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, flatten, from_flat, to_flat
+from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_drivers.watson_parameters import WatsonParameters
+from trackslip_estimation.box import parameters as box_parameters
+from trackslip_estimation.slip import parameters as slip_parameters
+from trackslip_sim import parameters as emulator_parameters
+
+ROOT = Path(__file__).parents[2]
+NODES: dict[str, tuple[type[Parameters], tuple[str, ...]]] = {
+    "slip_estimator": (slip_parameters.SlipEstimatorParameters, slip_parameters.DEFAULT_FILES),
+    "box_localizer": (box_parameters.BoxNodeParameters, box_parameters.DEFAULT_FILES),
+    "record": (RecordParameters, ("record.yaml",)),
+    "can_driver": (CanDriverParameters, ("can_driver.yaml",)),
+    "watson_imu": (WatsonParameters, ("watson_imu.yaml",)),
+    "sick_pls": (SickParameters, ("sick_pls.yaml",)),
+    "emulator": (emulator_parameters.EmulatorParameters, emulator_parameters.DEFAULT_FILES),
+}
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_each_node_has_a_default_for_each_parameter(node: str) -> None:
+    kind, files = NODES[node]
+    values = node_defaults(node, *files)
+    record = from_flat(kind, values, node)
+    assert to_flat(record) == {name: values[name] for name in to_flat(record)}
+    assert values.keys() == to_flat(record).keys()
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_each_file_gives_its_node_something(node: str) -> None:
+    for name in NODES[node][1]:
+        assert node_parameters(read_yaml(config_file(name)), node, name)
+
+
+def test_the_checkout_is_found_where_nothing_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    assert config_directory().resolve() == ROOT / "config"
+
+
+def test_the_installed_directory_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    share = tmp_path / "share/trackslip_common/config"
+    share.mkdir(parents=True)
+    (share / "pc05.yaml").touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
+    assert config_directory() == share
+
+
+def test_a_file_of_the_user_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = tmp_path / "pc05.yaml"
+    own.write_text("{}", encoding="utf-8")
+    assert config_file(str(own)) == own
+    monkeypatch.chdir(tmp_path)
+    assert config_file("pc05.yaml").resolve() == own
+    assert config_file("record.yaml") == config_directory() / "record.yaml"
+
+
+@pytest.mark.parametrize("name", ["no_such.yaml", "", "mappings"])
+def test_a_missing_file_is_named_with_where_it_was_sought(name: str) -> None:
+    with pytest.raises(InputError, match=f"^file '{name}' not found, here or in {config_directory()}$"):
+        config_file(name)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"a: [1, 2", "not YAML"),
+        (b"a: b: c\n", "not YAML"),
+        (b"\ta: 1\n", "not YAML"),
+        (b"a: 2001-99-99\n", "not YAML"),
+        (b"\xff\xfe\x00", "cannot be read"),
+        (b"", "a YAML mapping"),
+        (b"[1, 2]", "a YAML mapping"),
+        (b"just text", "a YAML mapping"),
+    ],
+)
+def test_what_is_no_mapping_is_refused_in_one_line(tmp_path: Path, content: bytes, reason: str) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_yaml(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert reason in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize("text", ["1e-3", "1.0e-3", "1.e-3", "+.1E-2", "0.001"])
+def test_numbers_are_read_as_ros_reads_them(text: str) -> None:
+    assert parse_yaml(f"a: [{text}]", "here") == {"a": [0.001]}
+
+
+@pytest.mark.parametrize("text", ["1e", "e3", "1e3m", "+", "a1e3", "0x1e3g"])
+def test_what_is_no_number_stays_text(text: str) -> None:
+    assert parse_yaml(text, "here") == text
+
+
+def test_a_missing_file_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no\.yaml: cannot be read"):
+        read_yaml(tmp_path / "no.yaml")
+
+
+def test_a_node_takes_its_section_over_the_common_one() -> None:
+    tree = {
+        "node": {"ros__parameters": {"a": {"b": 1}}},
+        "/**": {"ros__parameters": {"a": {"b": 2, "c": 3}}},
+        "other": {"ros__parameters": {"d": 4}},
+    }
+    assert node_parameters(tree, "node", "file") == {"a.b": 1, "a.c": 3}
+    assert node_parameters(tree, "third", "file") == {"a.b": 2, "a.c": 3}
+
+
+@pytest.mark.parametrize("section", [None, 3, {"a": 1}, {"ros__parameters": [1]}])
+def test_a_section_of_another_form_is_refused(section: Any) -> None:
+    with pytest.raises(InputError, match=r"^file: section 'node' has no 'ros__parameters' mapping$"):
+        node_parameters({"node": section}, "node", "file")
+
+
+@pytest.mark.parametrize("name", ["warthog.yaml"])
+def test_the_parameters_of_a_mapping_are_those_of_the_estimator(name: str) -> None:
+    tree = read_yaml(config_file(f"mappings/{name}"))["parameters"]
+    p = slip_parameters.load_slip_parameters(flatten(tree), where=name)
+    assert to_flat(p).items() >= flatten(tree).items()
+
+
+def test_layers_lie_over_the_defaults_the_last_on_top() -> None:
+    p = slip_parameters.load_slip_parameters(
+        {"jump_confirmations": 7, "start": "initial_pose"}, {"jump_confirmations": 8}
+    )
+    assert (p.jump_confirmations, p.start) == (8, "initial_pose")
+    assert p.vehicle.tread == 0.73

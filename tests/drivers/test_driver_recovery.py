@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drivers' pure halves against the emulated devices in simulated time: stamps, corruption, coming back."""
+
+import dataclasses
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from trackslip_common.config_files import config_file, node_defaults
+from trackslip_common.parameters import from_flat
+from trackslip_common.tally import Tally
+from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers.protocols.can_frames import Frame, FrameDecoder, FrameSet
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan
+from trackslip_drivers.protocols.sick_scan import RawScan
+from trackslip_drivers.protocols.sick_session import SickSession
+from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, Telegram, TelegramParser, frame
+from trackslip_drivers.protocols.watson import Layout
+from trackslip_drivers.protocols.watson_stream import WatsonStream
+from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
+from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_sim.devices.can_device import CanDevice
+from trackslip_sim.devices.line import BaudLine
+from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
+from trackslip_sim.devices.watson_device import WatsonDevice
+from trackslip_sim.machine.faulty_line import corrupt
+
+MS, S = 1_000_000, 1_000_000_000
+CAN = from_flat(CanDriverParameters, node_defaults("can_driver", "can_driver.yaml"), "can_driver")
+SICK = from_flat(SickParameters, node_defaults("sick_pls", "sick_pls.yaml"), "sick_pls")
+FRAMES = FrameSet(config_file(CAN.dbc_file))
+WATSON = node_defaults("watson_imu", "watson_imu.yaml")
+LAYOUT = Layout(WATSON["channels"], WATSON["formats"], WATSON["full_scales"])
+
+
+def sprockets(stamp_ns):
+    t = stamp_ns * 1e-9
+    return SprocketSample(stamp_ns, t, -0.5 * t, 1.0, -0.5)
+
+
+def hydraulics(stamp_ns):
+    t = stamp_ns * 1e-9
+    return HydraulicsSample(stamp_ns, 2e7 * np.sin(t), -1e7 * np.sin(3 * t), np.sin(2 * t), np.cos(t), 2e7)
+
+
+def inertia(stamp_ns):
+    t = stamp_ns * 1e-9
+    return ImuSample(stamp_ns, (np.sin(t), 0.3, 9.8), (0.1, 0.2, np.cos(t)), (2e-5, 1e-5, -5e-5), False)
+
+
+def can_device():
+    return CanDevice(FRAMES, CAN.belt_ratio, sprockets, hydraulics, 0)
+
+
+GATHER = 5.0  # ms that a serial port waits from the first byte to the read
+
+
+def reads(seed, seconds, gather=0.0):
+    """When a host's reads return, ns: 1 ms apart as a rule, with a stall of up to 40 ms each second or so."""
+    random, now = np.random.default_rng(seed), 0
+    while now < seconds * S:
+        stall = random.uniform(5.0, 40.0) if random.random() < 1e-3 else 0.0
+        now += round((gather + 0.2 + random.exponential(1.0) + stall) * MS)
+        yield now
+
+
+def p99(stamps, device):
+    """Of the distance from each stamp to the nearest true one, ms."""
+    true = np.sort(np.array(device.stamps))
+    after = np.clip(np.searchsorted(true, stamps), 1, len(true) - 1)
+    errors = np.minimum(np.abs(true[after] - stamps), np.abs(true[after - 1] - stamps))
+    assert len(stamps) > 100
+    return np.percentile(errors, 99) / MS
+
+
+def test_stamps_of_frames():
+    device, driver, stamps, arrivals = can_device(), ExcavatorCan(CAN, FRAMES, Tally()), [], []
+    for now in reads(1, 60):
+        for sent in device.step(now):
+            sample = driver.receive(*sent, now)
+            if isinstance(sample, SprocketSample):
+                stamps.append(sample.stamp_ns)
+                arrivals.append(now)
+    assert p99(np.array(stamps), device) < 1.0
+    assert p99(np.array(arrivals), device) > 2.0  # so the filter was needed
+
+
+def test_stamps_of_the_inertial_unit():
+    device = WatsonDevice(LAYOUT, BaudLine(9600, 10), inertia, True, 0)
+    stream, stamps = WatsonStream(LAYOUT, 9600, 0, Tally()), []
+    for now in reads(2, 120, GATHER):
+        data = device.step(now)
+        stamps += [sample.stamp_ns for sample in stream.feed(data, now)] if data else []
+    assert p99(np.array(stamps), device) < 5.0
+
+
+class Scanner:
+    """A scanner on a line, and the driver's session, in simulated time."""
+
+    def __init__(self, baud, boot=0.5):
+        self.boot = boot
+        self.device = SickDevice(
+            dataclasses.replace(SICK, serial_baud=baud),
+            SickDeviceParameters(boot_delay=boot, power_on_baud=9600),
+            lambda stamp_ns: np.full(361, 5.0),
+            0,
+        )
+        self.session = SickSession(dataclasses.replace(SICK, serial_baud=baud), Tally())
+        self.host = self.session.baud
+        self.powered = True
+
+    def exchange(self, now):
+        """Both ways; stamps of the scans that came."""
+        sent = self.device.step(now) if self.powered else b""
+        heard = sent if self.host == self.device.baud else b""
+        scans = self.session.receive(heard, now)
+        action = self.session.step(now)
+        self.host = action.baud or self.host
+        if action.write and self.powered:
+            self.device.receive(action.write, now, self.host)
+        return [scan.sample.stamp_ns for scan in scans]
+
+
+@pytest.mark.parametrize("baud", [38400, 500000])
+def test_stamps_of_scans(baud):
+    scanner, stamps = Scanner(baud), []
+    for now in reads(3, 60, GATHER):
+        stamps += scanner.exchange(now)
+    assert p99(np.array(stamps), scanner.device) < 5.0
+
+
+@pytest.mark.parametrize("baud", [38400, 500000])
+def test_scans_within_a_second_of_power(baud):
+    """Whenever and for however long the power was gone, counted from the end of the boot."""
+    random = np.random.default_rng(4)
+    for _ in range(10):
+        scanner = Scanner(baud, boot=random.uniform(0.3, 3.0))
+        off = 5 * S + round(random.uniform(0.0, 0.3) * S)
+        on = off + round(random.uniform(0.02, 4.0) * S)
+        ready = on + scanner.boot * S
+        heard, now = [], 0
+        while not heard:
+            now += 10 * MS
+            if now < off:
+                scanner.exchange(now)
+                continue
+            if now >= on and not scanner.powered:
+                scanner.device.power_cycle(on)
+            scanner.powered = now >= on
+            heard = scanner.exchange(now)
+            heard = heard if now > on else []
+            assert now - ready < S
+
+
+def test_no_wrong_telegram_passes_one_percent_of_corruption():
+    random = np.random.default_rng(5)
+    parser, tally = None, Tally()
+    parser = TelegramParser(FROM_SENSOR, 38400, 11, tally, "scan")
+    true, accepted, now = set(), [], 0
+    for k in range(3000):
+        count = (361, 40, 8)[k % 3]  # a whole scan hardly ever gets through
+        payload = RawScan(random.integers(0, 1 << 13, count).astype(np.uint16), 0).payload()
+        true.add(payload)
+        now += 240 * MS
+        accepted += parser.feed(corrupt(frame(payload, FROM_SENSOR), 0.01, random), now)
+    telegrams = [event.payload for event in accepted if isinstance(event, Telegram)]
+    assert len(telegrams) > 1000
+    assert set(telegrams) <= true
+    assert tally.total["scan", "bad CRC"] > 1000
+
+
+def test_no_wrong_frame_passes_one_percent_of_corruption():
+    """Of 30000. In the long run three in ten million do; a real bus has its own CRC-15 beneath."""
+    random = np.random.default_rng(6)
+    device, decoder, outcome = can_device(), FrameDecoder(FRAMES, Tally()), Counter()
+    for now in range(0, 100 * S, 10 * MS):
+        for name, data in device.step(now):
+            spoilt = corrupt(data, 0.01, random)
+            accepted = isinstance(decoder.decode(name, spoilt, now), Frame)
+            outcome[accepted, spoilt == data] += 1
+    assert outcome[True, False] == 0
+    assert outcome[False, False] > 2000
+    assert outcome[True, True] > 27000
+
+
+def watson_outcome(rate, lines):
+    """(accepted right, accepted wrong, rejected) of decimal lines at a rate of corrupted bytes."""
+    random = np.random.default_rng(7)
+    device = WatsonDevice(LAYOUT, BaudLine(9600, 10), inertia, True, 0)
+    stream, clean = (WatsonStream(LAYOUT, 9600, 0, Tally()) for _ in range(2))
+    right = wrong = now = 0
+    while device.lines_emitted < lines:
+        now += 84 * MS
+        data = device.step(now)
+        true = [dataclasses.replace(sample, stamp_ns=0) for sample in clean.feed(data, now)]
+        for sample in stream.feed(corrupt(data, rate, random), now):
+            known = dataclasses.replace(sample, stamp_ns=0) in true
+            right, wrong = right + known, wrong + (not known)
+    return right, wrong, device.lines_emitted - right - wrong
+
+
+def test_what_slips_through_the_inertial_units_lines():
+    """No checksum: a digit that becomes another digit cannot be seen. The docstring of ``watson`` says so."""
+    right, wrong, rejected = watson_outcome(0.01, 3000)
+    assert right / 3000 == pytest.approx(0.99**65, abs=0.04)
+    assert wrong / 3000 < 0.03
+    assert rejected > 3000 * 0.4

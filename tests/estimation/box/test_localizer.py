@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The box followed from scan to scan, through clutter, occlusion and ambiguity."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from trackslip_common.config_files import config_file, node_defaults, read_yaml
+from trackslip_common.parameters import flat_fields, flatten, from_flat
+from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.box import parameters as box_parameters
+from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer, Reason, Rejection
+from trackslip_estimation.box.parameters import BoxNodeParameters
+from trackslip_estimation.box.sides import SideDoubt, half_turn_variance
+from trackslip_sim.machine.scan_model import (
+    ANGLE_INCREMENT,
+    ANGLE_MIN,
+    TIME_INCREMENT,
+    SiteParameters,
+    SiteScanner,
+)
+
+PERIOD = 0.21  # s, one scan at 38400 baud
+SPEED, RATE = 0.35, -0.15  # m/s, rad/s
+
+
+def load(cls, name, *path):
+    """The part of a node's parameters that belongs to ``cls``."""
+    tree = read_yaml(config_file(name))
+    for key in path:
+        tree = tree[key]
+    known = {field for field, _, _ in flat_fields(cls)}
+    return from_flat(cls, {field: value for field, value in flatten(tree).items() if field in known}, name)
+
+
+VEHICLE = load(Vehicle, "pc05.yaml", "/**", "ros__parameters", "vehicle")
+PARAMETERS = from_flat(
+    BoxNodeParameters, node_defaults(box_parameters.NODE, *box_parameters.DEFAULT_FILES), "box_localizer"
+)
+SITE = load(SiteParameters, "site.yaml", "emulator", "ros__parameters", "site")
+BARE = dataclasses.replace(SITE, walls=(), posts=())
+
+
+def turning(times):
+    """A right turn at constant speed from the origin."""
+    yaw = RATE * times
+    return SPEED / RATE * np.sin(yaw), SPEED / RATE * (1.0 - np.cos(yaw)), yaw
+
+
+def standing(x, y, yaw):
+    return lambda times: (np.full_like(times, x), np.full_like(times, y), np.full_like(times, yaw))
+
+
+def locate(localizer, stamp_s, ranges):
+    return localizer.locate(round(stamp_s * 1e9), ranges, ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT)
+
+
+def drive(localizer, scanner, pose_at, scans, first=0, change=lambda index, ranges: ranges):
+    """Outcomes of consecutive scans."""
+    outcomes = []
+    for index in range(first, first + scans):
+        stamp = 1.0 + index * PERIOD
+        outcomes.append(locate(localizer, stamp, change(index, scanner.scan(stamp, pose_at))))
+    return outcomes
+
+
+def error(fix, pose_at):
+    x, y, yaw = (float(value[0]) for value in pose_at(np.array([fix.stamp_ns * 1e-9])))
+    return np.array([fix.x - x, fix.y - y, np.arctan2(np.sin(fix.yaw - yaw), np.cos(fix.yaw - yaw))])
+
+
+def assert_near(fix, pose_at):
+    """Within four standard deviations, and these of a sensible size."""
+    assert isinstance(fix, BoxFix)
+    miss = error(fix, pose_at)
+    assert np.all(np.abs(miss) < 4.0 * np.sqrt(np.diag(fix.covariance))), miss
+    assert np.hypot(miss[0], miss[1]) < 0.15
+
+
+def hidden(ranges, first, last):
+    """Something near stands before these beams."""
+    changed = ranges.copy()
+    changed[first:last] = 2.0
+    return changed
+
+
+def test_follows_a_turn_among_clutter():
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    outcomes = drive(localizer, SiteScanner(SITE, VEHICLE, seed=1), turning, 180)
+    fixes = [outcome for outcome in outcomes if isinstance(outcome, BoxFix)]
+    assert len(fixes) >= 177
+    errors = np.array([error(fix, turning) for fix in fixes])
+    assert np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()) < 0.015
+    assert np.sqrt((errors[:, 2] ** 2).mean()) < 0.04
+    rejected = sum(localizer.tally.by_source().get("scan", {}).values())
+    assert rejected == len(outcomes) - len(fixes)
+
+
+def test_stamp_is_when_the_beams_hit_the_box():
+    ranges = SiteScanner(BARE, VEHICLE, seed=1).scan(1.0, standing(5.0, 0.0, 0.0))
+    fix = locate(BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=5.0), VEHICLE), 1.0, ranges)
+    assert fix.stamp_ns == pytest.approx(1.0e9 + 180 * TIME_INCREMENT * 1e9, abs=TIME_INCREMENT * 1e9)
+
+
+def test_offset_of_the_box_is_applied_with_its_covariance():
+    vehicle = dataclasses.replace(VEHICLE, box_x=-0.4, box_y=0.3)
+    pose_at = standing(1.0, 0.5, 0.4)
+    ranges = SiteScanner(BARE, vehicle, seed=3).scan(1.0, pose_at)
+    fix = locate(BoxLocalizer(PARAMETERS, vehicle), 1.0, ranges)
+    plain = locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, ranges)
+    assert_near(fix, pose_at)
+    assert fix.yaw == plain.yaw
+    assert fix.covariance[:2, :2].trace() > plain.covariance[:2, :2].trace()
+
+
+@pytest.mark.parametrize("initial_yaw", [-2.0, -0.3, 0.0, 0.3, 2.8])
+def test_front_of_the_box_is_told_by_the_initial_heading(initial_yaw):
+    parameters = dataclasses.replace(PARAMETERS, initial_yaw=initial_yaw)
+    ranges = SiteScanner(BARE, VEHICLE, seed=4).scan(1.0, standing(0.0, 0.0, initial_yaw + 0.2))
+    fix = locate(BoxLocalizer(parameters, VEHICLE), 1.0, ranges)
+    assert_near(fix, standing(0.0, 0.0, initial_yaw + 0.2))
+
+
+def test_finds_the_box_away_from_the_initial_place():
+    pose_at = standing(2.5, -3.0, 0.2)
+    ranges = SiteScanner(SITE, VEHICLE, seed=5).scan(1.0, pose_at)
+    assert_near(locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, ranges), pose_at)
+
+
+@pytest.mark.parametrize(
+    ("posts", "walls", "reason"),
+    [
+        ((), (), Reason.NOTHING_NEAR),
+        ((0.0, 0.0, 0.22), (), Reason.SHAPE),  # a person
+        ((0.0, 0.0, 0.22), (-4.0, 1.2, 4.0, 1.2), Reason.SHAPE),  # a person before a wall
+        ((0.0, 0.0, 0.05), (), Reason.FEW_BEAMS),
+        ((), (-1.0, 0.0, 1.0, 0.0), Reason.SIZE),
+    ],
+)
+def test_clutter_is_not_the_box(posts, walls, reason):
+    site = dataclasses.replace(BARE, posts=posts, walls=walls, laser_y=-6.0)
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, laser_y=-6.0, initial_reach=1.5), VEHICLE)
+    scanner = SiteScanner(site, VEHICLE, seed=6)
+    outcomes = drive(localizer, scanner, standing(100.0, 100.0, 0.0), 20)
+    rejections = [outcome for outcome in outcomes if isinstance(outcome, Rejection)]
+    assert len(rejections) == 20
+    assert sum(outcome.reason is reason for outcome in rejections) >= 18
+    assert localizer.tally.by_source()["scan"][reason.value] >= 18
+
+
+def test_box_before_a_wall_is_found():
+    site = dataclasses.replace(BARE, walls=(-6.0, 1.2, 6.0, 1.2))
+    outcomes = drive(BoxLocalizer(PARAMETERS, VEHICLE), SiteScanner(site, VEHICLE, seed=7), turning, 20)
+    assert sum(isinstance(outcome, BoxFix) for outcome in outcomes) >= 19
+
+
+def test_jump_of_the_box_is_gated():
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    scanner = SiteScanner(BARE, VEHICLE, seed=8)
+    drive(localizer, scanner, standing(0.0, 0.0, 0.0), 3)
+    outcome = locate(localizer, 1.0 + 3 * PERIOD, scanner.scan(0.0, standing(0.7, 0.0, 0.0)))
+    assert outcome == Rejection(Reason.GATE)
+
+
+def test_coasts_through_a_short_occlusion():
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+
+    def someone_passes(index, ranges):
+        return hidden(ranges, 0, 361) if 20 <= index < 28 else ranges
+
+    scanner = SiteScanner(SITE, VEHICLE, seed=9)
+    outcomes = drive(localizer, scanner, turning, 60, change=someone_passes)
+    assert all(isinstance(outcome, Rejection) for outcome in outcomes[20:28])
+    for outcome in outcomes[28:]:
+        assert_near(outcome, turning)
+
+
+def test_partly_hidden_box_is_located_with_larger_covariance():
+    scanner = SiteScanner(BARE, VEHICLE, seed=10)
+    pose_at = standing(3.0, -4.0, 0.1)
+    parameters = dataclasses.replace(PARAMETERS, initial_x=3.0, initial_y=-4.0)
+    ranges = scanner.scan(1.0, pose_at)
+    on_box = np.flatnonzero(np.isfinite(ranges))
+    whole = locate(BoxLocalizer(parameters, VEHICLE), 1.0, ranges)
+    half = locate(BoxLocalizer(parameters, VEHICLE), 1.0, hidden(ranges, on_box[6], on_box[-1] + 3))
+    split = locate(BoxLocalizer(parameters, VEHICLE), 1.0, hidden(ranges, on_box[5], on_box[8]))
+    for fix in (whole, half, split):
+        assert_near(fix, pose_at)
+    assert half.covariance[:2, :2].trace() > 2.0 * whole.covariance[:2, :2].trace()
+    assert split.covariance[:2, :2].trace() < half.covariance[:2, :2].trace()
+
+
+def test_lost_for_long_it_is_found_again_with_its_heading():
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    scanner = SiteScanner(BARE, VEHICLE, seed=11)
+    drive(localizer, scanner, turning, 10)
+    blind = drive(localizer, scanner, turning, 20, first=10, change=lambda _, ranges: hidden(ranges, 0, 361))
+    assert blind == [Rejection(Reason.NOTHING_NEAR)] * 20
+    outcomes = drive(localizer, scanner, turning, 60, first=30)
+    assert isinstance(outcomes[0], BoxFix)
+    assert outcomes[0].covariance[2, 2] > 0.01  # the sides are in doubt
+    for outcome in outcomes[-20:]:
+        assert_near(outcome, turning)
+        assert outcome.covariance[2, 2] < 0.01
+
+
+def test_half_turn_unseen_is_not_falsely_certain():
+    """Turned by more than a quarter while hidden: nothing in a scan tells the front from the back."""
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    scanner = SiteScanner(BARE, VEHICLE, seed=14)
+    before = standing(0.0, 0.0, 0.0)
+    drive(localizer, scanner, before, 5)
+    drive(localizer, scanner, before, 70, first=5, change=lambda _, ranges: hidden(ranges, 0, 361))
+    after = standing(0.3, -0.3, 2.4)
+    for outcome in drive(localizer, scanner, after, 20, first=75):
+        assert isinstance(outcome, BoxFix)
+        assert abs(error(outcome, after)[2]) < 3.0 * np.sqrt(outcome.covariance[2, 2])
+
+
+def test_what_was_there_before_is_not_the_box():
+    """A second box stands on the site; when ours is hidden for long, it is not taken for it."""
+    twin = dataclasses.replace(
+        BARE, walls=(-3.35, -0.3, -2.65, -0.3, -3.35, -0.3, -3.35, 0.3, -2.65, -0.3, -2.65, 0.3)
+    )
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    scanner = SiteScanner(twin, VEHICLE, seed=15)
+    drive(localizer, scanner, turning, 10)
+    gone = drive(localizer, scanner, standing(100.0, 100.0, 0.0), 60, first=10)
+    assert all(isinstance(outcome, Rejection) for outcome in gone)
+    assert gone[-1] == Rejection(Reason.BACKGROUND)
+
+
+def test_half_turn_is_sure_while_the_prediction_is():
+    assert half_turn_variance(turned=0.5, spread=0.3) == 0.0
+    assert half_turn_variance(turned=np.pi / 2.0, spread=2.0) == pytest.approx(np.pi**2 / 2.0)
+
+
+def test_doubt_about_the_sides_ends_with_enough_evidence():
+    doubt = SideDoubt(turn=np.pi / 2.0, evidence=-4.0)
+    assert doubt.after(-5.0) == SideDoubt(np.pi / 2.0, -9.0)
+    assert doubt.after(5.0) == SideDoubt(-np.pi / 2.0, -1.0)
+    assert doubt.after(-100.0) == SideDoubt(np.pi / 2.0, -10.0)  # no single scan decides
+    assert SideDoubt(np.pi / 2.0, -26.0).after(-5.0) is None
+    assert doubt.after(-5.0).probability() < doubt.probability() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("stamps", "reason"), [((1.0, 1.0), Reason.NOT_LATER), ((1.0, 0.5), Reason.NOT_LATER)]
+)
+def test_scan_not_later_than_the_one_before_is_refused(stamps, reason):
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    scanner = SiteScanner(BARE, VEHICLE, seed=12)
+    outcomes = [locate(localizer, stamp, scanner.scan(stamp, standing(0.0, 0.0, 0.0))) for stamp in stamps]
+    assert isinstance(outcomes[0], BoxFix)
+    assert outcomes[1] == Rejection(reason)
+    localizer.reset()
+    assert isinstance(locate(localizer, 0.5, scanner.scan(0.5, standing(0.0, 0.0, 0.0))), BoxFix)
+
+
+@pytest.mark.parametrize("ranges", [np.zeros(0), np.zeros(1), np.zeros((2, 2))])
+def test_malformed_scan_is_refused(ranges):
+    assert locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, ranges) == Rejection(Reason.MALFORMED)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, 0.01])
+def test_scan_of_one_odd_value_gives_no_fix(value):
+    outcome = locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, np.full(361, value))
+    assert isinstance(outcome, Rejection)
+
+
+def test_same_scans_same_fixes():
+    runs = [
+        drive(BoxLocalizer(PARAMETERS, VEHICLE), SiteScanner(SITE, VEHICLE, seed=13), turning, 15)
+        for _ in range(2)
+    ]
+    for one, other in zip(*runs, strict=True):
+        assert (one.stamp_ns, one.x, one.y, one.yaw) == (other.stamp_ns, other.x, other.y, other.yaw)
+        assert np.array_equal(one.covariance, other.covariance)

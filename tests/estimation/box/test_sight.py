@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every scenario stays before the laser and clear of all that stands on the site, on firm soils and soft."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_estimation.box import parameters as box
+from trackslip_estimation.box.parameters import BoxNodeParameters
+from trackslip_sim.machine.excavator import default_parameters
+from trackslip_sim.machine.scan_model import SiteParameters, SiteScanner
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.scenarios.scenario import load_scenario, scenario_names
+from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.simulate import simulate
+
+FloatArray = NDArray[np.float64]
+
+SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
+PERIOD = 0.5  # s between looks; the box moves less than a beam's spacing meanwhile
+CLEARANCE = 1.5  # m from base_link to the nearest thing on the site
+
+EMULATOR = load_emulator_parameters({})
+LOCALIZER = default_parameters(BoxNodeParameters, box.NODE, *box.DEFAULT_FILES)
+
+
+def beams_on_box(truth: Truth) -> NDArray[np.int_]:
+    """How many beams end on the box, look by look: those that see the same with the site and without."""
+    alone = dataclasses.replace(EMULATOR.site, walls=(), posts=())
+    with_site, without = (SiteScanner(site, EMULATOR.vehicle, seed=0) for site in (EMULATOR.site, alone))
+
+    def pose_at(times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        x, y, yaw = (np.interp(times, truth.t, column) for column in (truth.x, truth.y, truth.yaw))
+        return x, y, yaw
+
+    counts = []
+    for stamp in np.arange(0.0, truth.duration, PERIOD):
+        box_only = without.true_ranges(stamp, pose_at)
+        counts.append(np.sum(np.isfinite(box_only) & (with_site.true_ranges(stamp, pose_at) == box_only)))
+    return np.array(counts)
+
+
+def clearance(truth: Truth, site: SiteParameters) -> float:
+    """Least distance of base_link from a wall or post, m."""
+    path = np.column_stack((truth.x, truth.y))
+    distances = [np.hypot(*(path - (x, y)).T) - radius for x, y, radius in np.reshape(site.posts, (-1, 3))]
+    for begin, end in np.reshape(site.walls, (-1, 2, 2)):
+        along = end - begin
+        share = np.clip((path - begin) @ along / (along @ along), 0.0, 1.0)
+        distances.append(np.hypot(*(path - begin - share[:, np.newaxis] * along).T))
+    return float(np.min(distances))
+
+
+@pytest.mark.parametrize("soil", SOILS)
+@pytest.mark.parametrize("name", scenario_names())
+def test_the_box_stays_in_sight(name: str, soil: str) -> None:
+    truth = simulate(load_scenario(name), soil=soil)
+    assert beams_on_box(truth).min() > LOCALIZER.minimum_beams
+    assert clearance(truth, EMULATOR.site) >= CLEARANCE
+
+
+def test_the_field_trial_is_what_it_says() -> None:
+    segments = load_scenario("field_trial").segments
+    duration = sum(s.duration for s in segments)
+
+    def share(kept: list[bool]) -> float:
+        return sum(s.duration for s, keep in zip(segments, kept, strict=True) if keep) / duration
+
+    assert share([s.left == s.right != 0.0 for s in segments]) >= 0.4  # straight, at a steady speed
+    assert 0.05 <= share([s.left == s.right == 0.0 for s in segments]) <= 0.2
+    assert 0.1 <= share([s.left + s.right < 0.0 for s in segments]) <= 0.3
+    assert {np.sign(s.right - s.left) for s in segments} == {-1.0, 0.0, 1.0}

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filters' algebra, with no vehicle in it."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from trackslip_estimation.kalman.ekf import correct
+from trackslip_estimation.kalman.linear_algebra import (
+    apply,
+    root,
+    sandwich,
+    solve,
+    times,
+    weighted_square,
+    wrap,
+)
+
+FloatArray = NDArray[np.float64]
+
+
+def spd(rng: np.random.Generator, n: int, scale: float = 1.0) -> FloatArray:
+    """A random covariance, eigenvalues over four decades."""
+    q, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    P: FloatArray = np.ascontiguousarray(scale * (q * 10.0 ** rng.uniform(-4.0, 0.0, n)) @ q.T)
+    return (P + P.T) / 2.0
+
+
+@given(st.floats(-50.0, 50.0))
+def test_a_wrapped_angle_is_the_same_angle_within_a_turn(angle: float) -> None:
+    wrapped = wrap(angle)
+    assert -math.pi <= wrapped <= math.pi
+    assert math.cos(wrapped - angle) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("angle", "expected"),
+    [
+        (0.0, 0.0),
+        (math.pi, math.pi),
+        (-math.pi, math.pi),
+        (3.5, 3.5 - 2 * math.pi),
+        (-7.0, 2 * math.pi - 7.0),
+    ],
+)
+def test_wrap_is_half_open_at_pi(angle: float, expected: float) -> None:
+    assert wrap(angle) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_compiled_algebra_is_that_of_numpy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, B, v = rng.normal(size=(3, 7)), rng.normal(size=(7, 4)), rng.normal(size=7)
+    A[rng.random(A.shape) < 0.5] = 0.0
+    P, S = spd(rng, 7), spd(rng, 3)
+    np.testing.assert_allclose(times(A, B), A @ B, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(apply(A, v), A @ v, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(sandwich(A, P), A @ P @ A.T, rtol=0.0, atol=1e-12)
+    np.testing.assert_array_equal(sandwich(A, P), sandwich(A, P).T)
+    np.testing.assert_allclose(solve(root(S), A), np.linalg.solve(S, A), rtol=1e-9)
+    assert weighted_square(root(S), v[:3].copy()) == pytest.approx(v[:3] @ np.linalg.solve(S, v[:3]))
+    np.testing.assert_allclose(root(P), np.linalg.cholesky(P), rtol=0.0, atol=1e-12)
+
+
+def test_the_root_of_a_covariance_without_full_rank() -> None:
+    """A state that is known, and two that are the same: what Cholesky refuses."""
+    A = np.array(((1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.5, 0.0)))
+    P = A @ A.T
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(P)
+    np.testing.assert_allclose(root(P) @ root(P).T, P, atol=1e-12)
+
+
+def test_a_variance_lost_to_rounding_is_taken_as_none() -> None:
+    P = np.array(((1.0, 1.0), (1.0, 1.0 - 1e-16)))
+    np.testing.assert_array_equal(root(P), ((1.0, 0.0), (1.0, 0.0)))
+    np.testing.assert_array_equal(solve(root(P), np.ones((2, 1))), ((1.0,), (0.0,)))
+
+
+def test_update_of_one_number_by_hand() -> None:
+    """Prior 1 ± 2 and reading 3 ± 1: gain 4/5."""
+    x, P, nis = correct(np.ones(1), np.array(((4.0,),)), np.array((2.0,)), np.eye(1), np.eye(1))
+    assert nis == pytest.approx(4.0 / 5.0)
+    assert x[0] == pytest.approx(1.0 + 2.0 * 4.0 / 5.0)
+    assert P[0, 0] == pytest.approx(4.0 / 5.0)
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_joseph_is_the_optimal_form_and_the_information_form(m: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, P = rng.normal(size=5), spd(rng, 5)
+    nu, H, R = rng.normal(size=m), rng.normal(size=(m, 5)), spd(rng, m)
+    mean, covariance, nis = correct(x, P, nu, H, R)
+    S = H @ P @ H.T + R
+    K = P @ H.T @ np.linalg.inv(S)
+    keep = np.eye(5) - K @ H
+    np.testing.assert_allclose(covariance, keep @ P @ keep.T + K @ R @ K.T, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(mean, x + K @ nu, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(covariance, P - K @ S @ K.T, atol=1e-10)
+    information = np.linalg.inv(P) + H.T @ np.linalg.inv(R) @ H
+    np.testing.assert_allclose(covariance @ information, np.eye(5), atol=1e-6)
+    assert nis == pytest.approx(nu @ np.linalg.inv(S) @ nu)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, P = np.zeros(4), spd(rng, 4, 10.0 ** rng.uniform(-6.0, 4.0))
+    for _ in range(30):
+        if rng.random() < 0.5:
+            P = sandwich(np.eye(4) + 0.2 * rng.normal(size=(4, 4)), P) + spd(rng, 4, 1e-3)
+        m = int(rng.integers(1, 4))
+        trace = np.trace(P)
+        x, P, _ = correct(x, P, rng.normal(size=m), rng.normal(size=(m, 4)), spd(rng, m))
+        assert np.trace(P) <= trace * (1.0 + 1e-9)
+        np.testing.assert_array_equal(P, P.T)
+        assert np.linalg.eigvalsh(P)[0] > 0.0
+
+
+def test_a_perfect_reading_leaves_no_negative_variance() -> None:
+    """The case in which P − K S Kᵀ loses all its digits."""
+    P = np.array(((1e8, 1e8 - 1.0), (1e8 - 1.0, 1e8)))
+    _, P, _ = correct(np.zeros(2), P, np.zeros(1), np.array(((1.0, 0.0),)), np.array(((1e-8,),)))
+    assert np.linalg.eigvalsh(P)[0] > 0.0
+    assert P[0, 0] == pytest.approx(1e-8, rel=0.2)

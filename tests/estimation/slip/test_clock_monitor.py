@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clocks that jump: one bad stamp is refused, another time is believed once enough samples agree on it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_common.clock_monitor import Continuity, Course
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.parameters import load_slip_parameters
+
+S = 1_000_000_000
+GAP_NS, ROW = 5 * S, 4
+HOUR_NS = 3600 * S
+
+
+def courses(stamps: list[float], oldest: float | None = None) -> list[Course]:
+    judge = Continuity(GAP_NS, ROW)
+    return [judge.sprockets(round(s * S), None if oldest is None else round(oldest * S)) for s in stamps]
+
+
+def test_one_sample_far_ahead_is_refused_and_the_head_stays() -> None:
+    assert courses([1.0, 100.0, 1.1, 6.1]) == [
+        Course.IN_LINE,
+        Course.AHEAD,
+        Course.IN_LINE,
+        Course.IN_LINE,
+    ]
+
+
+def test_samples_ahead_that_agree_are_believed() -> None:
+    found = courses([1.0, 100.0, 100.1, 100.2, 100.3, 100.4])
+    assert found == [Course.IN_LINE, *[Course.AHEAD] * (ROW - 1), *[Course.IN_LINE] * 2]
+
+
+@pytest.mark.parametrize("stamps", [[100.0, 300.0, 500.0, 700.0, 900.0], [100.0, 99.9, 99.8, 99.7, 99.6]])
+def test_samples_ahead_that_do_not_agree_are_not(stamps: list[float]) -> None:
+    assert set(courses([1.0, *stamps])[1:]) == {Course.AHEAD}
+
+
+def test_a_sample_in_line_ends_the_row() -> None:
+    found = courses([1.0, 100.0, 100.1, 100.2, 1.1, 100.3])
+    assert found[-2:] == [Course.IN_LINE, Course.AHEAD]
+    found = courses([9.0, 1.0, 1.1, 1.2, 9.1, 1.3], oldest=7.0)
+    assert found[1:] == [*[Course.BEHIND] * 3, Course.IN_LINE, Course.BEHIND]
+
+
+def test_samples_behind_that_agree_say_that_the_clock_went_back() -> None:
+    assert courses([9.0, 1.0, 1.1, 1.2, 1.3], oldest=7.0) == [
+        Course.IN_LINE,
+        *[Course.BEHIND] * (ROW - 1),
+        Course.BACK,
+    ]
+
+
+def late(judge: Continuity, stamps: list[float], contradicts: bool) -> list[Course]:
+    return [judge.sprockets(round(s * S), 0, contradicts) for s in stamps]
+
+
+def test_late_samples_that_tell_another_story_say_that_the_clock_went_back() -> None:
+    judge = Continuity(GAP_NS, ROW)
+    judge.sprockets(9 * S, 0)
+    assert late(judge, [8.1, 8.2], contradicts=True) == [Course.IN_LINE] * 2
+    assert late(judge, [8.3, 8.4], contradicts=False) == [Course.IN_LINE] * 2  # by chance: they neither add
+    assert late(judge, [8.5, 8.6], contradicts=True) == [Course.IN_LINE, Course.BACK]  # nor end the row
+
+
+def test_late_samples_that_fit_in_say_nothing() -> None:
+    judge = Continuity(GAP_NS, ROW)
+    judge.sprockets(9 * S, 0)
+    assert set(late(judge, [7.0 + k / 100.0 for k in range(3 * ROW)], contradicts=False)) == {Course.IN_LINE}
+
+
+@pytest.mark.parametrize("interruption", [[9.1], [8.0]])
+def test_a_new_head_or_a_step_down_ends_the_late_row(interruption: list[float]) -> None:
+    judge = Continuity(GAP_NS, ROW)
+    judge.sprockets(9 * S, 0)
+    row = late(judge, [8.1, 8.2, 8.3], contradicts=True)
+    assert set(row + late(judge, [*interruption, 8.4, 8.5], contradicts=True)) == {Course.IN_LINE}
+
+
+def test_other_sources_confirm_nothing() -> None:
+    judge = Continuity(GAP_NS, ROW)
+    assert judge.other(HOUR_NS) is Course.IN_LINE  # before there is a clock to hold it against
+    judge.sprockets(S, None)
+    assert {judge.other(HOUR_NS + k) for k in range(3 * ROW)} == {Course.AHEAD}
+    assert judge.other(S + GAP_NS) is Course.IN_LINE
+
+
+def run(found: list[Measurement], **changes: Any) -> tuple[SlipEstimator, list[Outcome], list[Estimate]]:
+    estimator = SlipEstimator(load_slip_parameters({"jump_confirmations": 10}, changes))
+    steps = [estimator.advance(m) for m in found]
+    return estimator, [r.outcome for r, _ in steps], [e for _, e in steps if e is not None]
+
+
+def moved(found: list[Measurement], by_ns: int) -> list[Measurement]:
+    return [replace(m, stamp_ns=m.stamp_ns + by_ns) for m in found]
+
+
+def same(one: list[Estimate], other: list[Estimate]) -> bool:
+    return all(
+        a.stamp_ns == b.stamp_ns and np.array_equal(a.pose, b.pose) for a, b in zip(one, other, strict=True)
+    )
+
+
+@pytest.fixture(scope="module")
+def found(drive: Callable[..., Any]) -> list[Measurement]:
+    measured: list[Measurement] = drive(
+        [(6.0, 2.0, 2.0, 0.1, 0.1, 0.0), (4.0, 1.0, 2.0, 0.0, 0.2, 0.0)]
+    ).measurements
+    return measured
+
+
+@pytest.mark.parametrize("start", ["first_fix", "initial_pose"])
+def test_a_bag_loop_gives_the_same_estimates_again(found: list[Measurement], start: str) -> None:
+    """After the samples that are needed to see it; from there on as if the node had just been started."""
+    once = moved(found, S)
+    estimator, outcomes, twice = run([*once, *once], start=start)
+    assert estimator.restarts == 1
+    assert outcomes.count(Outcome.RESTARTED) == 1
+    again = once[outcomes.index(Outcome.RESTARTED) - len(once) :]
+    fresh = run(again, start=start)[2]
+    assert same(twice[-len(fresh) :], fresh)
+    first = run(once, start=start)[2]
+    assert same(twice[: len(first)], first)
+    assert len(twice) == len(first) + len(fresh)
+
+
+def test_stamps_go_back_only_at_a_restart(found: list[Measurement]) -> None:
+    _, _, published = run([*moved(found, HOUR_NS), *moved(found, S), *moved(found, 2 * HOUR_NS)])
+    steps = np.diff([e.stamp_ns for e in published])
+    assert np.count_nonzero(steps < 0) == 1
+    assert published[-1].stamp_ns > 2 * HOUR_NS
+
+
+@pytest.mark.parametrize("back_ms", [203, 740, 1990])
+def test_a_clock_set_back_by_less_than_the_window_is_seen(found: list[Measurement], back_ms: int) -> None:
+    """What comes then looks late, but its positions are new: seen within the confirmations and a few more."""
+    at = next(k for k, m in enumerate(found) if m.stamp_ns > 4 * S)
+    after = moved(found[at:], -back_ms * 1_000_000)
+    estimator, outcomes, published = run([*found[:at], *after])
+    assert estimator.restarts == 1
+    sprockets = [o for m, o in zip(after, outcomes[at:], strict=True) if isinstance(m, Sprockets)]
+    assert sprockets.index(Outcome.RESTARTED) <= 15  # of 10 confirmations
+    fresh = run(after[outcomes.index(Outcome.RESTARTED) - at :])[2]
+    assert same(published[-len(fresh) :], fresh)
+
+
+def test_a_burst_of_late_samples_is_no_other_clock(found: list[Measurement]) -> None:
+    """A stalled link: the sprockets of a second and a half come after those that follow them."""
+    stalled = [m for m in found if isinstance(m, Sprockets) and 4 * S < m.stamp_ns < 5.5 * S]
+    prompt = [m for m in found if m not in stalled]
+    at = next(k for k, m in enumerate(prompt) if m.stamp_ns > 5.8 * S)
+    estimator, outcomes, published = run([*prompt[:at], *stalled, *prompt[at:]])
+    assert estimator.restarts == 0
+    assert set(outcomes) <= {Outcome.ACCEPTED, Outcome.GATED, Outcome.WAITING}
+    np.testing.assert_array_equal(published[-1].pose, run(found)[2][-1].pose)
+
+
+@pytest.mark.parametrize("kind", [Sprockets, YawRate, PoseFix])
+@pytest.mark.parametrize("k", [0, 200])
+def test_one_bad_stamp_far_ahead_harms_nothing(found: list[Measurement], kind: type, k: int) -> None:
+    """In the midst of the drive, or before anything else has come."""
+    once = moved(found, S)
+    bad = replace(next(m for m in once[k:] if isinstance(m, kind)), stamp_ns=HOUR_NS)
+    estimator, outcomes, published = run([*once[:k], bad, *once[k:]])
+    clean = run(once)[2]
+    assert same(published[-100:], clean[-100:]) or k == 0
+    assert outcomes[-1] in (Outcome.ACCEPTED, Outcome.GATED)
+    assert published[-1].stamp_ns == clean[-1].stamp_ns
+    np.testing.assert_allclose(published[-1].pose, clean[-1].pose, atol=0.05)
+    assert estimator.restarts == (1 if k == 0 and kind is not YawRate else 0)
+
+
+def test_a_clock_set_forward_goes_on_with_what_was_learned(found: list[Measurement]) -> None:
+    """From 1970 to now, as when the network comes up: no restart, and the next fix gives the pose."""
+    before, after = moved(found, S), moved(found, 1_700_000_000 * S)
+    estimator, outcomes, published = run([*before, *after[: len(after) // 2]])
+    assert estimator.restarts == 0
+    assert outcomes.count(Outcome.AHEAD) >= 9
+    assert all(np.isfinite(e.pose_covariance).all() for e in published)
+    by_stamp = {e.stamp_ns: e for e in run(before)[2]}
+    for e in published[-50:]:
+        reference = by_stamp[e.stamp_ns - 1_700_000_000 * S + S]
+        np.testing.assert_allclose(e.pose, reference.pose, atol=0.1)
+
+
+def test_a_gap_smaller_than_the_window_is_refused() -> None:
+    with pytest.raises(
+        InputError, match=r"max_gap: 1 is out of range; accepted: at least history_window, 2 s"
+    ):
+        load_slip_parameters({"max_gap": 1.0})

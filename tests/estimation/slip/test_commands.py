@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a user may ask while the estimator runs, and what the watch over its sources says."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from trackslip_bags.messages import make
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.conversions import transforms
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import (
+    FREEZE,
+    RESET,
+    SET_POSE,
+    UNFREEZE,
+    Command,
+    Measurement,
+    Outcome,
+    PoseFix,
+    Reload,
+    Report,
+    Sprockets,
+)
+from trackslip_estimation.slip.parameters import load_slip_parameters, reloadable
+from trackslip_estimation.slip.source_watch import SourceWatch
+
+S = 1_000_000_000
+
+
+def word(stamp_ns: int = 0, variance: float = 1e-4) -> PoseFix:
+    return PoseFix(SET_POSE, stamp_ns, np.array((5.0, -3.0, 1.0)), np.eye(3) * variance)
+
+
+@pytest.fixture(scope="module")
+def found(drive: Callable[..., Any]) -> list[Measurement]:
+    driven: list[Measurement] = drive(
+        [(6.0, 2.0, 2.0, 0.1, 0.1, 0.0), (6.0, 1.0, 2.0, 0.0, 0.2, 0.0)]
+    ).measurements
+    return driven
+
+
+def running(found: list[Measurement], seconds: float = 8.0, **changes: Any) -> SlipEstimator:
+    estimator = SlipEstimator(load_slip_parameters(changes))
+    for m in found:
+        if m.stamp_ns <= seconds * S:
+            estimator.advance(m)
+    return estimator
+
+
+def after(found: list[Measurement], seconds: float) -> list[Measurement]:
+    return [m for m in found if m.stamp_ns > seconds * S]
+
+
+def test_reset_begins_anew(found: list[Measurement]) -> None:
+    estimator, fresh = running(found), SlipEstimator(load_slip_parameters())
+    assert estimator.advance(Command(RESET)) == (Report(RESET, 0, Outcome.ACCEPTED), None)
+    assert not estimator.started
+    assert estimator.restarts == 0
+    for m in after(found, 8.0):
+        (one, mine), (other, its) = estimator.advance(m), fresh.advance(m)
+        assert one.outcome is other.outcome
+        assert (mine is None) == (its is None)
+        if mine is not None and its is not None:
+            np.testing.assert_array_equal(mine.pose, its.pose)
+
+
+def test_frozen_it_reckons_on_and_ignores_poses(found: list[Measurement]) -> None:
+    estimator = running(found)
+    estimator.advance(Command(FREEZE))
+    steps = [estimator.advance(m) for m in after(found, 8.0)]
+    assert {r.outcome for r, _ in steps if r.source == "box_pose"} == {Outcome.FROZEN}
+    assert {r.outcome for r, _ in steps if r.source != "box_pose"} == {Outcome.ACCEPTED}
+    expected = running(found)
+    for m in after(found, 8.0):
+        if not isinstance(m, PoseFix):
+            expected.advance(m)
+    np.testing.assert_array_equal(estimator.estimate().pose, expected.estimate().pose)
+    estimator.advance(Command(UNFREEZE))
+    last = next(m for m in reversed(found) if isinstance(m, PoseFix))
+    assert estimator.take(last).outcome is Outcome.ACCEPTED
+
+
+@pytest.mark.parametrize("stamp_s", [0.0, 7.5])
+def test_a_given_pose_replaces_the_estimated_one(found: list[Measurement], stamp_s: float) -> None:
+    """At its stamp, or now; what was learned of the slips stays, even where the poses are frozen."""
+    estimator = running(found, start="initial_pose")
+    before = estimator.estimate()
+    estimator.advance(Command(FREEZE))
+    report, _ = estimator.advance(word(round(stamp_s * S)))
+    assert report == Report(SET_POSE, round(stamp_s * S), Outcome.ACCEPTED)
+    now = estimator.estimate()
+    assert np.hypot(*(now.pose - word().pose)[:2]) < (1e-9 if stamp_s == 0.0 else 0.2)
+    if stamp_s == 0.0:
+        np.testing.assert_array_equal(now.pose_covariance, word().covariance)
+        np.testing.assert_array_equal(now.outputs.slips, before.outputs.slips)
+
+
+def test_a_given_pose_starts_the_estimate(found: list[Measurement]) -> None:
+    estimator = SlipEstimator(load_slip_parameters())
+    assert estimator.take(word()).outcome is Outcome.WAITING  # now is not known yet
+    assert estimator.take(found[0]).outcome is Outcome.WAITING
+    sprockets = next(m for m in found if isinstance(m, Sprockets) and m.stamp_ns > 0)
+    assert estimator.take(sprockets).outcome is Outcome.WAITING
+    assert estimator.take(word()).outcome is Outcome.ACCEPTED
+    np.testing.assert_array_equal(estimator.estimate().pose, word().pose)
+
+
+def test_a_given_pose_without_a_covariance_is_refused(found: list[Measurement]) -> None:
+    assert running(found).take(word(variance=0.0)).outcome is Outcome.INVALID
+
+
+def test_the_gate_changes_while_it_runs(found: list[Measurement]) -> None:
+    estimator = running(found)
+    timeouts = {"pose_timeouts", "yaw_rate_timeouts", "slip_timeouts"}
+    assert {"gate_probability", "gate_relaxation", *timeouts} == reloadable()
+    estimator.advance(Reload({"gate_probability": 0.5, "pose_timeouts": [3.0]}))
+    reports = [estimator.take(m) for m in after(found, 8.0)]
+    assert {r.gate for r in reports if r.source == "imu/data_raw"} == {chi2.ppf(0.5, 1)}
+    assert sum(r.outcome is Outcome.GATED for r in reports) > 3
+    with pytest.raises(InputError, match=r"gate_probability: 2\.0 is out of range"):
+        estimator.advance(Reload({"gate_probability": 2.0}))
+    assert estimator.parameters.gate_probability == 0.5
+
+
+# The watch
+
+
+def taken(source: str, seconds: float, nis: float = 1.0, outcome: Outcome = Outcome.ACCEPTED) -> Report:
+    return Report(source, round(seconds * S), outcome, nis, 10.0, 2)
+
+
+def test_a_source_of_which_nothing_is_taken_is_lost() -> None:
+    watch = SourceWatch({"box_pose": S, "imu/data_raw": 5 * S})
+    assert watch.lost(100 * S) == {}  # nothing is due before the start
+    watch.add(taken("imu/data_raw", 10.0))
+    for k in range(10):
+        watch.add(taken("box_pose", 10.0 + k / 2.0, outcome=Outcome.GATED))
+    assert watch.lost(12 * S) == {"box_pose": 2.0}
+    watch.add(taken("box_pose", 15.0))
+    assert watch.lost(round(15.5 * S)) == {"imu/data_raw": 5.5}
+    watch.clear()
+    assert watch.lost(99 * S) == {}
+
+
+def test_the_mean_innovation_is_told_with_its_bounds() -> None:
+    watch = SourceWatch({"box_pose": S})
+    for k in range(20):
+        watch.add(taken("box_pose", k, nis=2.0 + (k % 2)))
+    low, high = chi2.ppf((0.025, 0.975), 2 * 11) / 11  # of the last 10 s
+    expected = f"2.55 ({low:.2f} to {high:.2f} if honest), n 11"
+    assert watch.innovations(19 * S) == {"box_pose": expected}
+
+
+def test_a_restart_clears_the_watch() -> None:
+    watch = SourceWatch({"box_pose": S})
+    watch.add(taken("box_pose", 100.0))
+    watch.add(Report("sprockets", 2 * S, Outcome.RESTARTED))
+    assert watch.innovations(2 * S) == {}
+    assert watch.lost(round(2.5 * S)) == {}
+
+
+def test_the_transform_is_that_of_the_estimate(found: list[Measurement]) -> None:
+    estimate = running(found).estimate()
+    message = transforms(make, estimate, "odom", "base_link")
+    (stamped,) = message.transforms
+    assert (stamped.header.frame_id, stamped.child_frame_id) == ("odom", "base_link")
+    assert stamped.header.stamp.sec * S + stamped.header.stamp.nanosec == estimate.stamp_ns
+    translation, rotation = stamped.transform.translation, stamped.transform.rotation
+    assert (translation.x, translation.y) == (estimate.pose[0], estimate.pose[1])
+    assert 2.0 * np.arctan2(rotation.z, rotation.w) == pytest.approx(estimate.pose[2])

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What users of such filters complain of, one test each; the numbers are those of the field notes.
+
+Number 5, the output rate, is one sprocket sample, one estimate; number 9, replay, has the graph tests too.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_common.errors import ExitCode
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_tools.cli.main import main
+
+S, MS = 1_000_000_000, 1_000_000
+Log = Any  # conftest's
+
+
+def run(given: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[Estimate], SlipEstimator]:
+    estimator = SlipEstimator(load_slip_parameters(changes))
+    steps = [estimator.advance(m) for m in given]
+    return [r.outcome for r, _ in steps], [e for _, e in steps if e is not None], estimator
+
+
+def test_complaint_1_late_and_out_of_order_data(log: Log) -> None:
+    """Every source with a delay of its own, up to 1.9 s: the last state is that of the ordered data."""
+    delays = {"sprockets": 0, "imu/data_raw": 700 * MS, "box_pose": 1900 * MS}
+    ordered = sorted(log.measurements, key=lambda m: m.stamp_ns)
+    start = next(k for k, m in enumerate(ordered) if isinstance(m, PoseFix))
+    late = sorted(ordered[start + 1 :], key=lambda m: m.stamp_ns + delays[m.source])
+    for given in (ordered, late):
+        outcomes, _, estimator = run([*ordered[: start + 1], *given] if given is late else given)
+        assert Outcome.TOO_LATE not in outcomes
+        end = estimator.estimate()
+        if given is ordered:
+            expected = end
+    np.testing.assert_allclose(end.pose, expected.pose, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(end.pose_covariance, expected.pose_covariance, rtol=0.0, atol=1e-9)
+
+
+def test_complaint_2_nan_or_covariance_blow_up(log: Log) -> None:
+    """The worst numbers that messages can hold, between good ones: no NaN comes out, P stays in bounds."""
+    worst = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300)
+    given: list[Measurement] = []
+    for k, m in enumerate(log.measurements):
+        given.append(m)
+        value = worst[k % len(worst)]
+        if k % 7 == 0 and isinstance(m, Sprockets):
+            given.append(replace(m, stamp_ns=m.stamp_ns + MS, left_speed=value, positions=(value, 0.0)))
+        if k % 7 == 1:
+            given.append(YawRate("imu/data_raw", m.stamp_ns + MS, value, abs(value)))
+        if k % 7 == 2:
+            given.append(
+                PoseFix("box_pose", m.stamp_ns + MS, np.full(3, value), np.diag(np.full(3, abs(value))))
+            )
+    outcomes, published, _ = run(given)
+    assert {Outcome.INVALID, Outcome.GATED, Outcome.JUMPED} <= set(outcomes)
+    for e in published:
+        assert np.isfinite(e.pose).all()
+        eigenvalues = np.linalg.eigvalsh(e.pose_covariance)
+        assert eigenvalues[0] > 0.0
+        assert eigenvalues[-1] < 10.0
+    last = published[-1]
+    assert np.hypot(*(last.pose - log.true_pose(last.stamp_ns))[:2]) < 0.1
+
+
+def test_complaint_3_the_gate_is_a_probability_and_lets_the_filter_recover(log: Log) -> None:
+    """Of honest innovations it refuses about one in a hundred at 0.99; a real jump it believes in the end."""
+    outcomes, _, _ = run(log.measurements, gate_probability=0.99)
+    refused = sum(o is Outcome.GATED for o in outcomes) / sum(
+        not isinstance(m, Sprockets) for m in log.measurements
+    )
+    assert refused < 0.05
+    middle = log.measurements[len(log.measurements) // 2].stamp_ns
+    carried = [
+        replace(m, pose=m.pose + np.array((2.0, 0.0, 0.0)))
+        if isinstance(m, PoseFix) and m.stamp_ns > middle
+        else m
+        for m in log.measurements
+    ]
+    outcomes, published, _ = run(carried)
+    assert 0 < sum(o is Outcome.GATED for o in outcomes) < 30
+    for e in published:
+        if e.stamp_ns > middle + 6 * S:
+            assert (e.pose - log.true_pose(e.stamp_ns))[0] == pytest.approx(2.0, abs=0.1)
+
+
+def test_complaint_4_bag_loop_and_clock_jump(log: Log) -> None:
+    """The log twice over: begun anew once, and as good the second time."""
+    outcomes, published, estimator = run([*log.measurements, *log.measurements])
+    assert estimator.restarts == outcomes.count(Outcome.RESTARTED) == 1
+    back = int(np.argmin(np.diff([e.stamp_ns for e in published]))) + 1
+    assert 0.9 * back < len(published) - back < back
+    np.testing.assert_allclose(published[-1].pose, published[back - 1].pose, atol=0.01)
+
+
+def test_complaint_5_the_output_keeps_the_rate_of_the_sprockets(log: Log) -> None:
+    """One estimate for each sample once it has begun, whatever else comes or does not."""
+    given = [m for m in log.measurements if isinstance(m, Sprockets)]
+    _, published, _ = run(given, start="initial_pose")
+    assert [e.stamp_ns for e in published] == [m.stamp_ns for m in given]
+
+
+def test_complaint_6_pose_jumps_and_duplicate_stamps(log: Log) -> None:
+    """Two sources with one stamp are both used; the same source twice is not; estimates do not jump."""
+    other = [replace(m, source="gnss") for m in log.measurements if isinstance(m, PoseFix)]
+    given = sorted([*log.measurements, *other, *other], key=lambda m: m.stamp_ns)
+    outcomes, published, _ = run(given, pose_sources=["box_pose", "gnss"])
+    assert outcomes.count(Outcome.DUPLICATE) == len(other)
+    steps = np.diff([e.pose[:2] for e in published[200:]], axis=0)
+    assert np.hypot(*steps.T).max() < 0.05  # 10 ms of driving are 4 mm, the rest is what a fix corrects
+
+
+@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+def test_complaint_7_angle_wrap_inside_the_gate(drive: Callable[..., Any], model: str, filter_: str) -> None:
+    """Four turns on the spot: fixes on the other side of ±π are no outliers, and the error stays small."""
+    driven = drive([(42.0, -2.0, 2.0, 0.3, 0.3, 0.0)])
+    wrapped = [
+        replace(m, pose=np.array((*m.pose[:2], np.angle(np.exp(1j * m.pose[2])))))
+        if isinstance(m, PoseFix)
+        else m
+        for m in driven.measurements
+    ]
+    outcomes, published, _ = run(wrapped, model=model, filter=filter_)
+    assert driven.truth[max(driven.truth)][2] > 8.0 * np.pi * 0.9
+    poses = [outcome for outcome, m in zip(outcomes, wrapped, strict=True) if isinstance(m, PoseFix)]
+    assert poses.count(Outcome.GATED) <= 1
+    for e in published[100:]:
+        assert -np.pi < e.pose[2] <= np.pi
+        assert np.cos(e.pose[2] - driven.truth[e.stamp_ns][2]) > np.cos(0.1)
+
+
+def test_complaint_8_one_bad_input_does_not_end_it(log: Log) -> None:
+    """An hour ahead, an hour back, not a number, absurdly sure: each is answered, and the drive goes on."""
+    given: list[Measurement] = []
+    for k, m in enumerate(log.measurements):
+        given.append(m)
+        if k % 50 == 0:
+            given += [replace(m, stamp_ns=m.stamp_ns + sign * 3600 * S) for sign in (1, -1)]
+        if isinstance(m, PoseFix) and k % 3 == 0:
+            given.append(replace(m, stamp_ns=m.stamp_ns + 1, covariance=np.zeros((3, 3))))
+    outcomes, published, estimator = run(given)
+    assert len(outcomes) == len(given)
+    assert estimator.restarts == 0
+    last = published[-1]
+    assert np.hypot(*(last.pose - log.true_pose(last.stamp_ns))[:2]) < 0.05
+
+
+def test_complaint_9_replay_is_deterministic(emulated_bag: Path, tmp_path: Path) -> None:
+    """Twice the same bag, twice the same numbers; and what a replay cannot know is null."""
+    found = []
+    for name in ("one.json", "two.json"):
+        assert main(["replay", str(emulated_bag), "--json", str(tmp_path / name)]) == ExitCode.DONE
+        summary = json.loads((tmp_path / name).read_text(encoding="utf-8"))
+        del summary["real_time_factor"]
+        found.append(summary)
+    assert found[0] == found[1]
+    assert found[0]["rmse"]["filter"] < 0.02

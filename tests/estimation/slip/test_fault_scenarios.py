@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One emulated drive × what may go wrong: each fault with its expected result.
+
+A fault begins at ``BEGIN`` s of data, in the midst of a turn. ``during`` is the largest error of position
+while it lasts and for a second after, ``recovery`` the time from which the error then stays below ``GOOD``.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.parameters import load_slip_parameters
+
+S = 1_000_000_000
+BEGIN = 25.0  # s, from the first stamp
+GOOD = 0.04  # m
+Log = Any  # conftest's
+Given = list[Measurement]
+Counts = Counter[tuple[str, str]]
+
+
+@dataclass
+class Run:
+    """What came of a log."""
+
+    published: list[Estimate]
+    counts: Counts  # of (source, outcome)
+    restarts: int
+    seconds: np.ndarray[Any, np.dtype[np.float64]]  # of each estimate, since the first stamp
+    errors: np.ndarray[Any, np.dtype[np.float64]]  # (n, 3) m, m, rad
+
+    @property
+    def position(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """(n,) m."""
+        return np.hypot(self.errors[:, 0], self.errors[:, 1])
+
+    def during(self, end: float) -> float:
+        """Largest error of position from the begin of a fault to a second after its end, m."""
+        inside = (self.seconds >= BEGIN) & (self.seconds <= end + 1.0)
+        return float(self.position[inside].max())
+
+    def recovery(self, end: float) -> float:
+        """When after the end of a fault the position was bad for the last time, s."""
+        bad = self.seconds[(self.position > GOOD) & (self.seconds > end)]
+        return float(bad.max()) - end if bad.size else 0.0
+
+
+def seconds_of(log: Log, m: Measurement) -> float:
+    return (m.stamp_ns - log.measurements[0].stamp_ns) * 1e-9
+
+
+def run(log: Log, given: Iterable[Measurement], shift_ns: int = 0, **changes: Any) -> Run:
+    """All that is published must be numbers; ``shift_ns``: what was added to the stamps."""
+    estimator = SlipEstimator(load_slip_parameters(changes))
+    steps = [estimator.advance(m) for m in given]
+    published = [e for _, e in steps if e is not None]
+    for e in published:
+        o = e.outputs
+        for numbers in (e.pose, e.pose_covariance, o.twist, o.twist_covariance, o.slips, o.slip_covariance):
+            assert np.isfinite(numbers).all()
+        assert np.linalg.eigvalsh(e.pose_covariance)[0] > 0.0
+    stamps = np.array([e.stamp_ns - shift_ns for e in published])
+    errors = np.array([e.pose for e in published]) - [log.true_pose(stamp) for stamp in stamps]
+    errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
+    counts = Counter((r.source, r.outcome.name) for r, _ in steps if r.outcome is not Outcome.ACCEPTED)
+    del counts["sprockets", "WAITING"], counts["imu/data_raw", "WAITING"]  # before the first fix
+    return Run(published, counts, estimator.restarts, (stamps - log.measurements[0].stamp_ns) * 1e-9, errors)
+
+
+def changed(log: Log, kind: type, end: float, change: Callable[[Any], Measurement | None]) -> Given:
+    """The measurements of a kind between ``BEGIN`` and ``end``, changed or, for None, left out."""
+    made = [
+        change(m) if isinstance(m, kind) and BEGIN <= seconds_of(log, m) < end else m
+        for m in log.measurements
+    ]
+    return [m for m in made if m is not None]
+
+
+def test_without_a_fault(log: Log) -> None:
+    found = run(log, log.measurements)
+    assert found.counts == {}
+    assert found.during(45.0) < GOOD
+    assert np.sqrt(np.mean(found.position**2)) < 0.015
+
+
+@pytest.mark.parametrize("kind", [Sprockets, YawRate, PoseFix])
+def test_nan(log: Log, kind: type) -> None:
+    """3 s of it from one source: refused and counted; as if the source were silent."""
+
+    def spoil(m: Any) -> Any:
+        if isinstance(m, PoseFix):
+            return replace(m, pose=m.pose * np.nan)
+        return replace(m, rate=np.nan) if isinstance(m, YawRate) else replace(m, left_speed=np.nan)
+
+    found = run(log, changed(log, kind, BEGIN + 3.0, spoil))
+    (refused,) = found.counts
+    assert refused[1] == "INVALID"
+    assert found.during(BEGIN + 3.0) < (0.3 if kind is Sprockets else GOOD)  # the pose held, driven on
+    assert found.recovery(BEGIN + 3.0) < 0.5
+
+
+@pytest.mark.parametrize("jump", [(3.0, -2.0, 0.5), (0.5, 0.0, 0.0), (0.0, 0.0, np.pi), (1e8, 0.0, 0.0)])
+def test_spike(log: Log, jump: tuple[float, float, float]) -> None:
+    """One fix wide of the mark: gated, no trace."""
+    found = run(log, changed(log, PoseFix, BEGIN + 0.2, lambda m: replace(m, pose=m.pose + np.array(jump))))
+    assert found.counts == {("box_pose", "GATED"): 1}
+    assert found.during(BEGIN + 0.2) < GOOD
+
+
+def test_gyro_spikes(log: Log) -> None:
+    """3 s of a loose plug, ±100 rad/s every third sample: gated, no trace."""
+    turns = iter(range(10**6))
+
+    def loose(m: YawRate) -> YawRate:
+        k = next(turns)
+        return replace(m, rate=100.0 * (-1) ** k) if k % 3 == 0 else m
+
+    found = run(log, changed(log, YawRate, BEGIN + 3.0, loose))
+    assert set(found.counts) == {("imu/data_raw", "GATED")}
+    assert found.during(BEGIN + 3.0) < GOOD
+
+
+def test_displaced_for_a_while(log: Log) -> None:
+    """Fixes 1 m off for 2 s, as of somebody taken for the box: gated throughout."""
+    found = run(
+        log, changed(log, PoseFix, BEGIN + 2.0, lambda m: replace(m, pose=m.pose + np.array((1.0, 0.0, 0.0))))
+    )
+    assert set(found.counts) == {("box_pose", "GATED")}
+    assert found.during(BEGIN + 2.0) < GOOD
+
+
+def test_stuck_encoder(log: Log) -> None:
+    """The left track seems to stand for 5 s while it drives: nobody can tell at first.
+
+    Fixes contradict and are gated, until the gate is wide enough to believe them; fixes then hold the error.
+    """
+    stuck: list[float] = []
+
+    def hold(m: Sprockets) -> Sprockets:
+        assert m.positions is not None
+        stuck.append(m.positions[0])
+        return replace(m, positions=(stuck[0], m.positions[1]), left_speed=0.0)
+
+    found = run(log, changed(log, Sprockets, BEGIN + 5.0, hold))
+    assert found.counts["box_pose", "GATED"] > 0
+    assert found.counts["sprockets", "JUMPED"] == 1  # when it comes free
+    assert found.during(BEGIN + 5.0) < 1.0
+    assert found.recovery(BEGIN + 5.0) < 3.0
+
+
+def test_gyro_with_its_sign_flipped(log: Log) -> None:
+    """For the whole drive: heading suffers in turns, fixes hold the position; the right sign cures it."""
+    flipped = [replace(m, rate=-m.rate) if isinstance(m, YawRate) else m for m in log.measurements]
+    wrong = run(log, flipped)
+    assert wrong.position[wrong.seconds > 5.0].max() < 0.06
+    assert 0.03 < np.abs(wrong.errors[:, 2]).max() < 0.25
+    cured, right = run(log, flipped, yaw_rate_signs=[-1]), run(log, log.measurements)
+    np.testing.assert_array_equal(cured.errors, right.errors)
+
+
+@pytest.mark.parametrize("kind", [YawRate, PoseFix])
+def test_outage(log: Log, kind: type) -> None:
+    """10 s without gyro, or without fixes."""
+    found = run(log, changed(log, kind, BEGIN + 10.0, lambda _: None))
+    assert found.counts == {}
+    assert found.during(BEGIN + 10.0) < (GOOD if kind is YawRate else 0.15)
+    assert found.recovery(BEGIN + 10.0) < 0.5
+
+
+@pytest.mark.parametrize("seconds", [2.0, 10.0])
+def test_sprockets_silent(log: Log, seconds: float) -> None:
+    """No estimates meanwhile; what comes after is covered by its covariance, and soon right again."""
+    end = BEGIN + seconds
+    found = run(log, changed(log, Sprockets, end, lambda _: None))
+    gap = np.diff(found.seconds).max()
+    assert seconds < gap < seconds + 0.3
+    assert found.recovery(end) < 1.0
+    back = int(np.argmax(found.seconds > end))
+    error, covariance = found.errors[back], found.published[back].pose_covariance
+    assert error @ np.linalg.solve(covariance, error) < 20.0
+
+
+def test_everything_silent(log: Log) -> None:
+    """A cable for all, 10 s: the first fixes after it give the pose back."""
+    end = BEGIN + 10.0
+    given = [m for m in log.measurements if not BEGIN <= seconds_of(log, m) < end]
+    found = run(log, given)
+    assert found.counts["sprockets", "AHEAD"] == 19  # until another time is believed
+    assert found.recovery(end) < 1.0
+
+
+def test_stale(log: Log) -> None:
+    """3 s of fixes that come 3 s late: refused; as an outage of theirs."""
+    end = BEGIN + 3.0
+    kept = changed(log, PoseFix, end, lambda _: None)
+    at = next(k for k, m in enumerate(kept) if seconds_of(log, m) > end + 3.0)
+    late = [m for m in log.measurements if isinstance(m, PoseFix) and BEGIN <= seconds_of(log, m) < end]
+    found = run(log, [*kept[:at], *late, *kept[at:]])
+    assert found.counts == {("box_pose", "TOO_LATE"): len(late)}
+    assert found.during(end) < 0.06
+    assert found.recovery(end) < 0.5
+
+
+def test_late_within_the_window(log: Log) -> None:
+    """Fixes that come 1.5 s late end in the same state as those in time."""
+    late = sorted(log.measurements, key=lambda m: m.stamp_ns + 1_500_000_000 * isinstance(m, PoseFix))
+    found, in_time = run(log, late), run(log, sorted(log.measurements, key=lambda m: m.stamp_ns))
+    assert found.counts == {}
+    np.testing.assert_allclose(found.errors[-1], in_time.errors[-1], atol=0.02)
+
+
+def test_duplicates(log: Log) -> None:
+    """Everything twice: the second one refused, the estimates the same."""
+    found, clean = run(log, [m for m in log.measurements for _ in range(2)]), run(log, log.measurements)
+    assert {outcome for _, outcome in found.counts} == {"DUPLICATE"}
+    np.testing.assert_array_equal(found.errors, clean.errors)
+
+
+def test_burst(log: Log) -> None:
+    """Nothing for a second, then all of it at once, newest first: the state ends the same."""
+    inside = [m for m in log.measurements if BEGIN <= seconds_of(log, m) < BEGIN + 1.0]
+    ids = {id(m) for m in inside}
+    before = [m for m in log.measurements if seconds_of(log, m) < BEGIN]
+    after = [m for m in log.measurements if id(m) not in ids and seconds_of(log, m) >= BEGIN]
+    found, clean = run(log, [*before, *reversed(inside), *after]), run(log, log.measurements)
+    assert found.counts == {}
+    np.testing.assert_allclose(found.errors[-1], clean.errors[-1], atol=1e-9)
+
+
+def test_one_stamp_an_hour_ahead(log: Log) -> None:
+    found = run(
+        log,
+        [
+            replace(m, stamp_ns=m.stamp_ns + 3600 * S) if k in (2000, 2001, 3000) else m
+            for k, m in enumerate(log.measurements)
+        ],
+    )
+    assert {outcome for _, outcome in found.counts} == {"AHEAD"}
+    assert found.restarts == 0
+    assert found.during(45.0) < GOOD
+
+
+@pytest.mark.parametrize("jump_s", [-3600, -3, 3600])
+def test_clock_jump(log: Log, jump_s: int) -> None:
+    """The computer's clock is set in the midst: back → begun anew with the next fix; forward → goes on."""
+    begin = next(k for k, m in enumerate(log.measurements) if seconds_of(log, m) > BEGIN)
+    base = [replace(m, stamp_ns=m.stamp_ns + 7200 * S) for m in log.measurements]
+    given = [*base[:begin], *(replace(m, stamp_ns=m.stamp_ns + jump_s * S) for m in base[begin:])]
+    found = run(log, given, 7200 * S + jump_s * S)  # the errors of what comes after
+    assert found.restarts == (1 if jump_s < 0 else 0)
+    jumped = int(np.argmax(np.abs(np.diff(found.seconds)) > 1.0)) + 1
+    resumed = found.seconds[jumped] - BEGIN
+    assert resumed < 0.7
+    settled = (np.arange(len(found.seconds)) >= jumped) & (found.seconds > BEGIN + 3.0)
+    assert found.position[settled].max() < 0.1
+    assert found.position[-100:].max() < GOOD
+
+
+def test_small_step_of_the_clock(log: Log) -> None:
+    """Back by 0.5 s, within the window: positions contradict what was there, and all begins anew."""
+    begin = next(k for k, m in enumerate(log.measurements) if seconds_of(log, m) > BEGIN)
+    given = [
+        replace(m, stamp_ns=m.stamp_ns - S // 2) if k >= begin else m for k, m in enumerate(log.measurements)
+    ]
+    found = run(log, given, -S // 2)
+    assert found.restarts == 1
+    after = found.position[found.seconds > BEGIN + 3.0]
+    assert after.max() < 0.06
+    allowed = {"JUMPED", "DUPLICATE", "GATED", "RESTARTED", "WAITING"}
+    assert {outcome for _, outcome in found.counts} <= allowed
+
+
+@pytest.mark.parametrize("start", [12.0, 16.0, 27.0])
+def test_started_mid_drive(log: Log, start: float) -> None:
+    """In a turn or straight on: right from the first fix, and soon as good as ever."""
+    found = run(log, [m for m in log.measurements if seconds_of(log, m) > start])
+    assert found.seconds[0] < start + 1.0
+    assert found.position.max() < 0.12
+    assert found.position[found.seconds > start + 5.0].max() < GOOD

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Standing, straight, turning: told from the sprockets, both ways round, without flicker."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from trackslip_estimation.slip.motion import Motion, MotionParameters, MotionState, Speeds, classify, smoothed
+
+LIMITS = MotionParameters(
+    standing_speed=0.05,
+    turning_ratio=0.10,
+    change_ratio=0.08,
+    hysteresis=0.6,
+    smoothing_time=0.15,
+    memory_time=0.5,
+)
+DT = 0.01
+COUNT = 2.0 * math.pi / (3 * 4096)  # rad
+
+
+def drive(speeds: Iterable[tuple[float, float]], state: MotionState | None = None) -> list[MotionState]:
+    """The states while these speeds come, one per sample."""
+    state = state or MotionState()
+    seen = []
+    for left, right in speeds:
+        state = classify(state, measured(left, right), DT, LIMITS)
+        seen.append(state)
+    return seen
+
+
+def measured(left: float, right: float) -> Speeds:
+    return Speeds(left, right, 0.0, differenced=False)
+
+
+def held(left: float, right: float, seconds: float = 3.0) -> list[tuple[float, float]]:
+    return [(left, right)] * round(seconds / DT)
+
+
+def motions(states: list[MotionState]) -> list[Motion]:
+    """Each state once, in the order of their coming."""
+    row = [s.motion for s in states]
+    return [m for k, m in enumerate(row) if k == 0 or row[k - 1] != m]
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "expected"),
+    [
+        (0.0, 0.0, Motion.STANDING),
+        (0.04, -0.04, Motion.STANDING),
+        (2.0, 2.0, Motion.STRAIGHT),
+        (-2.0, -2.0, Motion.STRAIGHT),
+        (2.0, 2.1, Motion.STRAIGHT),
+        (1.0, 2.0, Motion.TURNING),
+        (2.0, 1.0, Motion.TURNING),
+        (-1.0, -2.0, Motion.TURNING),
+        (1.0, -1.0, Motion.TURNING),
+        (-1.0, 1.0, Motion.TURNING),
+        (0.0, 0.5, Motion.TURNING),
+        (0.5, 0.0, Motion.TURNING),
+    ],
+)
+def test_steady_speeds(left: float, right: float, expected: Motion) -> None:
+    for state in (drive(held(left, right))[-1], drive(held(0.0, 0.0) + held(left, right, 5.0))[-1]):
+        assert state.motion is expected
+        assert not state.changing
+        assert state.slips_move == (expected is not Motion.STRAIGHT)
+
+
+def test_the_first_sample_counts_whole() -> None:
+    assert MotionState().slips_move
+    state = classify(MotionState(), measured(2.0, 2.0), DT, LIMITS)
+    assert (state.motion, state.left, state.right_mean) == (Motion.STRAIGHT, 2.0, 2.0)
+
+
+@pytest.mark.parametrize(("inner", "outer"), [(1.0, 2.0), (-0.5, 2.0)])
+@pytest.mark.parametrize("left_turn", [True, False])
+def test_a_drive_with_one_turn(inner: float, outer: float, left_turn: bool) -> None:
+    turn = held(inner, outer) if left_turn else held(outer, inner)
+    states = drive(held(0.0, 0.0) + held(2.0, 2.0) + turn + held(2.0, 2.0) + held(0.0, 0.0))
+    expected = [Motion.STANDING, Motion.STRAIGHT, Motion.TURNING, Motion.STRAIGHT, Motion.STANDING]
+    assert motions(states) == expected
+
+
+def test_a_change_is_seen_at_once_and_forgotten() -> None:
+    states = drive(held(1.0, 1.0) + held(2.0, 2.0))
+    changing = [s.changing for s in states]
+    assert not any(changing[10:300])
+    assert any(changing[300:310])
+    assert not any(changing[-50:])
+    assert set(motions(states)) == {Motion.STRAIGHT}
+    assert states[310].slips_move
+    assert not states[-1].slips_move
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_change_is_measured_against_the_speed_on_the_spot_too(sign: float) -> None:
+    states = drive(held(2.0, sign * 2.0) + held(2.1, sign * 2.1))
+    assert not any(s.changing for s in states[1:])
+    assert any(s.changing for s in drive(held(3.0, sign * 3.0), states[-1]))
+
+
+@pytest.mark.parametrize("before", [held(2.0, 2.0), held(1.0, 2.0)])
+def test_between_the_limits_the_state_stays_as_it_was(before: list[tuple[float, float]]) -> None:
+    """|ω_R − ω_L| is 0.08 of the mean: less than 0.10, more than 0.06."""
+    states = drive(before)
+    assert drive(held(2.0, 2.167), states[-1])[-1].motion is states[-1].motion
+
+
+@pytest.mark.parametrize("before", [held(0.0, 0.0), held(0.2, 0.2)])
+def test_slow_creep_between_the_limits_stays_as_it_was(before: list[tuple[float, float]]) -> None:
+    states = drive(before)
+    assert drive(held(0.04, 0.04, 6.0), states[-1])[-1].motion is states[-1].motion
+
+
+def counted(left: float, right: float, seconds: float) -> list[tuple[float, float]]:
+    """Speeds differenced from positions rounded to counts."""
+    t = np.arange(round(seconds / DT) + 1) * DT
+    angles = np.round(np.outer(t, (left, right)) / COUNT + (0.2, 0.7)) * COUNT
+    return [(float(a), float(b)) for a, b in np.diff(angles, axis=0) / DT]
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "expected"),
+    [
+        (0.5, 0.5, Motion.STRAIGHT),
+        (1.37, 1.371, Motion.STRAIGHT),
+        (0.9, 0.95, Motion.STRAIGHT),
+        (0.5, 0.6, Motion.TURNING),
+        (1.0, 0.7, Motion.TURNING),
+    ],
+)
+def test_counts_do_not_make_it_flicker(left: float, right: float, expected: Motion) -> None:
+    states = drive(counted(left, right, 20.0))[100:]
+    assert {s.motion for s in states} == {expected}
+    assert not any(s.changing for s in states)
+
+
+def test_what_rounding_explains_is_no_departure() -> None:
+    state, departures = MotionState(), []
+    for left, right in counted(1.37, 1.371, 5.0) + counted(1.6, 1.2, 5.0):
+        speeds = Speeds(left, right, DT, differenced=True)
+        state = classify(state, speeds, DT, LIMITS, COUNT)
+        departures.append(state.departure)
+    assert set(departures[100:500]) == {0.0}
+    assert departures[500] == pytest.approx(0.23, abs=COUNT / DT)
+    assert set(departures[-100:]) == {0.0}
+
+
+@pytest.mark.parametrize("difference", [0.0, 0.03, -0.03, 0.3])
+def test_a_gyro_is_compared_with_no_difference_that_rounding_explains(difference: float) -> None:
+    """While speeds change they are not low-passed, and one count in 10 ms is 0.05 rad/s."""
+    now = Speeds(1.5, 1.5 + difference, DT, differenced=True)
+    changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)
+    left, right, stretch, _ = smoothed(now, changing, LIMITS, COUNT)
+    assert (left + right) / 2.0 == pytest.approx(1.5 + difference / 2.0)
+    assert right - left == pytest.approx(difference if difference == 0.3 else 0.0)
+    assert stretch == DT
+    assert smoothed(now._replace(differenced=False), changing, LIMITS, COUNT)[:2] == now[:2]
+
+
+def test_shaking_on_the_spot_is_standing() -> None:
+    rng = np.random.default_rng(1)
+    jitter = [(float(a), float(b)) for a, b in rng.integers(-1, 2, (2000, 2)) * COUNT / DT / 2.0]
+    assert {s.motion for s in drive(jitter)[100:]} == {Motion.STANDING}
+
+
+def test_splitting_time_changes_nothing_while_speeds_are_steady() -> None:
+    start = drive(held(0.0, 0.0))[-1]
+    once = classify(start, measured(1.0, 2.0), 0.2, LIMITS)
+    often = start
+    for _ in range(20):
+        often = classify(often, measured(1.0, 2.0), 0.01, LIMITS)
+    assert (once.left, once.right_mean) == pytest.approx((often.left, often.right_mean))
+    assert once.motion is often.motion

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator on a small exact truth: it converges, and is honest."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+
+S = 1_000_000_000
+Run = Callable[..., Any]
+Make = Callable[..., SlipEstimatorParameters]
+
+
+@pytest.mark.parametrize(
+    ("segment", "motion"),
+    [
+        ((20.0, 2.0, 2.0, 0.10, 0.10, 0.0), Motion.STRAIGHT),
+        ((20.0, 2.0, 2.0, 0.12, 0.07, 0.0), Motion.STRAIGHT),
+        ((20.0, 1.2, 2.0, -0.05, 0.20, 0.0), Motion.TURNING),
+        ((20.0, 2.0, 1.2, 0.20, -0.05, 0.0), Motion.TURNING),
+        ((20.0, -2.0, -1.2, 0.15, 0.05, 0.0), Motion.TURNING),
+    ],
+)
+def test_known_slips_are_found(
+    drive: Callable[..., Any], segment: tuple[float, ...], motion: Motion, thesis_run: Run
+) -> None:
+    last = thesis_run(drive([segment]).measurements).estimates[-1]
+    np.testing.assert_allclose(last.outputs.slips[:2], segment[3:5], atol=0.03)
+    assert (np.sqrt(np.diag(last.outputs.slip_covariance))[:2] < 0.035).all()
+    assert last.motion is motion
+
+
+def test_slip_angle_is_found_with_a_heading_source(drive: Callable[..., Any], thesis_run: Run) -> None:
+    found = drive([(30.0, 1.0, 2.0, 0.0, 0.2, 0.15)]).measurements
+    last = thesis_run(found, noise__initial_slip_angle=0.2, noise__slip_angle_turning=0.005).estimates[-1]
+    assert last.outputs.slips[2] == pytest.approx(0.15, abs=0.03)
+
+
+def test_pose_and_twist_follow_the_truth(drive: Callable[..., Any], thesis_run: Run) -> None:
+    driven = drive([(5.0, 2.0, 2.0, 0.1, 0.1, 0.0), (10.0, 1.0, 2.0, 0.0, 0.2, 0.0)])
+    for e in thesis_run(driven.measurements).estimates[250:]:
+        truth = driven.truth[e.stamp_ns]
+        assert np.hypot(*(e.pose - truth[:3])[:2]) < 0.08
+        assert np.cos(e.pose[2] - truth[2]) > np.cos(0.06)
+    assert e.outputs.twist[0] == pytest.approx(0.159 * (1.0 + 1.6) / 2.0, abs=0.01)
+    assert e.outputs.twist[2] == pytest.approx(0.159 * (1.6 - 1.0) / 0.73, abs=0.01)
+
+
+def test_the_claimed_pose_covariance_is_honest(drive: Callable[..., Any], thesis_run: Run) -> None:
+    """Slips that walk as the filter supposes. 40 seeds at three times 5 s apart: 120 × χ²(3), nearly
+    independent; the mean must lie within the 10⁻⁴ tails of 40 × χ²(3) on either side, 1.98 to 4.32.
+    """
+    walk = {"noise__slip_steady": 0.02, "noise__slip_moving": 0.02}
+    values = []
+    for seed in range(40):
+        segments = [(5.0, 2.0, 2.0, 0.0, 0.0, 0.0), (10.0, 1.2, 2.0, 0.0, 0.0, 0.0)]
+        driven = drive(
+            segments,
+            seed=seed,
+            step_ms=50,
+            gyro_every=2,
+            fix_every=10,
+            slip_walk=0.02,
+            encoder=0.002,
+            gyro_bias=0.002,
+        )
+        steps = thesis_run(driven.measurements, noise__initial_slip=0.02, **walk)
+        by_stamp = {e.stamp_ns: e for e in steps.estimates}
+        for t in (5, 10, 15):
+            e, truth = by_stamp[t * S], driven.truth[t * S]
+            error = e.pose - truth[:3]
+            error[2] = np.angle(np.exp(1j * error[2]))
+            values.append(error @ np.linalg.solve(e.pose_covariance, error))
+    low, high = chi2.ppf((1e-4, 1.0 - 1e-4), 3 * 40) / 40
+    assert low < np.mean(values) < high
+    assert np.mean(np.array(values) < chi2.ppf(0.95, 3)) > 0.85
+
+
+def turning_slips(left: float, right: float, kappa: float, eta: float, common: float) -> tuple[float, float]:
+    """(i_L, i_R) of sub-model 1b: v = (1 − i₀) V − η|D|/2, φ̇ = κ D/B."""
+    V, D = (left + right) / 2.0, right - left  # over r
+    v, turn = (1.0 - common) * V - eta * abs(D) / 2.0, kappa * D / 2.0
+    return 1.0 - (v - turn) / left, 1.0 - (v + turn) / right
+
+
+def turning_drive(drive: Callable[..., Any], **options: Any) -> Any:
+    """Straight on and turns either way, on one soil: κ 0.45, η 0.4, i₀ 0.01."""
+    legs = (
+        (5.0, 2.0, 2.0),
+        (6.0, 1.0, 2.0),
+        (5.0, 2.0, 2.0),
+        (6.0, 2.0, 0.8),
+        (5.0, 2.2, 2.2),
+        (6.0, 1.2, 2.2),
+    )
+    return drive([(t, a, b, *turning_slips(a, b, 0.45, 0.4, 0.01), 0.0) for t, a, b in legs], **options)
+
+
+def test_what_turns_taught_holds_in_the_next_one(drive: Callable[..., Any], thesis_run: Run) -> None:
+    """Sub-model 1b: fixes and gyro are lost before the last turn, and its slips are right all the same."""
+    driven = turning_drive(drive)
+    found = [m for m in driven.measurements if isinstance(m, Sprockets) or m.stamp_ns < 26 * S]
+    by_stamp = {e.stamp_ns: e for e in thesis_run(found, model="turning").estimates}
+    for t in (29 * S, 33 * S):
+        np.testing.assert_allclose(by_stamp[t].outputs.slips[:2], driven.truth[t][3:5], atol=0.05)
+    assert np.hypot(*(by_stamp[33 * S].pose - driven.truth[33 * S][:3])[:2]) < 0.15
+
+
+def test_sub_model_1b_claims_no_more_than_it_knows(drive: Callable[..., Any], thesis_run: Run) -> None:
+    """The truth has none of the misfit that the model allows for: NEES stays below its mean of 3, and a
+    filter that is not absurdly humble stays above a sixth of it.
+    """
+    values = []
+    for seed in range(10):
+        driven = turning_drive(drive, seed=seed, step_ms=50, gyro_every=2, fix_every=10, encoder=0.001)
+        by_stamp = {e.stamp_ns: e for e in thesis_run(driven.measurements, model="turning").estimates}
+        for t in (8 * S, 14 * S, 20 * S, 26 * S, 32 * S):
+            e, truth = by_stamp[t], driven.truth[t]
+            error = e.pose - truth[:3]
+            error[2] = np.angle(np.exp(1j * error[2]))
+            values.append(error @ np.linalg.solve(e.pose_covariance, error))
+    assert 0.5 < np.mean(values) < 4.5
+    assert max(values) < chi2.ppf(1.0 - 1e-4, 3)
+
+
+@pytest.mark.parametrize("model", ["turning", "free_slips"])
+def test_covariances_stay_symmetric_and_positive(
+    drive: Callable[..., Any], model: str, thesis_run: Run
+) -> None:
+    segments = [
+        (3.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        (5.0, 2.0, 2.0, 0.1, 0.1, 0.0),
+        (5.0, -1.0, 1.0, 0.3, 0.3, 0.1),
+    ]
+    for e in thesis_run(drive(segments, seed=3).measurements, model=model).estimates:
+        for P in (e.pose_covariance, e.outputs.slip_covariance, e.outputs.twist_covariance):
+            np.testing.assert_allclose(P, P.T, atol=1e-12)
+            assert np.linalg.eigvalsh(P)[0] > -1e-12
+        assert np.linalg.eigvalsh(e.pose_covariance)[0] > 0.0
+
+
+def test_it_waits_for_the_first_fix_and_starts_there(
+    drive: Callable[..., Any], thesis_parameters: Make
+) -> None:
+    driven = drive([(4.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
+    late = [m for m in driven.measurements if not isinstance(m, PoseFix) or m.stamp_ns >= 2 * S]
+    estimator = SlipEstimator(thesis_parameters(start="first_fix"))
+    with pytest.raises(RuntimeError):
+        estimator.estimate()
+    steps = []
+    for m in late:
+        started = estimator.started
+        steps.append(estimator.advance(m))
+        assert started == (steps[-1][0].outcome is not Outcome.WAITING) or isinstance(m, PoseFix)
+    waiting = [r for r, _ in steps if r.outcome is Outcome.WAITING]
+    assert {r.source for r in waiting} == {"sprockets", "imu/data_raw"}
+    assert max(r.stamp_ns for r in waiting) <= 2 * S
+    first = next(e for _, e in steps if e is not None)
+    assert first.stamp_ns > 2 * S
+    start = next(m for m in late if isinstance(m, PoseFix))
+    np.testing.assert_allclose(first.pose, start.pose, atol=0.02)
+
+
+def test_a_given_start_is_the_first_estimate(thesis_parameters: Make) -> None:
+    estimator = SlipEstimator(
+        thesis_parameters(initial_x=1.0, initial_y=-2.0, initial_yaw=0.5, initial_yaw_stddev=0.1)
+    )
+    assert estimator.take(YawRate("imu/data_raw", 5, 0.0, 1e-4)).outcome is Outcome.WAITING
+    assert estimator.take(PoseFix("box_pose", 6, np.zeros(3), np.eye(3))).outcome is Outcome.WAITING
+    report, estimate = estimator.advance(Sprockets("sprockets", 7, 0.0, 0.0, (0.0, 0.0)))
+    assert report.outcome is Outcome.ACCEPTED
+    assert estimate is not None
+    np.testing.assert_array_equal(estimate.pose, (1.0, -2.0, 0.5))
+    np.testing.assert_allclose(np.diag(estimate.pose_covariance), (0.0009, 0.0009, 0.01))
+
+
+def test_positions_alone_drive_it_whatever_the_speeds_say(drive: Callable[..., Any], thesis_run: Run) -> None:
+    found = drive([(3.0, 2.0, 2.0, 0.0, 0.0, 0.0)], fix_every=10**9).measurements
+    lying = [replace(m, left_speed=7.0, right_speed=-3.0) if isinstance(m, Sprockets) else m for m in found]
+    last = thesis_run([m for m in lying if not isinstance(m, PoseFix)]).estimates[-1]
+    np.testing.assert_allclose(last.pose, (0.159 * 2.0 * 3.0, 0.0, 0.0), atol=0.01)
+    assert last.outputs.twist[0] == pytest.approx(0.318, abs=1e-3)
+
+
+def test_an_outage_of_fixes_widens_the_covariance_and_a_fix_heals_it(
+    drive: Callable[..., Any], thesis_run: Run
+) -> None:
+    driven = drive([(30.0, 2.0, 1.8, 0.1, 0.1, 0.0)])
+    kept = [m for m in driven.measurements if not (isinstance(m, PoseFix) and 10 * S < m.stamp_ns < 20 * S)]
+    spread = {
+        e.stamp_ns: float(np.sqrt(np.trace(e.pose_covariance[:2, :2]))) for e in thesis_run(kept).estimates
+    }
+    assert spread[19 * S] > 3.0 * spread[10 * S]
+    assert spread[30 * S] < 1.3 * spread[10 * S]

@@ -1,0 +1,350 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slips as a measurement, and the seed that thrust and soil give after a turn."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_bags.messages import make
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.filter import Filter
+from trackslip_estimation.slip.measurement_log import read_measurements, run_log
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, SlipFix
+from trackslip_estimation.slip.models import dispatch as equations
+from trackslip_estimation.slip.models.model import SLIPS, slips_measured
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
+from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
+from trackslip_estimation.slip.parameters import load_slip_parameters, make_model
+from trackslip_estimation.soil import conversions as soil_conversions
+from trackslip_estimation.soil.records import SlipSeed, SoilInput
+from trackslip_estimation.soil.slip_seed import SlipSeeder, slips_of
+from trackslip_estimation.soil.soil_estimator import SoilEstimator
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_estimation.soil.strength_posterior import StrengthSummary
+from trackslip_estimation.soil.thrust import Thrust
+from trackslip_estimation.terramechanics.traction import thrust
+from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
+from trackslip_sim.scenarios.scenario import Scenario, Segment
+from trackslip_sim.truth.simulate import simulate
+from trackslip_tools.replay.quick import quick_steps
+
+FloatArray = NDArray[np.float64]
+
+MODELS = ("free_slips", "turning", "icr")
+EDGE = 1e-6  # of the central differences
+LIMIT = 18.5  # of the gate with two degrees of freedom, while it is no wider than χ² has it
+STEADY = Speeds(2.0, 2.1, 0.0, differenced=False)
+SOURCE = {"slip_sources": ["slip_seed"]}
+P = load_soil_parameters()
+LENGTH = P.vehicle.contact_length
+SOIL = StrengthSummary(0.02, (0.015, 0.0267), 3500.0, (3400.0, 3603.0), 30.0, True, "")
+TRACKS = np.full(2, 0.3)
+
+
+def seed_at(stamp_ns: int, slip: float, deviation: float = 0.003, source: str = "slip_seed") -> SlipFix:
+    """Both tracks slip alike, and mostly wrong alike."""
+    return SlipFix(source, stamp_ns, np.full(2, slip), deviation**2 * (np.ones((2, 2)) + 0.01 * np.eye(2)))
+
+
+# Slips as a measurement
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(("left", "right"), [(2.0, 2.1), (-1.5, -1.4), (0.0, 1.0), (1.0, 2.2)])
+def test_what_is_expected_are_the_slips_and_its_derivative_is_theirs(
+    model: str, left: float, right: float
+) -> None:
+    c = Filter(make_model(load_slip_parameters({"model": model}))).constants[0]
+    x = make_model(load_slip_parameters({"model": model})).initial(np.zeros(3), np.eye(3)).mean
+    x[3:] += np.linspace(0.01, 0.05, x.size - 3)
+    nothing = np.zeros((x.size, x.size))
+    slips = equations.outputs(x, nothing, left, right, 0.0, False, c)[2][:2]
+    np.testing.assert_array_equal(equations.expected(SLIPS, x, left, right, c), slips)
+    steps = EDGE * np.eye(x.size)
+    ends = [[equations.expected(SLIPS, x + sign * d, left, right, c) for sign in (1.0, -1.0)] for d in steps]
+    differences = np.array([(plus - minus) / (2.0 * EDGE) for plus, minus in ends]).T
+    np.testing.assert_allclose(equations.jacobian(SLIPS, x, left, right, c), differences, atol=1e-7)
+
+
+def test_slips_know_of_the_rounding_of_the_counts() -> None:
+    c = Filter(make_model(load_slip_parameters())).constants[0]
+    x = np.zeros(10)
+    x[FIRST], x[SECOND], x[COMMON_SLIP] = 0.5, 0.4, 0.02
+    R, stretch = 1e-12 * np.eye(2), 0.01
+    noise = equations.noise(SLIPS, x, R, 2.0, 2.0, stretch, True, c)
+    told = equations.outputs(x, np.zeros((10, 10)), 2.0, 2.0, stretch, True, c)[3][:2, :2]
+    np.testing.assert_allclose(noise, R + told, rtol=1e-9)
+    np.testing.assert_array_equal(equations.noise(SLIPS, x, R, 2.0, 2.0, stretch, False, c), R)
+
+
+@pytest.mark.parametrize("kappa", [None, 0.0])
+@pytest.mark.parametrize("model", MODELS)
+def test_both_slips_move_together_where_the_gyro_holds_their_difference(
+    model: str, kappa: float | None
+) -> None:
+    filter_ = Filter(make_model(load_slip_parameters({"model": model})), kappa)
+    state = filter_.initial(np.zeros(3), 1e-4 * np.eye(3))
+    measured = slips_measured(np.full(2, 0.03), 1e-6 * (np.ones((2, 2)) + 0.01 * np.eye(2)))
+    straight = Speeds(2.0, 2.0, 0.0, differenced=False)
+    held = filter_.step(state, straight, 0.0, MotionState(Motion.STRAIGHT, changing=False), measured)
+    before, after = (filter_.outputs(s, straight) for s in (held.predicted, held.updated))
+    np.testing.assert_allclose(after.slips[:2], 0.03, atol=1e-3)
+    together = np.ones(2)
+    wide, narrow = (together @ o.slip_covariance[:2, :2] @ together / 4.0 for o in (before, after))
+    assert wide > 100.0 * narrow
+    np.testing.assert_array_equal(held.updated.mean[:3], 0.0)  # it says nothing of the pose
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_seed_mends_what_the_gyro_cannot_see(drive: Callable[..., Any], model: str) -> None:
+    """No fixes after the start: equal slips of 4 % show in nothing but the seed, which comes 0.5 s late."""
+    driven = drive([(12.0, 2.0, 2.0, 0.04, 0.04, 0.0)])
+    given = [m for m in driven.measurements if not (isinstance(m, PoseFix) and m.stamp_ns > 0)]
+    at = next(k for k, m in enumerate(given) if m.stamp_ns > 5_500_000_000)
+    blind, told = (SlipEstimator(load_slip_parameters(SOURCE | {"model": model})) for _ in range(2))
+    for k, m in enumerate(given):
+        if k == at:
+            report = told.take(seed_at(5_000_000_000, 0.04))
+            assert (report.outcome, report.dof, report.source) == (Outcome.ACCEPTED, 2, "slip_seed")
+            assert report.nis < report.gate
+        blind.take(m)
+        told.take(m)
+    true = driven.truth[given[-1].stamp_ns]
+    errors = [np.abs(e.estimate().outputs.slips[:2].mean() - 0.04) for e in (blind, told)]
+    assert errors[0] > 0.02
+    assert errors[1] < 0.012  # some of it the model takes for a misfit
+    ways = [abs(e.estimate().pose[0] - true[0]) for e in (blind, told)]
+    assert ways[1] < 0.6 * ways[0]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_seed_far_off_is_gated_until_it_has_not_agreed_for_long(
+    drive: Callable[..., Any], model: str
+) -> None:
+    given = drive([(8.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements
+    for timeout, outcome in ((3600.0, Outcome.GATED), (0.5, Outcome.ACCEPTED)):
+        p = load_slip_parameters(SOURCE | {"model": model, "slip_timeouts": [timeout]})
+        estimator = SlipEstimator(p)
+        for m in given:
+            estimator.take(m)
+        before = estimator.estimate().outputs
+        report = estimator.take(seed_at(given[-1].stamp_ns, 0.9, 0.001))
+        after = estimator.estimate().outputs
+        assert report.outcome is outcome
+        assert report.nis > LIMIT
+        assert (report.gate > LIMIT) == (outcome is Outcome.ACCEPTED)
+        if outcome is Outcome.GATED:
+            np.testing.assert_array_equal(after.slips, before.slips)
+        else:  # admitted, and its surprise widens what it tells of
+            assert after.slips[:2].mean() > 0.5
+
+
+def test_nobody_listens_unless_asked(drive: Callable[..., Any]) -> None:
+    p = load_slip_parameters()
+    assert p.slip_sources == ("",)
+    assert "slip_seed" not in p.timeouts_ns()
+    assert list(load_slip_parameters(SOURCE).timeouts_ns()) == ["box_pose", "imu/data_raw", "slip_seed"]
+    with pytest.raises(InputError, match="slip_timeouts"):
+        load_slip_parameters(SOURCE | {"slip_timeouts": [1.0, 2.0]})
+
+
+BAD: tuple[tuple[tuple[float, float], Any], ...] = (
+    ((math.nan, 0.0), np.eye(2)),
+    ((0.0, math.inf), np.eye(2)),
+    ((0.0, 0.0), np.full((2, 2), math.nan)),
+    ((0.0, 0.0), np.zeros((2, 2))),
+    ((0.0, 0.0), -np.eye(2)),
+    ((0.0, 0.0), np.array(((1.0, 2.0), (2.0, 1.0)))),
+)
+
+
+@pytest.mark.parametrize(("slips", "covariance"), BAD)
+def test_nonsense_is_invalid(
+    drive: Callable[..., Any], slips: tuple[float, float], covariance: FloatArray
+) -> None:
+    given = drive([(1.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements
+    estimator = SlipEstimator(load_slip_parameters(SOURCE))
+    assert estimator.take(seed_at(0, 0.0)).outcome is Outcome.WAITING
+    for m in given:
+        estimator.take(m)
+    bad = SlipFix("slip_seed", given[-1].stamp_ns, np.array(slips), covariance)
+    assert estimator.take(bad).outcome is Outcome.INVALID
+
+
+def with_seeds(measurements: list[Measurement]) -> list[Measurement]:
+    """Two seeds, each half a second late."""
+    seeds = {5_000_000_000: 0.03, 9_000_000_000: 0.9}
+    given = list(measurements)
+    for stamp_ns, slip in seeds.items():
+        at = next(k for k, m in enumerate(given) if m.stamp_ns > stamp_ns + 500_000_000)
+        given.insert(at, seed_at(stamp_ns, slip))
+    return given
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_order_of_arrival_and_batch_do_not_matter(drive: Callable[..., Any], model: str) -> None:
+    given = with_seeds(drive([(10.0, 2.0, 2.0, 0.03, 0.03, 0.0)]).measurements)
+    p = load_slip_parameters(SOURCE | {"model": model})
+    assert quick_steps(given, p) is None  # such logs go one by one
+    late, sorted_ = SlipEstimator(p), SlipEstimator(p)
+    for m in given:
+        late.take(m)
+    for m in sorted(given, key=lambda m: m.stamp_ns):
+        sorted_.take(m)
+    np.testing.assert_array_equal(late.history()[-1].gaussian.mean, sorted_.history()[-1].gaussian.mean)
+    log = read_measurements(given, p)
+    run = run_log(log, p)
+    np.testing.assert_allclose(run.means[-1], late.history()[-1].gaussian.mean, rtol=0.0, atol=1e-12)
+    seeds = log.log.flags[:, 0] == SLIPS
+    assert run.accepted[seeds].tolist() == [True, False]
+
+
+# Seeds of the soil estimator
+
+
+def thrust_at(slips: tuple[float, float]) -> Thrust:
+    return Thrust(np.asarray(thrust(slips, SOIL.thrust_limit, SOIL.shear_modulus, LENGTH)), np.full(2, 100.0))
+
+
+def test_a_seed_is_the_slip_of_its_thrust_and_as_uncertain_as_soil_and_thrust() -> None:
+    rng, count = np.random.default_rng(2), 4000
+    known = thrust_at((0.02, 0.03))
+    found = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
+    assert found is not None
+    np.testing.assert_allclose(found[0], (0.02, 0.03), rtol=1e-9)
+    drawn = []
+    stddev = np.sqrt(known.variance + P.seed.thrust_stddev**2)
+    for z in rng.standard_normal((count, 5)):
+        modulus = SOIL.shear_modulus * (0.0267 / 0.015) ** (z[0] / 3.29)
+        limit = SOIL.thrust_limit * (3603.0 / 3400.0) ** (z[1] / 3.29)
+        soil = replace(SOIL, shear_modulus=modulus, thrust_limit=limit)
+        one = slips_of(
+            Thrust(known.force + stddev * z[2:4], known.variance), np.ones(2), soil, P.seed, LENGTH
+        )
+        assert one is not None
+        drawn.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
+    np.testing.assert_allclose(found[1], np.cov(np.array(drawn).T), rtol=0.2)
+
+
+def test_in_reverse_and_where_a_track_brakes_slips_have_their_sign() -> None:
+    known = thrust_at((0.02, -0.01))
+    forward = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
+    reverse = slips_of(Thrust(-known.force, known.variance), -np.ones(2), SOIL, P.seed, LENGTH)
+    assert forward is not None
+    assert reverse is not None
+    np.testing.assert_allclose(forward[0], (0.02, -0.01), rtol=1e-9)
+    np.testing.assert_array_equal(forward[0], reverse[0])
+
+
+def test_a_thrust_that_the_soil_may_not_give_tells_no_slip() -> None:
+    spent = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
+    assert slips_of(spent, np.ones(2), SOIL, P.seed, LENGTH) is None
+
+
+class Ride:
+    """Moments of 0.1 s for a seeder."""
+
+    def __init__(self) -> None:
+        self._seeder, self._now_ns = SlipSeeder(P.seed, LENGTH), 0
+        self.known: Thrust | None = thrust_at((0.02, 0.02))
+        self.soil: StrengthSummary | None = SOIL
+
+    def seeds(self, motion: Motion, lengths: float) -> list[SlipSeed]:
+        """While it drives so many contact lengths in this state of motion."""
+        found = []
+        for _ in range(math.ceil(lengths * LENGTH / (TRACKS[0] * 0.1))):
+            self._now_ns += 100_000_000
+            found.append(self._seeder.step(self._now_ns, 0.1, motion, TRACKS, self.known, self.soil))
+        return [seed for seed in found if seed is not None]
+
+
+def test_one_seed_for_each_turn_once_the_way_after_it_is_long_enough() -> None:
+    ride, enough = Ride(), P.seed.settling_lengths + 0.1
+    assert ride.seeds(Motion.STRAIGHT, 20.0) == []  # there was no turn
+    ride.seeds(Motion.TURNING, 1.0)
+    assert ride.seeds(Motion.STRAIGHT, enough - 0.5) == []
+    assert ride.seeds(Motion.TURNING, 1.0) == []  # and the way begins anew
+    assert ride.seeds(Motion.STRAIGHT, enough - 0.5) == []
+    assert len(ride.seeds(Motion.STRAIGHT, 20.0)) == 1
+    ride.seeds(Motion.STANDING, 1.0)
+    assert ride.seeds(Motion.STRAIGHT, 20.0) == []
+
+
+def test_no_seed_while_the_thrust_is_not_known() -> None:
+    ride = Ride()
+    ride.seeds(Motion.TURNING, 1.0)
+    known, ride.known = ride.known, None
+    assert ride.seeds(Motion.STRAIGHT, 10.0) == []
+    ride.known = known
+    assert len(ride.seeds(Motion.STRAIGHT, 10.0)) == 1
+
+
+@pytest.mark.parametrize("soil", [None, replace(SOIL, identifiable=False, reason="no")])
+def test_the_soil_counts_as_it_was_when_the_turn_ended(soil: StrengthSummary | None) -> None:
+    ride = Ride()
+    ride.soil = soil
+    ride.seeds(Motion.TURNING, 1.0)
+    ride.soil = SOIL
+    assert ride.seeds(Motion.STRAIGHT, 10.0) == []
+    ride.seeds(Motion.TURNING, 1.0)
+    ride.soil = soil  # what the slips of this straight leg make of it is not asked
+    assert len(ride.seeds(Motion.STRAIGHT, 10.0)) == 1
+
+
+LEGS = (
+    (3.0, 0.0, 0.0),
+    (15.0, 2.0, 2.0),
+    (6.0, 1.2, 2.2),
+    (17.0, 2.0, 2.0),
+    (6.0, 2.2, 1.2),
+    (17.0, 2.0, 2.0),
+)
+
+
+@cache
+def ride_on(soil: str) -> tuple[SoilInput, ...]:
+    truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*leg) for leg in LEGS)))
+    sensing = Sensing(speed_stddev=0.0003, yaw_rate_stddev=0.0003)
+    return tuple(soil_inputs(truth, P.vehicle, load_slip_parameters().motion, sensing))
+
+
+def seeds_on(soil: str, **changes: Any) -> tuple[list[SlipSeed], SoilEstimator]:
+    estimator = SoilEstimator(load_soil_parameters({k.replace("__", "."): v for k, v in changes.items()}))
+    outputs = [output for given in ride_on(soil) for output in estimator.advance(given)]
+    return [output for output in outputs if isinstance(output, SlipSeed)], estimator
+
+
+def test_the_soil_estimator_gives_one_seed_after_each_turn() -> None:
+    seeds, estimator = seeds_on("sandy_loam")
+    assert estimator.strength.identifiable
+    after = [(seed.stamp_ns - seeds[0].stamp_ns) * 1e-9 for seed in seeds]
+    assert after == pytest.approx([0.0, 23.0], abs=1.0)
+    for seed in seeds:
+        sigma = math.sqrt(np.ones(2) @ seed.covariance @ np.ones(2)) / 2.0
+        assert abs(seed.slips.mean() - 0.016) < 2.0 * sigma < 0.016
+
+
+def test_the_soil_estimator_gives_none_where_the_soil_is_not_identifiable() -> None:
+    seeds, estimator = seeds_on("sandy_loam", strength__widest_ratio=1.01)
+    assert not estimator.strength.identifiable
+    assert seeds == []
+
+
+def test_a_seed_passes_its_message() -> None:
+    covariance = np.array(((4e-6, 1e-6), (1e-6, 3e-6)))
+    seed = SlipSeed(1_234_567_890, np.array((0.01, 0.02)), covariance)
+    message = soil_conversions.message_of(make, seed, "base_link")
+    assert soil_conversions.topic_of(seed) == "slip_seed"
+    assert (message.header.frame_id, message.motion_state) == ("base_link", int(Motion.STRAIGHT))
+    fix = conversions.slip_fix(message, "slip_seed")
+    assert (fix.source, fix.stamp_ns) == ("slip_seed", seed.stamp_ns)
+    np.testing.assert_array_equal(fix.slips, seed.slips)
+    np.testing.assert_array_equal(fix.covariance, covariance)

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each source may have of its own: place of the sensor, sign, heading or none, floors, timeout."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.models.model import Gaussian
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.sources import PoseSource
+
+S = 1_000_000_000
+LEVER = (0.8, -0.4)
+
+
+def source(lever: tuple[float, float] = LEVER) -> PoseSource:
+    return PoseSource(True, lever, 0.001, 0.001, 0.3, S)
+
+
+def state(seed: int = 0, size: int = 10) -> Gaussian:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(size, size))
+    return Gaussian(rng.normal(size=size), root @ root.T * 0.01)
+
+
+def sensor_pose(x: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    c, s = np.cos(x[2]), np.sin(x[2])
+    return np.concatenate((x[:2] + np.array(((c, -s), (s, c))) @ LEVER, x[2:]))
+
+
+def test_the_derivative_of_the_lever_arm_is_that_of_its_formula() -> None:
+    start = state()
+    step = 1e-6
+    columns = [
+        (sensor_pose(start.mean + step * unit) - sensor_pose(start.mean - step * unit)) / (2.0 * step)
+        for unit in np.eye(start.mean.size)
+    ]
+    T = np.stack(columns, axis=-1)
+    moved = source().to_sensor(start)
+    np.testing.assert_allclose(moved.mean, sensor_pose(start.mean), atol=1e-12)
+    np.testing.assert_allclose(moved.covariance, T @ start.covariance @ T.T, atol=1e-8)
+
+
+def test_there_and_back_is_where_it_was() -> None:
+    start = state(1)
+    back = source().from_sensor(source().to_sensor(start))
+    np.testing.assert_allclose(back.mean, start.mean, atol=1e-12)
+    np.testing.assert_allclose(back.covariance, start.covariance, atol=1e-12)
+    assert source((0.0, 0.0)).to_sensor(start).covariance is start.covariance
+
+
+def displaced(found: list[Measurement], truth: dict[int, Any]) -> list[Measurement]:
+    """As an antenna at ``LEVER`` measures, without a heading."""
+    moved: list[Measurement] = []
+    for m in found:
+        if isinstance(m, PoseFix):
+            heading = truth[m.stamp_ns][2]
+            c, s = np.cos(heading), np.sin(heading)
+            arm = np.array((c * LEVER[0] - s * LEVER[1], s * LEVER[0] + c * LEVER[1], 0.0))
+            covariance = m.covariance.copy()
+            covariance[2, 2] = 0.0
+            moved.append(replace(m, pose=(m.pose + arm) * (1.0, 1.0, 0.0), covariance=covariance))
+        else:
+            moved.append(m)
+    return moved
+
+
+def end_of(found: list[Measurement], **changes: Any) -> tuple[Any, list[Outcome]]:
+    estimator = SlipEstimator(load_slip_parameters(changes))
+    outcomes = [estimator.take(m).outcome for m in found]
+    return estimator.estimate(), outcomes
+
+
+ANTENNA = {"pose_lever_arms_x": [LEVER[0]], "pose_lever_arms_y": [LEVER[1]]}
+
+
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
+def test_an_antenna_off_centre_gives_the_pose_of_base_link(
+    drive: Callable[..., Any], model: str, filter_: str
+) -> None:
+    driven = drive([(6.0, 2.0, 2.0, 0.05, 0.05, 0.0), (9.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
+    found = displaced(driven.measurements, driven.truth)
+    chosen = {"model": model, "filter": filter_, "position_only": ["box_pose"]}
+    end, outcomes = end_of(found, **chosen, **ANTENNA)
+    truth = driven.truth[end.stamp_ns]
+    assert np.hypot(*(end.pose - truth[:3])[:2]) < 0.06
+    assert abs(end.pose[2] - truth[2]) < 0.05
+    assert outcomes.count(Outcome.GATED) < 3
+    ignored = end_of(found, **chosen)[0]
+    assert np.hypot(*(ignored.pose - truth[:3])[:2]) > 0.3
+
+
+def test_position_and_motion_give_the_heading_that_no_fix_has(drive: Callable[..., Any]) -> None:
+    driven = drive([(15.0, 2.0, 2.0, 0.05, 0.05, 0.0)])
+    found = displaced(driven.measurements, driven.truth)
+    changes = {"position_only": ["box_pose"], "initial_yaw": 0.3, "initial_yaw_stddev": 0.5}
+    end, _ = end_of(found, **changes, **ANTENNA)
+    assert abs(end.pose[2]) < 0.05
+    assert np.sqrt(end.pose_covariance[2, 2]) < 0.05
+
+
+@pytest.mark.parametrize("variance", [0.0, 1e6, -1.0, np.nan])
+def test_a_heading_that_is_not_used_may_have_any_variance(drive: Callable[..., Any], variance: float) -> None:
+    """GNSS drivers send 0 or 1e6; the start takes its heading from the parameters then."""
+    found = drive([(2.0, 2.0, 2.0, 0.05, 0.05, 0.0)]).measurements
+    spoilt = []
+    for m in found:
+        if isinstance(m, PoseFix):
+            covariance = m.covariance.copy()
+            covariance[2, 2] = variance
+            spoilt.append(replace(m, pose=m.pose + np.array((0.0, 0.0, 2.0)), covariance=covariance))
+        else:
+            spoilt.append(m)
+    end, outcomes = end_of(spoilt, use_heading=False, initial_yaw=0.1, initial_yaw_stddev=0.01)
+    assert Outcome.INVALID not in outcomes
+    assert end.pose[2] == pytest.approx(0.1, abs=0.05)
+    used = SlipEstimator(load_slip_parameters({}))
+    first = used.take(next(m for m in spoilt if isinstance(m, PoseFix))).outcome
+    assert first is (Outcome.ACCEPTED if variance > 0.0 else Outcome.INVALID)
+
+
+def test_sources_side_by_side_each_have_their_own(drive: Callable[..., Any]) -> None:
+    """The laser's box with heading, and an antenna off centre without, which alone would be refused."""
+    driven = drive([(6.0, 2.0, 2.0, 0.05, 0.05, 0.0), (9.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
+    gnss = [
+        replace(m, source="gnss", stamp_ns=m.stamp_ns + 1)
+        for m in displaced(driven.measurements, driven.truth)
+        if isinstance(m, PoseFix)
+    ]
+    both = sorted([*driven.measurements, *gnss], key=lambda m: m.stamp_ns)
+    changes = {
+        "pose_sources": ["box_pose", "gnss"],
+        "position_only": ["gnss"],
+        "pose_lever_arms_x": [0.0, LEVER[0]],
+        "pose_lever_arms_y": [0.0, LEVER[1]],
+    }
+    estimator = SlipEstimator(load_slip_parameters(changes))
+    reports = [estimator.take(m) for m in both]
+    degrees = {
+        source: {r.dof for r in reports if r.source == source and r.dof} for source in changes["pose_sources"]
+    }
+    assert degrees == {"box_pose": {3}, "gnss": {2}}
+    assert sum(r.outcome is Outcome.GATED for r in reports) < 3
+
+
+def test_a_gyro_upside_down_is_turned_over(drive: Callable[..., Any]) -> None:
+    driven = drive([(10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
+    flipped = [replace(m, rate=-m.rate) if isinstance(m, YawRate) else m for m in driven.measurements]
+    right, outcomes = end_of(flipped, yaw_rate_signs=[-1])
+    np.testing.assert_array_equal(right.pose, end_of(driven.measurements)[0].pose)
+    assert Outcome.GATED not in outcomes
+
+
+def test_nobody_is_believed_better_than_the_floors() -> None:
+    tiny = PoseFix("box_pose", S, np.zeros(3), np.diag((1e-12, 1e-12, 1e-12)))
+    estimator = SlipEstimator(
+        load_slip_parameters({"pose_position_floors": [0.02], "pose_heading_floors": [0.01]})
+    )
+    assert estimator.take(tiny).outcome is Outcome.ACCEPTED
+    end = estimator.estimate()
+    np.testing.assert_allclose(np.sqrt(np.diag(end.pose_covariance)), (0.02, 0.02, 0.01))
+    wide = PoseFix("box_pose", S, np.zeros(3), np.diag((1.0, 1.0, 1.0)))
+    assert source().prepared(wide) is wide
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"pose_timeouts": [1.0, 2.0]},
+            "pose_timeouts: 2 values for the sources 'box_pose'; accepted: one for all",
+        ),
+        ({"pose_lever_arms_x": []}, "pose_lever_arms_x: 0 values"),
+        ({"yaw_rate_signs": [1, 1]}, "yaw_rate_signs: 2 values"),
+        ({"yaw_rate_signs": [0]}, "yaw_rate_signs: 0 is out of range; accepted: 1 or -1"),
+        ({"yaw_rate_signs": [2]}, "2 is out of range"),
+        ({"pose_sources": ["a", "a"]}, "one is named twice"),
+        ({"position_only": ["gnss"]}, "position_only: 'gnss' is no pose source; accepted: box_pose"),
+        ({"pose_timeouts": [0.0]}, "pose_timeouts[0]: 0.0 is out of range"),
+        ({"pose_position_floors": [0.0]}, "pose_position_floors[0]: 0.0 is out of range"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError) as refused:
+        load_slip_parameters(changes)
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_no_sources_at_all_are_allowed() -> None:
+    p = load_slip_parameters({"pose_sources": [""], "yaw_rate_sources": [""], "start": "initial_pose"})
+    assert p.timeouts_ns() == {}
+    assert SlipEstimator(p).take(Sprockets("sprockets", S, 0.0, 0.0)).outcome is Outcome.ACCEPTED
+
+
+def test_covariances_stay_positive_with_a_lever_arm(drive: Callable[..., Any]) -> None:
+    driven = drive([(5.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
+    estimator = SlipEstimator(load_slip_parameters({**ANTENNA, "position_only": ["box_pose"]}))
+    for m in displaced(driven.measurements, driven.truth):
+        estimator.take(m)
+        if estimator.started:
+            covariance = estimator.estimate().pose_covariance
+            np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
+            assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
+def test_a_doubtful_heading_is_not_a_measurement() -> None:
+    """The box may be seen the wrong way round; then its localizer says that it is in doubt."""
+    told = [
+        source().tells_heading(PoseFix("box_pose", 0, np.zeros(3), np.diag((1e-4, 1e-4, stddev**2))))
+        for stddev in (0.05, 0.29, 0.31, 0.6)
+    ]
+    assert told == [True, True, False, False]

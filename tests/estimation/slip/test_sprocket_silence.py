@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sprockets that fall silent, and positions that jump: no speed is made up, and the uncertainty says so."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.motion import STANDSTILL, Motion
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.sprockets import SprocketTrack
+
+S, MS = 1_000_000_000, 1_000_000
+MODELS = ["turning", "icr", "free_slips"]
+
+
+def track(*samples: tuple[int, float, float], max_speed: float = 20.0) -> SprocketTrack:
+    """(ms, position of both, measured speed of both), in no order; 100 ms of patience."""
+    made = SprocketTrack(100 * MS, max_speed)
+    for ms, angle, speed in samples:
+        made.add(Sprockets("sprockets", ms * MS, speed, speed, (angle, angle)))
+    return made
+
+
+def test_a_long_stretch_is_known_only_in_its_first_part() -> None:
+    made = track((300, 9.0, 5.0), (0, 0.0, 1.0), (50, 0.1, 1.0))
+    for ms in (51, 100, 150):  # as in the stretch before
+        assert made.stretch(ms * MS) == ((2.0, 2.0, 0.05, True), ms * MS)
+    assert made.stretch(151 * MS) == (STANDSTILL, 150 * MS)
+    assert made.stretch(300 * MS) == ((5.0, 5.0, 0.1, False), 150 * MS)  # what its end says of itself
+    assert made.stretch(301 * MS) == ((5.0, 5.0, 0.1, False), 301 * MS)
+    assert made.stretch(401 * MS) == (STANDSTILL, 400 * MS)
+
+
+def test_positions_that_jump_give_way_to_the_measured_speed() -> None:
+    made = track((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 3.0), (150, 77.1, 4.0))
+    assert made.stretch(70 * MS) == ((3.0, 3.0, 0.05, False), 70 * MS)
+    assert made.stretch(120 * MS)[0] == pytest.approx((2.0, 2.0, 0.05, True))
+    assert [made.jumps(ms * MS) for ms in (0, 50, 100, 150)] == [False, False, True, False]
+
+
+def test_where_neither_tells_it_is_silence() -> None:
+    made = track((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 99.0), (150, 99.0, 99.0))
+    assert made.stretch(70 * MS) == (STANDSTILL, 50 * MS)
+    assert made.stretch(100 * MS) == (STANDSTILL, 50 * MS)
+    assert made.stretch(200 * MS) == (STANDSTILL, 150 * MS)
+
+
+def run(found: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[Estimate], SlipEstimator]:
+    estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose"}, changes))
+    steps = [estimator.advance(m) for m in found]
+    return [r.outcome for r, _ in steps], [e for _, e in steps if e is not None], estimator
+
+
+def without(
+    found: list[Measurement], kinds: tuple[type, ...], start_s: float, stop_s: float
+) -> list[Measurement]:
+    return [m for m in found if not (isinstance(m, kinds) and start_s * S < m.stamp_ns < stop_s * S)]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_in_silence_the_pose_is_held_and_its_uncertainty_covers_what_was_driven(
+    drive: Callable[..., Any], model: str
+) -> None:
+    """4 s without sprockets and fixes, the machine driving on, turning: held where the timeout left it."""
+    driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
+    kept = without(driven.measurements, (Sprockets, PoseFix), 6.0, 10.0)
+    estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose", "model": model}))
+    spread, poses = [], []
+    for m in kept:
+        estimator.take(m)
+        if isinstance(m, YawRate) and 6.6 * S < m.stamp_ns < 9.9 * S:
+            now = estimator.estimate()
+            spread.append(float(np.sqrt(np.trace(now.pose_covariance[:2, :2]))))
+            poses.append(now.pose)
+            assert now.motion is Motion.UNKNOWN
+            error = now.pose - driven.truth[m.stamp_ns][:3]
+            assert np.hypot(*error[:2]) < 3.0 * np.sqrt(np.linalg.eigvalsh(now.pose_covariance[:2, :2])[0])
+    assert np.ptp(np.array(poses)[:, :2], axis=0).max() < 0.05  # but for the gyro: C turns about x_I
+    assert spread == sorted(spread)
+    assert 1.0 < spread[-1] < 4.0  # √2 · r · 5 rad/s · √(2 τ t), and never more than it can drive
+
+
+@pytest.mark.parametrize("model", ["turning", "icr"])
+def test_a_gyro_carries_the_heading_through_silence(drive: Callable[..., Any], model: str) -> None:
+    driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
+    kept = without(driven.measurements, (Sprockets, PoseFix), 6.0, 9.0)
+    found = {e.stamp_ns: e for e in run(kept, model=model)[1]}[9 * S]
+    assert abs(found.pose[2] - driven.truth[9 * S][2]) < 0.05
+    assert np.sqrt(found.pose_covariance[2, 2]) < 0.1
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_bias_is_not_learned_from_a_turn_in_silence(drive: Callable[..., Any], model: str) -> None:
+    driven = drive(
+        [(5.0, 0.0, 0.0, 0.0, 0.0, 0.0), (5.0, -2.0, 2.0, 0.0, 0.0, 0.0), (9.0, 0.0, 0.0, 0.0, 0.0, 0.0)]
+    )
+    kept = without(driven.measurements, (Sprockets,), 5.0, 10.0)
+    last = run(kept, model=model)[1][-1]
+    assert abs(last.outputs.twist[2]) < 0.01
+    assert np.cos(last.pose[2] - driven.truth[last.stamp_ns][2]) > np.cos(0.05)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_after_silence_the_next_fixes_give_the_pose_back(drive: Callable[..., Any], model: str) -> None:
+    driven = drive([(20.0, 2.0, 1.8, 0.05, 0.05, 0.0)])
+    for seconds in (2.0, 4.0, 8.0):
+        kept = without(driven.measurements, (Sprockets, PoseFix, YawRate), 6.0, 6.0 + seconds)
+        for e in run(kept, model=model)[1]:
+            if e.stamp_ns > (6.0 + seconds + 1.0) * S:
+                assert np.hypot(*(e.pose - driven.truth[e.stamp_ns][:3])[:2]) < 0.15
+
+
+def test_an_encoder_that_starts_from_elsewhere_is_counted_and_costs_nothing(
+    drive: Callable[..., Any],
+) -> None:
+    driven = drive([(10.0, 2.0, 1.5, 0.05, 0.05, 0.0)])
+    jumped = [
+        replace(m, positions=(m.positions[0] + 100.0, m.positions[1] - 3.0))
+        if isinstance(m, Sprockets) and m.positions and m.stamp_ns >= 5 * S
+        else m
+        for m in driven.measurements
+    ]
+    outcomes, published, _ = run(jumped)
+    assert outcomes.count(Outcome.JUMPED) == 1
+    clean = run(driven.measurements)[1]
+    assert [e.stamp_ns for e in published] == [e.stamp_ns for e in clean]
+    for one, other in zip(published, clean, strict=True):
+        np.testing.assert_allclose(one.pose, other.pose, atol=0.02)
+        assert np.abs(one.outputs.twist).max() < 1.0
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_standing_teaches_the_bias(drive: Callable[..., Any], model: str) -> None:
+    """10 s at rest: of 0.02 rad/s a tenth is left at the most, seen as yaw rate and turned heading."""
+    driven = drive(
+        [(10.0, 0.0, 0.0, 0.0, 0.0, 0.0), (5.0, 2.0, 2.0, 0.05, 0.05, 0.0)], gyro_bias=0.02, fix_every=10**9
+    )
+    changes = {"noise.initial_gyro_bias": 0.03, "turning.initial_gyro_bias_stddev": 0.03}
+    found = [m for m in driven.measurements if not isinstance(m, PoseFix)]
+    published = run(
+        found, model=model, initial_yaw_stddev=0.001, **changes, **{"icr.initial_gyro_bias_stddev": 0.03}
+    )[1]
+    by_stamp = {e.stamp_ns: e for e in published}
+    assert abs(by_stamp[15 * S].pose[2] - by_stamp[10 * S].pose[2]) < 0.1 * 0.02 * 5.0 + 0.005
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_at_a_standstill_slips_are_frozen_and_no_direction_is_claimed(
+    drive: Callable[..., Any], model: str
+) -> None:
+    driven = drive([(6.0, 2.0, 2.0, 0.05, 0.05, 0.0), (8.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
+    standing = [e for e in run(driven.measurements, model=model)[1] if e.stamp_ns > 7 * S]
+    assert {e.motion for e in standing} == {Motion.STANDING}
+    first, last = standing[0].outputs, standing[-1].outputs
+    np.testing.assert_allclose(last.slips[:2], first.slips[:2], atol=0.005)
+    assert (np.diag(last.slip_covariance)[:2] > 0.0).all()
+    assert (np.diag(last.slip_covariance)[:2] <= np.diag(first.slip_covariance)[:2] + 1e-9).all()
+    direction = np.sqrt(last.slip_covariance[2, 2])
+    assert direction > (0.5 if model != "free_slips" else 0.01)  # the thesis' angle is a state, and kept

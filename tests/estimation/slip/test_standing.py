@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""While the machine stands, the gyro's bias and the pose are learned, and nothing of the slips."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_estimation.slip.measurements import PoseFix
+from trackslip_estimation.slip.motion import Motion
+
+S = 1_000_000_000
+Run = Callable[..., Any]
+
+
+def test_gyro_bias_is_learned_while_standing(drive: Callable[..., Any], thesis_run: Run) -> None:
+    """Unlearned, 0.02 rad/s for 10 s of driving would turn the heading by 0.2 rad."""
+    go = (10.0, 2.0, 2.0, 0.1, 0.1, 0.0)
+    options: dict[str, Any] = {"gyro_bias": 0.02, "fix_every": 10**9}
+    errors = {}
+    for standing in (0.0, 20.0):
+        segments = [(standing, 0.0, 0.0, 0.0, 0.0, 0.0), go] if standing else [go]
+        driven = drive(segments, **options)
+        found = [m for m in driven.measurements if not isinstance(m, PoseFix)]
+        last = thesis_run(found, initial_yaw_stddev=0.001, noise__initial_gyro_bias=0.03).estimates[-1]
+        errors[standing] = abs(last.pose[2] - driven.truth[last.stamp_ns][2])
+    assert errors[20.0] < 0.03
+    assert errors[0.0] > 2.0 * errors[20.0]
+
+
+def test_slips_are_frozen_while_standing(drive: Callable[..., Any], thesis_run: Run) -> None:
+    segments = [(5.0, 2.0, 2.0, 0.1, 0.1, 0.0), (6.0, 0.0, 0.0, 0.0, 0.0, 0.0)]
+    driven = drive(segments)
+    found = [m for m in driven.measurements if not (isinstance(m, PoseFix) and m.stamp_ns > 5 * S)]
+    standing = [e for e in thesis_run(found).estimates if e.motion is Motion.STANDING]
+    assert len(standing) > 200
+    first, last = standing[0], standing[-1]
+    assert (np.diag(last.outputs.slip_covariance) <= np.diag(first.outputs.slip_covariance) + 1e-12).all()
+    np.testing.assert_allclose(last.outputs.slips, first.outputs.slips, atol=3e-3)
+    np.testing.assert_allclose(last.pose, first.pose, atol=5e-3)
+    assert (np.diag(last.pose_covariance) <= np.diag(first.pose_covariance) + 1e-6).all()
+
+
+def test_nothing_is_learned_of_slips_by_standing_from_the_start(
+    drive: Callable[..., Any], thesis_run: Run
+) -> None:
+    last = thesis_run(drive([(5.0, 0.0, 0.0, 0.0, 0.0, 0.0)]).measurements).estimates[-1]
+    np.testing.assert_allclose(last.outputs.slips, 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.sqrt(np.diag(last.outputs.slip_covariance)), (0.1, 0.1, 0.01), rtol=1e-6)
+
+
+def test_standing_fixes_pin_the_pose(drive: Callable[..., Any], thesis_run: Run) -> None:
+    found = drive([(10.0, 0.0, 0.0, 0.0, 0.0, 0.0)]).measurements
+    last = thesis_run(found, initial_position_stddev=1.0).estimates[-1]
+    assert np.sqrt(last.pose_covariance[0, 0]) == pytest.approx(0.03 / np.sqrt(51), rel=0.05)
+    assert np.hypot(*last.pose[:2]) < 0.03

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each fault of the pressures is doubted at once and named soon; honest pressures never are."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.soil.moments import Pressures
+from trackslip_estimation.soil.pressure_watch import PressureFault, PressureWatch
+from trackslip_estimation.soil.records import Hydraulics
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+
+P = load_soil_parameters()
+STEP = 0.01  # s
+STRAIGHT = (45e5, 45e5, 0.3, 0.3, Motion.STRAIGHT)  # Pa, Pa, track speeds m/s
+LEFT_TURN = (-17e5, 120e5, 0.16, 0.35, Motion.TURNING)
+RIGHT_IN_REVERSE = (17e5, -120e5, -0.16, -0.35, Motion.TURNING)
+STANDING = (0.0, 0.0, 0.0, 0.0, Motion.STANDING)
+Phase = tuple[float, float, float, float, Motion]
+Corrupt = Callable[[np.ndarray], np.ndarray]
+
+
+class Bench:
+    """A watch, and a transducer of some noise to watch."""
+
+    def __init__(self) -> None:
+        self.watch = PressureWatch(P.watch, P.vehicle)
+        self._rng, self._ns = np.random.default_rng(3), 0
+
+    def drive(
+        self, phase: Phase, seconds: float, corrupt: Corrupt = lambda p: p
+    ) -> list[PressureFault | None]:
+        """What is said of each moment."""
+        return list(self._moments(phase, seconds, corrupt))
+
+    def _moments(self, phase: Phase, seconds: float, corrupt: Corrupt) -> Iterator[PressureFault | None]:
+        left, right, u_left, u_right, motion = phase
+        for _ in range(round(seconds / STEP)):
+            self._ns += round(STEP * 1e9)
+            p = corrupt(np.array((left, right)) + 3e4 * self._rng.standard_normal(2))
+            pressures = Pressures(
+                p, np.full(2, 0.5), Hydraulics(self._ns, float(p[0]), float(p[1]), 0.5, 0.5)
+            )
+            yield self.watch.judge(pressures, np.array((u_left, u_right)), motion, STEP)
+
+    def silence(self, seconds: float) -> None:
+        """No readings, on the move."""
+        for _ in range(round(seconds / STEP)):
+            assert (
+                self.watch.judge(None, np.array((0.3, 0.3)), Motion.STRAIGHT, STEP) is PressureFault.DROPPED
+            )
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_honest_pressures_are_trusted(bench: Bench) -> None:
+    for phase in (STANDING, STRAIGHT, LEFT_TURN, RIGHT_IN_REVERSE, STRAIGHT, STANDING):
+        assert set(bench.drive(phase, 5.0)) == {None}
+    assert bench.watch.faults == ()
+
+
+def test_pressures_that_stop_coming_are_named_until_they_have_come_back(bench: Bench) -> None:
+    bench.silence(0.5 * P.watch.naming_time)
+    assert bench.watch.faults == ()
+    bench.silence(P.watch.naming_time)
+    assert bench.watch.faults == (PressureFault.DROPPED,)
+    said = bench.drive(STRAIGHT, 2.0 * P.watch.naming_time)
+    assert said[0] is PressureFault.DROPPED
+    assert said[-1] is None
+    assert bench.watch.faults == ()
+
+
+@pytest.mark.parametrize(
+    ("side", "fault"), [(0, PressureFault.LEFT_STUCK), (1, PressureFault.RIGHT_STUCK)], ids=str
+)
+def test_a_stuck_pressure_is_named_while_moving_and_cleared_by_its_first_change(
+    bench: Bench, side: int, fault: PressureFault
+) -> None:
+    def stuck(p: np.ndarray) -> np.ndarray:
+        p[side] = 44.4e5
+        return p
+
+    assert set(bench.drive(STANDING, 5.0, stuck)) == {None}  # a transducer at rest may be still
+    said = bench.drive(STRAIGHT, 2.0, stuck)
+    assert said[:5] == [None] * 5
+    assert set(said[10:]) == {fault}
+    assert bench.watch.faults == (fault,)
+    bench.drive(STRAIGHT, 0.1)
+    assert bench.watch.faults == ()
+
+
+@pytest.mark.parametrize("turn", [LEFT_TURN, RIGHT_IN_REVERSE], ids=("left", "right in reverse"))
+def test_swapped_pressures_show_in_the_first_turn(bench: Bench, turn: Phase) -> None:
+    def swapped(p: np.ndarray) -> np.ndarray:
+        return p[::-1]
+
+    assert set(bench.drive(STRAIGHT, 5.0, swapped)) == {None}  # nothing to see, nothing to harm
+    assert set(bench.drive(turn, 2.0, swapped)) == {PressureFault.SWAPPED}
+    assert bench.watch.faults == (PressureFault.SWAPPED,)
+    assert set(bench.drive(STRAIGHT, 5.0, swapped)) == {PressureFault.SWAPPED}  # remembered
+    bench.drive(turn, 2.0)
+    assert bench.watch.faults == ()
+
+
+@pytest.mark.parametrize(
+    ("unit", "fault"),
+    [
+        (1e3, PressureFault.IN_KPA),
+        (6894.757, PressureFault.IN_PSI),
+        (1e5, PressureFault.IN_BAR),
+        (1e6, PressureFault.IN_MPA),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+@pytest.mark.parametrize("sum_bar", [45.0, 90.0, 135.0])  # dry clay, sand, clayey soil
+def test_another_unit_is_named(bench: Bench, unit: float, fault: PressureFault, sum_bar: float) -> None:
+    phase = (sum_bar * 0.5e5, sum_bar * 0.5e5, 0.3, 0.3, Motion.STRAIGHT)
+    for at_work in (phase, LEFT_TURN):
+        assert set(bench.drive(at_work, 2.0, lambda p: p / unit)) == {fault}
+        assert bench.watch.faults == (fault,)
+    assert set(bench.drive(STANDING, 2.0, lambda p: p / unit)) == {fault}
+    bench.drive(phase, 2.0 * P.watch.naming_time)
+    assert bench.watch.faults == ()
+
+
+def test_too_little_for_any_unit_and_too_much_for_the_relief_valve_are_named(bench: Bench) -> None:
+    bench.drive(STRAIGHT, 2.0, lambda p: p * 1e-9)
+    assert bench.watch.faults == (PressureFault.TOO_LOW,)
+    other = Bench()
+    assert set(other.drive(STRAIGHT, 2.0, lambda p: p * 10.0)) == {PressureFault.BEYOND_RELIEF}
+    assert other.watch.faults == (PressureFault.BEYOND_RELIEF,)

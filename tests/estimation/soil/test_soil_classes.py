@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Classes of soil, the line in (c, ϕ), and the reserve of thrust."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_common.soils import Soil, load_soils, soil
+from trackslip_estimation.soil.classes import NONE, ClassesParameters, SoilClasses, limit_of, strength_line
+from trackslip_estimation.soil.reserve import thrust_reserve
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_estimation.soil.strength_posterior import StrengthPosterior
+
+FloatArray = NDArray[np.float64]
+
+P = load_soil_parameters()
+SOILS = load_soils()
+POSTERIOR = StrengthPosterior(P.strength, P.vehicle)
+AXES = (POSTERIOR.log_moduli, POSTERIOR.log_limits)
+CLASSES = SoilClasses(P.classes, SOILS.values(), P.vehicle, *AXES)
+
+
+def posterior_about(modulus: float, limit: float, spread: float = 0.03) -> FloatArray:
+    """A grid that is sure of this soil."""
+    k, f = ((a - math.log(v)) / spread for a, v in zip(AXES, (modulus, limit), strict=True))
+    grid = np.exp(-0.5 * (k[:, None] ** 2 + f[None, :] ** 2))
+    return np.asarray(grid / grid.sum())
+
+
+@pytest.mark.parametrize("name", [name for name, s in SOILS.items() if s.shear_modulus is not None])
+def test_each_soil_is_found_at_its_own_strength(name: str) -> None:
+    found = CLASSES.probabilities(
+        posterior_about(SOILS[name].value("shear_modulus"), limit_of(SOILS[name], P.vehicle))
+    )
+    assert max(found, key=lambda other: found[other]) == name
+    assert sum(found.values()) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("modulus", "limit"), [(0.06, 2000.0), (0.002, 8000.0), (0.05, 1500.0)])
+def test_a_foreign_soil_is_none_of_these(modulus: float, limit: float) -> None:
+    assert CLASSES.probabilities(posterior_about(modulus, limit))[NONE] > 0.8
+
+
+def test_knowing_nothing_leaves_the_priors() -> None:
+    flat = np.full((AXES[0].size, AXES[1].size), 1.0 / (AXES[0].size * AXES[1].size))
+    found = CLASSES.probabilities(flat)
+    assert found[NONE] == pytest.approx(P.classes.none_prior, abs=0.01)
+    assert found["sand"] == pytest.approx((1.0 - P.classes.none_prior) / len(SOILS), rel=0.05)
+
+
+def test_a_soil_without_modulus_may_have_any() -> None:
+    snow = limit_of(SOILS["petawawa_snow"], P.vehicle)
+    both = [CLASSES.probabilities(posterior_about(k, snow))["petawawa_snow"] for k in (0.002, 0.05)]
+    assert min(both) > 0.2
+
+
+def test_without_known_soils_none_is_certain() -> None:
+    parameters = ClassesParameters(modulus_spread=0.3, limit_spread=0.05, none_prior=0.1)
+    alone = SoilClasses(parameters, [], P.vehicle, *AXES)
+    assert alone.probabilities(posterior_about(0.01, 3000.0)) == {NONE: pytest.approx(1.0)}
+
+
+def test_every_soil_on_the_line_has_the_strength() -> None:
+    limit = limit_of(soil("sand"), P.vehicle)
+    cohesion, angle = strength_line(limit, P.vehicle)
+    assert limit_of(Soil(name="a", cohesion=cohesion, friction_angle=0.0), P.vehicle) == pytest.approx(limit)
+    assert limit_of(Soil(name="b", cohesion=0.0, friction_angle=angle), P.vehicle) == pytest.approx(limit)
+    half = math.atan(0.5 * math.tan(angle))
+    between = Soil(name="c", cohesion=0.5 * cohesion, friction_angle=half)
+    assert limit_of(between, P.vehicle) == pytest.approx(limit)
+
+
+def test_the_reserve_falls_to_nothing_at_the_limit() -> None:
+    marginal = posterior_about(0.01, 3000.0).sum(axis=0)
+    unloaded, half, spent = (thrust_reserve(f, 900.0, AXES[1], marginal, 0.9) for f in (0.0, -1500.0, 2990.0))
+    assert unloaded == (1.0, pytest.approx(0.0, abs=1e-12))
+    assert half.share == pytest.approx(0.5, abs=0.01)
+    assert half.exhausted < 1e-6
+    assert spent.share == pytest.approx(0.0, abs=0.01)
+    assert spent.exhausted > 0.95
+
+
+def test_the_warning_is_open_where_the_strength_is() -> None:
+    flat = np.full(AXES[1].size, 1.0 / AXES[1].size)
+    assert 0.2 < thrust_reserve(3000.0, 900.0, AXES[1], flat, 0.9).exhausted < 0.8

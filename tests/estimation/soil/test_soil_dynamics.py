@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sub-model 2 on the shear truth: μ_r and the mobilised μ_l, with the thrusts and slips of sensors."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from trackslip_common.soils import soil
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.soil.dynamics import Dynamics
+from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilState
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_estimation.soil.thrust import Thrust
+from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs
+from trackslip_sim.scenarios.scenario import Scenario, Segment
+from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.simulate import simulate
+
+P = load_soil_parameters({"soil_period": 0.1})
+MOTION = load_slip_parameters().motion
+SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
+SEGMENTS = ((4.0, 0.0, 0.0), (6.0, 2.0, 2.0), (6.0, 1.0, 2.2), (3.0, 1.8, 1.8), (6.0, 2.2, 1.2))
+TURNS, STRAIGHT = ((12.0, 16.0), (21.0, 25.0)), ((6.0, 10.0), (17.5, 19.0))  # s, the steady parts
+STILL = np.zeros((3, 3))
+
+
+@cache
+def driven(name: str) -> tuple[Truth, list[SoilState]]:
+    scenario = Scenario(name="test", soil=name, segments=tuple(Segment(*row) for row in SEGMENTS))
+    truth, estimator = simulate(scenario), SoilEstimator(P)
+    outputs = [
+        o for given in soil_inputs(truth, P.vehicle, MOTION, Sensing()) for o in estimator.advance(given)
+    ]
+    return truth, [output for output in outputs if isinstance(output, SoilState)]
+
+
+def within(states: list[SoilState], *times: tuple[float, float]) -> list[SoilState]:
+    t = {id(s): (s.stamp_ns - START_NS) * 1e-9 for s in states}
+    return [s for s in states if any(a <= t[id(s)] <= b for a, b in times)]
+
+
+@pytest.mark.parametrize("name", SOILS)
+def test_longitudinal_resistance_is_found_within_five_percent(name: str) -> None:
+    _, states = driven(name)
+    true = soil(name).value("mu_r")
+    for state in within(states, *STRAIGHT, *TURNS):
+        assert state.mu_r == pytest.approx(true, rel=0.05)
+        assert abs(state.mu_r - true) < 3.0 * np.sqrt(state.mu_r_variance)
+
+
+@pytest.mark.parametrize("name", SOILS)
+def test_mobilised_lateral_resistance_is_the_moment_within_ten_percent(name: str) -> None:
+    truth, states = driven(name)
+    for state in within(states, *TURNS):
+        moment = float(truth.at((state.stamp_ns - START_NS) * 1e-9).turning_moment[0])
+        true = 3.0 * moment / (P.vehicle.weight * P.vehicle.contact_length)  # (3.8)
+        assert state.mu_l == pytest.approx(true, rel=0.10)
+        assert abs(state.mu_l - true) < 3.0 * np.sqrt(state.mu_l_variance)
+
+
+def test_lateral_resistance_is_held_while_driving_straight() -> None:
+    _, states = driven("sand")
+    held = [state.mu_l for state in within(states, (17.5, 19.0))]
+    assert max(held) - min(held) < 1e-3 < 0.2 < held[0]
+
+
+def steady(
+    thrust: tuple[float, float], motion: Motion, twist: tuple[float, float, float], s: float
+) -> Dynamics:
+    dynamics = Dynamics(P.dynamics, P.vehicle)
+    forces = Thrust(np.array(thrust), np.full(2, 100.0))
+    for _ in range(round(s / 0.01)):
+        dynamics.step(0.01, motion, np.array(twist), 1e-6 * np.eye(3), twist[2], forces)
+    return dynamics
+
+
+def test_steady_motion_gives_the_closed_forms() -> None:
+    """μ_r = (F_L + F_R)/W straight, μ_l = 3 B (F_R − F_L)/(2 W l) in a left turn; mirrored to the right."""
+    weight = P.vehicle.weight
+    straight = steady((1000.0, 1200.0), Motion.STRAIGHT, (0.3, 0.0, 0.0), 30.0)
+    assert straight.mu[0] == pytest.approx(2200.0 / weight, rel=1e-3)
+    lateral = 3.0 * P.vehicle.tread * 3000.0 / (2.0 * weight * P.vehicle.contact_length)
+    for left, right, rate in ((-500.0, 2500.0, 0.1), (2500.0, -500.0, -0.1)):
+        turn = steady((left, right), Motion.TURNING, (0.3, 0.0, rate), 30.0)
+        np.testing.assert_allclose(turn.mu, (2000.0 / weight, lateral), rtol=1e-3)
+
+
+def test_reverse_is_resisted_forwards() -> None:
+    backwards = steady((-1000.0, -1000.0), Motion.STRAIGHT, (-0.3, 0.0, 0.0), 30.0)
+    assert backwards.mu[0] == pytest.approx(2000.0 / P.vehicle.weight, rel=1e-3)
+
+
+def test_an_uncertain_inertia_shows_while_the_turn_begins() -> None:
+    """The same accelerated turn: with I_z less known μ_l comes out less certain."""
+    deviations = []
+    for inertia in (0.0, 0.5):
+        p = load_soil_parameters({"dynamics.yaw_inertia_stddev": inertia})
+        dynamics = Dynamics(p.dynamics, p.vehicle)
+        forces = Thrust(np.array((0.0, 3000.0)), np.full(2, 100.0))
+        for k in range(50):
+            twist = np.array((0.3, 0.0, 0.5 * (k + 1) * 0.01))
+            dynamics.step(0.01, Motion.TURNING, twist, 1e-6 * np.eye(3), 1.0, forces)
+        deviations.append(np.sqrt(dynamics.mu_covariance[1, 1]))
+    assert deviations[1] > 1.5 * deviations[0]
+
+
+def test_without_thrusts_the_coefficients_are_held_and_grow_uncertain_while_driving_only() -> None:
+    dynamics = steady((1000.0, 1000.0), Motion.STRAIGHT, (0.3, 0.0, 0.0), 10.0)
+    before, variance = dynamics.mu.copy(), dynamics.mu_covariance[0, 0]
+    for _ in range(500):
+        dynamics.step(0.01, Motion.STANDING, np.zeros(3), STILL, 0.0, None)
+    assert dynamics.mu_covariance[0, 0] == variance
+    for _ in range(500):
+        dynamics.step(0.01, Motion.STRAIGHT, np.array((0.3, 0.0, 0.0)), STILL, 0.0, None)
+    np.testing.assert_array_equal(dynamics.mu, before)
+    assert dynamics.mu_covariance[0, 0] > 4.0 * variance

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of the emulated excavator: what is refused, and what each does, in simulated time."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import from_flat
+from trackslip_drivers.protocols.can_errors import BusState, bus_state
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG
+from trackslip_sim.devices.pty_port import PtyPort
+from trackslip_sim.machine.excavator import EmulatedExcavator, drive
+from trackslip_sim.machine.faults import KINDS, Fault, parse_fault
+from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
+from trackslip_sim.scenarios.scenario import parse_scenario
+
+MS, S = 1_000_000, 1_000_000_000
+PARAMETERS = dataclasses.replace(
+    from_flat(EmulatorParameters, node_defaults(NODE, *DEFAULT_FILES), NODE),
+    scenario="straight",
+    mode="thesis",
+    duration=30.0,
+    lead_in=0.0,
+)
+TRUTH = drive(PARAMETERS)
+GOOD = {"sensor": "sick", "kind": "glare", "start": 1.0, "duration": 2.0, "value": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"sensor": "sonar"}, "'sonar' has no glare; accepted: sick"),
+        ({"kind": "fire"}, "'fire' is unknown; accepted: power_cycle"),
+        ({"kind": "bus_off", "value": 0.0}, "'sick' has no bus_off; accepted: can"),
+        ({"start": float("nan")}, "start = nan"),
+        ({"duration": 0.0}, "duration = 0.0 is refused; accepted: > 0"),
+        ({"duration": 1e9}, "duration"),
+        ({"value": 0.0}, "accepted for glare: > 0 and <= 1 (share of the rays"),
+        ({"value": 1.5}, "value = 1.5"),
+        ({"kind": "unplug"}, "accepted: none for unplug"),
+    ],
+)
+def test_each_mistake_is_named_in_one_line(change, named):
+    with pytest.raises(InputError, match=r"^fault: ") as refused:
+        Fault(**(GOOD | change))
+    assert named in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", "{sensor: can}", "{sensor: can, kind: stuck, until: 3}"])
+def test_text_that_is_no_fault_is_refused(text):
+    with pytest.raises(InputError, match=r"accepted|not YAML"):
+        parse_fault(text, 0.0)
+
+
+def test_text_and_scenario_hold_the_same_record():
+    assert parse_fault("{sensor: can, kind: stuck, duration: 2}", 7.5) == Fault("can", "stuck", 7.5, 2.0)
+    tree = {"name": "x", "soil": "sand", "segments": [{"duration": 1, "left": 1, "right": 1}]}
+    assert parse_scenario(tree | {"faults": [GOOD]}).faults == (Fault(**GOOD),)
+    with pytest.raises(InputError, match=r"faults\[1\]: duration = None is missing"):
+        parse_scenario(tree | {"faults": [GOOD, {"sensor": "can", "kind": "stuck", "start": 1}]})
+
+
+def run(*faults, seconds=12.0, step_ns=2 * MS):
+    """What leaves the machine: (ns, frames, bytes of the inertial unit, bytes of the scanner)."""
+    excavator = EmulatedExcavator(PARAMETERS, TRUTH, 0)
+    for fault in faults:
+        excavator.faults.add(fault, 0)
+    sent = []
+    for now in range(0, round(seconds * S), step_ns):
+        sent.append((now, excavator.step_can(now), excavator.step_watson(now), excavator.step_sick(now)))
+    return sent
+
+
+def between(sent, start, stop, column):
+    """The non-empty things of one column in [start, stop) s."""
+    return [row[column] for row in sent if start * S <= row[0] < stop * S and row[column]]
+
+
+def frames_between(sent, start, stop):
+    return list(itertools.chain.from_iterable(between(sent, start, stop, 1)))
+
+
+def test_power_cycle_silences_and_boots():
+    sent = run(*(Fault(sensor, "power_cycle", 6.0, 0.5) for sensor in ("can", "watson")), seconds=13.0)
+    for column in (1, 2):
+        assert between(sent, 5.5, 5.9, column)
+        assert not between(sent, 6.0, 6.498, column)
+    assert not between(sent, 6.5, 7.498, 1)
+    assert between(sent, 7.498, 7.52, 1)  # 1 s of boot
+    assert b"WATSON" in b"".join(between(sent, 6.5, 7.0, 2))
+    assert not between(sent, 7.0, 11.49, 2)
+    assert b"R " in b"".join(between(sent, 11.5, 12.0, 2))  # 5 s of initialisation
+
+
+def test_bus_off_is_told_and_so_is_the_restart():
+    sent = run(Fault("can", "bus_off", 2.0, 1.0), seconds=4.0)
+    (off,) = frames_between(sent, 2.0, 3.0)
+    assert off[0] & ERROR_FLAG
+    assert bus_state(*off) is BusState.OFF
+    back = between(sent, 3.0, 3.02, 1)[0][0]
+    assert bus_state(*back) is BusState.ACTIVE
+    assert len(frames_between(sent, 3.0, 4.0)) == pytest.approx(301, abs=3)
+
+
+def test_frames_and_bytes_go_missing_at_the_rate_asked_for():
+    sent = run(
+        Fault("can", "lost_frames", 2.0, 4.0, 0.25),
+        Fault("watson", "lost_bytes", 6.0, 5.0, 0.1),
+        Fault("can", "unplug", 7.0, 1.0),
+    )
+    good = run()
+    assert len(frames_between(sent, 2.0, 6.0)) == pytest.approx(0.75 * 1200, rel=0.1)
+    assert not between(sent, 7.0, 8.0, 1)
+    bytes_of = [len(b"".join(between(which, 6.0, 11.0, 2))) for which in (sent, good)]
+    assert bytes_of[0] == pytest.approx(0.9 * bytes_of[1], rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"), [("doubled_bytes", 0.1), ("corrupted_bytes", 0.1), ("wrong_baud", 0.0)]
+)
+def test_bytes_change(kind, value):
+    bad = b"".join(between(run(Fault("watson", kind, 6.0, 5.0, value)), 6.0, 11.0, 2))
+    good = b"".join(between(run(), 6.0, 11.0, 2))
+    if kind == "doubled_bytes":
+        assert len(bad) == pytest.approx(1.1 * len(good), rel=0.03)
+        return
+    assert len(bad) == len(good)
+    changed = np.mean(np.frombuffer(bad, np.uint8) != np.frombuffer(good, np.uint8))
+    assert changed == pytest.approx(value or 255 / 256, rel=0.15)
+
+
+def test_bursts_lose_nothing():
+    held = run(Fault("can", "bursts", 2.0, 3.0, 0.5), Fault("watson", "bursts", 6.0, 2.0, 0.5))
+    good = run()
+    assert len(between(held, 2.0, 5.0, 1)) == 5  # at 2.5, 3.0 … 4.5 s
+    assert frames_between(held, 0.0, 12.0) == frames_between(good, 0.0, 12.0)
+    assert b"".join(between(held, 0.0, 12.0, 2)) == b"".join(between(good, 0.0, 12.0, 2))
+    assert len(between(held, 6.0, 8.0, 2)) <= 5
+
+
+def readings(*faults):
+    excavator = EmulatedExcavator(PARAMETERS, TRUTH, 0)
+    for fault in faults:
+        excavator.faults.add(fault, 0)
+    return excavator._readings
+
+
+def test_stuck_holds_what_was_measured_and_lets_go():
+    held = readings(Fault("can", "stuck", 5.0, 2.0))
+    positions = [held.sprockets(round(t * S)).left_position for t in (4.9, 5.0, 6.9, 7.1)]
+    assert positions[1] == positions[2]
+    assert positions[0] < positions[1] < positions[3]
+
+
+def test_noise_is_a_share_of_full_scale():
+    noisy, quiet = readings(Fault("watson", "noise", 0.0, 20.0, 0.01)), readings()
+    spread = [
+        np.std([which.imu(k * S // 100).angular_velocity[0] for k in range(1000)]) for which in (noisy, quiet)
+    ]
+    assert spread[0] == pytest.approx(np.radians(2.0), rel=0.1)  # of 200 °/s
+    assert spread[1] == pytest.approx(PARAMETERS.noise.gyro_stddev, rel=0.1)
+    loud = readings(Fault("can", "noise", 0.0, 20.0, 0.1))
+    supply = [loud.hydraulics(k * S // 100).supply_pressure for k in range(1000)]
+    assert np.std(np.diff(supply)) / np.sqrt(2.0) == pytest.approx(2.5e6, rel=0.1)
+
+
+def test_what_befalls_the_scanner():
+    bad = readings(
+        Fault("sick", "occlusion", 0.0, 5.0, 0.5),
+        Fault("sick", "glare", 10.0, 5.0, 0.3),
+        Fault("sick", "pollution", 10.0, 5.0),
+        Fault("sick", "noise", 20.0, 5.0, 0.02),
+    )
+    angles = np.radians(np.arange(361) / 2 - 90)
+    covered = np.abs(angles) <= 0.25
+    assert (bad.ranges(S)[covered] <= 0.5).all()
+    assert (bad.ranges(S)[~covered] > 0.5).all()
+    assert np.isnan(bad.ranges(11 * S)).mean() == pytest.approx(0.3, abs=0.1)
+    assert (bad.status(S), bad.status(11 * S)) == (0, 0x80)
+    noisy, plain = bad.ranges(21 * S), readings().ranges(21 * S)
+    seen = np.isfinite(plain)
+    assert np.std(noisy[seen] - plain[seen]) == pytest.approx(1.0, rel=0.2)  # of 50 m
+
+
+def test_port_comes_back_under_its_name(tmp_path):
+    port = PtyPort(tmp_path / "device")
+    port.close()
+    assert not port.link.exists()
+    assert (port.write(b"lost"), port.read(), port.baud) == (0, b"", None)
+    assert port.bytes_lost == 4
+    port.plug()
+    assert port.link.exists()
+    port.close()
+    port.close()
+
+
+def test_every_kind_says_what_its_value_is():
+    for name, kind in KINDS.items():
+        assert kind.sensors, name
+        assert bool(kind.value) == (name in VALUED)
+
+
+VALUED = {
+    *(
+        "lost_bytes",
+        "doubled_bytes",
+        "corrupted_bytes",
+        "lost_frames",
+        "bursts",
+        "noise",
+        "occlusion",
+        "glare",
+    )
+}

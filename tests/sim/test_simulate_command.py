@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip simulate``: its options, its JSON and its bag."""
+
+import argparse
+import json
+from pathlib import Path
+
+import pytest
+
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_sim.cli import add_arguments, run
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.run import replay
+
+
+def parse(*arguments: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return parser.parse_args(arguments)
+
+
+def test_json_has_the_promised_keys(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "out.json"
+    assert run(parse("--scenario", "straight", "--soil", "dry_clay", "--json", str(file))) == 0
+    report = json.loads(file.read_text())
+    assert set(report) == {"final", "duration_s", "elapsed_s"}
+    assert set(report["final"]) == {
+        *("x", "y", "yaw", "v_x", "yaw_rate"),
+        *("left_slip", "right_slip", "left_thrust", "right_thrust"),
+    }
+    assert report["duration_s"] == pytest.approx(20.0)
+    assert report["final"]["v_x"] == pytest.approx(0.399, abs=1e-3)
+    assert json.loads(capsys.readouterr().out) == report
+
+
+def test_the_bag_holds_what_the_sensors_see(tmp_path: Path) -> None:
+    scenario = tmp_path / "short.yaml"
+    scenario.write_text("name: short\nsoil: sand\nsegments: [{duration: 3.0, left: 2.0, right: 1.6}]\n")
+    bag = tmp_path / "bag"
+    options = ("--scenario", str(scenario), "--mode", "thesis", "--seed", "7", "--output", str(bag))
+    assert run(parse(*options)) == 0
+    with open_bag(bag) as opened:
+        counts = {topic: info.count for topic, info in opened.topics.items()}
+        p = load_slip_parameters()
+        result = replay(opened, p, Edits(), None)
+    lead_in = 7.0
+    assert counts["/sprockets"] == pytest.approx(100 * (3.0 + lead_in - 1.0), abs=3)
+    assert counts["/hydraulics"] == pytest.approx(counts["/sprockets"], abs=1)
+    assert counts["/imu/data_raw"] == pytest.approx(11.85 * (3.0 + lead_in - 5.0), abs=2)
+    assert counts["/scan"] == counts["/box_pose"] > 20
+    score = result.scores["filter"]
+    assert score is not None
+    assert score.position < 0.05
+
+
+def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"exists already"):
+        run(parse("--scenario", "straight", "--output", str(tmp_path)))
+    missing = tmp_path / "no" / "out.json"
+    with pytest.raises(InputError, match=r"--json: '.*out\.json' cannot be written"):
+        run(parse("--scenario", "straight", "--json", str(missing)))

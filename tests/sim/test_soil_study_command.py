@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip study --estimator soil``: its files, its memory, and what it refuses."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from trackslip_sim.study.slip.cache import Cache
+from trackslip_sim.study.slip.results import Row
+from trackslip_sim.study.soil import study as soil_study
+from trackslip_sim.study.soil.parameters import load_soil_study_parameters
+from trackslip_sim.study.soil.results import ChangeRow, SoilRow
+from trackslip_sim.study.soil.score import Result
+from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
+from trackslip_tools.cli.main import main
+
+COMMAND = ["study", "--estimator", "soil", "--soil", "sand", "dry_clay", "--sigma-xy", "0.05", "--seeds", "2"]
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> list[str]:
+    return [*COMMAND, "--jobs", "1", "--cache", str(tmp_path / "runs.jsonl")]
+
+
+class Counted:
+    """``run`` without driving, told to stop at one of its calls."""
+
+    def __init__(self, stop_at: int | None = None) -> None:
+        self.trials: list[Trial] = []
+        self._stop_at = stop_at
+
+    def __call__(self, trial: Trial, setting: Setting) -> Result:
+        if len(self.trials) == self._stop_at:
+            raise KeyboardInterrupt
+        self.trials.append(trial)
+        numbers = dict.fromkeys((field.name for field in fields(Result)), 1.0 + 0.01 * trial.seed)
+        intervals = {name: (0.9, 1.1) for name in numbers if name.endswith("_interval")}
+        change = {"into": "", "recognised_after": math.nan, "wrong_before": math.nan}
+        if trial.scenario == "soil_change":
+            change = {"into": "clayey_soil", "recognised_after": math.inf, "wrong_before": 0.2}
+        return Result(**(numbers | intervals | change | {"identifiable": True, "reason": ""}))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> Counted:
+    found = Counted()
+    monkeypatch.setattr(soil_study, "run", found)
+    return found
+
+
+def test_it_writes_rows_and_tables(
+    command: list[str], counted: Counted, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--drawn", "--json", str(tmp_path / "rows.json"), "--output", str(tmp_path)]
+    assert main([*command, *options]) == 0
+    rows = json.loads((tmp_path / "rows.json").read_text())
+    found = [(row["scenario"], row["soil"], row["drawn"]) for row in rows]
+    soils = [("field_trial", soil, drawn) for soil in ("sand", "dry_clay") for drawn in (False, True)]
+    assert found == [*soils, ("soil_change", "sand", False), ("soil_change", "sand", True)]
+    kinds = [SoilRow] * 4 + [ChangeRow] * 2
+    assert [row.keys() for row in rows] == [{field.name for field in fields(kind)} for kind in kinds]
+    assert (rows[0]["F_max_inside"], rows[0]["seeds"]) == (2, 2)
+    assert rows[4]["recognised_after"] is None  # never: JSON knows no infinity
+    shown, said = capsys.readouterr()
+    assert shown == (tmp_path / "soil_table.md").read_text()
+    assert said == ""
+    lines = [line for line in shown.splitlines() if line.startswith("|")]
+    assert len(lines) == 2 + 4 + 2 + 2
+    assert len({len(line) for line in lines[:6]}) == len({len(line) for line in lines[6:]}) == 1
+    assert " 2/2 " in lines[2]
+    assert " never " in lines[8].replace("(", " ").replace(")", " ")
+    assert len(counted.trials) == 6 * 2
+
+
+def trials_of(
+    command: Sequence[str], monkeypatch: pytest.MonkeyPatch, code: int = 0, stop_at: int | None = None
+) -> list[Trial]:
+    counted = Counted(stop_at)
+    monkeypatch.setattr(soil_study, "run", counted)
+    assert main(command) == code
+    return counted.trials
+
+
+def test_an_interrupted_study_goes_on_run_by_run(
+    command: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = trials_of(command, monkeypatch, code=130, stop_at=3)
+    second, third = trials_of(command, monkeypatch), trials_of(command, monkeypatch)
+    assert (len(first), len(second), len(third)) == (3, 3, 0)
+    assert len({*first, *second}) == 6
+    whole = capsys.readouterr().out
+    assert len(trials_of([*command, "--fresh"], monkeypatch)) == 6
+    assert whole == 2 * capsys.readouterr().out
+    more = trials_of([*command, "--seeds", "3"], monkeypatch)
+    assert [trial.seed for trial in more] == [2, 2, 2]
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        ["--set", "soil_estimator.strength.elements=8"],
+        ["--set", "slip_estimator.history_window=3.0"],
+        ["--sigma-heading", "0.02"],
+        ["--duration", "20"],
+    ],
+)
+def test_a_run_is_remembered_with_all_that_it_rests_on(
+    changed: list[str], command: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert len(trials_of(command, monkeypatch)) == 6
+    assert len(trials_of([*command, *changed], monkeypatch)) == 6
+    assert len(trials_of(command, monkeypatch)) == 0
+
+
+def test_both_studies_may_share_a_file(tmp_path: Path) -> None:
+    file, result = tmp_path / "pieces.jsonl", Counted()(Trial("sand", 0.05, 0), load_setting())
+    Cache(file, Result).add("a key", result)
+    assert Cache(file, Row).get("a key") is None
+    assert repr(Cache(file, Result).get("a key")) == repr(result)  # nan is no equal of itself
+
+
+def test_processes_give_what_one_process_gives(
+    command: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(
+        soil_study,
+        "load_soil_study_parameters",
+        lambda given: load_soil_study_parameters(given | {"stand": 1.0}),
+    )
+    rows = []
+    for jobs in ("1", "2"):
+        options = ["--scenario", "straight", "--duration", "2", "--soil", "sand", "--jobs", jobs, "--fresh"]
+        assert main([*command, *options, "--json", str(tmp_path / "rows.json")]) == 0
+        rows.append(json.loads((tmp_path / "rows.json").read_text()))
+    assert rows[0] == rows[1]
+    assert rows[0][0]["M_r_error"] is None  # it did not turn
+    assert 0.0 < rows[0][0]["driving_thrust_error"] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--filter", "ekf"], "--filter: does not go with --estimator soil"),
+        (["--truth", "matched"], "--truth: does not go with --estimator soil"),
+        (["--sigma-omega", "0.1"], "--sigma-omega: does not go with --estimator soil"),
+        (["--settling", "5"], "--settling: does not go with --estimator soil"),
+        (["--soil", "mud"], "soil: 'mud' is unknown"),
+        (["--soil", "lete_sand"], "mu_r"),
+        (["--scenario", "waltz"], "scenario: 'waltz' is unknown"),
+        (["--sigma-xy", "0"], "sigma_xy"),
+        (["--seeds", "0"], "seeds"),
+        (["--duration", "-1"], "duration"),
+        (["--set", "soil_estimator.mass=3"], "mass"),
+        (["--set", "box_localizer.rays=3"], "--set box_localizer.rays=3"),
+        (["--estimator", "box"], "--estimator"),
+        (["--json", "/nowhere/rows.json"], "no such folder"),
+        (["--cache", "/dev/null/x"], "--cache"),
+    ],
+)
+def test_bad_input_is_one_line(
+    options: list[str], message: str, command: list[str], refusal: Callable[[list[str]], str]
+) -> None:
+    assert message in refusal([*command, *options])

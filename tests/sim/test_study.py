@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The study's own arithmetic: what it feeds the filters, its bound, and whether it catches a bad filter."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.batch import Row, make_log
+from trackslip_estimation.slip.filter import Filter
+from trackslip_estimation.slip.models.model import (
+    DRIVEN,
+    POSE,
+    SPROCKETS,
+    Gaussian,
+    pose_measured,
+)
+from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters, make_filter
+from trackslip_sim.study.slip.drive import Drive, make_drive
+from trackslip_sim.study.slip.evaluate import evaluate, least, make_setting, score, trace
+from trackslip_sim.study.slip.kernels import bound
+from trackslip_sim.study.slip.parameters import MATCHED, SHEAR, Cell, StudyParameters, load_study_parameters
+from trackslip_sim.study.slip.results import Sums, mean_bounds, total
+from trackslip_sim.study.slip.trial import Setting, Trial, make_trial
+
+FloatArray = NDArray[np.float64]
+
+SEEDS = 8
+PERIOD = 0.01  # s
+
+
+@pytest.fixture(scope="module")
+def p() -> StudyParameters:
+    return load_study_parameters({"scenario": "slalom", "duration": 24.0, "settling": 12.0, "seeds": SEEDS})
+
+
+@pytest.fixture(scope="module")
+def estimator() -> SlipEstimatorParameters:
+    return load_slip_parameters()
+
+
+@pytest.fixture(scope="module")
+def drive(p: StudyParameters, estimator: SlipEstimatorParameters) -> Drive:
+    return make_drive(p, estimator, "sand")
+
+
+def cell(truth: str = MATCHED, filter_: str = "ekf", sigma_xy: float = 0.02, soil: str = "sand") -> Cell:
+    return Cell(truth, soil, filter_, sigma_xy, 0.01)
+
+
+def scored(setting: Setting, trial: Trial) -> Sums:
+    return score(setting, trial, least(setting, trial))
+
+
+# What the filters are fed
+
+
+def test_the_filters_get_counted_sprockets_and_the_truth_has_its_own(
+    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    samples, step = drive.samples, estimator.encoder_resolution / PERIOD
+    truth, true = drive.truth, drive.true_speeds
+    assert len(samples) == round(p.duration * p.sprocket_rate)
+    np.testing.assert_allclose(truth.t[samples], PERIOD * np.arange(1, len(samples) + 1), atol=1e-9)
+    np.testing.assert_allclose(np.cumsum(true[samples, 0]) * PERIOD, truth.left_angle[samples], atol=1e-9)
+    np.testing.assert_allclose(np.cumsum(true[samples, 1]) * PERIOD, truth.right_angle[samples], atol=1e-9)
+    off = drive.rows.speeds[samples, :2] - true[samples, :2]
+    assert step / 3.0 < np.abs(off).max() < step  # rad/s of one count
+    steady = truth.t[samples] % 6.0 > 5.0  # the slalom turns every six seconds
+    told = drive.told[0][samples] - true[samples, :2]
+    assert np.std(told[steady]) < np.std(off[steady]) / 3.0  # the estimator smooths what it tells slips by
+
+
+def test_noise_is_as_large_as_the_filters_are_told(
+    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    setting = make_setting(cell(SHEAR), drive, p, estimator)
+    fixes, rates = drive.fixes, drive.rates
+    trials = [make_trial(setting, seed) for seed in range(20)]
+    of_fixes = np.concatenate([t.log.values[fixes] - t.states[fixes, POSE] for t in trials])
+    np.testing.assert_allclose(of_fixes.std(axis=0), (0.02, 0.02, p.sigma_heading), rtol=0.05)
+    of_rates = [t.log.values[rates, 0] - drive.truth.yaw_rate[rates] - t.states[0, -1] for t in trials]
+    assert np.std(of_rates) == pytest.approx(0.01, rel=0.05)
+    biases = {float(t.states[0, -1]) for t in trials}
+    assert len(biases) == 20
+
+
+@pytest.mark.parametrize("truth", [SHEAR, MATCHED])
+def test_filters_are_compared_on_the_same_draws(
+    truth: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    ekf, daf, again = (
+        make_trial(make_setting(cell(truth, name), drive, p, estimator), seed=1)
+        for name in ("ekf", "daf", "ekf")
+    )
+    other = make_trial(make_setting(cell(truth, soil="dry_clay"), drive, p, estimator), seed=1)
+    for mine, its, repeated in zip(ekf.log, daf.log, again.log, strict=True):
+        np.testing.assert_array_equal(mine, its)
+        np.testing.assert_array_equal(mine, repeated)
+    assert not np.array_equal(ekf.log.values, other.log.values)
+
+
+def test_states_on_the_shear_truth_move_as_the_machine_does(
+    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    setting = make_setting(cell(SHEAR), drive, p, estimator)
+    states, at = make_trial(setting, seed=0).states, drive.truth
+    for k in range(100, len(states), 97):
+        speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]), PERIOD, differenced=False)
+        v_x, _, rate = setting.filter.outputs(Gaussian(states[k], np.eye(10)), speeds).twist
+        assert (v_x, rate) == pytest.approx((at.v_x[k], at.yaw_rate[k]), abs=1e-6)
+        np.testing.assert_array_equal(states[k, POSE], (at.x[k], at.y[k], at.yaw[k]))
+
+
+def test_nothing_to_score_is_refused(estimator: SlipEstimatorParameters) -> None:
+    p = load_study_parameters({"scenario": "start_stop", "duration": 2.0, "settling": 1.0})
+    with pytest.raises(InputError, match="nothing moves in 'start_stop' on sand"):
+        make_drive(p, estimator, "sand")
+
+
+# The bound
+
+
+def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters) -> None:
+    """In the information form of Tichavský et al., F differentiated numerically, in a steady turn."""
+    filter_ = make_filter(estimator)
+    fix = pose_measured(np.zeros(3), np.diag((4e-4, 4e-4, 1e-4)), use_heading=True)
+    speeds, motion = Speeds(1.6, 1.2, PERIOD, differenced=True), MotionState(Motion.TURNING, changing=False)
+    rows = [Row(PERIOD, speeds, motion, 0, fix if k % 20 == 19 else DRIVEN) for k in range(60)]
+    log = make_log(rows)
+    start = filter_.initial(np.array((1.0, 2.0, 0.5)), np.diag((4e-4, 4e-4, 1e-4)))
+    states, J, x = [], np.linalg.inv(start.covariance), start.mean
+    H = np.eye(3, x.size)
+    for row in rows:
+        F, Q = _linearised(filter_, x, row)
+        J = np.linalg.inv(F @ np.linalg.inv(J) @ F.T + Q)
+        if row.measured.kind != SPROCKETS:
+            J = J + H.T @ np.linalg.inv(row.measured.noise) @ H
+        x = filter_.step(Gaussian(x, Q), row.speeds, row.dt, row.motion, DRIVEN).predicted.mean
+        states.append(x)
+    arrays = (log.times, log.speeds, log.flags, log.noises)
+    found = bound(*arrays, np.array(states), start.mean, start.covariance, filter_.constants)[-1]
+    wanted = np.linalg.inv(J)
+    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+    np.testing.assert_allclose(found / scale, wanted / scale, atol=1e-5)
+
+
+def _linearised(filter_: Filter, x: FloatArray, row: Row) -> tuple[FloatArray, FloatArray]:
+    """F by central differences, and Q: what a step makes of no uncertainty."""
+
+    def moved(state: FloatArray) -> Gaussian:
+        certain = Gaussian(state, np.zeros((x.size, x.size)))
+        return filter_.step(certain, row.speeds, row.dt, row.motion, DRIVEN).predicted
+
+    e = 1e-5
+    columns = [(moved(x + e * d).mean - moved(x - e * d).mean) / (2.0 * e) for d in np.eye(x.size)]
+    return np.stack(columns, axis=1), moved(x).covariance
+
+
+def test_where_all_is_linear_the_kalman_filter_attains_the_bound(
+    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    """With a heading as good as known, the matched truth is linear and Gaussian: RMSE, bound and P agree."""
+    sure = replace(p, sigma_heading=1e-6)
+    setting = make_setting(cell(MATCHED), drive, sure, estimator)
+    sums = total(scored(setting, make_trial(setting, seed)) for seed in range(30))
+    for columns in (slice(0, 2), slice(3, 5)):
+        attained = np.sqrt(sums.squares[:, columns].mean() / sums.bounds[:, columns].mean())
+        assert attained == pytest.approx(1.0, abs=0.12)
+
+
+# What it says of filters
+
+
+def test_bounds_of_a_mean_are_those_of_chi_squared() -> None:
+    assert mean_bounds(3, 1) == pytest.approx((0.2158, 9.3484), abs=1e-4)  # printed tables
+    low, high = mean_bounds(2, 100)
+    draws = chi2.rvs(2, size=(20_000, 100), random_state=0).mean(axis=1)
+    assert np.mean((low <= draws) & (draws <= high)) == pytest.approx(0.95, abs=0.01)
+
+
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+def test_on_its_own_model_a_filter_is_honest_and_near_the_bound(
+    filter_: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    row = evaluate(cell(MATCHED, filter_), drive, p, estimator)
+    for name in ("nees_pose", "nees_slip", "nis_pose", "nis_yaw_rate"):
+        low, high = getattr(row, f"{name}_bounds")
+        assert low < getattr(row, name) < high
+    for name in ("position", "heading", "slip"):
+        assert getattr(row, f"{name}_rmse") == pytest.approx(getattr(row, f"{name}_bound"), rel=0.25)
+
+
+@pytest.mark.parametrize(("factor", "outside"), [(0.1, "above"), (10.0, "below")])
+def test_a_filter_with_false_noise_is_found_out(
+    factor: float, outside: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    """It is told that fixes are better, or worse, than they are."""
+    setting = make_setting(cell(MATCHED), drive, p, estimator)
+
+    def told(seed: int) -> Sums:
+        trial = make_trial(setting, seed)
+        return scored(setting, trial._replace(log=trial.log._replace(noises=factor * trial.log.noises)))
+
+    low, high = mean_bounds(3, SEEDS)
+    nees = float(np.mean(total(map(told, range(SEEDS))).nees[:, 0])) / SEEDS
+    assert nees > high if outside == "above" else nees < low
+
+
+def test_slips_are_scored_in_turns_apart(drive: Drive, p: StudyParameters) -> None:
+    """Each segment of the slalom after settling is a turn, with a moment of straight driving in between."""
+    assert len(drive.scored) == round((p.duration - p.settling) * p.sprocket_rate)
+    assert drive.moving.all()
+    assert 0.8 < drive.turning.mean() < 1.0
+
+
+def test_a_trace_shows_the_run_that_is_scored(
+    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    setting = make_setting(cell(SHEAR), drive, p, estimator)
+    found, sums = trace(setting, seed=2), scored(setting, make_trial(setting, seed=2))
+    later = found.t > p.settling
+    for mine, its, columns in (
+        (found.estimated_slips, found.slips, slice(3, 6)),
+        (found.estimated_poses, found.poses, POSE),
+    ):
+        np.testing.assert_allclose(np.square(mine - its)[later], sums.squares[:, columns], atol=1e-9)
+    assert (found.slip_deviations[later, :2] > 0.0).all()

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip study``: its files, its memory, and what it refuses."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_sim.study.slip import run as study_run
+from trackslip_sim.study.slip.cache import Cache
+from trackslip_sim.study.slip.evaluate import evaluate
+from trackslip_sim.study.slip.figures import runs
+from trackslip_sim.study.slip.parameters import Cell, cells, load_study_parameters
+from trackslip_sim.study.slip.results import Row
+from trackslip_sim.study.slip.run import run_study
+from trackslip_sim.study.slip.table import markdown
+from trackslip_tools.cli.main import main
+
+KEYS = {
+    *("truth", "soil", "filter", "sigma_xy", "sigma_omega", "seeds"),
+    *("position_rmse", "position_bound", "heading_rmse", "heading_bound"),
+    *("slip_rmse", "slip_bound", "alpha_rmse", "alpha_bound"),
+    *("nees_pose", "nees_pose_bounds", "nees_slip", "nees_slip_bounds", "nis_pose", "nis_yaw_rate"),
+}
+SHORT = ["--scenario", "slalom", "--duration", "9", "--settling", "6", "--seeds", "2", "--soil", "sand"]
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> list[str]:
+    return ["study", *SHORT, "--cache", str(tmp_path / "cells.jsonl")]
+
+
+class Counted:
+    """``evaluate``, told to stop at one of its calls."""
+
+    def __init__(self, stop_at: int | None = None) -> None:
+        self.cells: list[Cell] = []
+        self._stop_at = stop_at
+
+    def __call__(self, cell: Cell, *arguments: Any) -> Row:
+        if len(self.cells) == self._stop_at:
+            raise KeyboardInterrupt
+        self.cells.append(cell)
+        return evaluate(cell, *arguments)
+
+
+def test_it_writes_rows_table_and_figures(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--sigma-xy", "0.01", "0.05", "--json", str(tmp_path / "rows.json"), "--output", str(tmp_path)]
+    assert main([*command, *options]) == 0
+    rows = json.loads((tmp_path / "rows.json").read_text())
+    found = [(r["truth"], r["filter"], r["sigma_xy"]) for r in rows]
+    assert found == [(t, f, s) for t in ("shear", "matched") for f in ("ekf", "daf") for s in (0.01, 0.05)]
+    assert all(row.keys() >= KEYS and row["soil"] == "sand" and row["seeds"] == 2 for row in rows)
+    assert all(0.0 < row["position_rmse"] < 10.0 * row["position_bound"] for row in rows)
+    shown, said = capsys.readouterr()
+    assert shown == (tmp_path / "study_table.md").read_text()
+    assert said == ""  # no progress bar in a pipe
+    drawn = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert drawn == {
+        f"study_{what}_{truth}.png" for what in ("rmse", "nees") for truth in ("shear", "matched")
+    }
+
+
+def test_an_interrupted_study_goes_on(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each cell is computed once, whatever happens in between."""
+    first, second, third = Counted(stop_at=2), Counted(), Counted()
+    for counted, code in ((first, 130), (second, 0), (third, 0)):
+        monkeypatch.setattr(study_run, "evaluate", counted)
+        assert main([*command, "--sigma-xy", "0.01", "0.05", "--filter", "ekf"]) == code
+    assert (len(first.cells), len(second.cells), len(third.cells)) == (2, 2, 0)
+    assert len({*first.cells, *second.cells}) == 4
+
+
+def test_what_is_remembered_is_what_was_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    p = load_study_parameters({"scenario": "slalom", "duration": 9.0, "settling": 6.0, "seeds": 2})
+    p = replace(p, truths=("matched",), soils=("sand",), filters=("ekf",), sigma_xy=(0.05,))
+    estimator, file = load_slip_parameters(), tmp_path / "deep" / "cells.jsonl"
+    computed = list(run_study(p, estimator, Cache(file, Row)))
+    monkeypatch.setattr(study_run, "evaluate", Counted(stop_at=0))
+    assert list(run_study(p, estimator, Cache(file, Row))) == computed
+    for changed in (replace(p, seeds=3), replace(p, settling=5.0)):
+        with pytest.raises(KeyboardInterrupt):
+            list(run_study(changed, estimator, Cache(file, Row)))
+    with pytest.raises(KeyboardInterrupt):
+        list(run_study(p, replace(estimator, encoder_resolution=1e-3), Cache(file, Row)))
+    with pytest.raises(KeyboardInterrupt):
+        list(run_study(p, estimator, Cache(file, Row, fresh=True)))
+    file.write_text(file.read_text()[:-20], encoding="utf-8")  # as a power cut leaves it
+    with pytest.raises(KeyboardInterrupt):
+        list(run_study(p, estimator, Cache(file, Row)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--soil", "mud"], "soil: 'mud' is unknown"),
+        (["--soil", "lete_sand"], "mu_r"),
+        (["--scenario", "waltz"], "scenario: 'waltz' is unknown"),
+        (["--sigma-xy", "0"], "sigma_xy"),
+        (["--sigma-xy", "nan"], "sigma_xy"),
+        (["--sigma-omega", "-1"], "sigma_omega"),
+        (["--seeds", "0"], "seeds"),
+        (["--settling", "9"], "settling: 9 s is refused; accepted: up to 1 s less than the duration, 9 s"),
+        (["--filter", "ukf"], "--filter"),
+        (["--jobs", "0"], "--jobs"),
+        (["--set", "slip_estimator.mass=3"], "mass"),
+        (["--json", "/nowhere/rows.json"], "no such folder"),
+        (["--output", "/dev/null/x"], "--output"),
+        (["--cache", "/dev/null/x"], "--cache"),
+        (["--scenario", "slalom", "thesis"], "--scenario: 'thesis' is one too many; accepted: one"),
+        (["--drawn"], "--drawn: does not go with --estimator slip"),
+        (["--set", "soil_estimator.low_reserve=0.2"], "slip_estimator.<parameter>=<value>"),
+    ],
+)
+def test_bad_input_is_one_line(
+    options: list[str], message: str, command: list[str], refusal: Callable[[list[str]], str]
+) -> None:
+    assert message in refusal([*command, *options])
+
+
+def test_the_table_marks_what_is_outside() -> None:
+    row = _row(nees_pose=5.0, nees_slip=1.0)
+    lines = markdown([row, replace(row, truth="shear", nees_pose=3.0)]).splitlines()
+    assert len({len(line) for line in lines[:4]}) == 1
+    assert ("5.00 ↑" in lines[2], "1.00 ↓" in lines[2], "3.00 " in lines[3]) == (True, True, True)
+    assert "↑" not in lines[3]
+
+
+def _row(**values: float) -> Row:
+    numbers: dict[str, Any] = dict.fromkeys(Row.__dataclass_fields__, 1.0) | {
+        "truth": "matched",
+        "soil": "sand",
+        "filter": "ekf",
+        "scenario": "thesis",
+        "seeds": 100,
+        **{f"{name}_bounds": (2.5, 3.5) for name in ("nees_pose", "nees_slip", "nis_pose", "nis_yaw_rate")},
+    }
+    return Row(**(numbers | values))
+
+
+def test_single_runs_are_drawn_under_each_condition_of_the_thesis() -> None:
+    p = load_study_parameters({"scenario": "slalom", "duration": 5.0, "settling": 2.0, "soils": ["sand"]})
+    drawn = dict(runs(p, load_slip_parameters()))
+    assert list(drawn) == ["fig_6_3", "fig_6_5", "fig_6_7", "fig_6_9", "fig_6_11", "fig_6_13"]
+    assert all(len(figure.axes) == 3 for figure in drawn.values())
+
+
+def test_the_grid_has_every_combination_once() -> None:
+    p = load_study_parameters({"sigma_omega": [0.01, 0.1]})
+    grid = list(cells(p))
+    assert len(grid) == len(set(grid)) == 2 * 4 * 2 * 4 * 2

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simpler truths: the thesis' forward simulation, and the one matched to sub-model 1b."""
+
+import numpy as np
+import pytest
+
+from trackslip_common.errors import InputError
+from trackslip_common.soils import soil
+from trackslip_estimation.terramechanics.strength import thrust_limit
+from trackslip_estimation.terramechanics.traction import thrust
+from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
+from trackslip_sim.truth.kinematic import Turning, simulate_kinematic
+from trackslip_sim.truth.settings import load_settings, load_vehicle
+from trackslip_sim.truth.simulate import simulate
+
+VEHICLE = load_vehicle()
+SETTINGS = load_settings()
+SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
+
+
+def test_thesis_manoeuvre_ends_as_far_apart_as_in_figures_6_1_and_6_2() -> None:
+    runs = [simulate(load_scenario("thesis"), soil=name, mode="thesis") for name in SOILS]
+    driven = [run.interpolate(np.arange(1.0, 35.0, 0.1)) for run in runs]  # past the first start
+    assert all(run.duration == pytest.approx(35.0) for run in runs)
+    assert max(np.abs([run.left_slip, run.right_slip]).max() for run in driven) < 0.08
+    ends = np.array([[run.x[-1], run.y[-1], run.yaw[-1]] for run in runs])
+    apart = np.linalg.norm(ends[:, None, :2] - ends[None, :, :2], axis=2).max()
+    assert 0.4 < apart < 0.8  # the thesis: as much as 0.6 m
+    assert 0.1 < np.ptp(ends[:, 2]) < 0.35  # the thesis: as much as 0.3 rad
+
+
+@pytest.mark.parametrize("name", SOILS)
+def test_thesis_mode_balances_the_free_body(name: str) -> None:
+    scenario = Scenario(name="turn", soil=name, segments=(Segment(20.0, 2.4, 2.0),))
+    end = simulate(scenario, mode="thesis").at(20.0)
+    ground = soil(name)
+    area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
+    limit = thrust_limit(ground.cohesion, ground.friction_angle, area, VEHICLE.weight)
+    for slip, force in ((end.left_slip, end.left_thrust), (end.right_slip, end.right_thrust)):
+        expected = thrust(slip, limit, ground.value("shear_modulus"), VEHICLE.contact_length)
+        assert force == pytest.approx(expected, rel=1e-6)
+    resistance = end.left_resistance + end.right_resistance
+    assert end.left_thrust + end.right_thrust == pytest.approx(resistance, rel=1e-6)
+    assert resistance[0] == pytest.approx(ground.value("mu_r") * VEHICLE.weight, rel=1e-3)
+    turning = 0.5 * VEHICLE.tread * (end.right_thrust - end.left_thrust)
+    assert turning == pytest.approx(-end.turning_moment, rel=1e-3)
+    assert end.yaw_rate[0] < 0.0
+    tightness = 0.5 * VEHICLE.tread * abs(end.yaw_rate) / end.v_x
+    full = ground.value("mu_l") * VEHICLE.weight * VEHICLE.contact_length / 3.0
+    assert end.turning_moment == pytest.approx(full * tightness, rel=1e-6)
+
+
+def test_thesis_mode_needs_lateral_resistance() -> None:
+    with pytest.raises(InputError, match=r"soft_soil.*mu_r|soft_soil.*mu_l"):
+        simulate(load_scenario("straight"), soil="soft_soil", mode="thesis")
+
+
+@pytest.mark.parametrize("name", ["slalom", "start_stop"])
+def test_kinematic_truth_has_exactly_the_slips_of_its_constants(name: str) -> None:
+    turning = Turning(common_slip=0.02, efficiency=0.45, speed_loss=0.4, rotation_offset=0.1)
+    truth = simulate_kinematic(load_scenario(name), turning, soil("sandy_loam"), VEHICLE, SETTINGS)
+    left, right = (VEHICLE.rolling_radius * w for w in (truth.left_speed, truth.right_speed))
+    v_x = 0.98 * 0.5 * (left + right) - 0.5 * 0.4 * np.abs(right - left)
+    yaw_rate = 0.45 * (right - left) / VEHICLE.tread
+    np.testing.assert_allclose(truth.v_x, v_x, atol=1e-12)
+    np.testing.assert_allclose(truth.yaw_rate, yaw_rate, atol=1e-12)
+    np.testing.assert_allclose(truth.v_y, -0.1 * yaw_rate, atol=1e-12)
+    moving = np.abs(left) >= SETTINGS.slip_floor
+    slip = 1.0 - (v_x - 0.5 * VEHICLE.tread * yaw_rate)[moving] / left[moving]
+    np.testing.assert_allclose(truth.left_slip[moving], slip, atol=1e-12)
+    assert not truth.left_slip[~moving].any()
+    turned = np.sum(0.5 * (yaw_rate[1:] + yaw_rate[:-1])) * SETTINGS.sample_period
+    assert truth.yaw[-1] == pytest.approx(turned, abs=1e-4)
+
+
+def test_kinematic_circle_closes_on_its_radius() -> None:
+    turning = Turning(common_slip=0.0, efficiency=1.0, speed_loss=0.0, rotation_offset=0.0)
+    scenario = Scenario(name="circle", soil="sand", segments=(Segment(60.0, 1.5, 2.5),))
+    truth = simulate_kinematic(scenario, turning, soil("sand"), VEHICLE, SETTINGS)
+    steady = truth.t > 3.0
+    radius = 0.5 * VEHICLE.tread * (2.5 + 1.5) / (2.5 - 1.5)
+    centre_x = truth.x[steady] - radius * np.sin(truth.yaw[steady])
+    centre_y = truth.y[steady] + radius * np.cos(truth.yaw[steady])
+    assert np.ptp(centre_x) < 1e-6
+    assert np.ptp(centre_y) < 1e-6
+
+
+def test_unknown_mode_is_refused() -> None:
+    with pytest.raises(InputError, match=r"mode: 'magic' is unknown; accepted: shear, thesis"):
+        simulate(load_scenario("straight"), mode="magic")

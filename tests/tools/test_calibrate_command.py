@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip calibrate`` on recorded runs: the emulator's own numbers, a file for replay, refusals."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trackslip_common.errors import ExitCode
+from trackslip_tools.cli.main import main
+
+BAGS = Path(__file__).parents[2] / "bags"
+DRIVES = [str(BAGS / name) for name in ("slalom_sand", "spot_turn_sand", "soft_patch")]
+WIDEST = {
+    "gyro_bias": 0.002,
+    "gyro_sign": 0.0,
+    "gyro_scale": 0.1,
+    "pose_delay": 0.15,
+    "imu_roll": 0.02,
+    "imu_pitch": 0.02,
+    "left_pressure_offset": 1e4,  # 0.1 bar, although a stall traps 10 bar in the lines
+    "right_pressure_offset": 1e4,
+}
+TRUE = {
+    "gyro_bias": 0.002,
+    "gyro_sign": 1.0,
+    "gyro_scale": 1.0,
+    "pose_delay": 0.0,
+    "imu_roll": 0.0,
+    "imu_pitch": 0.0,
+    "left_pressure_offset": 0.0,
+    "right_pressure_offset": 0.0,
+}
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("calibrated")
+    output, summary = folder / "calibration.yaml", folder / "calibration.json"
+    assert main(["calibrate", *DRIVES, "--output", str(output), "--json", str(summary)]) == ExitCode.DONE
+    return {"file": output, **json.loads(summary.read_text())}
+
+
+@pytest.mark.parametrize("name", TRUE)
+def test_finds_the_emulators_own_numbers(found: dict[str, Any], name: str) -> None:
+    """One draw of the noise: twice the interval about its middle leaves out a right number once in 10 000."""
+    value, (low, high) = found["findings"][name]["value"], found["findings"][name]["interval"]
+    assert abs(value - TRUE[name]) <= high - low + 1e-12
+    assert high - low <= WIDEST[name]
+
+
+def test_slip_on_sand_is_within_the_radius_that_it_gives(found: dict[str, Any]) -> None:
+    """0.72 % on sand (docs: the shear truth), 1.6 % on the patch."""
+    low, high = found["findings"]["common_slip"]["interval"]
+    assert low <= 0.016
+    assert high >= 0.0072
+    assert found["findings"]["rolling_radius"]["value"] is None
+
+
+def test_replay_takes_the_file(found: dict[str, Any], tmp_path: Path) -> None:
+    summary = tmp_path / "replay.json"
+    options = ["--params", str(found["file"]), "--json", str(summary)]
+    assert main(["replay", DRIVES[0], *options]) == ExitCode.DONE
+    assert json.loads(summary.read_text())["rmse"]["filter"] < 0.02
+    assert found["parameters"]["slip_estimator"]["yaw_rate_signs"] == [1]
+    assert found["bags"] == DRIVES
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ([str(BAGS / "nowhere")], "not found"),
+        ([DRIVES[0], "--poses", "nothing"], "/nothing"),
+        ([DRIVES[0], "--gyro", "scan"], "accepted: sensor_msgs/msg/Imu"),
+        ([DRIVES[0], "--output", "/nowhere/calibration.yaml"], "cannot be written"),
+        ([], "BAG"),
+    ],
+)
+def test_bad_input_is_one_line(options: list[str], word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", *options]) == ExitCode.BAD_INPUT
+    message = capsys.readouterr().err
+    assert word in message
+    assert message.count("\n") == 1

@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration of made-up drives of known numbers: intervals that hold, and refusals with a reason."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_common.config_files import node_parameters, read_yaml
+from trackslip_estimation.slip.measurements import YawRate
+from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
+from trackslip_estimation.slip.sources import YawRateSource
+from trackslip_tools.calibration.calibrate import Calibration, calibrate
+from trackslip_tools.calibration.finding import Finding
+from trackslip_tools.calibration.output import summary, text, write_parameters
+from trackslip_tools.calibration.recording import Recording, Series, motions
+from trackslip_tools.calibration.regression import Increments, clustered, of_increments
+
+FloatArray = NDArray[np.float64]
+
+P = load_slip_parameters()
+SOURCES = ("imu/data_raw", "box_pose")
+RADIUS, TREAD = P.vehicle.rolling_radius, P.vehicle.tread
+COUNT = 5.1133e-4  # rad, of an encoder
+STAND, STRAIGHT = (5.0, 0.0, 0.0), (8.0, 2.2, 2.2)
+LEFT, RIGHT = (6.0, 1.2, 2.2), (6.0, 2.2, 1.2)
+DRIVE = (STAND, STRAIGHT, LEFT, STRAIGHT, RIGHT, STRAIGHT, LEFT, STRAIGHT, RIGHT, STAND)
+RUNS = 40
+LEAST_HITS = 34  # of 40: fewer have a probability of 0.3 % where 95 % are right
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a drive is made with."""
+
+    way: float = 0.1575  # r (1 − i₀), m
+    efficiency: float = 0.45  # κ
+    scale: float = 0.985  # along the unit's z axis
+    bias: float = 0.01  # rad/s
+    roll: float = 0.05  # rad
+    pitch: float = -0.08
+    gyro_late: float = 0.06  # s, the ground's lag in it
+    pose_late: float = 0.15  # s, beyond the gyro's
+    offsets: tuple[float, float] = (1.0e5, -0.5e5)  # Pa
+    legs: Sequence[tuple[float, float, float]] = DRIVE
+
+
+def recorded(made: Made, seed: int) -> Recording:
+    """A drive of that machine: (3.17)–(3.20) with κ and i₀, sensors at their own rates, with noise."""
+    rng, dt = np.random.default_rng(seed), 0.01
+    commands = np.concatenate([np.tile((left, right), (round(s / dt), 1)) for s, left, right in made.legs])
+    speeds = np.empty_like(commands)
+    now = np.zeros(2)
+    for k, command in enumerate(commands):
+        now = now + dt / 0.15 * (command - now)
+        speeds[k] = now
+    t = np.arange(len(speeds)) * dt
+    rate = made.efficiency * RADIUS * (speeds[:, 1] - speeds[:, 0]) / TREAD
+    speed = made.way * speeds.mean(axis=1) - 0.2 * RADIUS * np.abs(speeds[:, 1] - speeds[:, 0])
+    heading = np.cumsum(rate) * dt
+    path = np.column_stack((np.cumsum(speed * np.cos(heading)), np.cumsum(speed * np.sin(heading)))) * dt
+    angles = np.round(np.cumsum(speeds, axis=0) * dt / COUNT) * COUNT
+    at = np.arange(0.02, t[-1], 0.0844)
+    axis = np.array((-math.tan(made.pitch) / math.cos(made.roll), math.tan(made.roll), 1.0)) * made.scale
+    turned = np.interp(at - made.gyro_late, t, rate)[:, np.newaxis] * axis + (0.001, -0.002, made.bias)
+    fixed = np.arange(0.1, t[-1], 0.24)
+    seen = fixed - made.pose_late - made.gyro_late
+    poses = np.column_stack([np.interp(seen, t, column) for column in (*path.T, heading)])
+    poses += rng.normal(0.0, (0.03, 0.03, 0.02), poses.shape)
+    claimed = np.tile(np.square((0.05, 0.05, 0.03)), (len(fixed), 1))  # too modest, as sensors are
+    pressures = 2.0e6 * speeds + made.offsets + rng.normal(0.0, 3e4, speeds.shape)
+    sprockets = Series(t, angles)
+    return Recording(
+        f"drive {seed}",
+        sprockets,
+        Series(at, turned + rng.normal(0.0, 0.003, turned.shape)),
+        Series(fixed, np.column_stack((poses, claimed))),
+        Series(t, np.column_stack((pressures, commands / 3.0))),
+        motions(sprockets, P.motion),
+    )
+
+
+@cache
+def calibrated(made: Made, seed: int, hard_ground: bool = False) -> Calibration:
+    return calibrate([recorded(made, seed)], P, SOURCES, hard_ground=hard_ground)
+
+
+TRUE: Mapping[str, Callable[[Made], float]] = {
+    "gyro_bias": lambda m: m.bias,
+    "gyro_scale": lambda m: m.scale,
+    "pose_delay": lambda m: m.pose_late,
+    "imu_roll": lambda m: m.roll,
+    "imu_pitch": lambda m: m.pitch,
+    "left_pressure_offset": lambda m: m.offsets[0],
+    "right_pressure_offset": lambda m: m.offsets[1],
+    "effective_rolling_radius": lambda m: m.way,
+    "turning_efficiency": lambda m: m.efficiency,
+    "effective_tread": lambda m: TREAD / m.efficiency,
+    "common_slip": lambda m: 1.0 - m.way / RADIUS,
+}
+WIDEST = {"gyro_bias": 2e-3, "gyro_scale": 0.02, "pose_delay": 0.06, "imu_roll": 0.02, "imu_pitch": 0.02}
+WIDEST |= dict.fromkeys(("left_pressure_offset", "right_pressure_offset"), 1e4)
+WIDEST |= {"effective_rolling_radius": 0.002, "common_slip": 0.012}
+WIDEST |= {"turning_efficiency": 0.02, "effective_tread": 0.08}
+
+
+@pytest.mark.parametrize("name", TRUE)
+def test_intervals_hold_the_truth_as_often_as_they_say(name: str) -> None:
+    """And no more often than that by being wide: half of one is small."""
+    made = Made()
+    found = [calibrated(made, seed).findings[name] for seed in range(RUNS)]
+    true = TRUE[name](made)
+    hits = sum(low <= true <= high for low, high in (f.interval or (math.nan, math.nan) for f in found))
+    assert hits >= LEAST_HITS
+    assert np.median([half(f) for f in found]) < WIDEST[name]
+    values = np.array([f.value for f in found], dtype=np.float64)
+    assert half_of_median(found) < 4.0 * np.std(values)
+
+
+def half(finding: Finding) -> float:
+    assert finding.interval is not None
+    return (finding.interval[1] - finding.interval[0]) / 2.0
+
+
+def half_of_median(found: Sequence[Finding]) -> float:
+    return float(np.median([half(f) for f in found]))
+
+
+def test_the_delay_of_the_gyro_leaves_room_for_the_lag_of_the_ground() -> None:
+    for late in (0.06, -0.1):
+        for ground in (0.0, 0.03):
+            finding = calibrated(Made(gyro_late=late + ground), 1).findings["gyro_delay"]
+            assert finding.interval is not None
+            assert finding.interval[0] <= late <= finding.interval[1]
+            assert half(finding) < 0.03
+
+
+@pytest.mark.parametrize("scale", [-0.97, 1.03])
+def test_a_gyro_upside_down_is_told_by_headings_and_by_the_tracks(scale: float) -> None:
+    one = recorded(Made(scale=scale), 2)
+    blind = replace(one, poses=Series(np.empty(0), np.empty((0, 6))))
+    for recording in (one, blind):
+        assert calibrate([recording], P, SOURCES).findings["gyro_sign"].value == math.copysign(1.0, scale)
+    assert calibrate([one], P, SOURCES).findings["gyro_scale"].value == pytest.approx(scale, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("legs", "names", "word"),
+    [
+        (
+            (STAND, STRAIGHT, STRAIGHT),
+            ("gyro_scale", "pose_delay", "imu_roll", "imu_pitch"),
+            "rad tell something",
+        ),
+        ((STAND, STRAIGHT, STRAIGHT), ("turning_efficiency", "effective_tread", "gyro_delay"), "turns"),
+        (
+            (LEFT, RIGHT, LEFT, RIGHT),
+            ("effective_rolling_radius", "rolling_radius", "common_slip"),
+            "straights",
+        ),
+        ((STRAIGHT, LEFT, RIGHT), ("gyro_bias", "left_pressure_offset"), "does not stand"),
+        ((STAND, STAND), ("gyro_sign", "gyro_scale", "effective_tread", "rolling_radius"), ""),
+        (DRIVE, ("tread",), "tape"),
+    ],
+)
+def test_what_a_drive_does_not_show_is_refused_with_a_reason(
+    legs: Sequence[tuple[float, float, float]], names: Sequence[str], word: str
+) -> None:
+    findings = calibrated(Made(legs=tuple(legs)), 3).findings
+    for name in names:
+        assert not findings[name].is_found, name
+        assert findings[name].reason
+        assert word in findings[name].reason
+
+
+def test_missing_sensors_are_refused_too() -> None:
+    whole = recorded(Made(), 4)
+    none = Series(np.empty(0), np.empty((0, 6)))
+    deaf = replace(whole, gyro=Series(none.t, np.empty((0, 3))), hydraulics=Series(none.t, np.empty((0, 4))))
+    found = calibrate([deaf], P, SOURCES).findings
+    assert {name for name, finding in found.items() if finding.is_found} == {
+        "effective_rolling_radius",
+        "common_slip",
+    }
+    lost = calibrate([replace(whole, poses=none)], P, SOURCES).findings
+    assert not lost["gyro_scale"].is_found
+    assert not lost["effective_rolling_radius"].is_found
+    assert "taken as 1" in lost["turning_efficiency"].basis
+
+
+def test_radius_and_slip_are_told_apart_by_the_user_only() -> None:
+    soft, hard = (calibrated(Made(), 5, hard_ground) for hard_ground in (False, True))
+    assert not soft.findings["rolling_radius"].is_found
+    assert "hard-ground" in soft.findings["rolling_radius"].reason
+    assert hard.findings["rolling_radius"].value == soft.findings["effective_rolling_radius"].value
+    assert "common_slip" not in hard.findings
+    assert "vehicle.rolling_radius" not in soft.parameters[NODE]
+    assert {node for node, values in hard.parameters.items() if "vehicle.rolling_radius" in values} == {
+        NODE,
+        "soil_estimator",
+        "box_localizer",
+    }
+
+
+def test_bad_headings_and_gaps_do_no_harm() -> None:
+    """A quarter turn wrong in one of forty, doubtful ones, and seconds without the gyro."""
+    made = Made()
+    whole = recorded(made, 6)
+    poses = whole.poses.values.copy()
+    poses[::40, 2] += math.pi / 2.0
+    poses[20::50, 2], poses[20::50, 5] = 3.0, 1.0
+    kept = (whole.gyro.t < 20.0) | (whole.gyro.t > 23.0)
+    gyro = Series(whole.gyro.t[kept], whole.gyro.values[kept])
+    damaged = replace(whole, poses=Series(whole.poses.t, poses), gyro=gyro)
+    found = calibrate([damaged], P, SOURCES).findings
+    for name in ("gyro_scale", "pose_delay", "turning_efficiency"):
+        low, high = found[name].interval or (math.nan, math.nan)
+        assert low <= TRUE[name](made) <= high, name
+        assert high - low < 8.0 * WIDEST[name], name
+
+
+def test_oil_trapped_by_a_stop_is_no_offset() -> None:
+    """A stall that ends with closed spools leaves pressure in the lines for as long as it stands."""
+    made = Made(legs=(*DRIVE, STRAIGHT, (3.0, 0.0, 0.0)))
+    whole = recorded(made, 11)
+    values = whole.hydraulics.values.copy()
+    values[whole.hydraulics.t > whole.hydraulics.t[-1] - 3.0, :2] += (4.0e6, -4.0e6)
+    found = calibrate([replace(whole, hydraulics=Series(whole.hydraulics.t, values))], P, SOURCES).findings
+    for name in ("left_pressure_offset", "right_pressure_offset"):
+        low, high = found[name].interval or (math.nan, math.nan)
+        assert low <= TRUE[name](made) <= high, name
+        assert high - low < 2.0 * WIDEST[name], name
+
+
+def test_more_bags_tell_more() -> None:
+    recordings = [recorded(Made(), seed) for seed in range(4)]
+    all_of_them, one = (calibrate(r, P, SOURCES).findings for r in (recordings, recordings[:1]))
+    for name in ("gyro_scale", "effective_rolling_radius", "left_pressure_offset"):
+        assert half(all_of_them[name]) < 0.8 * half(one[name])
+
+
+def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
+    made = Made(scale=-0.985)
+    calibration = calibrated(made, 7, hard_ground=True)
+    path = tmp_path / "calibration.yaml"
+    write_parameters(path, calibration, ["one", "two"])
+    tree = read_yaml(path)
+    p = load_slip_parameters(node_parameters(tree, NODE, str(path)))
+    assert p.vehicle.rolling_radius == calibration.findings["rolling_radius"].value
+    assert p.yaw_rate_signs == (-1,)
+    assert p.yaw_rate_scales[0] == pytest.approx(0.985, abs=0.02)
+    assert p.turning.initial_efficiency == pytest.approx(made.efficiency, abs=0.02)
+    assert tree["watson_imu"]["ros__parameters"]["time_offset"] == pytest.approx(-made.gyro_late, abs=0.03)
+    late = made.gyro_late + made.pose_late
+    assert tree["sick_pls"]["ros__parameters"]["time_offset"] == pytest.approx(-late, abs=0.06)
+    evidence = path.read_text(encoding="utf-8")
+    assert all(f"# {line}" in evidence for line in text(calibration).splitlines())
+    assert "# from one" in evidence
+    assert summary(calibration, ["one"])["findings"]["tread"]["value"] is None
+
+
+def test_a_scaled_gyro_is_read_in_true_units() -> None:
+    source = YawRateSource(-1, 0.5, 10**9)
+    found = source.prepared(YawRate("imu/data_raw", 1, 0.2, 4e-6))
+    assert (found.rate, found.variance) == (pytest.approx(-0.4), pytest.approx(16e-6))
+
+
+def test_the_jackknife_sees_errors_that_go_together() -> None:
+    """Thirty clusters of twenty equal errors are thirty errors, not six hundred."""
+    rng = np.random.default_rng(8)
+    clusters = np.repeat(np.arange(30), 20)
+    X, hits = np.ones((600, 1)), 0
+    for _ in range(200):
+        fit = clustered(X, rng.normal(0.0, 1.0, 30)[clusters] + rng.normal(0.0, 0.1, 600), clusters)
+        assert fit is not None
+        hits += abs(fit.values[0]) <= fit.spread()
+    assert 180 <= hits <= 199
+
+
+def test_increments_find_both_noises() -> None:
+    """A slope under a walk and reading noise that claims to be twice as large: the interval is right."""
+    rng = np.random.default_rng(9)
+    hits, spreads, slopes = 0, [], []
+    for _ in range(100):
+        x = np.cumsum(rng.uniform(0.0, 1.0, 80))
+        y = 2.0 * x + np.cumsum(rng.normal(0.0, 0.05, 80)) + rng.normal(0.0, 0.5, 80)
+        claimed = np.ones(79)
+        joined = np.arange(79) > 0
+        fit = of_increments(
+            np.diff(x)[:, np.newaxis], Increments(np.diff(y), claimed, claimed, claimed, joined)
+        )
+        assert fit is not None
+        hits += abs(fit.values[0] - 2.0) <= fit.spread()
+        spreads.append(fit.spread())
+        slopes.append(fit.values[0])
+    assert hits >= 88
+    assert np.mean(spreads) < 3.0 * np.std(slopes)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the ``trackslip`` command refuses: exit code 2, and one line that names the mistake."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trackslip_bags.messages import make
+from trackslip_common.topics import TOPICS
+
+Refuse = Callable[..., str]
+WriteBag = Callable[..., Path]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ("--set slip_estimator.histery_window=3", "unknown parameter 'histery_window'"),
+        ("--set slip_estimator.vehicle.tred=3", "unknown parameter 'vehicle.tred'"),
+        ("--set slip_estimator.vehicle=3", "unknown parameter 'vehicle'"),
+        ("--set slip_estimator.vehicle.tread=0", "vehicle.tread: 0.0 is out of range; accepted: > 0 m"),
+        ("--set slip_estimator.gate_probability=1.5", "1.5 is out of range; accepted: > 0 and < 1"),
+        ("--set slip_estimator.history_window=.nan", "nan is out of range"),
+        ("--set slip_estimator.history_window=long", "'long' is not a number; accepted: > 0"),
+        ("--set slip_estimator.history_window=", "None is not a number"),
+        ("--set slip_estimator.jump_confirmations=2.5", "2.5 is not a whole number; accepted: >= 2"),
+        ("--set slip_estimator.use_heading=1", "1 is not true or false"),
+        ("--set slip_estimator.start=now", "accepted: one of first_fix, initial_pose"),
+        ("--set slip_estimator.pose_sources=box_pose", "'box_pose' is not a list of text"),
+        ("--set slip_estimator.odom_frame=2001-99-99", "not YAML"),
+        ("--set slip_estimator.odom_frame=[", "not YAML"),
+        ("--set history_window=3", "--set history_window=3: accepted: slip_estimator.<parameter>=<value>"),
+        ("--set emulator.seed=3", "accepted: slip_estimator.<parameter>=<value>"),
+        ("--set slip_estimator.history_window", "accepted: slip_estimator.<parameter>=<value>"),
+        ("--set slip_estimator.=3", "accepted: slip_estimator.<parameter>=<value>"),
+        ("--thin box_pose", "--thin box_pose: accepted: TOPIC:HZ"),
+        ("--thin box_pose:fast", "--thin box_pose:fast: accepted"),
+        ("--thin box_pose:1e12", "--thin box_pose:1e12: accepted"),
+        ("--thin bocks:1", "--thin bocks: there is no such topic; accepted: box_pose"),
+        ("--withhold box_pose:1", "--withhold box_pose:1: accepted"),
+        ("--withhold box_pose:4:1", "T0 < T1"),
+        ("--withhold bocks", "--withhold bocks: there is no such topic; accepted: box_pose"),
+        ("--remap box_pose", "--remap box_pose: accepted: from:=to"),
+        ("--remap bocks:=box_pose", "no messages on /bocks; it holds: /box_pose"),
+        ("--remap imu/data_raw:=box_pose", "/imu/data_raw is a sensor_msgs/msg/Imu; accepted: geometry_msgs"),
+        ("--reference truth", "no messages on /truth; it holds: /box_pose"),
+        ("--reference imu/data_raw", "imu/data_raw: it is a sensor_msgs/msg/Imu; accepted: geometry_msgs"),
+        ("--start 5 --stop 5", "accepted: start before stop"),
+        ("--start nan", "accepted: start before stop"),
+        ("--stop 1e300", "at most 1e+09 s"),
+        ("--start=-1e300", "at most 1e+09 s"),
+        ("--start soon", "invalid float value: 'soon'"),
+        ("--seed -1", "accepted: a whole number >= 0"),
+        ("--seed x", "accepted: a whole number >= 0"),
+        ("--params no_such.yaml", "file 'no_such.yaml' not found"),
+        ("--frequency 3", "unrecognized arguments: --frequency 3"),
+    ],
+)
+def test_a_bad_option_is_refused_in_one_line(bag: Path, refuse: Refuse, options: str, expected: str) -> None:
+    assert expected in refuse("replay", bag, *options.split(" "))
+
+
+@pytest.mark.parametrize(
+    "content", ["{", "slip_estimator: 3", "slip_estimator: {ros__parameters: {a: 1}}", "- 1", "\xff\n\t:"]
+)
+def test_a_bad_parameter_file_is_refused_in_one_line(
+    bag: Path, tmp_path: Path, refuse: Refuse, content: str
+) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text(content, encoding="utf-8")
+    refuse("replay", bag, "--params", path)
+
+
+@pytest.mark.parametrize("command", ["replay", "info"])
+def test_a_missing_bag_is_refused(tmp_path: Path, refuse: Refuse, command: str) -> None:
+    assert "nowhere' not found" in refuse(command, tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("name", ["log.txt", "log.mcap", "log.db3"])
+def test_a_text_file_is_no_bag(tmp_path: Path, refuse: Refuse, name: str) -> None:
+    (tmp_path / name).write_text("hello\n", encoding="utf-8")
+    assert "accepted: a rosbag2 directory" in refuse("replay", tmp_path / name)
+
+
+def test_a_bag_without_sprockets_is_refused(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, refuse: Refuse
+) -> None:
+    path = write_bag(tmp_path / "bag", [line for line in lines if line.topic != "sprockets"])
+    error = refuse("replay", path)
+    assert "no messages on /sprockets; it holds: /box_pose, /imu/data_raw, /reference_pose" in error
+
+
+@pytest.mark.parametrize(
+    "topic", ["sprockets", "imu/data_raw", "box_pose", "measurement_reports", "odometry"]
+)
+def test_a_topic_of_another_type_is_refused(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, refuse: Refuse, topic: str
+) -> None:
+    text = "std_msgs/msg/String"
+    others = [line for line in lines if line.topic != topic]
+    path = write_bag(
+        tmp_path / "bag",
+        [*others, lines[0]._replace(topic=topic, type_name=text, message=make(text, data="hello"))],
+    )
+    assert f"/{topic} is a {text}; accepted: {TOPICS[topic].type_name}\n" in refuse("replay", path)
+
+
+def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path, bag: Path, refuse: Refuse) -> None:
+    assert "exists already" in refuse("replay", bag, "--output", tmp_path)
+    assert "cannot be written" in refuse("replay", bag, "--json", tmp_path / "no" / "out.json")
+    assert "cannot be written" in refuse("replay", bag, "--json", tmp_path)
+
+
+@pytest.mark.parametrize("arguments", [[], ["drive"], ["replay"], ["import", "log.csv"]])
+def test_a_bad_command_line_is_refused(arguments: list[str], refuse: Refuse) -> None:
+    error = refuse(*arguments)
+    assert error.startswith("trackslip")
+    assert "--help" in error
+
+
+@pytest.mark.parametrize(
+    "arguments", [["replay", "nowhere"], ["replay", "--stop"], ["simulate", "--soil", "x"]]
+)
+def test_the_program_itself_leaves_with_2_and_one_line(arguments: list[str]) -> None:
+    command = [sys.executable, "-m", "trackslip_tools.cli.main", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_parameter_file_without_anything_for_the_estimator_is_refused(
+    bag: Path, tmp_path: Path, refuse: Refuse
+) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text("can_driver: {ros__parameters: {can_channel: can0}}\n", encoding="utf-8")
+    error = refuse("replay", bag, "--params", other)
+    assert f"--params {other}: nothing for slip_estimator in it; accepted: " in error

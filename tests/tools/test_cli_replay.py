@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip replay`` and ``info`` on a small bag: what is promised comes, and comes the same each time."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from trackslip_bags.messages import serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.types import typestore
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import ExitCode
+from trackslip_common.topics import TOPICS
+from trackslip_tools.cli.main import main
+
+Summary = Callable[..., dict[str, Any]]
+WriteBag = Callable[..., Path]
+
+KEYS = {"duration_s", "messages", "rejected", "final", "rmse", "nees", "real_time_factor"}
+
+
+def without_time(found: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in found.items() if name != "real_time_factor"}
+
+
+def test_the_summary_has_the_keys_of_the_contract(bag: Path, summary: Summary) -> None:
+    found = summary(bag)
+    assert found.keys() >= KEYS
+    assert found["final"].keys() == {"x", "y", "yaw", "left_slip", "right_slip"}
+    assert found["rmse"].keys() >= {"dead_reckoning", "encoder_gyro", "filter", "heading"}
+    assert found["messages"] == {"sprockets": 501, "imu/data_raw": 100, "box_pose": 51, "reference_pose": 501}
+    assert found["duration_s"] == pytest.approx(10.0)
+    assert found["real_time_factor"] > 0.0
+    assert found["reference"] == "reference_pose"
+    assert set(found["rejected"]) <= {"sprockets", "imu/data_raw", "box_pose"}
+    assert {reason for reasons in found["rejected"].values() for reason in reasons} == {"waiting"}
+
+
+def test_the_filter_beats_dead_reckoning(
+    bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rmse = summary(bag)["rmse"]
+    assert rmse["filter"] < 0.05
+    assert rmse["filter"] < rmse["encoder_gyro"] < rmse["dead_reckoning"]
+    shown = capsys.readouterr().out
+    for number in (rmse["filter"], rmse["encoder_gyro"], rmse["dead_reckoning"]):
+        assert f"{number:.4f}" in shown
+
+
+def test_the_same_replay_twice_is_the_same(bag: Path, summary: Summary) -> None:
+    options = ("--thin", "box_pose:2:0.1", "--seed", "3")
+    assert without_time(summary(bag, *options)) == without_time(summary(bag, *options))
+    assert summary(bag, *options)["final"] != summary(bag, *options[:2])["final"]
+
+
+def test_sqlite_replays_as_mcap(bag: Path, tmp_path: Path, lines: list[Any], summary: Summary) -> None:
+    writer = Writer(tmp_path / "sqlite", version=8, storage_plugin=StoragePlugin.SQLITE3)
+    with writer:
+        connections = {
+            line.topic: writer.add_connection(f"/{line.topic}", line.type_name, typestore=typestore())
+            for line in {line.topic: line for line in lines}.values()
+        }
+        for line in sorted(lines, key=lambda line: line.log_ns):
+            writer.write(connections[line.topic], line.log_ns, serialize(line.message))
+    assert next((tmp_path / "sqlite").glob("*.db3")).exists()
+    assert without_time(summary(tmp_path / "sqlite")) == without_time(summary(bag))
+
+
+def test_a_window_cuts_by_log_time(bag: Path, summary: Summary) -> None:
+    found = summary(bag, "--start", "2", "--stop", "5")
+    assert found["messages"]["sprockets"] == 150
+    assert found["duration_s"] == pytest.approx(3.0, abs=0.35)
+
+
+def test_a_window_beyond_the_bag_holds_nothing(
+    bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = summary(bag, "--start", "1000", code=ExitCode.FAILED)
+    assert (found["final"], found["messages"], found["nees"]) == (None, {}, None)
+    assert "no estimate" in capsys.readouterr().out
+
+
+def test_withheld_fixes_are_not_used_but_score(bag: Path, summary: Summary) -> None:
+    whole = summary(bag)
+    without = summary(bag, "--withhold", "box_pose:4:9", "--withhold", "imu/data_raw:4:9")
+    assert without["rmse"]["filter"] != whole["rmse"]["filter"]
+    assert without["rmse"]["dead_reckoning"] == whole["rmse"]["dead_reckoning"]
+    assert summary(bag, "--withhold", "/box_pose", code=ExitCode.FAILED)["final"] is None
+
+
+def test_another_reference_is_scored_whole(bag: Path, summary: Summary) -> None:
+    found = summary(bag, "--reference", "box_pose")
+    assert found["reference"] == "box_pose"
+    assert found["rmse"]["filter"] != summary(bag)["rmse"]["filter"]
+
+
+def test_a_remapped_topic_is_the_source(
+    bag: Path, tmp_path: Path, lines: list[Any], write_bag: WriteBag, summary: Summary
+) -> None:
+    names = {"box_pose": "gnss/pose", "sprockets": "wheels"}
+    renamed = write_bag(
+        tmp_path / "renamed", [line._replace(topic=names.get(line.topic, line.topic)) for line in lines]
+    )
+    remaps = ("--remap", "gnss/pose:=box_pose", "--remap", "/wheels:=sprockets")
+    assert without_time(summary(renamed, *remaps)) == without_time(summary(bag))
+    scored = summary(renamed, *remaps, "--reference", "box_pose")
+    assert scored["rmse"] == summary(bag, "--reference", "box_pose")["rmse"]
+
+
+def test_parameters_come_in_layers(bag: Path, tmp_path: Path, summary: Summary) -> None:
+    wide = tmp_path / "wide.yaml"
+    wide.write_text("/**: {ros__parameters: {vehicle: {tread: 1.46}}}\n", encoding="utf-8")
+    tread = "slip_estimator.vehicle.tread"
+    default, by_file = summary(bag), summary(bag, "--params", wide)
+    assert by_file["rmse"]["dead_reckoning"] != default["rmse"]["dead_reckoning"]
+    assert summary(bag, "--set", f"{tread}=1.46")["rmse"] == by_file["rmse"]
+    back = summary(bag, "--params", wide, "--set", f"{tread}=1", "--set", f"{tread}=0.73")
+    assert back["rmse"] == default["rmse"]
+
+
+def test_a_replay_of_a_recorded_run_matches_it(
+    bag: Path, tmp_path: Path, lines: list[Any], summary: Summary
+) -> None:
+    """What a replay wrote, put beside its inputs, is a recording; it replays to the same numbers."""
+    made = tmp_path / "made"
+    summary(bag, "--output", made, "--set", "slip_estimator.pose_timeouts=[9.0]")
+    with open_bag(made) as estimates:
+        assert {t.removeprefix("/"): i.type_name for t, i in estimates.topics.items()} == {
+            topic: TOPICS[topic].type_name
+            for topic in ("odometry", "track_slip", "measurement_reports", "slip_estimator/parameters")
+        }
+        written = [(m, estimates.deserialize(m.raw, m.type_name)) for m in estimates.messages()]
+    in_order = sorted(written, key=lambda pair: getattr(pair[1], "sequence", -1))
+    both, end_ns = tmp_path / "both", max(line.log_ns for line in lines) + 1
+    with BagWriter(both) as recording:
+        for line in sorted(lines, key=lambda line: line.log_ns):
+            recording.write(f"/{line.topic}", line.type_name, serialize(line.message), line.log_ns)
+        for k, (message, _) in enumerate(in_order):
+            recording.write(message.topic, message.type_name, message.raw, end_ns + k)
+    assert summary(both)["replay_matches"] is True
+    assert "replay_matches" not in summary(both, "--withhold", "box_pose:4:5")
+    assert summary(both, "--set", "slip_estimator.vehicle.tread=0.74")["replay_matches"] is False
+
+
+def test_info_lists_the_topics(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(bag)]) == ExitCode.DONE
+    shown = capsys.readouterr().out
+    for topic in ("/sprockets", "/imu/data_raw", "/box_pose", "/reference_pose"):
+        assert topic in shown
+
+
+def test_json_holds_null_for_what_is_no_number(
+    bag: Path, summary: Summary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: object) -> dict[str, Any]:
+        return {"final": {"x": float("nan")}, "K_interval": [0.1, float("inf")], "nees": None, "n": 3}
+
+    monkeypatch.setattr("trackslip_tools.cli.replay_command.summary", broken)
+    found = summary(bag)
+    assert found == {"final": {"x": None}, "K_interval": [0.1, None], "nees": None, "n": 3}
+
+
+def test_the_installed_program_helps() -> None:
+    done = subprocess.run(
+        [Path(sys.executable).with_name("trackslip"), "replay", "--help"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0
+    assert "--withhold" in done.stdout

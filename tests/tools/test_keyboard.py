@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys are heard one by one on a terminal, which is left as it was; a pipe is left alone."""
+
+import io
+import os
+import pty
+import sys
+from contextlib import suppress
+
+import pytest
+
+from trackslip_tools.cli.keyboard import Keyboard
+
+CHILD = """
+import sys, termios, time
+sys.path[:] = {path!r}
+from trackslip_tools.cli.keyboard import Keyboard
+before = termios.tcgetattr(0)
+text = ""
+with Keyboard() as keyboard:
+    assert keyboard.typed() == ""
+    print("ready", flush=True)
+    while not text.endswith("q"):
+        text += keyboard.typed()
+        time.sleep(0.01)
+print("typed", repr(text), termios.tcgetattr(0) == before, flush=True)
+"""
+
+
+def read_until(terminal: int, word: bytes) -> bytes:
+    """What the child writes, up to this or its end."""
+    heard = b""
+    with suppress(OSError):  # nobody is at the other end any more
+        while word not in heard:
+            heard += os.read(terminal, 1000)
+    return heard
+
+
+def test_keys_are_heard_without_enter_and_the_terminal_is_left_as_it_was() -> None:
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, [sys.executable, "-c", CHILD.format(path=sys.path)])
+    heard = read_until(terminal, b"ready")
+    assert heard.strip() == b"ready"  # the end of the line comes with it, or later
+    os.write(terminal, b"  x")
+    os.write(terminal, b"q")
+    assert b"typed '  xq' True" in read_until(terminal, b"True")
+    assert os.waitpid(pid, 0)[1] == 0
+    os.close(terminal)
+
+
+def test_a_pipe_gives_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("   "))
+    with Keyboard() as keyboard:
+        assert keyboard.typed() == ""

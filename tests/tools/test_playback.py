@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which messages of a bag a live graph is given, and when."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_tools.replay.edits import Edits, Withhold
+from trackslip_tools.replay.playback import OWN_OUTPUTS, Playback, Played, played, played_topics
+
+TEXT = "std_msgs/msg/String"
+S = 1_000_000_000
+BEGIN_NS = 1_000 * S
+
+
+def three() -> Iterator[Played]:
+    """At 0, 1 and 3 s."""
+    for t in (0, 1, 3):
+        yield Played("/a", BEGIN_NS + t * S, str(t).encode())
+
+
+def taken(playback: Playback, now_s: float) -> list[str]:
+    return [message.raw.decode() for message in playback.due(now_s)]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Ten messages, one each second, on each of four topics."""
+    with BagWriter(tmp_path / "bag") as bag:
+        for t in range(10):
+            for topic in ("/sprockets", "/odometry", "/clock", "/diagnostics"):
+                bag.write(topic, TEXT, serialize(make(TEXT, data=f"{topic} {t}")), BEGIN_NS + t * S)
+    return tmp_path / "bag"
+
+
+def test_messages_come_when_their_time_has_come() -> None:
+    playback = Playback(three, rate=1.0)
+    assert taken(playback, 50.0) == ["0"]
+    assert taken(playback, 50.9) == []
+    assert taken(playback, 51.0) == ["1"]
+    assert not playback.finished
+    assert taken(playback, 60.0) == ["3"]
+    assert playback.finished
+    assert playback.counts == {"/a": 3}
+
+
+def test_the_rate_stretches_time() -> None:
+    playback = Playback(three, rate=2.0)
+    assert taken(playback, 0.0) == ["0"]
+    assert taken(playback, 0.5) == ["1"]
+    assert playback.bag_ns == BEGIN_NS + 1 * S
+    assert taken(playback, 1.49) == []
+    assert taken(playback, 1.5) == ["3"]
+
+
+def test_nothing_comes_and_no_time_passes_in_a_pause() -> None:
+    playback = Playback(three, rate=1.0, paused=True)
+    assert taken(playback, 0.0) == []
+    assert taken(playback, 100.0) == []
+    assert playback.bag_ns == BEGIN_NS
+    playback.paused = False
+    assert taken(playback, 100.0) == ["0"]
+    playback.paused = True
+    assert taken(playback, 200.0) == []
+    playback.paused = False
+    assert taken(playback, 201.0) == ["1"]
+
+
+def test_what_is_not_taken_stays_due() -> None:
+    playback = Playback(three, rate=1.0)
+    playback.bag_ns += 10 * S
+    first = next(playback.due(0.0))
+    assert first.raw == b"0"
+    assert taken(playback, 0.0) == ["1", "3"]
+
+
+def test_a_loop_begins_again_with_its_time() -> None:
+    playback = Playback(three, rate=1.0, loop=True)
+    assert taken(playback, 0.0) == ["0"]
+    assert taken(playback, 1.0) == ["1"]
+    assert taken(playback, 3.0)[:2] == ["3", "0"]
+    assert not playback.finished
+    assert playback.bag_ns == BEGIN_NS
+    assert taken(playback, 4.0) == ["1"]
+
+
+def test_what_the_estimators_make_is_not_played_unless_asked_for(path: Path) -> None:
+    with open_bag(path) as bag:
+        assert played_topics(bag, Edits(), []) == {"/sprockets": TEXT}
+        assert played_topics(bag, Edits(), ["odometry", "/clock"]).keys() == {"/sprockets", "/odometry"}
+        assert {m.topic for m in played(bag, Edits(), ["/sprockets"])} == {"/sprockets"}
+    assert {"odometry", "track_slip", "slip_estimator/parameters"} <= OWN_OUTPUTS
+    assert not {"sprockets", "box_pose", "scan"} & OWN_OUTPUTS
+
+
+def test_window_names_and_outages_are_those_of_any_replay(path: Path) -> None:
+    edits = Edits(
+        start_s=2.0, stop_s=8.0, remap={"sprockets": "tracks"}, withhold=(Withhold("tracks", 4.0, 6.0),)
+    )
+    with open_bag(path) as bag:
+        topics = played_topics(bag, edits, [])
+        assert topics == {"/tracks": TEXT}
+        found = list(played(bag, edits, topics))
+        assert [(m.log_time_ns - BEGIN_NS) // S for m in found] == [2, 3, 6, 7]
+        assert bag.deserialize(found[0].raw, TEXT).data == "/sprockets 2"

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parts of a report that need no bag: thinning of curves, rates and gaps of topics."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_tools.report.decimate import extremes
+from trackslip_tools.report.recording import Timing
+
+
+def test_a_short_curve_stays_as_it_is() -> None:
+    assert extremes([np.arange(100.0)], 100).tolist() == list(range(100))
+
+
+@pytest.mark.parametrize("place", [0, 1, 4321, 9998, 9999])
+@pytest.mark.parametrize("size", [1.0, -1.0])
+def test_a_single_spike_survives_in_any_of_the_curves(place: int, size: float) -> None:
+    curves = [np.zeros(10_000), np.zeros(10_000)]
+    curves[1][place] = size
+    kept = extremes(curves, 400)
+    assert place in kept
+    assert len(kept) <= 400
+
+
+def test_first_and_last_sample_stay() -> None:
+    kept = extremes([np.sin(np.arange(5000.0))], 50)
+    assert kept[0] == 0
+    assert kept[-1] == 4999
+
+
+def test_a_break_stays_a_break() -> None:
+    values = np.sin(np.arange(5000.0))
+    values[2000:2300] = np.nan
+    kept = extremes([values], 200)
+    broken = np.isnan(values[kept])
+    assert broken.any()
+    assert (np.diff(np.flatnonzero(broken)) == 1).all()  # one stretch, between two that are whole
+    assert not broken[0]
+    assert not broken[-1]
+
+
+@given(
+    size=st.integers(1, 3000),
+    columns=st.integers(1, 3),
+    limit=st.integers(10, 500),
+    seed=st.integers(0, 1000),
+    holes=st.floats(0.0, 1.0),
+)
+def test_never_more_than_allowed_always_rising_and_no_extreme_lost(
+    size: int, columns: int, limit: int, seed: int, holes: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    curves = [np.where(rng.random(size) < holes, np.nan, rng.normal(size=size)) for _ in range(columns)]
+    kept = extremes(curves, limit)
+    assert len(kept) <= limit
+    assert (np.diff(kept) > 0).all()
+    assert kept[0] >= 0
+    assert kept[-1] < size
+    for curve in curves:
+        if np.isfinite(curve).any():
+            assert np.nanmax(curve[kept]) == np.nanmax(curve)
+            assert np.nanmin(curve[kept]) == np.nanmin(curve)
+
+
+def test_rate_and_loss_of_a_steady_topic() -> None:
+    times = np.arange(1000) * 0.01
+    lossy = Timing(np.delete(times, np.arange(50, 950, 20)))
+    assert lossy.regular
+    assert lossy.period == pytest.approx(0.01)
+    assert lossy.lost == pytest.approx(45 / 999, rel=1e-6)
+    assert Timing(times).lost == pytest.approx(0.0, abs=1e-9)
+    assert Timing(times).gaps == []
+
+
+def test_a_silence_is_a_gap_with_its_times() -> None:
+    times = np.concatenate((np.arange(0.0, 5.0, 0.1), np.arange(7.0, 12.0, 0.1)))
+    timing = Timing(times)
+    (gap,) = timing.gaps
+    assert gap == pytest.approx((4.9, 7.0))
+    assert timing.longest == pytest.approx(2.1)
+
+
+@pytest.mark.parametrize(
+    "times", [np.empty(0), np.array((3.0,)), np.full(20, 3.0), np.cumsum(np.tile((0.001, 0.9), 30))]
+)
+def test_of_a_topic_without_a_steady_rate_nothing_is_called_missing(times: np.ndarray) -> None:
+    timing = Timing(times)
+    assert not timing.regular
+    assert np.isnan(timing.lost)
+    assert timing.gaps == []

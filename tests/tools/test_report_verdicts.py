@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip report``: whether its innovations and verdicts tell an honest run from one that is not."""
+
+import dataclasses
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_common.tally import Tally
+from trackslip_estimation.slip.estimator import Estimate
+from trackslip_estimation.slip.measurements import Outcome, PoseFix, Report
+from trackslip_estimation.slip.models.model import Outputs
+from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.replay.edits import Arrival
+from trackslip_tools.replay.inputs import Inputs
+from trackslip_tools.replay.run import LiveComparison, Replay
+from trackslip_tools.report.innovations import innovation_panels, innovations_of, whitened_fixes
+from trackslip_tools.report.panel import GREEN, Form
+from trackslip_tools.report.recording import Timing
+from trackslip_tools.report.run import Run
+from trackslip_tools.report.tables import rejection_rows
+from trackslip_tools.report.verdict import State, verdicts
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def run(emulated_run: Run) -> Run:
+    return emulated_run
+
+
+def changed(run: Run, recording: dict[str, Any] | None = None, **replayed: Any) -> Run:
+    """The run with other findings."""
+    return dataclasses.replace(
+        run,
+        recording=dataclasses.replace(run.recording, **(recording or {})),
+        replay=dataclasses.replace(run.replay, **replayed),
+    )
+
+
+# Innovations
+
+
+def honest_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
+    """Fixes about a machine at rest whose pose is known with an error as claimed, times ``factor``."""
+    rng = np.random.default_rng(3)
+    own, theirs = np.diag((0.02, 0.03, 0.01)), np.diag((0.05, 0.04, 0.02))
+    outputs = Outputs(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
+    steps: list[tuple[Report, Estimate | None]] = []
+    arrivals = []
+    for k in range(size):
+        stamp_ns = k * 100 * MS
+        pose = factor * own @ rng.normal(size=3) + np.array((1.0, 2.0, np.pi))
+        steps.append((Report("sprockets", stamp_ns, Outcome.ACCEPTED), None))
+        estimate = Estimate(stamp_ns, pose, own @ own, outputs, Motion.STRAIGHT)
+        steps.append((Report("sprockets", stamp_ns, Outcome.ACCEPTED), estimate))
+        fix_pose = np.array((1.0, 2.0, -np.pi)) + factor * theirs @ rng.normal(size=3)
+        fix = PoseFix("box_pose", stamp_ns, fix_pose, theirs @ theirs)
+        arrivals.append(Arrival(stamp_ns, fix))
+        nis = float(rng.chisquare(3)) * factor**2
+        steps.append((Report("box_pose", stamp_ns, Outcome.ACCEPTED, nis, 21.1, 3), None))
+        steps.append((Report("box_pose", stamp_ns + 1, Outcome.GATED, 500.0, 21.1, 3), None))
+    inputs = Inputs(run.recording.start_ns, arrivals)
+    return dataclasses.replace(run, replay=Replay(1.0, 1.0, inputs, steps, Tally()))
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_whitened_fixes_of_an_honest_estimate_have_variance_one(run: Run, factor: float) -> None:
+    times, whitened = whitened_fixes(honest_run(run, factor))["box_pose"]
+    assert len(times) == 600
+    np.testing.assert_allclose(whitened.std(axis=0), factor, rtol=0.1)
+    np.testing.assert_allclose(whitened.mean(axis=0), 0.0, atol=0.15 * factor)
+
+
+def test_nis_counts_what_was_taken_and_shows_what_was_not(run: Run) -> None:
+    honest = honest_run(run)
+    found = innovations_of(honest)["box_pose"]
+    assert found.mean_ratio == pytest.approx(1.0, abs=0.1)
+    assert found.refused.sum() == 600
+    (panel,) = (p for p in innovation_panels([honest]) if p.title.startswith("box_pose: squared"))
+    by_label = {curve.label: curve for curve in panel.curves}
+    refused = by_label["refused"]
+    assert refused.form is Form.CROSSES
+    np.testing.assert_allclose(refused.values, 500.0 / 3.0)
+    np.testing.assert_allclose(by_label["gate"].values, 21.1 / 3.0)
+    expected, mean = by_label["expected, 95 %"], by_label["mean of 25"]
+    assert expected.colour == GREEN
+    assert expected.band is not None
+    inside = (mean.values > expected.band[0][0]) & (mean.values < expected.band[1][0])
+    assert 0.85 < inside.mean() < 1.0
+
+
+# Verdicts
+
+
+def test_a_good_drive_is_called_good(run: Run) -> None:
+    found = verdicts(run)
+    for name in ("Bag", "Position", "Slip", "Rates", "Gaps", "Rejections"):
+        assert found[name].state is State.OK, (name, found[name])
+    for name in ("Replay = live", "Soil"):
+        assert found[name].state is State.UNKNOWN, (name, found[name])
+
+
+def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]) -> Run:
+    times = change(run.recording.timings[topic].times)
+    return changed(run, recording={"timings": {**run.recording.timings, topic: Timing(times)}})
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("Bag", lambda r: changed(r, recording={"damage": "cut short"}), "cut short"),
+        ("Position", lambda r: dataclasses.replace(r, replay=honest_run(r, size=0).replay), "no fix"),
+        ("Honesty of the pose", lambda r: changed(r, nees=30.0), "3.16 times .* too sure"),
+        ("Honesty of the pose", lambda r: changed(r, nees=0.3), "0.32 times .* too modest"),
+        ("Honesty of the innovations", lambda r: honest_run(r, 2.0), "box_pose .* too sure"),
+        ("Slip", lambda r: changed(r, slip_rmse=0.06), "at most 0.05"),
+        (
+            "Replay = live",
+            lambda r: changed(r, live=LiveComparison(10, 3, 0.5, lost_reports=1, lost_inputs=2)),
+            "3 unmatched, 2 measurements and 1 reports lost",
+        ),
+        (
+            "Rates",
+            lambda r: with_timing(r, "sprockets", lambda t: np.delete(t, np.arange(5, len(t), 20))),
+            "sprockets 5.0 %",
+        ),
+        (
+            "Gaps",
+            lambda r: with_timing(r, "box_pose", lambda t: t[(t < 20.0) | (t > 23.0)]),
+            "Longer than its timeout: box_pose",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said(run: Run, name: str, change: Callable[[Run], Run], words: str) -> None:
+    found = verdicts(change(run))[name]
+    assert found.state is State.ATTENTION
+    assert re.search(words, found.words), found.words
+
+
+def test_rejections_are_shares_of_their_source(run: Run) -> None:
+    rejected = Tally()
+    rejected.add("box_pose", Outcome.GATED, 10)
+    rejected.add("sprockets", Outcome.WAITING, 1000)
+    few = changed(run, rejected=rejected)
+    share = 10 / run.replay.inputs.messages["box_pose"]
+    assert rejection_rows(few)[0] == ("box_pose", "gated", "10", f"{100.0 * share:.2f}")
+    found = verdicts(few)["Rejections"]
+    assert found.state is State.ATTENTION
+    assert "sprockets" not in found.value  # waiting for the first fix is no fault
+
+
+def test_equality_with_live_is_not_asked_of_other_parameters(run: Run) -> None:
+    live = LiveComparison(10, 10, 0.5, 0, 0)
+    other = changed(run, recording={"parameters": {"gate_probability": 0.5}}, live=live)
+    assert verdicts(other)["Replay = live"].state is State.UNKNOWN

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scores of paths made by hand."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.estimator import Estimate
+from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.scoring import (
+    Score,
+    Series,
+    mean_nees,
+    moving_slips,
+    path_of,
+    score,
+    slip_rmse,
+)
+
+FloatArray = NDArray[np.float64]
+
+EPOCH_NS = 1_700_000_000_000_000_000
+MS = 1_000_000
+
+
+def stamps(*ms: int) -> NDArray[np.int64]:
+    return np.array([EPOCH_NS + t * MS for t in ms], dtype=np.int64)
+
+
+def path(times: tuple[int, ...], *poses: tuple[float, float, float]) -> Path:
+    return Path(stamps(*times), np.array(poses))
+
+
+def estimate(ms: int, pose: tuple[float, float, float], covariance: FloatArray | None = None) -> Estimate:
+    nothing: Any = None  # of what scoring does not look at
+    P = np.eye(3) if covariance is None else covariance
+    return Estimate(EPOCH_NS + ms * MS, np.array(pose), P, nothing, nothing)
+
+
+def test_a_path_against_itself_has_no_error() -> None:
+    p = path((0, 100, 200), (0, 0, 0), (1, 1, 1), (2, 0, 4))
+    assert score(p, p) == Score(3, 0.0, 0.0)
+
+
+def test_root_mean_square_by_hand() -> None:
+    """Errors 5 m and 0; 0.1 and 0.3 rad."""
+    own = path((0, 100), (3, 4, 0.1), (1, 1, 0.3))
+    found = score(own, path((0, 100), (0, 0, 0), (1, 1, 0)))
+    assert found is not None
+    assert (found.samples, found.position) == (2, pytest.approx(math.sqrt(12.5)))
+    assert found.heading == pytest.approx(math.sqrt(0.05))
+
+
+def test_the_reference_counts_every_sample_at_its_own_stamp() -> None:
+    own = path((0, 100), (0, 0, 0), (1, 0, 0))
+    reference = path((0, 10, 50, 100), (0, 0, 0), (0.1, 0, 0), (0.5, 1, 0), (1, 0, 0))
+    found = score(own, reference)
+    assert found is not None
+    assert (found.samples, found.position) == (4, pytest.approx(0.5))
+
+
+def test_nothing_is_aligned() -> None:
+    found = score(path((0, 100), (1, 0, 0), (2, 0, 0)), path((0, 100), (0, 0, 0), (1, 0, 0)))
+    assert found is not None
+    assert found.position == pytest.approx(1.0)
+
+
+def test_only_what_the_path_covers_is_scored() -> None:
+    own = path((100, 200), (0, 0, 0), (0, 0, 0))
+    found = score(own, path((0, 100, 200, 300), (9, 9, 9), (0, 0, 0), (0, 0, 0), (9, 9, 9)))
+    assert found == Score(2, 0.0, 0.0)
+    assert score(own, path((0, 300), (0, 0, 0), (0, 0, 0))) is None
+
+
+def test_heading_errors_go_the_short_way_round() -> None:
+    own = path((0, 100), (0, 0, 3.1), (0, 0, 3.1 + 4 * math.pi))
+    found = score(own, path((0, 100), (0, 0, -3.1), (0, 0, -3.1)))
+    assert found is not None
+    assert found.heading == pytest.approx(2 * math.pi - 6.2)
+
+
+def test_the_path_of_estimates_turns_on_through_pi() -> None:
+    made = path_of([estimate(0, (0, 0, 3.1)), estimate(100, (1, 0, -3.1))])
+    assert made.poses[1, 2] == pytest.approx(2 * math.pi - 3.1)
+    assert made.at(stamps(50))[0, 2] == pytest.approx(math.pi)
+
+
+def test_nees_by_hand() -> None:
+    """(0.2, 0, 0) with σ = 0.1 is 4; the second error has correlated x and y."""
+    P = np.diag((0.01, 0.01, 0.01))
+    R = np.array(((0.01, 0.005, 0.0), (0.005, 0.01, 0.0), (0.0, 0.0, 0.04)))
+    own = [estimate(0, (0.2, 0, 0), P), estimate(100, (0.1, 0.1, 0.2), R)]
+    reference = path((0, 100), (0, 0, 0), (0, 0, 0))
+    second = 2 * 0.01 / 0.015 + 1.0  # along (1, 1) the variance is 0.015
+    assert mean_nees(own, reference) == pytest.approx((4.0 + second) / 2.0)
+
+
+def test_nees_takes_the_covariance_nearest_in_time() -> None:
+    own = [estimate(t, (1, 0, 0), np.eye(3) * v) for t, v in ((0, 1.0), (100, 4.0), (300, 16.0))]
+    for ms, variance in ((10, 1.0), (49, 1.0), (51, 4.0), (190, 4.0), (210, 16.0), (300, 16.0)):
+        assert mean_nees(own, path((ms,), (0, 0, 0))) == pytest.approx(1.0 / variance)
+
+
+def test_nees_is_none_where_nothing_is_covered() -> None:
+    assert mean_nees([estimate(0, (0, 0, 0))], path((50,), (0, 0, 0))) is None
+    assert mean_nees([estimate(0, (0, 0, 0))], path((0,), (0, 0, 0))) == 0.0
+
+
+def test_slips_are_compared_between_samples_left_and_right_together() -> None:
+    own = Series(stamps(0, 100), np.array(((0.0, 0.0, 9.0), (0.2, 0.1, 9.0))))
+    true = Series(stamps(-50, 50, 100), np.array(((9.0, 9.0, 0.0), (0.1, 0.05, 0.0), (0.5, 0.5, 0.0))))
+    assert slip_rmse(own, true) == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 4.0))
+    assert slip_rmse(own, Series(stamps(200), np.zeros((1, 3)))) is None
+
+
+def test_slips_are_scored_only_where_a_track_moves() -> None:
+    """At 0.73 m of tread: standing, creeping at 0.04 m/s, driving, reversing, turning on the spot."""
+    times = (0, 100, 200, 300, 400)
+    twists = ((0.0, 0.0), (0.04, 0.0), (0.3, 0.0), (-0.3, 0.0), (0.0, -0.2))
+    rows = [(0.0, 0.0, 0.0, v, 0.0, rate) for v, rate in twists]
+    odometry = Series(stamps(*times), np.array(rows))
+    slips = Series(stamps(*times, 500), np.arange(18, dtype=np.float64).reshape(6, 3))
+    kept = moving_slips(odometry, slips, 0.73)
+    np.testing.assert_array_equal(kept.stamps_ns, stamps(200, 300, 400))
+    np.testing.assert_array_equal(kept.values, slips.values[2:5])

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slip seeds in a bag: replayed to the last bit where they are listened to, and otherwise without a trace."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_bags.columns import IrregularError
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import InputError
+from trackslip_common.topics import TOPICS
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Outcome, SlipFix
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.soil.conversions import message_of
+from trackslip_estimation.soil.records import SlipSeed
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_tools.replay import inputs as reading
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.inputs import read_inputs
+from trackslip_tools.replay.output import write_estimates
+from trackslip_tools.replay.run import Replay, replay
+from trackslip_tools.replay.soil import SoilReplay
+from trackslip_tools.replay.soil_output import soil_messages
+
+SOURCE = {"slip_sources": ["slip_seed"]}
+MODELS = ("free_slips", "turning")
+_LATE_NS = 500_000_000
+REPORTS = TOPICS["measurement_reports"].type_name
+LAST_NS = 1_700_000_100_000_000_000  # after all else
+
+
+@pytest.fixture(scope="module")
+def seeded(
+    lines: list[Any], write_bag: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The drive with a seed in each straight leg, the second one nonsense; each 0.5 s late."""
+    origin_ns = min(line.log_ns for line in lines)
+    found = []
+    for t, slip in ((3.0, 0.02), (9.0, float("nan"))):
+        seed = SlipSeed(origin_ns + round(t * 1e9), np.full(2, slip), 1e-6 * (np.ones((2, 2)) + np.eye(2)))
+        message = message_of(make, seed, "base_link")
+        found.append(
+            type(lines[0])(seed.stamp_ns + _LATE_NS, "slip_seed", TOPICS["slip_seed"].type_name, message)
+        )
+    return write_bag(tmp_path_factory.mktemp("seeds") / "bag", [*lines, *found])
+
+
+def replayed(path: Path, **changes: Any) -> Replay:
+    with open_bag(path) as bag:
+        return replay(bag, load_slip_parameters(changes), Edits(), None)
+
+
+def numbers(result: Replay) -> list[bytes]:
+    return [
+        np.concatenate((e.pose, e.pose_covariance.ravel(), e.outputs.slips)).tobytes()
+        for e in result.estimates
+    ]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_replay_takes_seeds_as_the_estimator_does(seeded: Path, model: str) -> None:
+    result = replayed(seeded, **SOURCE, model=model)
+    reports = [report for report, _ in result.steps if report.source == "slip_seed"]
+    assert [report.outcome for report in reports] == [Outcome.ACCEPTED, Outcome.INVALID]
+    assert result.inputs.messages["slip_seed"] == 2
+    assert result.rejected.total["slip_seed", "invalid"] == 1
+    p = load_slip_parameters(SOURCE | {"model": model})
+    with open_bag(seeded) as bag:
+        given = [arrival.measurement for arrival in read_inputs(bag, p, Edits(), ()).arrivals]
+    assert sum(isinstance(m, SlipFix) for m in given) == 2
+    estimator = SlipEstimator(p)
+    estimates = [estimate for _, estimate in map(estimator.advance, given) if estimate is not None]
+    assert [e.outputs.slips.tobytes() for e in result.estimates] == [
+        e.outputs.slips.tobytes() for e in estimates
+    ]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_live_run_with_seeds_is_given_back(seeded: Path, model: str, tmp_path: Path) -> None:
+    result = replayed(seeded, **SOURCE, model=model)
+    write_estimates(tmp_path / "own", result, load_slip_parameters(SOURCE | {"model": model}))
+    messages = []
+    for path in (seeded, tmp_path / "own"):
+        with open_bag(path) as bag:
+            messages += [m for m in bag.messages() if m.topic != "/measurement_reports"]
+    with BagWriter(tmp_path / "live") as live:
+        for message in sorted(messages, key=lambda m: m.log_time_ns):
+            live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
+        for sequence, (report, _) in enumerate(result.steps):  # a journal in the order of arrival
+            raw = serialize(conversions.measurement_report(make, report, sequence))
+            live.write("/measurement_reports", REPORTS, raw, LAST_NS + sequence)
+    again = replayed(tmp_path / "live", **SOURCE, model=model)
+    assert again.live is not None
+    assert again.live.matches
+    assert again.live.largest_difference == 0.0
+    assert again.live.lost_inputs == 0
+    deaf = replayed(tmp_path / "live", model=model)
+    assert deaf.live is not None
+    assert not deaf.live.matches
+
+
+def test_seeds_that_nobody_asked_for_change_nothing(seeded: Path, bag: Path) -> None:
+    deaf, without = replayed(seeded), replayed(bag)
+    assert numbers(deaf) == numbers(without)
+    assert numbers(replayed(seeded, **SOURCE)) != numbers(without)
+
+
+def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def seeds() -> list[bytes]:
+        with open_bag(seeded) as bag:
+            inputs = read_inputs(bag, load_slip_parameters(SOURCE), Edits(), ())
+        fixes = [a.measurement for a in inputs.arrivals if isinstance(a.measurement, SlipFix)]
+        return [np.array((m.stamp_ns, *m.slips, *m.covariance.ravel())).tobytes() for m in fixes]
+
+    def none(*_: Any) -> None:
+        raise IrregularError("not here")
+
+    by_column = seeds()
+    monkeypatch.setattr(reading, "read_columns", none)
+    assert seeds() == by_column
+    assert len(by_column) == 2
+
+
+def test_a_topic_of_another_type_is_refused(seeded: Path) -> None:
+    with pytest.raises(InputError, match="box_pose is a geometry_msgs"):
+        replayed(seeded, slip_sources=["box_pose"])
+
+
+def test_a_replay_writes_the_seeds_of_its_soil_estimator() -> None:
+    seed = SlipSeed(5, np.array((0.01, 0.02)), np.eye(2))
+    written = {
+        topic: message for topic, message, _ in soil_messages(SoilReplay(load_soil_parameters(), [seed]))
+    }
+    assert (written["slip_seed"].left_slip, written["slip_seed"].right_slip) == (0.01, 0.02)

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The smoother over an emulated drive: better than the filter, most of all in outages; honest at breaks."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import ExitCode
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFix, Sprockets
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_tools.cli.main import main
+from trackslip_tools.smoothing.smoothing import Smoothed, smooth
+
+FloatArray = NDArray[np.float64]
+
+S = 1_000_000_000
+SIGMAS = (0.05, 0.05, 0.05)  # m, m, rad
+OUTAGE = (22 * S, 34 * S)  # of the fixes, while the machine turns both ways
+
+
+@pytest.fixture(scope="module")
+def outage(log: Any) -> Smoothed:
+    return smooth(without(log.measurements, PoseFix, *OUTAGE), load_slip_parameters())
+
+
+def without(found: tuple[Measurement, ...], kind: type, start_ns: int, stop_ns: int) -> list[Measurement]:
+    return [m for m in found if not (isinstance(m, kind) and start_ns <= m.stamp_ns < stop_ns)]
+
+
+def errors(
+    estimates: list[Estimate], log: Any, start_ns: int = 0, stop_ns: int = 2**62
+) -> tuple[float, float]:
+    """RMS of position, m, and of heading, rad."""
+    inside = [e for e in estimates if start_ns <= e.stamp_ns < min(stop_ns, int(log.truth_ns[-1]))]
+    found = np.array([e.pose - log.true_pose(e.stamp_ns) for e in inside])
+    found[:, 2] = np.angle(np.exp(1j * found[:, 2]))
+    position, heading = (
+        np.sqrt(np.mean(np.sum(found[:, :2] ** 2, axis=1))),
+        np.sqrt(np.mean(found[:, 2] ** 2)),
+    )
+    return float(position), float(heading)
+
+
+def rough(found: list[Measurement], seed: int) -> list[Measurement]:
+    """With fixes of 5 cm, one in four of those there are."""
+    rng = np.random.default_rng(seed)
+    fixes = [m for m in found if isinstance(m, PoseFix)][::4]
+    noisy = [
+        replace(m, pose=m.pose + rng.normal(0.0, SIGMAS), covariance=np.diag(np.square(SIGMAS)))
+        for m in fixes
+    ]
+    return [m for m in found if not isinstance(m, PoseFix)] + list(noisy)
+
+
+def test_is_better_than_the_filter_and_much_better_inside_an_outage(log: Any) -> None:
+    found = without(log.measurements, PoseFix, *OUTAGE)
+    runs = [smooth(rough(found, seed), load_slip_parameters()) for seed in range(4)]
+    for span, gain in (((0, 2**62), 0.8), (OUTAGE, 0.7)):
+        for number in range(2):  # position, heading
+            filtered = np.mean([errors(run.filtered, log, *span)[number] for run in runs])
+            smoothed = np.mean([errors(run.smoothed, log, *span)[number] for run in runs])
+            assert smoothed < gain * filtered
+
+
+def test_claims_no_more_than_it_may(log: Any, outage: Smoothed) -> None:
+    """Never less sure than the filter; and the errors fit what is claimed."""
+    gained = [
+        np.linalg.eigvalsh(f.pose_covariance - s.pose_covariance)[0] / np.trace(f.pose_covariance)
+        for f, s in zip(*outage, strict=True)
+    ]
+    assert min(gained) > -1e-9
+    weighed = []
+    for e in outage.smoothed:
+        error = e.pose - log.true_pose(e.stamp_ns)
+        error[2] = np.angle(np.exp(1j * error[2]))
+        weighed.append(error @ np.linalg.solve(e.pose_covariance, error))
+    assert np.mean(weighed) < 6.0, "3 if honest; one drive's errors are few and go together"
+
+
+def test_ends_where_the_filter_ends_in_any_order_of_arrival(log: Any, outage: Smoothed) -> None:
+    found = without(log.measurements, PoseFix, *OUTAGE)
+    shuffled = [found[i] for i in np.random.default_rng(3).permutation(len(found))]
+    again = smooth(shuffled, load_slip_parameters())
+    live = SlipEstimator(load_slip_parameters())
+    for measurement in sorted(found, key=lambda m: m.stamp_ns):
+        live.take(measurement)
+    for estimates in (outage.smoothed, again.smoothed, outage.filtered):
+        np.testing.assert_allclose(estimates[-1].pose, live.estimate().pose, atol=1e-9)
+    np.testing.assert_array_equal([e.pose for e in again.smoothed], [e.pose for e in outage.smoothed])
+
+
+def test_a_users_word_is_no_news_of_what_was_before(log: Any) -> None:
+    at_ns = 25 * S + 1
+    moved = log.true_pose(at_ns) + np.array((3.0, 0.0, 0.0))
+    word = PoseFix(SET_POSE, at_ns, moved, np.diag((1e-4, 1e-4, 1e-4)))
+    fixes = without(log.measurements, PoseFix, at_ns, 2**62)
+    told = smooth([*fixes, word], load_slip_parameters()).smoothed
+    plain = smooth([m for m in fixes if m.stamp_ns < at_ns], load_slip_parameters()).smoothed
+    before = [e.pose for e in told if e.stamp_ns < at_ns]
+    assert np.abs(np.array(before) - np.array([e.pose for e in plain])[: len(before)]).max() < 1e-6
+    assert abs(told[-1].pose[0] - log.true_pose(told[-1].stamp_ns)[0]) > 1.0
+
+
+def test_silent_sprockets_leave_a_gap_and_no_nonsense(log: Any) -> None:
+    gap = (20 * S, 22 * S)
+    found = smooth(without(log.measurements, Sprockets, *gap), load_slip_parameters())
+    assert not any(gap[0] <= e.stamp_ns < gap[1] for e in found.smoothed)
+    assert all(np.isfinite(e.pose).all() and np.isfinite(e.outputs.slips).all() for e in found.smoothed)
+    filtered, smoothed = (errors(estimates, log) for estimates in found)
+    assert smoothed[0] < filtered[0]
+
+
+@pytest.mark.parametrize("model", ["icr", "free_slips"])
+def test_serves_every_model_and_names_its_filter(log: Any, model: str) -> None:
+    p = load_slip_parameters({"model": model, "filter": "daf"})
+    found = smooth(without(log.measurements, PoseFix, *OUTAGE), p)
+    filtered, smoothed = (errors(estimates, log) for estimates in found)
+    assert smoothed[0] < filtered[0]
+    again = smooth(without(log.measurements, PoseFix, *OUTAGE), replace(p, filter="ekf"))
+    np.testing.assert_array_equal(again.smoothed[100].pose, found.smoothed[100].pose)
+
+
+def test_nothing_starts_without_a_fix(log: Any) -> None:
+    assert smooth([m for m in log.measurements if not isinstance(m, PoseFix)], load_slip_parameters()) == (
+        [],
+        [],
+    )
+
+
+def test_the_command_writes_a_bag_and_a_summary(emulated_bag: Path, tmp_path: Path) -> None:
+    output, summary = tmp_path / "smoothed", tmp_path / "summary.json"
+    options = ["--withhold", "box_pose:22:34", "--output", str(output), "--json", str(summary)]
+    assert main(["smooth", str(emulated_bag), *options]) == ExitCode.DONE
+    found = json.loads(summary.read_text())
+    assert found["reference"] == "truth/odometry"
+    for name in ("position", "heading"):
+        assert 0.0 < found["smoother"][name] < found["filter"][name]
+    assert 0.0 < found["smoother"]["slip"] < 0.1
+    with open_bag(output) as bag:
+        counts = {topic: info.count for topic, info in bag.topics.items()}
+    number = found["estimates"]
+    assert counts == {
+        "/slip_estimator/parameters": 1,
+        "/smoothed/odometry": number,
+        "/smoothed/track_slip": number,
+    }
+
+
+def test_the_command_without_a_start_fails_in_words(
+    emulated_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["smooth", str(emulated_bag), "--withhold", "box_pose"]) == ExitCode.FAILED
+    assert "no estimate" in capsys.readouterr().out
+
+
+def test_the_command_refuses_a_clock_that_went_back(
+    emulated_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A bag played twice into one recording."""
+    with open_bag(emulated_bag) as bag, BagWriter(tmp_path / "twice") as twice:
+        for again in range(2):
+            for m in bag.messages(("sprockets", "box_pose")):
+                log_ns = m.log_time_ns + again * (bag.end_ns - bag.start_ns + 1)
+                twice.write(m.topic, m.type_name, m.raw, log_ns)
+    assert main(["smooth", str(tmp_path / "twice")]) == ExitCode.BAD_INPUT
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "the clock goes back by 5" in message
+    assert main(["smooth", str(tmp_path / "twice"), "--stop", "50"]) == ExitCode.DONE

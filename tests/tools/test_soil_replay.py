@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The soil estimator in ``trackslip replay``: what it finds, what it says, and that it repeats itself."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import ExitCode
+from trackslip_common.soils import soil
+from trackslip_tools.cli.main import main
+
+KEYS = {"mu_r", "mu_l", "K", "K_interval", "F_max", "F_max_interval", "identifiable", "classes"}
+
+
+@pytest.fixture(scope="module")
+def replayed(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The bag of the estimates, and the summary."""
+    folder = tmp_path_factory.mktemp("soil")
+    arguments = ["--output", str(folder / "out"), "--json", str(folder / "out.json")]
+    assert main(["replay", str(emulated_bag), *arguments]) == ExitCode.DONE
+    return folder / "out", json.loads((folder / "out.json").read_text(encoding="utf-8"))
+
+
+def summary_of(bag: Path, folder: Path, *options: str) -> dict[str, Any]:
+    assert main(["replay", str(bag), "--json", str(folder / "s.json"), *options]) == ExitCode.DONE
+    found: dict[str, Any] = json.loads((folder / "s.json").read_text(encoding="utf-8"))
+    return found
+
+
+def test_the_summary_has_the_soil(replayed: tuple[Path, dict[str, Any]]) -> None:
+    found, true = replayed[1]["soil"], soil("sandy_loam")
+    assert found.keys() >= KEYS
+    assert found["mu_r"] == pytest.approx(true.value("mu_r"), rel=0.05)
+    for name in ("K", "F_max"):
+        low, high = found[f"{name}_interval"]
+        assert low < found[name] < high
+    assert sum(found["classes"].values()) == pytest.approx(1.0)
+    assert "none of these" in found["classes"]
+
+
+def test_forces_and_soil_are_in_the_output(replayed: tuple[Path, dict[str, Any]]) -> None:
+    with open_bag(replayed[0]) as bag:
+        counts = {topic: info.count for topic, info in bag.topics.items()}
+    assert counts["/soil_estimator/parameters"] == 1
+    assert 40 <= counts["/soil"] <= 60
+    assert 400 <= counts["/track_forces"] <= 600
+
+
+def test_replay_of_a_bag_with_live_forces_gives_them_again(
+    emulated_bag: Path, replayed: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    """Sensors and estimates in one bag; without the journal, whose log times are not those of a recorder."""
+    messages = []
+    for path in (emulated_bag, replayed[0]):
+        with open_bag(path) as bag:
+            messages += [m for m in bag.messages() if m.topic != "/measurement_reports"]
+    with BagWriter(tmp_path / "live") as live:
+        for message in sorted(messages, key=lambda m: m.log_time_ns):
+            live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
+    found = summary_of(tmp_path / "live", tmp_path)
+    assert found["soil"]["replay_matches"] is True
+    assert found["soil"]["mu_r"] == replayed[1]["soil"]["mu_r"]
+    other = summary_of(tmp_path / "live", tmp_path, "--set", "soil_estimator.dynamics.mu_r_walk=0.05")
+    assert other["soil"]["replay_matches"] is False
+
+
+def test_withheld_hydraulics_are_told_and_a_bag_without_them_has_no_soil(
+    emulated_bag: Path, bag: Path, tmp_path: Path
+) -> None:
+    blind = summary_of(emulated_bag, tmp_path, "--withhold", "hydraulics:20:40", "--stop", "45")["soil"]
+    assert blind["rejected"]["hydraulics"]["hydraulics silent"] > 1500
+    assert "soil" not in summary_of(bag, tmp_path)
+
+
+def test_a_parameter_that_is_none_is_refused(emulated_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = main(["replay", str(emulated_bag), "--set", "soil_estimator.nonsense=1"])
+    assert code == ExitCode.BAD_INPUT
+    assert "'nonsense'" in capsys.readouterr().err

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip tune``: files, exit codes, an interruption, and a cluster that finds what one process finds."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scipy.stats import chi2
+
+from trackslip_bags.reader import open_bag
+from trackslip_common.config_files import config_file, node_parameters, read_yaml
+from trackslip_common.errors import ExitCode
+from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
+from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_tools.cli.main import main
+from trackslip_tools.replay.edits import Edits
+from trackslip_tools.replay.run import replay
+from trackslip_tools.tuning.evidence import PARAMETERS
+from trackslip_tools.tuning.plan import read_plan, value_of
+from trackslip_tools.tuning.task import Task
+
+PLAN = """
+objective: pose
+evaluations: 24
+seed: 1
+parameters:
+  pose_timeouts: {low: 0.1, high: 3.0, scale: log}
+  gate_relaxation: {low: 2.0, high: 20.0}
+"""
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    file = tmp_path / "tune.yaml"
+    file.write_text(PLAN)
+    return file
+
+
+def tune(bag: Path, plan: Path, output: Path, *options: str) -> int:
+    return main(["tune", str(bag), "--plan", str(plan), "--output", str(output), "--stop", "20", *options])
+
+
+def test_it_leaves_parameters_and_evidence(
+    emulated_bag: Path, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert tune(emulated_bag, plan, out) == ExitCode.DONE
+    printed = capsys.readouterr()
+    assert "gate_relaxation" in printed.out
+    assert printed.err == ""
+    assert {file.name for file in out.iterdir()} == {
+        *("slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl")
+    }
+    found = json.loads((out / "evidence.json").read_text())
+    layer = node_parameters(read_yaml(out / "slip_estimator.yaml"), NODE, "tuned")
+    assert layer["gate_relaxation"] == found["values"]["after"]["gate_relaxation"]
+    assert load_slip_parameters(layer).pose_timeouts == (found["values"]["after"]["pose_timeouts"],)
+    assert main(["replay", str(emulated_bag), "--params", str(out / "slip_estimator.yaml")]) == ExitCode.DONE
+
+    before = (out / "evidence.json").read_text()
+    assert tune(emulated_bag, plan, out) == ExitCode.DONE
+    assert "going on" in capsys.readouterr().err
+    assert (out / "evidence.json").read_text() == before
+
+
+def test_ctrl_c_leaves_the_journal(
+    emulated_bag: Path, plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    score, calls = Task.score, []
+
+    def interrupted(self: Task, values: dict[str, float]) -> object:
+        calls.append(values)
+        if len(calls) > 10:
+            raise KeyboardInterrupt
+        return score(self, values)
+
+    monkeypatch.setattr(Task, "score", interrupted)
+    assert tune(emulated_bag, plan, tmp_path / "out", "--jobs", "1") == ExitCode.INTERRUPTED
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["journal.jsonl"]
+    assert len((tmp_path / "out" / "journal.jsonl").read_text().splitlines()) == 11
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),
+        (("--reference", "nothing"), "nothing"),
+        (("--plan", "nothing.yaml"), "file 'nothing.yaml' not found"),
+        (("--withhold", "box_pose"), "to start from"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(
+    emulated_bag: Path,
+    plan: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    options: tuple[str, ...],
+    words: str,
+) -> None:
+    monkeypatch.setattr("trackslip_tools.tuning.workers._ANSWERS", 1.0)
+    assert tune(emulated_bag, plan, tmp_path / "out", *options) == ExitCode.BAD_INPUT
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_two_workers_of_a_cluster_find_what_one_process_finds(
+    emulated_bag: Path, plan: Path, tmp_path: Path
+) -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, protocol="tcp"
+    ) as cluster:
+        address = cluster.scheduler_address
+        assert tune(emulated_bag, plan, tmp_path / "cluster", "--scheduler", address) == ExitCode.DONE
+    assert tune(emulated_bag, plan, tmp_path / "alone", "--jobs", "1") == ExitCode.DONE
+    for name in ("slip_estimator.yaml", "evidence.json"):
+        assert (tmp_path / "cluster" / name).read_text() == (tmp_path / "alone" / name).read_text()
+
+
+SLALOMS = [("slalom", "clayey_soil"), ("slalom", "sandy_loam"), ("thesis", "clayey_soil"), ("slalom", "sand")]
+TRIALS = [("field_trial", soil) for soil in ("sand", "sandy_loam", "dry_clay", "clayey_soil")]
+LONG = (pytest.mark.slow, pytest.mark.timeout(1200))
+APART = 7.0  # s after which errors of the pose are independent: the longest correlation time of their NEES
+
+
+def recorded(scenario: str, soil: str, seed: int, path: Path) -> Path:
+    p = load_emulator_parameters({"scenario": scenario, "soil": soil, "seed": seed})
+    record_drive(p, drive(p), path)
+    return path
+
+
+def start_off(plan: Path, file: Path, factor: float) -> Path:
+    """Process noise off by a factor; where it is too small, that of the fixes is ten times too large."""
+    ours = load_slip_parameters()
+    layer: dict[str, Any] = {name: factor * value_of(ours, name) for name in read_plan(plan).bounds}
+    floors = (0.07, 0.28) if factor < 1.0 else (ours.pose_position_floors[0], ours.pose_heading_floors[0])
+    layer |= {"pose_position_floors": [floors[0]], "pose_heading_floors": [floors[1]]}
+    file.write_text(yaml.safe_dump({NODE: {"ros__parameters": layer}}))
+    return file
+
+
+def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
+    """Position m, heading rad, NEES of what the estimator publishes."""
+    p = load_slip_parameters(*(node_parameters(read_yaml(layer), NODE, str(layer)) for layer in layers))
+    with open_bag(bag) as opened:
+        result = replay(opened, p, Edits(), None)
+    errors = result.scores["filter"]
+    assert errors is not None
+    assert result.nees is not None
+    return errors.position, errors.heading, result.nees
+
+
+@pytest.mark.parametrize(
+    ("drives", "factor", "evaluations"),
+    [
+        pytest.param(SLALOMS, 0.1, 100, id="slaloms"),
+        pytest.param(TRIALS, 0.1, 300, id="trials_too_small", marks=LONG),
+        pytest.param(TRIALS, 10.0, 300, id="trials_too_large", marks=LONG),
+    ],
+)
+def test_noise_ten_times_off_is_mended_on_three_bags_and_on_a_fourth(
+    drives: list[tuple[str, str]], factor: float, evaluations: int, tmp_path: Path
+) -> None:
+    """The error is halved over the three, the covariances are honest, and an unseen bag is better off."""
+    bags = [recorded(*names, 11 + k, tmp_path / f"bag{k}") for k, names in enumerate(drives)]
+    plan, out = tmp_path / "tune.yaml", tmp_path / "out"
+    ours = read_yaml(config_file("tune.yaml")) | {"evaluations": evaluations}
+    plan.write_text(yaml.safe_dump(ours, sort_keys=False))
+    start = start_off(plan, tmp_path / "off.yaml", factor)
+    options = ("--plan", str(plan), "--params", str(start), "--output", str(out), "--no-cross-validation")
+    assert main(["tune", *map(str, bags[:3]), *options]) == ExitCode.DONE
+
+    then = np.array([replayed(bag, start) for bag in bags])
+    now = np.array([replayed(bag, start, out / PARAMETERS) for bag in bags])
+    assert np.hypot.reduce(now[:3, 0]) < 0.5 * np.hypot.reduce(then[:3, 0])
+    for bag, nees in zip(bags[:3], now[:3, 2], strict=True):
+        with open_bag(bag) as opened:
+            independent = opened.duration_s / APART
+        low, high = chi2.ppf((0.025 / 3.0, 1.0 - 0.025 / 3.0), 3.0 * independent) / independent
+        assert low < nees < high
+    assert (now[3, :2] < then[3, :2]).all()
+    assert abs(np.log(now[3, 2] / 3.0)) < abs(np.log(then[3, 2] / 3.0))
