@@ -17,12 +17,12 @@ from pathlib import Path
 import bench_bags
 import bench_filters
 import bench_nodes
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_sim.truth.bench import drive_seconds
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.inputs import in_live_order
 from trackslip_tools.replay.run import replay
 
@@ -69,7 +69,7 @@ def _graph(directory: Path) -> None:
         show(f"  a bare relay for the estimator, {which}", f"{bare:.2f} ms", f"{bare / floor:.1f} ×")
     with open_bag(graph.bag) as bag:
         p = load_slip_parameters(bag_parameters(bag))
-        seconds = _median(lambda: _seconds(lambda: replay(bag, p, Edits(), None)))
+        seconds = _median(lambda: _seconds(lambda: replay(bag, p, InputFilters(), None)))
         show(
             f"replay of a bag of {bag.duration_s:.0f} s, all told",
             f"{bag.duration_s / seconds:.0f} × real time",
@@ -80,7 +80,7 @@ def _graph(directory: Path) -> None:
 
 def _estimator_us(bag: Bag, p: SlipEstimatorParameters) -> float:
     """µs a measurement takes, late ones and what is done again for them included."""
-    inputs = replay(bag, p, Edits(), None).inputs
+    inputs = replay(bag, p, InputFilters(), None).inputs
     measurements = list(in_live_order(inputs.arrivals, inputs.journal))
     estimator = SlipEstimator(p)
     seconds = _seconds(lambda: [estimator.advance(measurement) for measurement in measurements])

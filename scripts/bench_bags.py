@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -17,7 +18,6 @@ from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.simulate import simulate
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.inputs import in_live_order, read_inputs
 from trackslip_tools.replay.run import replay
 from trackslip_tools.tuning.reading import read_task
@@ -35,10 +35,10 @@ def rows(directory: Path) -> Iterator[tuple[str, str, str, str]]:
     with open_bag(path) as bag:
         seconds = bag.duration_s
         with _cache(directory):
-            cold = _median(lambda: replay(bag, p, Edits(), None).elapsed_s, _forget)
-            warm = _median(lambda: replay(bag, p, Edits(), None).elapsed_s)
-            inputs = read_inputs(bag, p, Edits(), ())
-            task = read_task(bag, p, Edits(), None, needs_reference=True)
+            cold = _median(lambda: replay(bag, p, InputFilters(), None).elapsed_s, _forget)
+            warm = _median(lambda: replay(bag, p, InputFilters(), None).elapsed_s)
+            inputs = read_inputs(bag, p, InputFilters(), ())
+            task = read_task(bag, p, InputFilters(), None, needs_reference=True)
     yield f"replay of {seconds:.0f} s, read for the first time", f"{seconds / cold:.0f} ×", "", "≥ 300 ×"
     yield "replay, from the cache", f"{seconds / warm:.0f} ×", "", ""
     measurements = list(in_live_order(inputs.arrivals, inputs.journal))

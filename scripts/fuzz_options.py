@@ -4,10 +4,10 @@
 import contextlib
 from collections.abc import Callable
 
+from trackslip_bags.input_filters import parse_remap, parse_thin, parse_withhold
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.replay_options import parse_set
-from trackslip_tools.replay.edits import parse_remap, parse_thin, parse_withhold
 
 Target = tuple[Callable[[bytes], None], list[bytes]]
 

@@ -18,12 +18,12 @@ from typing import Any
 
 import yaml
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.output import summary
 from trackslip_tools.replay.run import replay
 
@@ -88,7 +88,7 @@ def contents(path: Path) -> dict[str, Any]:
 def expected(path: Path) -> dict[str, Any]:
     """What a replay gives, as its JSON names it."""
     with open_bag(path) as bag:
-        found = summary(replay(bag, load_slip_parameters(), Edits(), None))
+        found = summary(replay(bag, load_slip_parameters(), InputFilters(), None))
     rmse = {name: round(value, 5) for name, value in found["rmse"].items() if value is not None}
     final = {name: round(value, 5) for name, value in found["final"].items()}
     return {"final": final, "rmse": rmse, "nees": round(found["nees"], 3), "rejected": found["rejected"]}

@@ -73,10 +73,10 @@ def contents(bag: Bag, topic: str) -> list[Any]:
     return [bag.deserialize(message.raw, message.type_name) for message in bag.messages([topic])]
 
 
-def changed(**edits: Any) -> dict[str, Any]:
+def changed(**filters: Any) -> dict[str, Any]:
     """The good mapping with dotted keys set (None removes); `__` stands for the dot."""
     mapping = copy.deepcopy(MAPPING)
-    for dotted, value in edits.items():
+    for dotted, value in filters.items():
         *parents, last = dotted.split("__")
         section = mapping
         for name in parents:

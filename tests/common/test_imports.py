@@ -10,12 +10,10 @@ from pathlib import Path
 import pytest
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
-ALLOWED = {
-    "trackslip_common": {"trackslip_msgs"},
-    "trackslip_drivers": {"trackslip_msgs", "trackslip_common"},
-    "trackslip_estimation": {"trackslip_msgs", "trackslip_common"},
-    "trackslip_sim": {"trackslip_msgs", "trackslip_common", "trackslip_drivers", "trackslip_estimation"},
-}
+LAYERS = ("trackslip_common", "trackslip_estimation", "trackslip_bags", "trackslip_tools", "trackslip_sim")
+ALLOWED = {package: {"trackslip_msgs", *LAYERS[:k]} for k, package in enumerate(LAYERS)}
+ALLOWED["trackslip_drivers"] = {"trackslip_msgs", "trackslip_common"}
+ALLOWED["trackslip_sim"].add("trackslip_drivers")
 ROSDEP_KEYS = {
     "can": "python3-can",
     "cantools": "python3-cantools-pip",

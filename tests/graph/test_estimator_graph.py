@@ -14,6 +14,7 @@ from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import Imu, JointState, LaserScan
 from trackslip_msgs.msg import MeasurementReport
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import node_defaults
@@ -21,7 +22,6 @@ from trackslip_common.parameters import from_flat
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.machine.scan_model import ANGLE_INCREMENT, ANGLE_MIN, TIME_INCREMENT, SiteScanner
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.run import replay
 
 pytestmark = pytest.mark.xdist_group("graph")
@@ -213,7 +213,7 @@ def is_given_back(path):
     """Replay makes the very numbers of the live run."""
     with open_bag(path) as bag:
         assert not bag.damage
-        result = replay(bag, load_slip_parameters(bag_parameters(bag)), Edits(), None)
+        result = replay(bag, load_slip_parameters(bag_parameters(bag)), InputFilters(), None)
     assert result.live is not None
     assert result.live.matches
     assert result.live.largest_difference == 0.0

@@ -9,6 +9,7 @@ from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_estimation.slip.conversions import planar_pose
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -16,7 +17,6 @@ from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
 from trackslip_sim.truth.simulate import simulate
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.run import replay
 
 pytestmark = pytest.mark.xdist_group("graph")
@@ -46,7 +46,7 @@ def seconds(stamp):
 
 def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
     with open_bag(path) as bag:
-        expected = replay(bag, load_slip_parameters(), Edits(), None).estimates[-1]
+        expected = replay(bag, load_slip_parameters(), InputFilters(), None).estimates[-1]
     odometry, clock = observer.listen("odometry"), []
     observer.node.create_subscription(Clock, "/clock", clock.append, qos_profile_sensor_data)
     programs.node("slip_estimator")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.cli import add_arguments, run
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.run import replay
 
 
@@ -44,7 +44,7 @@ def test_the_bag_holds_what_the_sensors_see(tmp_path: Path) -> None:
     with open_bag(bag) as opened:
         counts = {topic: info.count for topic, info in opened.topics.items()}
         p = load_slip_parameters()
-        result = replay(opened, p, Edits(), None)
+        result = replay(opened, p, InputFilters(), None)
     lead_in = 7.0
     assert counts["/sprockets"] == pytest.approx(100 * (3.0 + lead_in - 1.0), abs=3)
     assert counts["/hydraulics"] == pytest.approx(counts["/sprockets"], abs=1)

@@ -35,5 +35,5 @@ def test_a_bad_option_is_refused_in_one_line(
 def test_without_ros_it_says_so(
     bag: Path, refuse: Callable[..., str], monkeypatch: pytest.MonkeyPatch, node: str, words: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, f"trackslip_estimation.nodes.{node}", None)
+    monkeypatch.setitem(sys.modules, f"trackslip_bags.nodes.{node}", None)
     assert "ROS is not there" in refuse(*words.replace("BAG", str(bag)).split())

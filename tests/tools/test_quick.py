@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from trackslip_bags.columns import IrregularError
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import RESET, Command, Input, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.replay import inputs as reading
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.inputs import Inputs, read_inputs
 from trackslip_tools.replay.quick import Steps, quick_steps
 
@@ -95,18 +95,18 @@ def test_all_other_logs_go_one_by_one(log: Any, change: Callable[[list[Input]], 
 def test_columns_give_what_messages_give(emulated_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also of a part of the bag."""
 
-    def read(edits: Edits) -> Inputs:
+    def read(filters: InputFilters) -> Inputs:
         with open_bag(emulated_bag) as bag:
-            return read_inputs(bag, load_slip_parameters(), edits, SERIES)
+            return read_inputs(bag, load_slip_parameters(), filters, SERIES)
 
     def irregular(*_: Any) -> Any:
         raise IrregularError
 
-    for edits in (Edits(), Edits(start_s=10.0, stop_s=20.0)):
-        by_column = read(edits)
+    for filters in (InputFilters(), InputFilters(start_s=10.0, stop_s=20.0)):
+        by_column = read(filters)
         with monkeypatch.context() as patch:
             patch.setattr(reading, "_from_columns", irregular)
-            by_message = read(edits)
+            by_message = read(filters)
         assert bits(by_column.arrivals) == bits(by_message.arrivals)
         assert by_column.messages == by_message.messages
         assert bits([by_column.series[name] for name in SERIES]) == bits(

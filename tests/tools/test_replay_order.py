@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live order: by the journal where there is one, by log time for what it does not know."""
 
+from trackslip_bags.input_filters import Arrival
 from trackslip_estimation.slip.measurements import Measurement, YawRate
-from trackslip_tools.replay.edits import Arrival
 from trackslip_tools.replay.inputs import Taken, in_live_order, journal_gaps
 
 

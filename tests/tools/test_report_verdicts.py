@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trackslip_bags.input_filters import Arrival
 from trackslip_common.tally import Tally
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.measurements import Outcome, PoseFix, Report
 from trackslip_estimation.slip.models.model import Outputs
 from trackslip_estimation.slip.motion import Motion
-from trackslip_tools.replay.edits import Arrival
 from trackslip_tools.replay.inputs import Inputs
 from trackslip_tools.replay.run import LiveComparison, Replay
 from trackslip_tools.report.innovations import innovation_panels, innovations_of, whitened_fixes

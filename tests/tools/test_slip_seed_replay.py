@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from trackslip_bags.columns import IrregularError
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
@@ -22,7 +23,6 @@ from trackslip_estimation.soil.conversions import message_of
 from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay import inputs as reading
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.output import write_estimates
 from trackslip_tools.replay.run import Replay, replay
@@ -54,7 +54,7 @@ def seeded(
 
 def replayed(path: Path, **changes: Any) -> Replay:
     with open_bag(path) as bag:
-        return replay(bag, load_slip_parameters(changes), Edits(), None)
+        return replay(bag, load_slip_parameters(changes), InputFilters(), None)
 
 
 def numbers(result: Replay) -> list[bytes]:
@@ -73,7 +73,7 @@ def test_replay_takes_seeds_as_the_estimator_does(seeded: Path, model: str) -> N
     assert result.rejected.total["slip_seed", "invalid"] == 1
     p = load_slip_parameters(SOURCE | {"model": model})
     with open_bag(seeded) as bag:
-        given = [arrival.measurement for arrival in read_inputs(bag, p, Edits(), ()).arrivals]
+        given = [arrival.measurement for arrival in read_inputs(bag, p, InputFilters(), ()).arrivals]
     assert sum(isinstance(m, SlipFix) for m in given) == 2
     estimator = SlipEstimator(p)
     estimates = [estimate for _, estimate in map(estimator.advance, given) if estimate is not None]
@@ -115,7 +115,7 @@ def test_seeds_that_nobody_asked_for_change_nothing(seeded: Path, bag: Path) -> 
 def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def seeds() -> list[bytes]:
         with open_bag(seeded) as bag:
-            inputs = read_inputs(bag, load_slip_parameters(SOURCE), Edits(), ())
+            inputs = read_inputs(bag, load_slip_parameters(SOURCE), InputFilters(), ())
         fixes = [a.measurement for a in inputs.arrivals if isinstance(a.measurement, SlipFix)]
         return [np.array((m.stamp_ns, *m.slips, *m.covariance.ravel())).tobytes() for m in fixes]
 

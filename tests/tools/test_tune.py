@@ -10,6 +10,7 @@ import pytest
 import yaml
 from scipy.stats import chi2
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file, node_parameters, read_yaml
 from trackslip_common.errors import ExitCode
@@ -18,7 +19,6 @@ from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.run import replay
 from trackslip_tools.tuning.evidence import PARAMETERS
 from trackslip_tools.tuning.plan import read_plan, value_of
@@ -151,7 +151,7 @@ def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
     """Position m, heading rad, NEES of what the estimator publishes."""
     p = load_slip_parameters(*(node_parameters(read_yaml(layer), NODE, str(layer)) for layer in layers))
     with open_bag(bag) as opened:
-        result = replay(opened, p, Edits(), None)
+        result = replay(opened, p, InputFilters(), None)
     errors = result.scores["filter"]
     assert errors is not None
     assert result.nees is not None

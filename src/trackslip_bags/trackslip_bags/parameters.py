@@ -4,7 +4,6 @@
 A bag then replays with the vehicle it was recorded on, wherever its files have gone.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import yaml
@@ -16,12 +15,6 @@ from trackslip_common.parameters import flatten
 PARAMETERS_TOPIC = "slip_estimator/parameters"
 PARAMETERS_TYPE = "std_msgs/msg/String"
 _NODE = "slip_estimator"
-
-
-def parameters_text(parameters: Mapping[str, Any], node: str = _NODE) -> str:
-    """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them."""
-    text: str = yaml.safe_dump({node: {"ros__parameters": dict(parameters)}}, sort_keys=False)
-    return text
 
 
 def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:

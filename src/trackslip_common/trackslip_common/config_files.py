@@ -105,3 +105,9 @@ def node_defaults(node: str, *files: str) -> dict[str, Any]:
         path = config_file(name)
         values |= node_parameters(read_yaml(path), node, str(path))
     return values
+
+
+def parameters_text(parameters: Mapping[str, Any], node: str) -> str:
+    """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them."""
+    text: str = yaml.safe_dump({node: {"ros__parameters": dict(parameters)}}, sort_keys=False)
+    return text

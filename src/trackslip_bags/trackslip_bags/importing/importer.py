@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from trackslip_bags.importing.csv_log import FloatArray, read_columns
 from trackslip_bags.importing.mapping import LogMapping, TopicMapping
 from trackslip_bags.messages import header, make, serialize
-from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE, parameters_text
+from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
 from trackslip_bags.reader import absolute
 from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
+from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
 IntArray = NDArray[np.int64]
 Values = Mapping[str, float]  # field → value, SI
@@ -67,7 +69,7 @@ def import_log(log: Path, mapping: LogMapping, output: Path) -> Imported:
     left_out = Counter(entry.topic for entry in found if entry.stamp_ns < 0)
     with BagWriter(output) as bag:
         if mapping.parameters:
-            text = serialize(make(PARAMETERS_TYPE, data=parameters_text(mapping.parameters)))
+            text = serialize(make(PARAMETERS_TYPE, data=parameters_text(mapping.parameters, SLIP_NODE)))
             bag.write(absolute(PARAMETERS_TOPIC), PARAMETERS_TYPE, text, entries[0].stamp_ns)
         for entry in entries:
             bag.write(entry.topic, entry.type_name, entry.data, entry.stamp_ns)

@@ -13,13 +13,13 @@ from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
+from trackslip_bags.playback import Playback
 from trackslip_common.nodes.base import OK, Health, TrackslipNode
 from trackslip_common.nodes.messages import message_class
 from trackslip_common.nodes.qos import offered, reliable
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import Parameters
 from trackslip_common.topics import TOPICS
-from trackslip_tools.replay.playback import Playback
 
 _TICK = 0.002  # s, how late a message may be
 _LONGEST_TICK = 0.05  # s of publishing, before the executor has its turn

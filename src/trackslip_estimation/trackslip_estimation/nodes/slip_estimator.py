@@ -9,7 +9,7 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
 
-from trackslip_bags.parameters import parameters_text
+from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class
@@ -30,6 +30,7 @@ from trackslip_estimation.slip.measurements import (
     Reload,
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters, reloadable
+from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import named
 
@@ -119,7 +120,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         return SetParametersResult(successful=True)
 
     def _tell_parameters(self) -> None:
-        text = parameters_text(to_flat(self.settings))
+        text = parameters_text(to_flat(self.settings), SLIP_NODE)
         self._parameters_used.publish(make("std_msgs/msg/String", data=text))
 
     def _announce_tf(self) -> Any:

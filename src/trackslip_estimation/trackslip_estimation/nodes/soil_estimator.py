@@ -7,7 +7,7 @@ from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 
-from trackslip_bags.parameters import parameters_text
+from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import Health, TrackslipNode
 from trackslip_common.nodes.messages import make, topic_class

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.errors import ExitCode
 from trackslip_estimation.slip.measurements import Sprockets
@@ -28,7 +29,6 @@ from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.truth.record import Truth
 from trackslip_tools.replay.dead_reckoning import dead_reckon
-from trackslip_tools.replay.edits import Edits, Withhold
 from trackslip_tools.replay.run import Replay, replay
 from trackslip_tools.replay.scoring import MOVING, in_order
 
@@ -113,7 +113,7 @@ class _Comparison:
         )
 
     def _replay(self, withheld: tuple[Withhold, ...]) -> Replay:
-        return replay(self._bag, self._p, Edits(withhold=withheld), None)
+        return replay(self._bag, self._p, InputFilters(withhold=withheld), None)
 
     def _time(self, stamps_ns: Sequence[int]) -> FloatArray:
         """Seconds of the drive."""

@@ -9,6 +9,7 @@ from pathlib import Path as File
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
 from trackslip_common.topics import SENSOR_TOPICS
@@ -17,7 +18,6 @@ from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.demo.soil_results import SoilResult, soil_result
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP
 from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, LiveComparison, replay
 from trackslip_tools.replay.scoring import Score, Series, moving_slips, score, slip_rmse
@@ -87,9 +87,9 @@ def evaluate(
 ) -> DemoResult | None:
     """Replay the bag and score its live estimates over the drive; None where it holds no estimates."""
     p = load_slip_parameters(bag_parameters(bag))
-    result = replay(bag, p, Edits(), TRUE_ODOMETRY)
+    result = replay(bag, p, InputFilters(), TRUE_ODOMETRY)
     of_soil = load_soil_parameters(bag_parameters(bag, SOIL_NODE))
-    soil = replay_soil(bag, result.inputs, result.estimates, Edits(), of_soil)
+    soil = replay_soil(bag, result.inputs, result.estimates, InputFilters(), of_soil)
     series = result.inputs.series
     if result.live is None or any(name not in series for name in (TRUE_ODOMETRY, TRUE_SLIP, TRACK_SLIP)):
         return None

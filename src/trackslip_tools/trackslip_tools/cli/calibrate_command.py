@@ -5,6 +5,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from trackslip_bags.input_filters import relative
 from trackslip_bags.reader import Bag, open_bag, require_topics
 from trackslip_common.errors import ExitCode
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -14,7 +15,6 @@ from trackslip_tools.calibration.recording import read_recording
 from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import shown
-from trackslip_tools.replay.edits import relative
 
 DESCRIPTION = (
     "Find rolling radius, gyro scale and mounting, delays and offsets from bags, with 95 % intervals."

@@ -14,7 +14,7 @@ def node_module(name: str, asked_by: str) -> Any:
         InputError: ROS is not there; ``asked_by`` opens the message.
     """
     try:
-        return importlib.import_module(f"trackslip_estimation.nodes.{name}")
+        return importlib.import_module(f"trackslip_bags.nodes.{name}")
     except ModuleNotFoundError as error:
         text = (
             f"{asked_by}: ROS is not there (no module {error.name}); accepted: a shell that sourced its setup"

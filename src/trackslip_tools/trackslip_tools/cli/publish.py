@@ -10,12 +10,12 @@ from functools import partial
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.playback import Playback, played, played_topics
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.errors import InputError
 from trackslip_tools.cli.keyboard import Keyboard
 from trackslip_tools.cli.nodes import node_module
-from trackslip_tools.replay.edits import Edits
-from trackslip_tools.replay.playback import Playback, played, played_topics
 
 _RATES = (0.01, 100.0)
 _OFFLINE = ("params", "set", "thin", "reference", "output", "json")  # options that make no sense here
@@ -48,23 +48,23 @@ def refuse_without_publish(args: argparse.Namespace) -> None:
     _refuse(args, _LIVE, "only together with --publish")
 
 
-def publish(bag: Bag, edits: Edits, args: argparse.Namespace) -> int:
+def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     """Play the bag; returns the exit code.
 
     Raises:
         InputError: an option or a topic cannot be used, or ROS is not there.
     """
     _refuse(args, _OFFLINE, "not together with --publish")
-    require_topics(bag, [*edits.remap, *args.also])
+    require_topics(bag, [*filters.remap, *args.also])
     player = node_module("player", "--publish")
-    topics = played_topics(bag, edits, args.also)
+    topics = played_topics(bag, filters, args.also)
     for topic in [topic for topic, kind in topics.items() if not player.can_publish(kind)]:
         print(f"note: {topic} is left out, {topics.pop(topic)} is not installed", file=sys.stderr)
-    for edit in edits.withhold:
+    for edit in filters.withhold:
         if f"/{edit.topic}" not in topics:
             accepted = ", ".join(sorted(topics))
             raise InputError(f"--withhold {edit.topic}: there is no such topic; accepted: {accepted}")
-    playback = Playback(partial(played, bag, edits, topics), args.rate or 1.0, args.paused, args.loop)
+    playback = Playback(partial(played, bag, filters, topics), args.rate or 1.0, args.paused, args.loop)
     if playback.finished:
         raise InputError(f"bag '{bag.path}': nothing to publish between --start and --stop")
     with Keyboard() as keyboard, _progress(bag) as show:

@@ -34,18 +34,18 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    edits, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
     with open_bag(args.bag) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
         if args.publish:
-            return publish.publish(bag, edits, args)
+            return publish.publish(bag, filters, args)
         publish.refuse_without_publish(args)
         p = replay_options.parameters_of(bag, args.params, args.set)
-        replay_options.require_named(bag, p, edits, reference)
+        replay_options.require_named(bag, p, filters, reference)
         of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
-        result = replay(bag, p, edits, reference)
-        result.soil = replay_soil(bag, result.inputs, result.estimates, edits, of_soil)
+        result = replay(bag, p, filters, reference)
+        result.soil = replay_soil(bag, result.inputs, result.estimates, filters, of_soil)
     print(text(result))
     if args.output is not None:
         write_estimates(args.output, result, p)

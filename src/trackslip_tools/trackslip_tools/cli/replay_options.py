@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_parameters, parse_yaml, read_yaml
@@ -16,7 +17,6 @@ from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
-from trackslip_tools.replay.edits import Edits, parse_remap, parse_thin, parse_withhold, relative
 from trackslip_tools.replay.inputs import SPROCKETS
 
 _LONGEST = 1e9  # s, some thirty years
@@ -50,7 +50,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--reference", metavar="TOPIC", help="score against this topic, every sample of it")
 
 
-def edits_of(args: argparse.Namespace) -> Edits:
+def edits_of(args: argparse.Namespace) -> InputFilters:
     """What the options change in a bag.
 
     Raises:
@@ -59,7 +59,7 @@ def edits_of(args: argparse.Namespace) -> Edits:
     if not -_LONGEST <= args.start < args.stop or _LONGEST < args.stop < math.inf:
         accepted = f"start before stop, both at most {_LONGEST:g} s"
         raise InputError(f"--start {args.start:g} --stop {args.stop:g}: accepted: {accepted}")
-    return Edits(
+    return InputFilters(
         start_s=args.start,
         stop_s=args.stop,
         remap=dict(map(parse_remap, args.remap)),
@@ -115,14 +115,14 @@ def reference_of(args: argparse.Namespace) -> str | None:
     return relative(args.reference) if args.reference else None
 
 
-def require_named(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None) -> None:
+def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None) -> None:
     """A topic that an option names and nobody knows is a slip of the pen.
 
     Raises:
         InputError: there is such a topic.
     """
-    require_topics(bag, edits.remap)
-    types = {edits.remap.get(relative(t), relative(t)): info.type_name for t, info in bag.topics.items()}
+    require_topics(bag, filters.remap)
+    types = {filters.remap.get(relative(t), relative(t)): info.type_name for t, info in bag.topics.items()}
     if reference is not None and reference not in types:
         require_topics(bag, [reference])
     if reference is not None and types[reference] not in _POSES:
@@ -130,7 +130,7 @@ def require_named(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference:
         raise InputError(f"--reference {reference}: it is a {types[reference]}; accepted: {accepted}")
     sources = (*p.pose_sources, *p.yaw_rate_sources, *p.slip_sources)
     known = types.keys() | {SPROCKETS, *filter(None, sources)}
-    for option, named in (("--withhold", edits.withhold), ("--thin", edits.thin)):
+    for option, named in (("--withhold", filters.withhold), ("--thin", filters.thin)):
         for edit in named:
             if edit.topic not in known:
                 there = ", ".join(sorted(known))

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     count = len(args.bags) * len(files)
     if count > MOST_RUNS:
         raise InputError(f"{count} runs (bags × --params) in one report; accepted: at most {MOST_RUNS}")
-    edits, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
     several = (len(args.bags) > 1, len(files) > 1)
     pairs = [(path, name) for path in args.bags for name in files]
     recordings: dict[Path, Recording] = {}
@@ -58,12 +58,12 @@ def run(args: argparse.Namespace) -> int:
             given = ([] if name == _OWN else [name], args.set)
             p = replay_options.parameters_of(bag, *given)
             of_soil = replay_options.soil_parameters_of(bag, p, *given)
-            replay_options.require_named(bag, p, edits, reference)
+            replay_options.require_named(bag, p, filters, reference)
             if path not in recordings:
-                recordings[path] = read_recording(bag, edits)
-            result = replay(bag, p, edits, reference)
-            result.soil = replay_soil(bag, result.inputs, result.estimates, edits, of_soil)
-        made = Run(_label(path, name, *several), recordings[path], p, edits, result)
+                recordings[path] = read_recording(bag, filters)
+            result = replay(bag, p, filters, reference)
+            result.soil = replay_soil(bag, result.inputs, result.estimates, filters, of_soil)
+        made = Run(_label(path, name, *several), recordings[path], p, filters, result)
         runs.append(replace(made, smoothed=smooth(made.inputs, p).smoothed) if args.smooth else made)
     page = _page(runs)
     _write(args.output, page)

@@ -33,13 +33,13 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    edits, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
     with open_bag(args.bag) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
         p = replay_options.parameters_of(bag, args.params, args.set)
-        replay_options.require_named(bag, p, edits, reference)
-        result = smooth_bag(bag, p, edits, reference, partial(shown, label="filtering"))
+        replay_options.require_named(bag, p, filters, reference)
+        result = smooth_bag(bag, p, filters, reference, partial(shown, label="filtering"))
     print(result)
     if args.output is not None:
         write_smoothed(args.output, result, p)

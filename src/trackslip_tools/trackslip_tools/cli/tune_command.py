@@ -69,10 +69,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
-    edits, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
     with open_bag(path) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
         p = replay_options.parameters_of(bag, args.params, args.set)
-        replay_options.require_named(bag, p, edits, reference)
-        return read_task(bag, p, edits, reference, needs_reference=needs_reference)
+        replay_options.require_named(bag, p, filters, reference)
+        return read_task(bag, p, filters, reference, needs_reference=needs_reference)

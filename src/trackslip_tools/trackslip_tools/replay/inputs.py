@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trackslip_bags.column_cache import read_columns
 from trackslip_bags.columns import Columns, IrregularError
+from trackslip_bags.input_filters import Arrival, InputFilters, relative
 from trackslip_bags.parameters import bag_parameters, read_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.errors import InputError
@@ -31,7 +32,6 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, reloadable
 from trackslip_tools.replay import columns as by_column
-from trackslip_tools.replay.edits import Arrival, Edits, relative
 from trackslip_tools.replay.scoring import Series
 
 FloatArray = NDArray[np.float64]
@@ -75,19 +75,21 @@ class Inputs:
     messages: Counter[str] = field(default_factory=Counter)  # by topic, all that was read
 
 
-def read_inputs(bag: Bag, p: SlipEstimatorParameters, edits: Edits, series: tuple[str, ...]) -> Inputs:
+def read_inputs(
+    bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, series: tuple[str, ...]
+) -> Inputs:
     """Read the estimator's topics, its journal, and the numbers of the topics named in ``series``.
 
     Raises:
         InputError: the bag lacks the sprockets or is damaged.
     """
-    backwards = {after: before for before, after in edits.remap.items()}
+    backwards = {after: before for before, after in filters.remap.items()}
     require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
     readers = _readers(p)
-    names = {topic: edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+    names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
     names = {topic: name for topic, name in names.items() if name in readers or name in (REPORTS, *series)}
     _require_types(bag, names, p)
-    span = _Span(*(absolute_time(bag, t) for t in (edits.start_s, edits.stop_s)))
+    span = _Span(*(absolute_time(bag, t) for t in (filters.start_s, filters.stop_s)))
     try:
         inputs = _from_columns(bag, names, readers, series, span)
     except IrregularError:

@@ -5,12 +5,14 @@ from pathlib import Path
 from typing import Any
 
 from trackslip_bags.messages import make, serialize
-from trackslip_bags.parameters import PARAMETERS_TOPIC, parameters_text
+from trackslip_bags.parameters import PARAMETERS_TOPIC
 from trackslip_bags.reader import absolute
 from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.inputs import ODOMETRY, REPORTS, TRACK_SLIP
 from trackslip_tools.replay.run import Replay, message_of
@@ -31,7 +33,7 @@ def write_estimates(path: Path, result: Replay, p: SlipEstimatorParameters) -> N
             bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
 
         if result.steps:
-            text = make("std_msgs/msg/String", data=parameters_text(to_flat(p)))
+            text = make("std_msgs/msg/String", data=parameters_text(to_flat(p), SLIP_NODE))
             logged_ns = min((r.stamp_ns for r, _ in result.steps if r.stamp_ns), default=0)
             write(PARAMETERS_TOPIC, text, logged_ns)
         for sequence, (report, estimate) in enumerate(result.steps):

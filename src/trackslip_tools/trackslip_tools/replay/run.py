@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from trackslip_bags import input_filters
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
@@ -17,9 +19,7 @@ from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import KINDS, Input, Outcome, Report, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay import edits as editing
 from trackslip_tools.replay.dead_reckoning import Path, dead_reckon
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.inputs import (
     ODOMETRY,
     SPROCKETS,
@@ -106,7 +106,7 @@ def _collector_paused() -> Iterator[None]:
 
 
 @_collector_paused()
-def replay(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None) -> Replay:
+def replay(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None) -> Replay:
     """Run the estimator over a bag.
 
     Raises:
@@ -115,8 +115,8 @@ def replay(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | 
     began = time.monotonic()
     reference = reference or own_reference(bag)
     wanted = (ODOMETRY, TRACK_SLIP, TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
-    inputs = read_inputs(bag, p, edits, wanted)
-    arrivals = editing.apply(edits, inputs.arrivals, inputs.origin_ns)
+    inputs = read_inputs(bag, p, filters, wanted)
+    arrivals = input_filters.apply(filters, inputs.arrivals, inputs.origin_ns)
     measurements = list(in_live_order(arrivals, inputs.journal))
     steps = quick_steps(measurements, p) or list(map(SlipEstimator(p).advance, measurements))
     rejected = Tally()
@@ -126,7 +126,7 @@ def replay(bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | 
     duration = _duration(inputs)
     result = Replay(duration, time.monotonic() - began, inputs, steps, rejected, reference)
     _score(result, p, measurements)
-    if ODOMETRY in inputs.series and not edits.changes_inputs:
+    if ODOMETRY in inputs.series and not filters.changes_inputs:
         result.live = _compare(result, p)
     return result
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.messages import make
 from trackslip_bags.reader import Bag
 from trackslip_common.make import stamp_ns_of
@@ -19,7 +20,6 @@ from trackslip_estimation.soil.conversions import FORCES, SOIL
 from trackslip_estimation.soil.records import HYDRAULICS, Hydraulics, TrackForces, inputs_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
-from trackslip_tools.replay.edits import Edits, relative
 from trackslip_tools.replay.inputs import Inputs, absolute_time
 from trackslip_tools.replay.scoring import Series
 
@@ -71,7 +71,7 @@ class SoilReplay:
 
 
 def replay_soil(
-    bag: Bag, inputs: Inputs, estimates: list[Estimate], edits: Edits, p: SoilEstimatorParameters
+    bag: Bag, inputs: Inputs, estimates: list[Estimate], filters: InputFilters, p: SoilEstimatorParameters
 ) -> SoilReplay | None:
     """Run the soil estimator over what a replay published; None where the bag has no hydraulics.
 
@@ -79,7 +79,7 @@ def replay_soil(
         InputError: the bag is damaged inside.
     """
     result = SoilReplay(p)
-    readings = _read(bag, inputs, edits, result)
+    readings = _read(bag, inputs, filters, result)
     if not result.messages[HYDRAULICS]:
         return None
     estimator = SoilEstimator(p)
@@ -93,24 +93,26 @@ def replay_soil(
             result.outputs += estimator.advance(half)
     for _, reading in readings:
         result.outputs += estimator.advance(reading)
-    if result.series.keys() & {FORCES, SOIL} and not edits.changes_inputs:
+    if result.series.keys() & {FORCES, SOIL} and not filters.changes_inputs:
         result.live = _compare(result)
     return result
 
 
-def _read(bag: Bag, inputs: Inputs, edits: Edits, result: SoilReplay) -> deque[tuple[int, Hydraulics]]:
+def _read(
+    bag: Bag, inputs: Inputs, filters: InputFilters, result: SoilReplay
+) -> deque[tuple[int, Hydraulics]]:
     """Log time and reading of the hydraulics; the live and true outputs go into the result."""
-    names = {topic: edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+    names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
     wanted = {topic for topic, name in names.items() if name in _READ}
     readings: deque[tuple[int, Hydraulics]] = deque()
     rows: dict[str, dict[int, FloatArray]] = defaultdict(dict)
-    limits = [absolute_time(bag, t) for t in (edits.start_s, edits.stop_s)]
+    limits = [absolute_time(bag, t) for t in (filters.start_s, filters.stop_s)]
     for message in bag.messages(wanted, *limits):
         name, content = names[message.topic], bag.deserialize(message.raw, message.type_name)
         result.messages[name] += 1
         if name != HYDRAULICS:
             rows[name][stamp_ns_of(content)] = numbers_of(content)
-        elif not edits.hides(name, (message.log_time_ns - inputs.origin_ns) * 1e-9):
+        elif not filters.hides(name, (message.log_time_ns - inputs.origin_ns) * 1e-9):
             readings.append((message.log_time_ns, conversions.hydraulics(content)))
     for name, by_stamp in rows.items():
         stamps = sorted(by_stamp)

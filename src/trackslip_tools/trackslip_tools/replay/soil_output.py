@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from trackslip_bags.messages import make
-from trackslip_bags.parameters import parameters_text
+from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.soil import conversions
 from trackslip_estimation.soil.soil_parameters import NODE, PARAMETERS

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
 from trackslip_common.config_files import node_defaults
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.parameters import from_flat
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
-from trackslip_tools.replay.edits import Edits, relative
 
 FloatArray = NDArray[np.float64]
 
@@ -108,14 +108,14 @@ class Recording:
         return _seconds(stamps_ns, self.start_ns)
 
 
-def read_recording(bag: Bag, edits: Edits) -> Recording:
+def read_recording(bag: Bag, filters: InputFilters) -> Recording:
     """Read it once; topics by the names that the estimator knows them by.
 
     Raises:
         InputError: the bag is damaged inside.
     """
-    names = {topic: edits.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
-    start_s, stop_s = max(edits.start_s, 0.0), min(edits.stop_s, bag.duration_s)
+    names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+    start_s, stop_s = max(filters.start_s, 0.0), min(filters.stop_s, bag.duration_s)
     logged: dict[str, list[int]] = {name: [] for name in names.values()}
     kept: dict[str, list[Any]] = defaultdict(list)
     scans = sum(info.count for topic, info in bag.topics.items() if names[topic] == SCAN)

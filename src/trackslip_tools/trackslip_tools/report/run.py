@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.input_filters import InputFilters, apply
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.measurements import Input
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.edits import Edits, apply
 from trackslip_tools.replay.run import Replay
 from trackslip_tools.replay.scoring import in_order, path_of
 from trackslip_tools.replay.soil_output import soil_messages
@@ -44,7 +44,7 @@ class Run:
     label: str
     recording: Recording
     parameters: SlipEstimatorParameters
-    edits: Edits
+    filters: InputFilters
     replay: Replay
     smoothed: Sequence[Estimate] = ()  # by the smoother, where it was asked for
 
@@ -62,7 +62,7 @@ class Run:
     @cached_property
     def inputs(self) -> list[Input]:
         """The measurements as the estimator saw them, thinned and withheld ones left out."""
-        arrivals = apply(self.edits, self.replay.inputs.arrivals, self.replay.inputs.origin_ns)
+        arrivals = apply(self.filters, self.replay.inputs.arrivals, self.replay.inputs.origin_ns)
         return [arrival.measurement for arrival in arrivals]
 
     @cached_property

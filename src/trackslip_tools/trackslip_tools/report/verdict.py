@@ -71,7 +71,7 @@ def _intact(run: Run) -> Verdict:
 
 def _same_as_live(run: Run) -> Verdict:
     live, carried = run.replay.live, run.recording.parameters
-    if run.edits.changes_inputs:
+    if run.filters.changes_inputs:
         return _unknown("The estimator was given other measurements than live.")
     if live is None:
         return _unknown("The bag holds no live estimates.")

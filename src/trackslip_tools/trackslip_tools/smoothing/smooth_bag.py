@@ -7,18 +7,20 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from trackslip_bags import input_filters
+from trackslip_bags.input_filters import Arrival, InputFilters
 from trackslip_bags.messages import make, serialize
-from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE, parameters_text
+from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
 from trackslip_bags.reader import Bag, absolute
 from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.measurements import Sprockets
+from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay import edits as editing
-from trackslip_tools.replay.edits import Arrival, Edits
 from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, Inputs, read_inputs
 from trackslip_tools.replay.run import (
     TRUE_ODOMETRY,
@@ -84,7 +86,7 @@ class SmoothedBag:
 
 
 def smooth_bag(
-    bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None, shown: Shown = iter
+    bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None, shown: Shown = iter
 ) -> SmoothedBag:
     """Run filter and smoother over a bag; ``shown`` wraps the measurements, for a progress bar.
 
@@ -93,8 +95,8 @@ def smooth_bag(
     """
     began = time.monotonic()
     reference = reference or own_reference(bag)
-    inputs = read_inputs(bag, p, edits, (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ())))
-    arrivals = editing.apply(edits, inputs.arrivals, inputs.origin_ns)
+    inputs = read_inputs(bag, p, filters, (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ())))
+    arrivals = input_filters.apply(filters, inputs.arrivals, inputs.origin_ns)
     _require_one_time(bag, arrivals, p.history_window)
     found = smooth((arrival.measurement for arrival in arrivals), p, shown)
     of_filter, of_smoother = (_errors(estimates, inputs, reference, p.vehicle.tread) for estimates in found)
@@ -110,7 +112,7 @@ def write_smoothed(path: Path, result: SmoothedBag, p: SlipEstimatorParameters) 
     estimates = result.estimates.smoothed
     with BagWriter(path) as bag:
         if estimates:
-            text = serialize(make(PARAMETERS_TYPE, data=parameters_text(to_flat(p))))
+            text = serialize(make(PARAMETERS_TYPE, data=parameters_text(to_flat(p), SLIP_NODE)))
             bag.write(absolute(PARAMETERS_TOPIC), PARAMETERS_TYPE, text, estimates[0].stamp_ns)
         for estimate in estimates:
             for topic in (ODOMETRY, TRACK_SLIP):

@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a bag to what the tuner scores."""
 
+from trackslip_bags import input_filters
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.measurements import KINDS
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay import edits as editing
-from trackslip_tools.replay.edits import Edits
 from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.run import own_reference, reference_path
 from trackslip_tools.tuning.task import Task, make_task
 
 
 def read_task(
-    bag: Bag, p: SlipEstimatorParameters, edits: Edits, reference: str | None, *, needs_reference: bool
+    bag: Bag,
+    p: SlipEstimatorParameters,
+    filters: InputFilters,
+    reference: str | None,
+    *,
+    needs_reference: bool,
 ) -> Task:
     """A bag's measurements and its reference, where it has one.
 
@@ -23,8 +28,8 @@ def read_task(
         InputError: the bag lacks what is needed.
     """
     reference = reference or own_reference(bag)
-    inputs = read_inputs(bag, p, edits, (reference,) if reference else ())
-    arrivals = editing.apply(edits, inputs.arrivals, inputs.origin_ns)
+    inputs = read_inputs(bag, p, filters, (reference,) if reference else ())
+    arrivals = input_filters.apply(filters, inputs.arrivals, inputs.origin_ns)
     measurements = [a.measurement for a in arrivals if isinstance(a.measurement, KINDS)]
     series = inputs.series.get(reference or "")
     if series is None and needs_reference:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_bags.messages import make, serialize
+from trackslip_bags.playback import OWN_OUTPUTS, Playback, Played, played, played_topics
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
-from trackslip_tools.replay.edits import Edits, Withhold
-from trackslip_tools.replay.playback import OWN_OUTPUTS, Playback, Played, played, played_topics
 
 TEXT = "std_msgs/msg/String"
 S = 1_000_000_000
@@ -90,20 +90,23 @@ def test_a_loop_begins_again_with_its_time() -> None:
 
 def test_what_the_estimators_make_is_not_played_unless_asked_for(path: Path) -> None:
     with open_bag(path) as bag:
-        assert played_topics(bag, Edits(), []) == {"/sprockets": TEXT}
-        assert played_topics(bag, Edits(), ["odometry", "/clock"]).keys() == {"/sprockets", "/odometry"}
-        assert {m.topic for m in played(bag, Edits(), ["/sprockets"])} == {"/sprockets"}
+        assert played_topics(bag, InputFilters(), []) == {"/sprockets": TEXT}
+        assert played_topics(bag, InputFilters(), ["odometry", "/clock"]).keys() == {
+            "/sprockets",
+            "/odometry",
+        }
+        assert {m.topic for m in played(bag, InputFilters(), ["/sprockets"])} == {"/sprockets"}
     assert {"odometry", "track_slip", "slip_estimator/parameters"} <= OWN_OUTPUTS
     assert not {"sprockets", "box_pose", "scan"} & OWN_OUTPUTS
 
 
 def test_window_names_and_outages_are_those_of_any_replay(path: Path) -> None:
-    edits = Edits(
+    filters = InputFilters(
         start_s=2.0, stop_s=8.0, remap={"sprockets": "tracks"}, withhold=(Withhold("tracks", 4.0, 6.0),)
     )
     with open_bag(path) as bag:
-        topics = played_topics(bag, edits, [])
+        topics = played_topics(bag, filters, [])
         assert topics == {"/tracks": TEXT}
-        found = list(played(bag, edits, topics))
+        found = list(played(bag, filters, topics))
         assert [(m.log_time_ns - BEGIN_NS) // S for m in found] == [2, 3, 6, 7]
         assert bag.deserialize(found[0].raw, TEXT).data == "/sprockets 2"

@@ -6,11 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from trackslip_common.errors import InputError
-from trackslip_estimation.slip.measurements import PoseFix, Sprockets, YawRate
-from trackslip_tools.replay.edits import (
+from trackslip_bags.input_filters import (
     Arrival,
-    Edits,
+    InputFilters,
     Thin,
     Withhold,
     apply,
@@ -18,6 +16,8 @@ from trackslip_tools.replay.edits import (
     parse_thin,
     parse_withhold,
 )
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.measurements import PoseFix, Sprockets, YawRate
 
 MS = 1_000_000
 ORIGIN_NS = 10**15
@@ -94,25 +94,25 @@ def test_remap_is_refused(text: str) -> None:
 
 
 def test_withholding_goes_by_log_time_and_is_half_open() -> None:
-    edits = Edits(withhold=(Withhold("box_pose", 1.0, 2.0),))
-    kept = logged(apply(edits, fixes(31, 100), ORIGIN_NS))
+    filters = InputFilters(withhold=(Withhold("box_pose", 1.0, 2.0),))
+    kept = logged(apply(filters, fixes(31, 100), ORIGIN_NS))
     assert kept == pytest.approx([k / 10 for k in range(31) if not 10 <= k < 20])
 
 
 def test_withholding_leaves_other_topics_alone() -> None:
     other = fixes(3, 100, source="gnss")
-    assert apply(Edits(withhold=(Withhold("box_pose"),)), [*fixes(3, 100), *other], ORIGIN_NS) == other
+    assert apply(InputFilters(withhold=(Withhold("box_pose"),)), [*fixes(3, 100), *other], ORIGIN_NS) == other
 
 
 def test_outages_add_up() -> None:
-    edits = Edits(withhold=(Withhold("box_pose", 0.0, 0.5), Withhold("box_pose", 0.3, 0.9)))
-    assert logged(apply(edits, fixes(11, 100), ORIGIN_NS)) == pytest.approx([0.9, 1.0])
+    filters = InputFilters(withhold=(Withhold("box_pose", 0.0, 0.5), Withhold("box_pose", 0.3, 0.9)))
+    assert logged(apply(filters, fixes(11, 100), ORIGIN_NS)) == pytest.approx([0.9, 1.0])
 
 
 @pytest.mark.parametrize(("rate", "period_ms"), [(1.0, 217.0), (2.0, 100.0), (4.0, 33.3), (3.0, 100.0)])
 def test_thinning_keeps_the_rate(rate: float, period_ms: float) -> None:
     """Ticks that do not drift: the mean rate holds although the samples do not fall on the ticks."""
-    kept = logged(apply(Edits(thin=(Thin("box_pose", rate),)), fixes(1000, period_ms), ORIGIN_NS))
+    kept = logged(apply(InputFilters(thin=(Thin("box_pose", rate),)), fixes(1000, period_ms), ORIGIN_NS))
     span = 999 * period_ms * 1e-3
     assert len(kept) == math.floor(span * rate + 1e-9) + 1
     ticks = np.arange(len(kept)) / rate
@@ -121,18 +121,18 @@ def test_thinning_keeps_the_rate(rate: float, period_ms: float) -> None:
 
 
 def test_thinning_slower_than_the_source_keeps_all() -> None:
-    assert len(apply(Edits(thin=(Thin("box_pose", 10.0),)), fixes(50, 400), ORIGIN_NS)) == 50
+    assert len(apply(InputFilters(thin=(Thin("box_pose", 10.0),)), fixes(50, 400), ORIGIN_NS)) == 50
 
 
 def test_thinning_goes_on_after_a_gap() -> None:
     arrivals = [a for a in fixes(100, 100) if not 2.0 < (a.log_time_ns - ORIGIN_NS) * 1e-9 < 5.55]
-    kept = logged(apply(Edits(thin=(Thin("box_pose", 1.0),)), arrivals, ORIGIN_NS))
+    kept = logged(apply(InputFilters(thin=(Thin("box_pose", 1.0),)), arrivals, ORIGIN_NS))
     assert kept == pytest.approx([0.0, 1.0, 2.0, 5.6, 6.0, 7.0, 8.0, 9.0])
 
 
 def test_thinning_leaves_other_topics_and_their_order_alone() -> None:
     both = sorted([*fixes(30, 100), *fixes(30, 130, source="gnss")], key=lambda a: a.log_time_ns)
-    kept = apply(Edits(thin=(Thin("box_pose", 1.0, 0.1),)), both, ORIGIN_NS)
+    kept = apply(InputFilters(thin=(Thin("box_pose", 1.0, 0.1),)), both, ORIGIN_NS)
     assert [a for a in kept if a.measurement.source == "gnss"] == [
         a for a in both if a.measurement.source == "gnss"
     ]
@@ -141,11 +141,11 @@ def test_thinning_leaves_other_topics_and_their_order_alone() -> None:
 
 def test_thinning_without_sigma_changes_no_number() -> None:
     arrivals = fixes(10, 1000)
-    assert apply(Edits(thin=(Thin("box_pose", 1.0),)), arrivals, ORIGIN_NS) == arrivals
+    assert apply(InputFilters(thin=(Thin("box_pose", 1.0),)), arrivals, ORIGIN_NS) == arrivals
 
 
 def test_the_added_noise_is_of_sigma_and_the_covariance_says_so() -> None:
-    kept = apply(Edits(thin=(Thin("box_pose", 10.0, 0.05),)), fixes(2000, 100), ORIGIN_NS)
+    kept = apply(InputFilters(thin=(Thin("box_pose", 10.0, 0.05),)), fixes(2000, 100), ORIGIN_NS)
     poses = np.array([a.measurement.pose for a in kept if isinstance(a.measurement, PoseFix)])
     assert len(poses) == 2000
     assert poses[:, :2].std(axis=0) == pytest.approx(0.05, rel=0.06)
@@ -161,7 +161,7 @@ def test_the_noise_is_seeded_and_the_source_stays_as_it_was() -> None:
     arrivals, thin = fixes(10, 100), (Thin("box_pose", 10.0, 0.05),)
 
     def noise(seed: int) -> list[float]:
-        kept = apply(Edits(thin=thin, seed=seed), arrivals, ORIGIN_NS)
+        kept = apply(InputFilters(thin=thin, seed=seed), arrivals, ORIGIN_NS)
         return [float(a.measurement.pose[0]) for a in kept if isinstance(a.measurement, PoseFix)]
 
     assert noise(1) == noise(1)
@@ -174,20 +174,20 @@ def test_the_noise_is_seeded_and_the_source_stays_as_it_was() -> None:
 )
 def test_only_positions_take_noise(measurement: YawRate | Sprockets) -> None:
     arrivals = [Arrival(ORIGIN_NS, measurement)]
-    assert apply(Edits(thin=(Thin(measurement.source, 1.0, 0.05),)), arrivals, ORIGIN_NS) == arrivals
+    assert apply(InputFilters(thin=(Thin(measurement.source, 1.0, 0.05),)), arrivals, ORIGIN_NS) == arrivals
 
 
 @pytest.mark.parametrize(
-    ("edits", "changes"),
+    ("filters", "changes"),
     [
-        (Edits(), False),
-        (Edits(seed=3), False),
-        (Edits(start_s=1.0), True),
-        (Edits(stop_s=9.0), True),
-        (Edits(remap={"a": "b"}), True),
-        (Edits(withhold=(Withhold("a"),)), True),
-        (Edits(thin=(Thin("a", 1.0),)), True),
+        (InputFilters(), False),
+        (InputFilters(seed=3), False),
+        (InputFilters(start_s=1.0), True),
+        (InputFilters(stop_s=9.0), True),
+        (InputFilters(remap={"a": "b"}), True),
+        (InputFilters(withhold=(Withhold("a"),)), True),
+        (InputFilters(thin=(Thin("a", 1.0),)), True),
     ],
 )
-def test_edits_know_whether_live_can_be_compared(edits: Edits, changes: bool) -> None:
-    assert edits.changes_inputs is changes
+def test_edits_know_whether_live_can_be_compared(filters: InputFilters, changes: bool) -> None:
+    assert filters.changes_inputs is changes

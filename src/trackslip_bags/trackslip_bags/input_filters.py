@@ -44,7 +44,7 @@ class Thin:
 
 
 @dataclass(frozen=True)
-class Edits:
+class InputFilters:
     """All changes of one replay."""
 
     start_s: float = 0.0
@@ -57,7 +57,7 @@ class Edits:
     @property
     def changes_inputs(self) -> bool:
         """Whether the estimator sees anything else than it saw live."""
-        return self != Edits(seed=self.seed)
+        return self != InputFilters(seed=self.seed)
 
     def hides(self, topic: str, t: float) -> bool:
         """Whether a topic is withheld at a time, s."""
@@ -114,15 +114,15 @@ def relative(topic: str) -> str:
     return topic.removeprefix("/")
 
 
-def apply(edits: Edits, arrivals: Iterable[Arrival], origin_ns: int) -> list[Arrival]:
+def apply(filters: InputFilters, arrivals: Iterable[Arrival], origin_ns: int) -> list[Arrival]:
     """The arrivals as the estimator shall see them; ``origin_ns`` is the bag's first log time."""
     kept = [
         arrival
         for arrival in arrivals
-        if not edits.hides(arrival.measurement.source, (arrival.log_time_ns - origin_ns) * 1e-9)
+        if not filters.hides(arrival.measurement.source, (arrival.log_time_ns - origin_ns) * 1e-9)
     ]
-    for thin in edits.thin:
-        kept = list(_thinned(thin, kept, np.random.default_rng(edits.seed)))
+    for thin in filters.thin:
+        kept = list(_thinned(thin, kept, np.random.default_rng(filters.seed)))
     return kept
 
 

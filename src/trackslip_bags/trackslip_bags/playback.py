@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from typing import NamedTuple
 
+from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.reader import Bag, absolute
-from trackslip_tools.replay.edits import Edits, relative
 
 # What the estimators of the live graph make themselves, and what belongs to the graph, not to the bag.
 OWN_OUTPUTS = frozenset(
@@ -37,24 +37,24 @@ class Played(NamedTuple):
     raw: bytes
 
 
-def played_topics(bag: Bag, edits: Edits, also: Collection[str]) -> dict[str, str]:
+def played_topics(bag: Bag, filters: InputFilters, also: Collection[str]) -> dict[str, str]:
     """Name to publish under → type: all topics of the bag but ``OWN_OUTPUTS``, those only if in ``also``."""
     barred = (OWN_OUTPUTS - {relative(topic) for topic in also}) | {CLOCK}
     return {
-        _published(topic, edits): info.type_name
+        _published(topic, filters): info.type_name
         for topic, info in bag.topics.items()
         if relative(topic) not in barred
     }
 
 
-def played(bag: Bag, edits: Edits, topics: Collection[str]) -> Iterator[Played]:
+def played(bag: Bag, filters: InputFilters, topics: Collection[str]) -> Iterator[Played]:
     """The messages to publish under these names, in log order, less what is withheld."""
-    wanted = [topic for topic in bag.topics if _published(topic, edits) in topics]
-    start_ns = bag.start_ns + round(edits.start_s * 1e9)
-    stop_ns = bag.start_ns + round(edits.stop_s * 1e9) if math.isfinite(edits.stop_s) else None
+    wanted = [topic for topic in bag.topics if _published(topic, filters) in topics]
+    start_ns = bag.start_ns + round(filters.start_s * 1e9)
+    stop_ns = bag.start_ns + round(filters.stop_s * 1e9) if math.isfinite(filters.stop_s) else None
     for message in bag.messages(wanted, start_ns, stop_ns):
-        name = _published(message.topic, edits)
-        if not edits.hides(relative(name), (message.log_time_ns - bag.start_ns) * 1e-9):
+        name = _published(message.topic, filters)
+        if not filters.hides(relative(name), (message.log_time_ns - bag.start_ns) * 1e-9):
             yield Played(name, message.log_time_ns, message.raw)
 
 
@@ -99,6 +99,6 @@ class Playback:
             self.bag_ns = self._next.log_time_ns
 
 
-def _published(topic: str, edits: Edits) -> str:
+def _published(topic: str, filters: InputFilters) -> str:
     name = relative(topic)
-    return absolute(edits.remap.get(name, name))
+    return absolute(filters.remap.get(name, name))
