@@ -1,75 +1,134 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the clock goes on as it should: told from stamps and counts alone, so that a replay finds the same.
 
-The sprocket samples are the clock of the estimate. One of them that steps out of line is a bad stamp; many in
-a row that agree with each other are another time.
+The samples of one source, the sprockets', are the clock. One of them that steps out of line is a bad stamp; many
+in a row that agree with each other are another time. Other sources carry the clock on only while the first is
+silent: when their stamps, one behind the other, have gone on for its timeout without a sample of it.
 
-A step back into the history leaves stamps that look like late data. But late data tell the same story as
-what is there already, while samples stamped anew tell of positions that the sprockets had elsewhere in it.
+A step back into the history leaves stamps that look like late data. But late data agree with what is there
+already, while samples stamped anew tell of positions that the sprockets had elsewhere in it.
+
+``CLOCK`` is all that is remembered: compiled code keeps it in a record, ``ClockMonitor`` wraps one for Python.
 """
 
-from dataclasses import dataclass
-from enum import Enum, auto
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.compiled import compiled
+
+_STREAK = np.dtype([("count", np.int64), ("first_ns", np.int64), ("last_ns", np.int64)], align=True)
+CLOCK = np.dtype(
+    [
+        ("running", np.bool_),  # whether there was a sample
+        ("head_ns", np.int64),  # newest stamp in line
+        ("ahead", _STREAK),
+        ("behind", _STREAK),
+        ("late", _STREAK),
+        ("others", _STREAK),  # of other sources, since the last sample
+    ],
+    align=True,
+)
+CLOCK_LIMITS = np.dtype(
+    [("gap_ns", np.int64), ("confirmations", np.int64), ("silence_ns", np.int64)], align=True
+)
+NO_HORIZON = -(2**62)  # ns
 
 
-class Course(Enum):
+class StampStatus(IntEnum):
     """Where a stamp lies."""
 
-    IN_LINE = auto()
-    AHEAD = auto()  # further ahead than the gap, and not (yet) confirmed
-    BEHIND = auto()  # before the history, and not (yet) confirmed
-    BACK = auto()  # the clock has gone back: all begins anew
+    IN_LINE = 0
+    AHEAD = 1  # further ahead than the gap, and not (yet) confirmed
+    BEHIND = 2  # before the history, and not (yet) confirmed
+    BACK = 3  # the clock has gone back: all begins anew
 
 
-@dataclass
-class _Row:
-    """Samples in a row that are out of line in the same way and agree with each other."""
-
-    count: int = 0
-    last_ns: int = 0
-
-    def add(self, stamp_ns: int, gap_ns: int, counts: bool = True) -> int:
-        """How many count by now; a sample that does not follow on the last one begins anew."""
-        follows = 0 < stamp_ns - self.last_ns <= gap_ns
-        self.count, self.last_ns = (self.count if follows else 0) + counts, stamp_ns
-        return self.count
+_CARRIERS = 3  # measurements in a row that carry the clock on
+_IN_LINE, _AHEAD, _BEHIND, _BACK = map(int, StampStatus)
 
 
-class Continuity:
-    """Judges stamps as they come."""
+@compiled
+def _add(streak: Any, stamp_ns: int, gap_ns: int, counts: bool) -> int:
+    """How many in a row by now; a stamp that does not follow on the last one begins anew."""
+    if not 0 < stamp_ns - streak.last_ns <= gap_ns:
+        streak.count, streak.first_ns = 0, stamp_ns
+    streak.count, streak.last_ns = streak.count + (1 if counts else 0), stamp_ns
+    return int(streak.count)
 
-    def __init__(self, gap_ns: int, confirmations: int) -> None:
-        self._gap_ns = gap_ns
-        self._confirmations = confirmations
-        self._ahead, self._behind, self._late = _Row(), _Row(), _Row()
-        self.head_ns: int | None = None  # newest sprocket stamp in line
 
-    def sprockets(self, stamp_ns: int, oldest_ns: int | None, contradicts: bool = False) -> Course:
-        """A sprocket sample.
+@compiled
+def check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contradicts: bool) -> int:
+    """Status of a sample of the source that is the clock.
 
-        ``oldest_ns``: older ones have no place in the history, if there is one; ``contradicts``: its
-        positions are not those that the sprockets had then.
-        """
-        floors = [] if oldest_ns is None else [oldest_ns]
-        if self.head_ns is not None:
-            floors.append(self.head_ns - self._gap_ns)
-        if floors and stamp_ns < max(floors):
-            self._ahead = _Row()
-            confirmed = self._behind.add(stamp_ns, self._gap_ns) >= self._confirmations
-            return Course.BACK if confirmed else Course.BEHIND
-        self._behind = _Row()
-        if self.head_ns is None or stamp_ns > self.head_ns:
-            self._late = _Row()
-        elif self._late.add(stamp_ns, self._gap_ns, contradicts) >= self._confirmations:
-            return Course.BACK
-        far = self.other(stamp_ns) is Course.AHEAD
-        if far and self._ahead.add(stamp_ns, self._gap_ns) < self._confirmations:
-            return Course.AHEAD
-        self._ahead = _Row()
-        self.head_ns = stamp_ns if self.head_ns is None else max(self.head_ns, stamp_ns)
-        return Course.IN_LINE
+    ``oldest_ns``: older ones have no place in the history (``NO_HORIZON``: there is none); ``contradicts``: its
+    content is not what the history has at its stamp.
+    """
+    clock.others.count = 0
+    if clock.running and stamp_ns < max(oldest_ns, clock.head_ns - limits.gap_ns) or stamp_ns < oldest_ns:
+        clock.ahead.count = 0
+        confirmed = _add(clock.behind, stamp_ns, limits.gap_ns, True) >= limits.confirmations
+        return _BACK if confirmed else _BEHIND
+    clock.behind.count = 0
+    if not clock.running or stamp_ns > clock.head_ns:
+        clock.late.count = 0
+    elif _add(clock.late, stamp_ns, limits.gap_ns, contradicts) >= limits.confirmations:
+        return _BACK
+    if clock.running and stamp_ns > clock.head_ns + limits.gap_ns:
+        if _add(clock.ahead, stamp_ns, limits.gap_ns, True) < limits.confirmations:
+            return _AHEAD
+    clock.ahead.count = 0
+    clock.head_ns = max(clock.head_ns, stamp_ns) if clock.running else stamp_ns
+    clock.running = True
+    return _IN_LINE
 
-    def other(self, stamp_ns: int) -> Course:
-        """A sample of any other source: it confirms nothing."""
-        far = self.head_ns is not None and stamp_ns > self.head_ns + self._gap_ns
-        return Course.AHEAD if far else Course.IN_LINE
+
+@compiled
+def check_other(clock: Any, limits: Any, stamp_ns: int) -> int:
+    """Status of a measurement of any other source."""
+    if not clock.running or stamp_ns <= clock.head_ns:
+        return _IN_LINE
+    streak = clock.others
+    if not -limits.gap_ns <= stamp_ns - streak.last_ns <= 0 or streak.count == 0:  # sources overtake each other
+        _add(streak, stamp_ns, limits.gap_ns, True)
+    carries = streak.count >= _CARRIERS and stamp_ns - streak.first_ns >= limits.silence_ns
+    if carries:
+        clock.head_ns = stamp_ns
+    return _IN_LINE if carries or stamp_ns <= clock.head_ns + limits.gap_ns else _AHEAD
+
+
+@compiled
+def _check_sample(
+    clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contradicts: bool
+) -> int:
+    return check_sample(clock[0], limits[0], stamp_ns, oldest_ns, contradicts)
+
+
+@compiled
+def _check_other(clock: Any, limits: Any, stamp_ns: int) -> int:
+    return check_other(clock[0], limits[0], stamp_ns)
+
+
+class ClockMonitor:
+    """Checks stamps as they come."""
+
+    def __init__(self, gap_ns: int, confirmations: int, silence_ns: int = 500_000_000) -> None:
+        self._clock = np.zeros(1, CLOCK)
+        self._limits = np.array([(gap_ns, confirmations, silence_ns)], CLOCK_LIMITS)
+
+    @property
+    def head_ns(self) -> int | None:
+        """Newest stamp in line."""
+        return int(self._clock["head_ns"][0]) if self._clock["running"][0] else None
+
+    def sample(
+        self, stamp_ns: int, oldest_ns: int | None = None, *, contradicts: bool = False
+    ) -> StampStatus:
+        """A sample of the source that is the clock; see ``check_sample``."""
+        horizon_ns = NO_HORIZON if oldest_ns is None else oldest_ns
+        return StampStatus(_check_sample(self._clock, self._limits, stamp_ns, horizon_ns, contradicts))
+
+    def other(self, stamp_ns: int) -> StampStatus:
+        """A measurement of any other source; see ``check_other``."""
+        return StampStatus(_check_other(self._clock, self._limits, stamp_ns))

@@ -173,7 +173,7 @@ def test_misfits_adds_up_to_the_twist_and_fade(model: str) -> None:
     c, x = RECORDS[model], np.zeros(SIZE)
     x[FIRST], x[SECOND], x[SPEED_MISFIT], x[RATE_MISFIT] = 1.0, -1.0, 0.1, 0.2
     np.testing.assert_allclose(equations.twist(x, 0.0, 0.0, c), (0.1, 0.0, 0.2))
-    tau = float(c["misfit_time"])
+    tau = float(c["velocity_error_time"])
     moved = equations.move(x, 0.0, 0.0, tau, int(Motion.STRAIGHT), c)
     np.testing.assert_allclose(moved[SPEED_MISFIT : RATE_MISFIT + 1], (0.1 / math.e, 0.2 / math.e))
     assert math.hypot(*moved[:YAW]) == pytest.approx(0.1 * tau * (1.0 - 1.0 / math.e))
@@ -188,17 +188,17 @@ def test_size_of_the_misfits_by_hand(model: str) -> None:
     """Shares of V, D and d, more on a soil that yields; over a long time all of it shows in the states."""
     c, x = RECORDS[model], np.zeros(SIZE)
     x[FIRST], x[SECOND], x[COMMON_SLIP] = 1.0, -1.0, 2.0 * c["yielding_slip"]
-    steady, changing = c["turning_misfit"] ** 2, (c["changing_misfit"] * 0.5) ** 2
-    of_speed = 5.0 * RADIUS**2 * (steady + changing) + c["standing_misfit"] ** 2
-    of_rate = 5.0 * RADIUS**2 * (c["rate_misfit"] ** 2 * steady + changing) + c["standing_misfit"] ** 2
-    long = 100.0 * float(c["misfit_time"])
+    steady, changing = c["turning_velocity_error"] ** 2, (c["changing_misfit"] * 0.5) ** 2
+    of_speed = 5.0 * RADIUS**2 * (steady + changing) + c["standing_velocity_error"] ** 2
+    of_rate = 5.0 * RADIUS**2 * (c["yaw_rate_error_ratio"] ** 2 * steady + changing) + c["standing_velocity_error"] ** 2
+    long = 100.0 * float(c["velocity_error_time"])
     Q = equations.process_noise(x, np.zeros((SIZE, SIZE)), 1.0, 2.0, long, int(Motion.TURNING), 0, 0.5, c)
     assert Q[SPEED_MISFIT, SPEED_MISFIT] == pytest.approx(of_speed)
     assert Q[RATE_MISFIT, RATE_MISFIT] == pytest.approx(of_rate / TREAD**2)
     unsure = np.zeros((SIZE, SIZE))
     unsure[COMMON_SLIP, COMMON_SLIP] = c["yielding_slip"] ** 2
     Q = equations.process_noise(x, unsure, 2.0, 2.0, long, int(Motion.STRAIGHT), 0, 0.0, c)
-    expected = 6.0 * (RADIUS * c["straight_misfit"] * 2.0) ** 2 + c["standing_misfit"] ** 2
+    expected = 6.0 * (RADIUS * c["straight_velocity_error"] * 2.0) ** 2 + c["standing_misfit"] ** 2
     assert Q[SPEED_MISFIT, SPEED_MISFIT] == pytest.approx(expected)
 
 

@@ -5,7 +5,7 @@ objective: likelihood          # of the innovations; pose: of a reference's pose
 evaluations: 500               # sets of parameters that one search may try
 seed: 0
 parameters:                    # of slip_estimator, dotted names; a list gets the same value everywhere
-  turning.turning_misfit: {low: 0.01, high: 1.0, scale: log}
+  turning.turning_velocity_error: {low: 0.01, high: 1.0, scale: log}
 """
 
 import math

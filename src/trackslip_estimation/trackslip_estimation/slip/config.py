@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All numbers of the compiled estimator in one record, made from its parameters."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from trackslip_common.clock_monitor import CLOCK_LIMITS
+from trackslip_estimation.slip.coasting import motion_limits
+from trackslip_estimation.slip.models import speed
+from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
+from trackslip_estimation.slip.models.model import POSE, SIZE
+from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import MOST_SOURCES
+
+ConfigRecord = NDArray[np.void]
+
+CONFIG = np.dtype(
+    [
+        ("model", np.int64),
+        ("active", np.int64),  # numbers of the model's state
+        ("sigma_points", np.bool_),  # DAF, else EKF
+        ("kappa", np.float64),  # of the DAF
+        ("rolling_radius", np.float64),  # r, m
+        ("tread", np.float64),  # B, m
+        ("encoder_resolution", np.float64),  # rad
+        *CONSTANTS,
+        ("process_noise", np.float64, (len(Motion), 2, SIZE)),  # variance per s, by motion and whether it changes
+        ("prior_mean", np.float64, (SIZE,)),
+        ("prior_variance", np.float64, (SIZE,)),
+        ("initial_pose", np.float64, (3,)),
+        ("initial_covariance", np.float64, (3, 3)),
+        ("starts_with_fix", np.bool_),  # else with the first sprocket sample
+        ("motion_limits", LIMITS),
+        ("sprocket_timeout_ns", np.int64),
+        ("max_sprocket_speed", np.float64),  # rad/s
+        ("speed_limit", np.float64),  # m/s
+        ("yaw_rate_limit", np.float64),  # rad/s
+        ("unseen_yaw_rate", np.float64),  # standard deviation of a yaw rate that no state holds, rad/s
+        ("max_gap", np.float64),  # s
+        ("window_ns", np.int64),
+        ("clock", CLOCK_LIMITS),
+        ("gate_limits", np.float64, (4,)),  # g by degrees of freedom 0 … 3; infinite where all are taken
+        ("gate_relaxation", np.float64),
+        ("gate_confirmations", np.int64),
+        ("timeouts_ns", np.int64, (MOST_SOURCES,)),  # of each source, as all below
+        ("levers", np.float64, (MOST_SOURCES, 2)),  # m
+        ("rate_scale", np.float64, (MOST_SOURCES,)),  # what a gyro shows of 1 rad/s
+        ("use_heading", np.bool_, (MOST_SOURCES,)),
+        ("position_floor", np.float64, (MOST_SOURCES,)),  # m
+        ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
+        ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
+    ],
+    align=True,
+)
+
+
+def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> ConfigRecord:
+    """(1,) of ``CONFIG``; ``window_ns``: how late a measurement may come, if not the parameters' window."""
+    config = np.zeros(1, CONFIG)
+    c = config[0]
+    c["kappa"], c["sigma_points"] = p.kappa, p.filter == "daf"
+    c["rolling_radius"], c["tread"] = p.vehicle.rolling_radius, p.vehicle.tread
+    c["encoder_resolution"] = p.encoder_resolution
+    c["initial_pose"], c["initial_covariance"] = p.initial_pose()
+    c["starts_with_fix"] = p.start == "first_fix"
+    c["motion_limits"] = limits_record(p.motion)[0]
+    c["sprocket_timeout_ns"], c["max_sprocket_speed"] = round(p.sprocket_timeout * 1e9), p.max_sprocket_speed
+    limits = motion_limits(p.vehicle, p.max_sprocket_speed)
+    c["speed_limit"], c["yaw_rate_limit"] = limits.speed, limits.yaw_rate
+    c["unseen_yaw_rate"] = limits.yaw_rate if p.model == "free_slips" else 0.0
+    c["max_gap"] = p.max_gap
+    c["window_ns"] = round(p.history_window * 1e9) if window_ns is None else window_ns
+    c["clock"] = (round(p.max_gap * 1e9), p.jump_confirmations, c["sprocket_timeout_ns"])
+    _set_model(c, p)
+    _set_sources(c, p)
+    return config
+
+
+def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
+    """What the chosen model says of itself."""
+    model, noise = MODELS[p.model], p.model_noise
+    c["model"], c["active"] = model.CODE, model.ACTIVE
+    for name, _ in ((name, None) for name, *_ in CONSTANTS if name in MODELS):
+        of_model = MODELS[name].constants({"turning": p.turning, "free_slips": p.noise}[name])
+        for field, value in of_model.items():
+            c[name][field] = value
+    if hasattr(model, "speed_constants"):
+        for field in speed.CONSTANTS.names or ():
+            c["velocity_errors"][field] = model.speed_constants(noise)[field]
+    prior = model.prior(noise, p.vehicle.tread)
+    c["prior_mean"], c["prior_variance"] = prior.mean, np.square(prior.stddev)
+    c["prior_mean"][POSE] = 0.0
+    for motion in Motion:
+        for changing in (False, True):
+            density = model.process_noise_density(noise, MotionState(motion, changing))
+            c["process_noise"][motion, int(changing)] = np.square(density)
+
+
+def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
+    """Sources are numbered as ``timeouts_ns`` names them."""
+    tail = 1.0 - p.gate_probability
+    c["gate_limits"] = [np.inf, *(float(chdtri(dof, tail)) for dof in (1, 2, 3))]
+    c["gate_relaxation"], c["gate_confirmations"] = p.gate_relaxation, p.gate_confirmations
+    c["rate_scale"] = c["timeouts_ns"] = 1
+    numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
+    for name, timeout_ns in p.timeouts_ns().items():
+        c["timeouts_ns"][numbers[name]] = timeout_ns
+    for name, pose in p.poses().items():
+        k = numbers[name]
+        c["levers"][k], c["use_heading"][k] = pose.lever, pose.use_heading
+        c["position_floor"][k], c["heading_floor"][k] = pose.position_floor, pose.heading_floor
+        c["heading_ceiling"][k] = pose.heading_ceiling
+    for name, gyro in p.gyros().items():
+        c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale

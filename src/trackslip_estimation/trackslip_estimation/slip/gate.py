@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which measurements are taken: a χ² gate that widens while source and state have not agreed; compiled.
+
+    ν, S    innovation and its covariance
+    d²      νᵀ S⁻¹ ν, taken where d² ≤ w g
+    g       χ² quantile; source and state are consistent where d² ≤ g
+    w       1 until they have not been for the source's timeout, then ``relaxation`` per further timeout
+
+So a spike stays out, and a source that insists, or comes back after an outage, is believed in the end: the
+time that takes grows with the logarithm of how far off it is. What passes only because the gate is wide says
+that the state was wrong: its covariance is widened by what the innovation shows before the update, that of
+the pose or the slips by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they
+are consistent again: a state that goes wrong all the time is put right all the time. A gyro is at once, for now
+its bias explains what it shows.
+
+In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without slip.
+If several in a row do, and agree with each other, the ground has changed, and what was learned of turning and
+slip counts for no more than at the start. What it would do on no ground, to turn against its tracks, is never
+taken: a gyro upside down shows that.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.free_slips import LEFT_SLIP
+from trackslip_estimation.slip.models.model import GYRO_BIAS, YAW, X
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
+from trackslip_estimation.slip.observation import expected
+from trackslip_estimation.slip.records import POSE, SLIPS, YAW_RATE
+
+FloatArray = NDArray[np.float64]
+
+_WIDEST = 100.0  # timeouts: beyond, the gate is open to anything finite
+_DOUBT = 4.0  # standard deviations
+_LAG = 0.1  # of the yaw rate without slip, by which the machine may still turn the other way
+_ALIKE = 0.1  # of the yaw rate without slip, by which readings that agree may differ
+
+
+@compiled
+def width(silent_ns: int, timeout_ns: int, relaxation: float) -> float:
+    """w."""
+    if silent_ns <= timeout_ns:
+        return 1.0
+    widened: float = relaxation ** min(silent_ns / timeout_ns - 1.0, _WIDEST)
+    return widened
+
+
+@compiled
+def on_no_ground(rate: float, variance: float, speeds: tuple[float, float], c: Any) -> bool:
+    """Whether the machine would turn against its tracks, beyond what noise and bias explain."""
+    without_slip = _without_slip(speeds, c)
+    allowed = _DOUBT * np.sqrt(variance) + _LAG * abs(without_slip)
+    return has_velocity_errors(c) and rate * np.sign(without_slip) < -allowed
+
+
+@compiled
+def other_ground(rate: float, streak: Any, speeds: tuple[float, float], c: Any) -> bool:
+    """Whether some ground lets the machine turn so, and enough readings in a row show the same one."""
+    without_slip = _without_slip(speeds, c)
+    turns = rate * without_slip > 0.0 and abs(rate) < abs(without_slip)
+    if not turns or not has_velocity_errors(c):
+        streak.count = 0
+        return False
+    efficiency = rate / without_slip
+    agrees = streak.count > 0 and abs(efficiency - streak.value) <= _ALIKE
+    streak.count, streak.value = streak.count + 1 if agrees else 1, efficiency
+    return bool(streak.count >= c.gate_confirmations)
+
+
+@compiled
+def forget_ground(P: FloatArray, c: Any) -> None:
+    """How the vehicle turns and slips is no better known than at the start."""
+    P[FIRST, FIRST] += c.velocity_errors.first_variance
+    P[SECOND, SECOND] += c.velocity_errors.second_variance
+    P[COMMON_SLIP, COMMON_SLIP] += c.velocity_errors.slip_variance
+
+
+@compiled
+def _without_slip(speeds: tuple[float, float], c: Any) -> float:
+    """Yaw rate of the sprockets, rad/s."""
+    rate: float = c.rolling_radius * (speeds[1] - speeds[0]) / c.tread
+    return rate
+
+
+@compiled
+def widen(
+    kind: int, z: FloatArray, x: FloatArray, P: FloatArray, speeds: tuple[float, float], c: Any
+) -> None:
+    """P, widened by what an innovation shows; what else was learned stays."""
+    innovation = z - expected(kind, x, z.size, speeds, c)
+    if kind == YAW_RATE:
+        P[GYRO_BIAS, GYRO_BIAS] += innovation[0] ** 2
+        return
+    if kind == SLIPS and has_velocity_errors(c):
+        P[COMMON_SLIP, COMMON_SLIP] += innovation.mean() ** 2
+        return
+    if kind == POSE and z.size > YAW:
+        innovation[YAW] = wrap(innovation[YAW])
+    first = LEFT_SLIP if kind == SLIPS else X
+    for i in range(innovation.size):
+        for j in range(innovation.size):
+            P[first + i, first + j] += innovation[i] * innovation[j]

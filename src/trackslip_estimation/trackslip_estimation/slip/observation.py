@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each kind of measurement says of the state, compiled.
+
+    z, R   measurement and its covariance, as used       (m,), (m, m)
+    h, H   predicted measurement, its Jacobian           (m,), (m, n)
+    l      place of a sensor in base_link                (2,), m
+    c      record of ``config.CONFIG``
+
+Yaw rate: z = φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L, i_R).
+Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import sandwich
+from trackslip_estimation.slip.models.dispatch import slips, slips_jacobian, twist, twist_jacobian
+from trackslip_estimation.slip.models.model import GYRO_BIAS, YAW, X, Y
+from trackslip_estimation.slip.motion import rounding, steady_speeds
+from trackslip_estimation.slip.records import POSE, SLIPS, YAW_RATE
+
+FloatArray = NDArray[np.float64]
+
+
+@compiled
+def observed(measurement: Any, coasting: bool, c: Any) -> tuple[FloatArray, FloatArray]:
+    """z and R as the source's parameters want them: in true units, no better than its floors."""
+    source, kind = measurement.source, measurement.kind
+    if kind == YAW_RATE:
+        scale = c.rate_scale[source]
+        variance = measurement.noise[0, 0] / (scale * scale)
+        if coasting:  # a gyro then shows nothing of its bias
+            variance += c.unseen_yaw_rate**2
+        return np.array((measurement.value[0] / scale,)), np.array(((variance,),))
+    if kind == SLIPS:
+        return measurement.value[:2].copy(), measurement.noise[:2, :2].copy()
+    rows = 3 if shows_heading(measurement, c) else 2
+    z, R = measurement.value[:rows].copy(), measurement.noise[:rows, :rows].copy()
+    for i in range(rows):
+        floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
+        R[i, i] = max(R[i, i], floor * floor)
+    return z, R
+
+
+@compiled
+def shows_heading(measurement: Any, c: Any) -> bool:
+    """Whether the heading of a pose is used: a doubtful one may be wrong by whole quarter turns."""
+    ceiling = c.heading_ceiling[measurement.source]
+    return bool(c.use_heading[measurement.source]) and measurement.noise[YAW, YAW] <= ceiling * ceiling
+
+
+@compiled
+def comparable_speeds(kind: int, state: Any, c: Any) -> tuple[float, float, float]:
+    """Left, right and interval of the speeds that predict a measurement.
+
+    A gyro is compared with steady ones: their rounding would be in its innovation and its Jacobian both, and
+    bias what it teaches of turning. So are slips.
+    """
+    if kind in (YAW_RATE, SLIPS):
+        return steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    return state.speeds.left, state.speeds.right, state.speeds.interval
+
+
+@compiled
+def expected(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c: Any) -> FloatArray:
+    """h."""
+    left, right = speeds
+    if kind == POSE:
+        return x[X : X + rows].copy()
+    twist_ = twist(x, left, right, c)
+    if kind == YAW_RATE:
+        return np.array((twist_[2] + x[GYRO_BIAS],))
+    return slips(x, twist_, left, right, c)[:2].copy()
+
+
+@compiled
+def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c: Any) -> FloatArray:
+    """H."""
+    if kind == POSE:
+        return np.eye(rows, x.size)
+    left, right = speeds
+    J = twist_jacobian(x, left, right, c)
+    if kind == YAW_RATE:
+        H = J[2:].copy()
+        H[0, GYRO_BIAS] = 1.0
+        return H
+    return slips_jacobian(twist(x, left, right, c), J, left, right, c)[:2].copy()
+
+
+@compiled
+def add_rounding(kind: int, x: FloatArray, R: FloatArray, state: Any, c: Any) -> None:
+    """R of a yaw rate or of slips, with what the rounding of the counts adds to their prediction."""
+    if kind == POSE or not state.speeds.differenced:
+        return
+    left, right, interval = comparable_speeds(kind, state, c)
+    if interval <= 0.0 or c.encoder_resolution == 0.0:
+        return
+    e, m = rounding(interval, c.encoder_resolution), R.shape[0]
+    by_left = expected(kind, x, m, (left + e, right), c) - expected(kind, x, m, (left - e, right), c)
+    by_right = expected(kind, x, m, (left, right + e), c) - expected(kind, x, m, (left, right - e), c)
+    R += (np.outer(by_left, by_left) + np.outer(by_right, by_right)) / 4.0
+
+
+@compiled
+def _outputs(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+    """(6,) v_x, v_y, yaw rate; left slip, right slip, slip angle."""
+    found = np.empty(6)
+    twist_ = twist(x, left, right, c)
+    found[0], found[1], found[2] = twist_
+    found[3:] = slips(x, twist_, left, right, c)
+    return found
+
+
+@compiled
+def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
+    """Twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
+    x, P = state.mean, state.covariance
+    left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    found = _outputs(x, left, right, c)
+    twist_ = (found[0], found[1], found[2])
+    J = twist_jacobian(x, left, right, c)
+    twist_covariance = sandwich(J, P)
+    slip_covariance = sandwich(slips_jacobian(twist_, J, left, right, c), P)
+    if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
+        e = rounding(interval, c.encoder_resolution)
+        by_left = (_outputs(x, left + e, right, c) - _outputs(x, left - e, right, c)) / 2.0
+        by_right = (_outputs(x, left, right + e, c) - _outputs(x, left, right - e, c)) / 2.0
+        for by in (by_left, by_right):
+            twist_covariance += np.outer(by[:3], by[:3])
+            slip_covariance += np.outer(by[3:], by[3:])
+    estimate.twist[:], estimate.slips[:] = found[:3], found[3:]
+    estimate.twist_covariance[:], estimate.slip_covariance[:] = twist_covariance, slip_covariance
+
+
+@compiled
+def to_sensor(x: FloatArray, P: FloatArray, lever: FloatArray, sign: float) -> None:
+    """The state with the place of a sensor for that of base_link (``sign`` 1), or back again (−1); in place."""
+    if lever[0] == 0.0 and lever[1] == 0.0:
+        return
+    cos, sin = np.cos(x[YAW]), np.sin(x[YAW])
+    east = sign * (cos * lever[0] - sin * lever[1])
+    north = sign * (sin * lever[0] + cos * lever[1])
+    x[X] += east
+    x[Y] += north
+    for j in range(x.size):
+        P[X, j] -= north * P[YAW, j]
+        P[Y, j] += east * P[YAW, j]
+    for i in range(x.size):
+        P[i, X] -= north * P[i, YAW]
+        P[i, Y] += east * P[i, YAW]

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One measurement after the other into the window: checked, put in its place, published; compiled.
+
+Live node and replay hand their measurements to ``process``, one by one or many at once.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.clock_monitor import StampStatus, check_other, check_sample
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.model import SIZE, YAW
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.observation import fill_outputs, to_sensor
+from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SLIPS, SPROCKETS
+from trackslip_estimation.slip.sprockets import remember, stand_still
+from trackslip_estimation.slip.window import (
+    SPARE,
+    Records,
+    Window,
+    drop,
+    horizon_ns,
+    insert,
+    is_at,
+    last_sample,
+    place_of,
+    precedes,
+    run,
+    trim,
+)
+
+FloatArray = NDArray[np.float64]
+
+_LARGEST = 1e9  # m, rad, rad/s: beyond it is no measurement, and its square no number to reckon with
+_ROUNDING = 1e-9  # of a correlation of 1
+_NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
+_NEVER = -(2**62)  # ns
+
+_ACCEPTED, _TOO_LATE, _DUPLICATE = int(Outcome.ACCEPTED), int(Outcome.TOO_LATE), int(Outcome.DUPLICATE)
+_INVALID, _WAITING, _AHEAD = int(Outcome.INVALID), int(Outcome.WAITING), int(Outcome.AHEAD)
+_JUMPED, _RESTARTED, _FROZEN = int(Outcome.JUMPED), int(Outcome.RESTARTED), int(Outcome.FROZEN)
+_STAMP_AHEAD, _STAMP_BEHIND = int(StampStatus.AHEAD), int(StampStatus.BEHIND)
+_STAMP_BACK = int(StampStatus.BACK)
+_UNKNOWN = int(Motion.UNKNOWN)
+
+
+@compiled
+def process(window: Window, arrivals: Records, results: Records, c: Any) -> int:
+    """Measurements in the order of their arrival; returns how many there was room for."""
+    for k in range(arrivals.size):
+        if window.status[0].count + SPARE >= window.states.size and not trim(window, c[0]):
+            return k
+        window.measurements[window.measurements.size - 1] = arrivals[k]
+        _process(window, window.measurements[window.measurements.size - 1], results[k], c[0])
+    return int(arrivals.size)
+
+
+@compiled
+def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
+    status = window.status[0]
+    result.published, result.dof = False, 0
+    result.nis = result.gate = np.nan
+    was_head_ns = status.clock.head_ns if status.clock.running else _NEVER
+    outcome = _check(window, measurement, c)
+    if outcome == _ACCEPTED or outcome == _RESTARTED:
+        if status.started:
+            outcome, entry = _add(window, measurement, c)
+        else:
+            began = _start(window, measurement, c)
+            outcome, entry = _RESTARTED if outcome == _RESTARTED else began, 0
+            if entry + 1 < status.count and began == _ACCEPTED:
+                run(window, entry + 1, status.count, c)
+        if status.started and (outcome == _ACCEPTED or outcome == _JUMPED or outcome == _RESTARTED):
+            _publish(window, entry, was_head_ns, result, c)
+        if status.started and outcome != _TOO_LATE and outcome != _DUPLICATE and entry > 0:
+            update = window.updates[entry]
+            result.nis, result.gate, result.dof = update.nis, update.gate, update.dof
+    result.stamp_ns, result.outcome = measurement.stamp_ns, outcome
+
+
+@compiled
+def _check(window: Window, measurement: Any, c: Any) -> int:
+    """What its numbers and its stamp say; a clock that goes back clears the window."""
+    status = window.status[0]
+    if not is_usable(measurement, c):
+        return _INVALID
+    if status.frozen and measurement.kind == POSE and measurement.source != MANUAL:
+        return _FROZEN
+    if measurement.source == MANUAL and measurement.kind == POSE and measurement.stamp_ns == 0:
+        if not status.clock.running:
+            return _WAITING  # for the first sprocket sample: now is not known yet
+        measurement.stamp_ns = status.clock.head_ns
+    if measurement.kind != SPROCKETS:
+        ahead = check_other(status.clock, c.clock, measurement.stamp_ns) == _STAMP_AHEAD
+        return _AHEAD if ahead else _ACCEPTED
+    contradicts = _contradicts(window, measurement, c)
+    found = check_sample(status.clock, c.clock, measurement.stamp_ns, horizon_ns(window, c), contradicts)
+    if found == _STAMP_AHEAD:
+        return _AHEAD
+    if found == _STAMP_BEHIND:
+        return _TOO_LATE
+    if found == _STAMP_BACK:
+        clear(window)
+        status.restarts += 1
+        status.clock.running = False
+        check_sample(status.clock, c.clock, measurement.stamp_ns, horizon_ns(window, c), False)
+        return _RESTARTED
+    return _ACCEPTED
+
+
+@compiled
+def clear(window: Window) -> None:
+    """Forget all measurements and all that was learned; the clock goes on."""
+    status = window.status[0]
+    status.started, status.count, status.published_ns = False, 0, _NEVER
+
+
+@compiled
+def is_usable(measurement: Any, c: Any) -> bool:
+    """Whether its numbers are such, and none beyond reason."""
+    if measurement.kind == SPROCKETS:
+        left, right = measurement.left_angle, measurement.right_angle
+        return (
+            abs(measurement.left_speed) < _LARGEST
+            and abs(measurement.right_speed) < _LARGEST
+            and ((math.isnan(left) and math.isnan(right)) or (abs(left) < _LARGEST and abs(right) < _LARGEST))
+        )
+    rows = 1
+    if measurement.kind == SLIPS:
+        rows = 2
+    elif measurement.kind == POSE:
+        rows = 3 if measurement.source == MANUAL or c.use_heading[measurement.source] else 2
+    return is_gaussian(measurement.value, measurement.noise, rows)
+
+
+@compiled
+def is_gaussian(mean: FloatArray, covariance: FloatArray, rows: int) -> bool:
+    """Whether the first ``rows`` are numbers with a covariance: symmetric, with no negative variance anywhere."""
+    for i in range(rows):
+        if not (abs(mean[i]) < _LARGEST and 0.0 < covariance[i, i] < _LARGEST**2):
+            return False
+    r = np.eye(3)
+    for i in range(rows):
+        for j in range(i):
+            deviations = math.sqrt(covariance[i, i]) * math.sqrt(covariance[j, j])
+            r[i, j], r[j, i] = covariance[i, j] / deviations, covariance[j, i] / deviations
+            if not (abs(r[i, j] - r[j, i]) <= _ROUNDING and abs(r[i, j]) <= 1.0 + _ROUNDING):
+                return False
+    determinant = 1.0 + 2.0 * r[1, 0] * r[2, 0] * r[2, 1] - r[1, 0] ** 2 - r[2, 0] ** 2 - r[2, 1] ** 2
+    return bool(determinant >= -_ROUNDING)
+
+
+@compiled
+def _contradicts(window: Window, sample: Any, c: Any) -> bool:
+    """Whether positions of a late sample cannot be reached from those of the last one at or before its stamp."""
+    status, measurements = window.status[0], window.measurements
+    if not status.clock.running or sample.stamp_ns > status.clock.head_ns or math.isnan(sample.left_angle):
+        return False
+    before = last_sample(measurements, status.count)
+    while before >= 0 and measurements[before].stamp_ns > sample.stamp_ns:
+        before = last_sample(measurements, before)
+    if before < 0 or math.isnan(measurements[before].left_angle):
+        return False
+    elapsed_ns = sample.stamp_ns - measurements[before].stamp_ns
+    left = abs(sample.left_angle - measurements[before].left_angle)
+    right = abs(sample.right_angle - measurements[before].right_angle)
+    furthest = c.max_sprocket_speed * elapsed_ns * 1e-9
+    return bool(elapsed_ns <= c.sprocket_timeout_ns and max(left, right) > furthest)
+
+
+@compiled
+def _add(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
+    """Outcome and entry of a measurement in its place, with all done again that depends on it."""
+    status, measurements = window.status[0], window.measurements
+    if precedes(measurement, measurements[0]) or measurement.stamp_ns < horizon_ns(window, c):
+        return _TOO_LATE, 0
+    entry = place_of(measurements, status.count, measurement)
+    if is_at(measurements, status.count, entry, measurement):
+        return _DUPLICATE, 0
+    insert(window, entry)
+    first = entry
+    if measurement.kind == SPROCKETS:  # what was extrapolated from the sample before it
+        first = max(last_sample(measurements, entry) + 1, 1)
+    run(window, first, status.count, c)
+    return int(window.updates[entry].outcome), entry
+
+
+@compiled
+def _start(window: Window, measurement: Any, c: Any) -> int:
+    """Begin with a fix, a manual pose, or the initial pose at the first sprocket sample; else wait."""
+    status, measurements = window.status[0], window.measurements
+    entry = place_of(measurements, status.count, measurement)
+    begins = measurement.kind == POSE and (c.starts_with_fix or measurement.source == MANUAL)
+    if measurement.kind == SPROCKETS:
+        begins = not c.starts_with_fix
+        if is_at(measurements, status.count, entry, measurement):
+            return _DUPLICATE
+    if not begins:
+        if measurement.kind == SPROCKETS:
+            insert(window, entry)
+        return _WAITING
+    insert(window, entry)
+    state, sample = window.states[entry], window.states[entry].sample
+    sample.seen = sample.known = False
+    stand_still(sample.speeds)
+    for k in range(entry + 1):
+        if measurements[k].kind == SPROCKETS:
+            remember(state, measurements[k], c)
+    drop(window, entry)
+    _set_start(window.states[0], measurements[0], c)
+    window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
+    status.started = True
+    return _ACCEPTED
+
+
+@compiled
+def _set_start(state: Any, measurement: Any, c: Any) -> None:
+    """The state at the start; a heading that a fix does not have is that of the parameters."""
+    x, P, stamp_ns = state.mean, state.covariance, measurement.stamp_ns
+    x[:] = c.prior_mean
+    P[:] = np.diag(c.prior_variance)
+    x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance
+    if measurement.kind == POSE:
+        source = measurement.source
+        has_heading = is_gaussian(measurement.value, measurement.noise, 3)
+        rows = 3 if has_heading and measurement.noise[YAW, YAW] <= math.pi**2 else 2
+        P[:3, :3] = 0.0
+        P[YAW, YAW] = c.initial_covariance[YAW, YAW]
+        x[:rows], P[:rows, :rows] = measurement.value[:rows], measurement.noise[:rows, :rows]
+        if source != MANUAL:
+            for i in range(rows):
+                floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
+                P[i, i] = max(P[i, i], floor * floor)
+            to_sensor(x, P, c.levers[source], -1.0)
+    stand_still(state.speeds)
+    motion = state.motion
+    motion.motion, motion.changing = _UNKNOWN, True
+    motion.left = motion.right = motion.left_mean = motion.right_mean = motion.departure = 0.0
+    state.stamp_ns, state.coasting = stamp_ns, False
+    for k in range(MOST_SOURCES):
+        state.consistent_ns[k] = stamp_ns
+        state.streaks[k].count, state.streaks[k].value = 0, 0.0
+
+
+@compiled
+def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) -> None:
+    """The estimate at the newest sprocket sample, or at what carries the clock on while they are silent."""
+    status, measurement = window.status[0], window.measurements[entry]
+    carries = was_head_ns < status.clock.head_ns == measurement.stamp_ns
+    if measurement.stamp_ns <= status.published_ns or not (measurement.kind == SPROCKETS or carries):
+        return
+    status.published_ns, result.published = measurement.stamp_ns, True
+    fill_estimate(window.states[entry], c, result.estimate)
+
+
+@compiled
+def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
+    """What is published of a state, into a record of ``ESTIMATE``."""
+    fill_outputs(state, c, estimate)
+    estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
+    estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
+    if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction
+        estimate.slip_covariance[2, 2] = _NO_DIRECTION

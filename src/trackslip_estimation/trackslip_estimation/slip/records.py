@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The records that pass through the compiled estimator: what is measured, what is known, what became of it.
+
+Arrays of them cross from Python as one argument each. Angles in rad, lengths in m, times in ns.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFix, SlipFix, Sprockets, YawRate
+from trackslip_estimation.slip.models.model import SIZE
+from trackslip_estimation.slip.motion import MOTION, SPEEDS
+
+MOST_SOURCES = 12  # gyros, poses and slips together
+
+SPROCKETS, YAW_RATE, POSE, SLIPS = range(4)  # kinds of measurement, in the order of those with one stamp
+
+MEASUREMENT = np.dtype(
+    [
+        ("stamp_ns", np.int64),
+        ("kind", np.int64),
+        ("source", np.int64),  # number in ``Sources``; MANUAL is a user's
+        ("left_speed", np.float64),  # of the sprockets, rad/s
+        ("right_speed", np.float64),
+        ("left_angle", np.float64),  # rad, continuous; nan where there is none
+        ("right_angle", np.float64),
+        ("value", np.float64, (3,)),  # z of all others: rad/s, or m, m, rad, or left and right slip
+        ("noise", np.float64, (3, 3)),  # R, as its source states it
+    ],
+    align=True,
+)
+MANUAL = MOST_SOURCES - 1  # the source number of a manual pose: the last of those with one stamp
+
+SAMPLE = np.dtype(
+    [
+        ("seen", np.bool_),  # whether there was one
+        ("stamp_ns", np.int64),
+        ("left_angle", np.float64),
+        ("right_angle", np.float64),
+        ("known", np.bool_),  # whether the interval that it closed shows speeds
+        ("speeds", SPEEDS),  # of that interval
+    ],
+    align=True,
+)
+
+STREAK = np.dtype([("count", np.int64), ("value", np.float64)], align=True)
+
+STATE = np.dtype(
+    [
+        ("stamp_ns", np.int64),
+        ("mean", np.float64, (SIZE,)),
+        ("covariance", np.float64, (SIZE, SIZE)),
+        ("speeds", SPEEDS),  # of the sprockets in the interval that led here
+        ("motion", MOTION),
+        ("coasting", np.bool_),  # the sprockets have been silent for too long
+        ("sample", SAMPLE),  # the last of the sprockets
+        ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
+        ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
+    ],
+    align=True,
+)
+
+UPDATE = np.dtype(
+    [
+        ("outcome", np.int64),  # of ``measurements.Outcome``
+        ("dof", np.int64),
+        ("nis", np.float64),
+        ("gate", np.float64),
+        ("log_determinant", np.float64),  # ln |S|
+        ("follows", np.bool_),  # whether the prior follows from the state before by the model
+        ("prior_mean", np.float64, (SIZE,)),  # before the measurement, widened where it surprised
+        ("prior_covariance", np.float64, (SIZE, SIZE)),
+    ],
+    align=True,
+)
+
+ESTIMATE = np.dtype(
+    [
+        ("stamp_ns", np.int64),
+        ("pose", np.float64, (3,)),
+        ("pose_covariance", np.float64, (3, 3)),
+        ("twist", np.float64, (3,)),  # v_x, v_y m/s, yaw rate rad/s at C
+        ("twist_covariance", np.float64, (3, 3)),
+        ("slips", np.float64, (3,)),  # left slip, right slip, slip angle rad
+        ("slip_covariance", np.float64, (3, 3)),
+        ("motion", np.int64),
+    ],
+    align=True,
+)
+
+RESULT = np.dtype(
+    [
+        ("stamp_ns", np.int64),  # as used: a manual pose without a stamp has that of now
+        ("outcome", np.int64),
+        ("dof", np.int64),
+        ("nis", np.float64),
+        ("gate", np.float64),
+        ("published", np.bool_),
+        ("estimate", ESTIMATE),  # where published
+    ],
+    align=True,
+)
+
+
+def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) -> NDArray[np.void]:
+    """(k,) of ``MEASUREMENT``; ``sources``: name → number."""
+    records = np.zeros(len(measurements), MEASUREMENT)
+    for record, m in zip(records, measurements, strict=True):
+        record["stamp_ns"] = m.stamp_ns
+        if isinstance(m, Sprockets):
+            record["kind"] = SPROCKETS
+            record["left_speed"], record["right_speed"] = m.left_speed, m.right_speed
+            record["left_angle"], record["right_angle"] = m.positions or (np.nan, np.nan)
+        elif isinstance(m, YawRate):
+            record["kind"], record["source"] = YAW_RATE, sources[m.source]
+            record["value"][0], record["noise"][0, 0] = m.rate, m.variance
+        elif isinstance(m, PoseFix):
+            record["kind"] = POSE
+            record["source"] = MANUAL if m.source == SET_POSE else sources[m.source]
+            record["value"], record["noise"] = m.pose, m.covariance
+        elif isinstance(m, SlipFix):
+            record["kind"], record["source"] = SLIPS, sources[m.source]
+            record["value"][:2], record["noise"][:2, :2] = m.slips, m.covariance
+    return records
