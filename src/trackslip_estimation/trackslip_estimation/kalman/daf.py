@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distribution Approximation Filter (Julier & Uhlmann; thesis Fig. 4.3), the first unscented one, compiled.
+"""Distribution Approximation Filter (Julier & Uhlmann; thesis Fig. 4.3), the first unscented one, compiled; works in place.
 
 x, P    mean and covariance of the state                             (n,), (n, n)
 κ       scales the higher moments of the sigma points, n + κ > 0     1
@@ -11,13 +11,13 @@ z, R    measurement and its covariance                               (m,), (m, m
 S, K    covariance of the innovation, gain                           (m, m), (n, m)
 
 Process noise joins P' after the points have moved, not P before (step 1 of the figure): it is what the whole
-step adds, and must not be moved by it again. The points are drawn anew for each measurement, because several
-may come between two steps. With κ < 0 the centre has a negative
-weight; departures are then taken from the centre point, not from the mean (Julier's repair).
+step adds, and must not be moved by it again. The points are drawn anew for each measurement, because several may come
+between two steps. With κ < 0 the centre has a negative weight; departures are then taken from the centre
+point, not from the mean (Julier's repair). The number ``angle`` of a state, and of a measurement that has so
+many, is an angle: departures take the short way round.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import (
     apply,
+    log_determinant,
     root,
     sandwich,
     solve,
@@ -32,39 +33,35 @@ from trackslip_estimation.kalman.linear_algebra import (
     weighted_square,
     wrap,
 )
-from trackslip_estimation.slip.models.dispatch import expected, move, process_noise
-from trackslip_estimation.slip.models.model import YAW
 
 FloatArray = NDArray[np.float64]
 
 
 @compiled
-def sigma_points(x: FloatArray, P: FloatArray, kappa: float) -> tuple[FloatArray, FloatArray]:
-    """Step 1: χ and w."""
-    n = x.size
-    spread = root(P) * math.sqrt(n + kappa)
-    points, weights = np.empty((2 * n + 1, n)), np.full(2 * n + 1, 0.5 / (n + kappa))
-    points[0], weights[0] = x, kappa / (n + kappa)
-    for i in range(n):
+def sigma_points(x: FloatArray, P: FloatArray, kappa: float, size: int) -> tuple[FloatArray, FloatArray]:
+    """Step 1: χ and w; only the first ``size`` numbers of the state are uncertain."""
+    spread = root(P) * math.sqrt(size + kappa)
+    points, weights = np.empty((2 * size + 1, x.size)), np.full(2 * size + 1, 0.5 / (size + kappa))
+    points[0], weights[0] = x, kappa / (size + kappa)
+    for i in range(size):
         points[1 + i] = x + spread[:, i]
-        points[1 + n + i] = x - spread[:, i]
+        points[1 + size + i] = x - spread[:, i]
     return points, weights
 
 
 @compiled
-def moments(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Steps 2 and 4: the mean (k,), the departures (k, 2n + 1), and the weights that go with them.
-
-    The third number of a state, and of a measured pose, is the heading: departures take the short way.
-    """
+def moments(
+    points: FloatArray, weights: FloatArray, angle: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Steps 2 and 4: the mean (k,), the departures (k, 2n + 1), and the weights that go with them."""
     departures = (points - points[0]).T.copy()
-    if departures.shape[0] > YAW:
+    if departures.shape[0] > angle:
         for i in range(weights.size):
-            departures[YAW, i] = wrap(departures[YAW, i])
+            departures[angle, i] = wrap(departures[angle, i])
     shift = apply(departures, weights)
     mean = points[0] + shift
-    if mean.size > YAW:
-        mean[YAW] = wrap(mean[YAW])
+    if mean.size > angle:
+        mean[angle] = wrap(mean[angle])
     if weights[0] >= 0.0:
         for i in range(weights.size):
             departures[:, i] -= shift
@@ -75,46 +72,34 @@ def moments(points: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatA
 
 
 @compiled
-def predict(
-    x: FloatArray,
-    P: FloatArray,
-    left: float,
-    right: float,
-    dt: float,
-    motion: int,
-    changing: int,
-    departure: float,
-    c: Any,
-) -> tuple[FloatArray, FloatArray]:
-    """Steps 1 to 3: x' and P'."""
-    points, weights = sigma_points(x, P, c.kappa)
-    for i in range(weights.size):
-        points[i] = move(points[i], left, right, dt, motion, c)
-    mean, departures, weights = moments(points, weights)
-    Q = process_noise(x, P, left, right, dt, motion, changing, departure, c)
-    return mean, sandwich(departures, np.diag(weights)) + Q
+def spread_covariance(departures: FloatArray, weights: FloatArray) -> FloatArray:
+    """(k, k) of departures (k, 2n + 1): step 3."""
+    return sandwich(departures, np.diag(weights))
 
 
 @compiled
-def update(
-    kind: int, x: FloatArray, P: FloatArray, z: FloatArray, R: FloatArray, left: float, right: float, c: Any
-) -> tuple[FloatArray, FloatArray, float]:
-    """Steps 4 to 6, and the Kalman update: x', P' and NIS.
+def correct(
+    x: FloatArray,
+    P: FloatArray,
+    sigma: tuple[FloatArray, FloatArray],
+    measured: tuple[FloatArray, FloatArray],
+    Z: FloatArray,
+    angle: int,
+) -> tuple[float, float]:
+    """Steps 4 to 6 and the Kalman update: x and P given z; returns NIS and ln |S|.
 
-    P' = P − K S Kᵀ in a form that stays positive: (X̃ − K Z̃) w (X̃ − K Z̃)ᵀ + K R Kᵀ.
+    ``sigma`` are χ and w, ``measured`` z and R, ``Z`` (2n + 1, m) what each point would give.
+    P ← P − K S Kᵀ in a form that stays positive: (X̃ − K Z̃) w (X̃ − K Z̃)ᵀ + K R Kᵀ.
     """
-    points, weights = sigma_points(x, P, c.kappa)
-    seen = np.empty((weights.size, z.size))
-    for i in range(weights.size):
-        seen[i] = expected(kind, points[i], left, right, c)
-    z_mean, z_departures, w = moments(seen, weights)
-    x_departures = moments(points, weights)[1]
-    root_of_S = root(sandwich(z_departures, np.diag(w)) + R)
+    (points, weights), (z, R) = sigma, measured
+    z_mean, z_departures, w = moments(Z, weights, angle)
+    x_departures = moments(points, weights, angle)[1]
+    root_of_S = root(spread_covariance(z_departures, w) + R)
     K = np.ascontiguousarray(solve(root_of_S, times(z_departures * w, x_departures.T.copy())).T)
     innovation = z - z_mean
-    if z.size > YAW:
-        innovation[YAW] = wrap(innovation[YAW])
-    mean = x + apply(K, innovation)
-    mean[YAW] = wrap(mean[YAW])
-    P = sandwich(x_departures - times(K, z_departures), np.diag(w)) + sandwich(K, R)
-    return mean, P, weighted_square(root_of_S, innovation)
+    if z.size > angle:
+        innovation[angle] = wrap(innovation[angle])
+    x += apply(K, innovation)
+    x[angle] = wrap(x[angle])
+    P[:] = spread_covariance(x_departures - times(K, z_departures), w) + sandwich(K, R)
+    return weighted_square(root_of_S, innovation), log_determinant(root_of_S)

@@ -1,74 +1,94 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extended Kalman filter, compiled.
+"""Extended Kalman filter, compiled; works in place.
 
-x, P   mean and covariance of the state      (n,), (n, n)
-F, Q   transition Jacobian, process noise    (n, n), (n, n)
-z, R   measurement and its covariance        (m,), (m, m)
-h, H   predicted measurement, its Jacobian   (m,), (m, n)
-ν, S   innovation z − h and its covariance   (m,), (m, m)
-K      gain                                  (n, m)
-NIS    νᵀ S⁻¹ ν, χ² with m degrees of freedom if all is honest
+x, P   mean and covariance of the state                  (n,), (n, n)
+F, Q   transition Jacobian, process noise                (n, n), (n, n)
+ν, H   innovation z − h(x), Jacobian of h                (m,), (m, n)
+R, S   covariance of the measurement, of the innovation  (m, m), (m, m)
+K      gain P Hᵀ S⁻¹                                     (n, m)
+NIS    νᵀ S⁻¹ ν, χ² with m degrees of freedom if consistent
 """
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.linear_algebra import (
-    apply,
-    joseph,
-    root,
-    sandwich,
-    solve,
-    times,
-    weighted_square,
-    wrap,
-)
-from trackslip_estimation.slip.models.dispatch import expected, forward, jacobian, move
-from trackslip_estimation.slip.models.model import FULL_POSE, YAW
+from trackslip_estimation.kalman.linear_algebra import log_determinant, root, solve, weighted_square
 
 FloatArray = NDArray[np.float64]
 
 
 @compiled
-def predict(
-    x: FloatArray,
-    P: FloatArray,
-    left: float,
-    right: float,
-    dt: float,
-    motion: int,
-    changing: int,
-    departure: float,
-    c: Any,
-) -> tuple[FloatArray, FloatArray]:
-    """f(x) and P' = F P Fᵀ + Q."""
-    F, Q = forward(x, P, left, right, dt, motion, changing, departure, c)
-    return move(x, left, right, dt, motion, c), sandwich(F, P) + Q
+def propagate_covariance(P: FloatArray, F: FloatArray, Q: FloatArray, coupled: int) -> None:
+    """P ← F P Fᵀ + Q, where F is diagonal below its first ``coupled`` rows."""
+    n = P.shape[0]
+    upper = np.zeros((coupled, n))  # of F P
+    for i in range(coupled):
+        for k in range(n):
+            f = F[i, k]
+            if f != 0.0:
+                for j in range(n):
+                    upper[i, j] += f * P[k, j]
+    for i in range(coupled, n):
+        for j in range(coupled, i + 1):
+            P[i, j] = P[j, i] = F[i, i] * P[i, j] * F[j, j] + Q[i, j]
+    for i in range(coupled):
+        for j in range(coupled, n):
+            P[i, j] = P[j, i] = upper[i, j] * F[j, j] + Q[i, j]
+        for j in range(i + 1):
+            total = Q[i, j]
+            for k in range(n):
+                total += upper[i, k] * F[j, k]
+            P[i, j] = P[j, i] = total
 
 
 @compiled
 def correct(
     x: FloatArray, P: FloatArray, innovation: FloatArray, H: FloatArray, R: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """x', P' and NIS; Joseph form, which keeps P symmetric and positive whatever the gain."""
-    HP = times(H, P)
-    root_of_S = root(times(HP, np.ascontiguousarray(H.T)) + R)
-    K = np.ascontiguousarray(solve(root_of_S, HP).T)
-    return x + apply(K, innovation), joseph(P, K, H, R), weighted_square(root_of_S, innovation)
+) -> tuple[float, float]:
+    """x and P given the innovation; returns NIS and ln |S|.
+
+    P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ (Joseph), which stays symmetric and positive whatever the gain.
+    """
+    n, m = x.size, innovation.size
+    PHt, S = _by_measurement(P, H), R.copy()
+    for i in range(m):
+        for k in range(n):
+            h = H[i, k]
+            if h != 0.0:
+                for j in range(m):
+                    S[i, j] += h * PHt[k, j]
+    root_of_S = root(S)
+    K = solve(root_of_S, np.ascontiguousarray(PHt.T))  # (m, n): transposed
+    for i in range(m):
+        for k in range(n):
+            x[k] += K[i, k] * innovation[i]
+            for j in range(n):
+                P[k, j] -= K[i, k] * PHt[j, i]
+    rest = _by_measurement(P, H)  # of (I − K H) P
+    for k in range(n):
+        for i in range(m):
+            total = -rest[k, i]
+            for j in range(m):
+                total += K[j, k] * R[j, i]
+            rest[k, i] = total
+    for k in range(n):
+        for j in range(k + 1):
+            both = P[k, j] + P[j, k]
+            for i in range(m):
+                both += rest[k, i] * K[i, j] + rest[j, i] * K[i, k]
+            P[k, j] = P[j, k] = both / 2.0
+    return weighted_square(root_of_S, innovation), log_determinant(root_of_S)
 
 
 @compiled
-def update(
-    kind: int, x: FloatArray, P: FloatArray, z: FloatArray, R: FloatArray, left: float, right: float, c: Any
-) -> tuple[FloatArray, FloatArray, float]:
-    """x', P' and NIS of a measurement of one kind."""
-    innovation = z - expected(kind, x, left, right, c)
-    if kind == FULL_POSE:
-        innovation[YAW] = wrap(innovation[YAW])
-    H = jacobian(kind, x, left, right, c)
-    x, P, nis = correct(x, P, innovation, H, R)
-    x[YAW] = wrap(x[YAW])
-    return x, P, nis
+def _by_measurement(P: FloatArray, H: FloatArray) -> FloatArray:
+    """(n, m) P Hᵀ; the zeros of H, of which it is full, cost nothing."""
+    product = np.zeros((P.shape[0], H.shape[0]))
+    for i in range(H.shape[0]):
+        for k in range(H.shape[1]):
+            h = H[i, k]
+            if h != 0.0:
+                for j in range(P.shape[0]):
+                    product[j, i] += P[j, k] * h
+    return product

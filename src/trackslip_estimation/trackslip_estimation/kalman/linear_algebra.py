@@ -116,3 +116,12 @@ def joseph(P: FloatArray, K: FloatArray, H: FloatArray, R: FloatArray) -> FloatA
         for j in range(kept.shape[1]):
             kept[i, j] += learned[i, j]
     return kept
+
+
+@compiled
+def log_determinant(L: FloatArray) -> float:
+    """ln |L Lᵀ|."""
+    total = 0.0
+    for i in range(L.shape[0]):
+        total += 2.0 * math.log(L[i, i])
+    return total

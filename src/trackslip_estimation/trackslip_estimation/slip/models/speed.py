@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the models share that know how the vehicle turns: two equations for its speeds, and their misfits.
+"""What the models share that know how the vehicle turns: two equations for its speeds, and their errors.
 
 x, y, φ    position of the track-contact centre C, heading            m, m, rad (site frame)
-m_v, m_ω   misfits: what v and ω are beyond a model's two equations   m/s, rad/s
+b_g        bias of the yaw-rate gyro                                  rad/s
+m_v, m_ω   velocity errors: v and ω beyond a model's two equations    m/s, rad/s
 a, b       how the vehicle turns: each model has its own pair
 i₀         slip common to both tracks                                 1
 x_I        centre of rotation ahead of C, v_y = −ω x_I                m
-b_g        bias of the yaw-rate gyro                                  rad/s
 v, ω       speed of C along x, yaw rate                               m/s, rad/s
 i_L, i_R   1 − (v ∓ ω B/2)/(r ω_j), what follows for the slips        1
 V, D       r (ω_L + ω_R)/2, r (ω_R − ω_L), from the sprockets         m/s
 d          how far the sprockets' speeds depart from their mean       m/s
-τ, σ       correlation time of the misfits, their size                s, m/s
+τ, σ       correlation time of the velocity errors, their size        s, m/s
 ρ          e^(−dt/τ)                                                  1
 
-Misfits are Ornstein–Uhlenbeck: ṁ = −m/τ + noise, of size σ in v and σ/B in ω. Measured on the shear truth, σ
-is a small share of V and D while the machine goes steadily (in ω less than in v, as both tracks ring alike),
-and a large share of d while its speed changes: the vehicle answers its tracks with a lag, rings on the soil,
-and has the rest settled within tenths of a second. All this is larger on a soil that yields more, which i₀
-tells: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. When the sprockets are silent
-the motion is UNKNOWN; V and D are then 0, the misfits are the speeds themselves, and hold.
+Velocity errors are first-order Gauss–Markov: ṁ = −m/τ + noise, of size σ in v and σ/B in ω. Measured on the
+shear truth, σ is a small share of V and D while the machine goes steadily (in ω less than in v, as both tracks
+ring alike), and a large share of d while its speed changes: the vehicle answers its tracks with a lag, rings on
+the soil, and has the rest settled within tenths of a second. All this is larger on a soil that yields more,
+which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. When the sprockets are
+silent the motion is UNKNOWN; V and D are then 0, the velocity errors are the speeds themselves, and hold.
 """
 
 import math
@@ -31,13 +31,36 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.slip.models.model import POSE, Gaussian
+from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, SIZE, Part, Prior
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
-SPEED_MISFIT, RATE_MISFIT, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET, GYRO_BIAS = range(3, 10)
-SIZE = 10
+SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
+VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
+TURNING_PAIR = slice(FIRST, SECOND + 1)  # each model's own two numbers of how the vehicle turns
+ACTIVE = 10  # numbers of the state
+PARTS = (
+    *COMMON,
+    Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),
+    Part("common_slip", slice(COMMON_SLIP, COMMON_SLIP + 1), "1", "slip common to both tracks"),
+    Part("rotation_offset", slice(ROTATION_OFFSET, ROTATION_OFFSET + 1), "m", "centre of rotation ahead of C"),
+)
+CONSTANTS = np.dtype(
+    [
+        ("straight", np.float64),  # share of V
+        ("turning", np.float64),  # share of D
+        ("changing", np.float64),  # share of d
+        ("standing", np.float64),  # m/s
+        ("yielding_slip", np.float64),
+        ("yaw_rate_ratio", np.float64),
+        ("time", np.float64),  # τ, s
+        ("first_variance", np.float64),  # of the turning pair, on ground not known yet
+        ("second_variance", np.float64),
+        ("slip_variance", np.float64),  # of i₀
+    ],
+    align=True,
+)
 _SLOWEST = 0.02  # m/s of track or vehicle, below which slip and slip angle say nothing
 _SILENT, _TURNING = int(Motion.UNKNOWN), int(Motion.TURNING)
 
@@ -48,15 +71,15 @@ class SpeedNoise(Parameters):
 
     common_slip: float = parameter("common slip i₀, while driving", unit="1/√s", ge=0.0)
     rotation_offset: float = parameter("centre of rotation x_I, while turning", unit="m/√s", ge=0.0)
-    gyro_bias: float = parameter("walk of the gyro bias", unit="rad/s/√s", ge=0.0)
-    straight_misfit: float = parameter("share of V that the equations leave out, straight on", ge=0.0)
-    turning_misfit: float = parameter("share of D that the equations leave out, in turns", ge=0.0)
-    changing_misfit: float = parameter("share of d that the equations leave out", ge=0.0)
-    standing_misfit: float = parameter("track speed that counts as none", unit="m/s", gt=0.0)
-    yielding_slip: float = parameter("i₀ of a soil on which the misfits have twice the variance", gt=0.0)
-    rate_misfit: float = parameter("steady misfit of ω times B, over that of v", ge=0.0)
-    misfit_time: float = parameter("correlation time τ of the misfits", unit="s", gt=0.0)
-    settling: float = parameter("how much faster x_I and the pair walk while speeds change", ge=1.0)
+    gyro_bias: float = parameter("random walk of the gyro bias", unit="rad/s/√s", ge=0.0)
+    straight_velocity_error: float = parameter("share of V that the equations leave out, straight on", ge=0.0)
+    turning_velocity_error: float = parameter("share of D that the equations leave out, in turns", ge=0.0)
+    changing_velocity_error: float = parameter("share of d that the equations leave out", ge=0.0)
+    standing_velocity_error: float = parameter("track speed that counts as none", unit="m/s", gt=0.0)
+    yielding_slip: float = parameter("i₀ of a soil on which velocity errors have twice the variance", gt=0.0)
+    yaw_rate_error_ratio: float = parameter("steady error of ω times B, over that of v", ge=0.0)
+    velocity_error_time: float = parameter("correlation time τ of the velocity errors", unit="s", gt=0.0)
+    settling: float = parameter("noise_scale of x_I and the turning pair while speeds change", ge=1.0)
     initial_common_slip_stddev: float = parameter("standard deviation of i₀ at the start", gt=0.0)
     initial_rotation_offset_stddev: float = parameter(
         "standard deviation of x_I at the start", unit="m", gt=0.0
@@ -66,122 +89,107 @@ class SpeedNoise(Parameters):
     )
 
 
-@dataclass(frozen=True)
-class SpeedModel:
-    """Numbers of such a model for one vehicle, but for its own pair of states."""
+def prior(n: SpeedNoise, tread: float) -> Prior:
+    """At rest, with no slip; the model adds its turning pair."""
+    stddev = np.zeros(SIZE)
+    stddev[SPEED_ERROR], stddev[YAW_RATE_ERROR] = n.standing_velocity_error, n.standing_velocity_error / tread
+    stddev[COMMON_SLIP] = n.initial_common_slip_stddev
+    stddev[ROTATION_OFFSET] = n.initial_rotation_offset_stddev
+    stddev[GYRO_BIAS] = n.initial_gyro_bias_stddev
+    return Prior(np.zeros(SIZE), stddev)
 
-    rolling_radius: float  # m
-    tread: float  # m
-    encoder_resolution: float  # rad
-    noise: SpeedNoise
 
-    def initial(self, pose: FloatArray, pose_covariance: FloatArray) -> Gaussian:
-        """At rest, with no slip."""
-        n = self.noise
-        mean = np.zeros(SIZE)
-        mean[POSE] = pose
-        deviations = np.zeros(SIZE)
-        deviations[SPEED_MISFIT], deviations[RATE_MISFIT] = n.standing_misfit, n.standing_misfit / self.tread
-        deviations[COMMON_SLIP] = n.initial_common_slip_stddev
-        deviations[ROTATION_OFFSET] = n.initial_rotation_offset_stddev
-        deviations[GYRO_BIAS] = n.initial_gyro_bias_stddev
-        covariance = np.diag(np.square(deviations))
-        covariance[POSE, POSE] = pose_covariance
-        return Gaussian(mean, covariance)
+def process_noise_density(n: SpeedNoise, motion: MotionState) -> FloatArray:
+    """(SIZE,) per √s: how the vehicle turns shows in turns only, and changes there only; i₀ while driving."""
+    density = np.zeros(SIZE)
+    density[GYRO_BIAS] = n.gyro_bias
+    if motion.motion is not Motion.STANDING:
+        density[COMMON_SLIP] = n.common_slip
+    if motion.motion is Motion.TURNING:
+        density[ROTATION_OFFSET] = n.rotation_offset * noise_scale(n, motion)
+    return density
 
-    def constants(self) -> dict[str, float]:
-        """What the compiled equations need."""
-        n = self.noise
-        return {
-            "rolling_radius": self.rolling_radius,
-            "tread": self.tread,
-            "encoder_resolution": self.encoder_resolution,
-            "straight_misfit": n.straight_misfit,
-            "turning_misfit": n.turning_misfit,
-            "changing_misfit": n.changing_misfit,
-            "standing_misfit": n.standing_misfit,
-            "yielding_slip": n.yielding_slip,
-            "rate_misfit": n.rate_misfit,
-            "misfit_time": n.misfit_time,
-            "slip_variance": n.initial_common_slip_stddev**2,
-        }
 
-    def walk(self, motion: MotionState) -> FloatArray:
-        """How the vehicle turns shows in turns only, and changes there only; i₀ while driving."""
-        n = self.noise
-        walk = np.zeros(SIZE)
-        walk[GYRO_BIAS] = n.gyro_bias
-        if motion.motion is not Motion.STANDING:
-            walk[COMMON_SLIP] = n.common_slip
-        if motion.motion is Motion.TURNING:
-            walk[ROTATION_OFFSET] = n.rotation_offset * self.hurry(motion)
-        return walk
+def noise_scale(n: SpeedNoise, motion: MotionState) -> float:
+    """How much faster than in steady turns that changes which shows in turns."""
+    return n.settling if motion.changing else 1.0
 
-    def hurry(self, motion: MotionState) -> float:
-        """How much faster than in steady turns that changes which shows in turns."""
-        return self.noise.settling if motion.changing else 1.0
+
+def constants(n: SpeedNoise, pair_stddev: tuple[float, float]) -> dict[str, float]:
+    """The fields of ``CONSTANTS``; ``pair_stddev`` is that of the turning pair at the start."""
+    return {
+        "straight": n.straight_velocity_error,
+        "turning": n.turning_velocity_error,
+        "changing": n.changing_velocity_error,
+        "standing": n.standing_velocity_error,
+        "yielding_slip": n.yielding_slip,
+        "yaw_rate_ratio": n.yaw_rate_error_ratio,
+        "time": n.velocity_error_time,
+        "first_variance": pair_stddev[0] ** 2,
+        "second_variance": pair_stddev[1] ** 2,
+        "slip_variance": n.initial_common_slip_stddev**2,
+    }
 
 
 @compiled
 def twist(x: FloatArray, v: float, rate: float) -> tuple[float, float, float]:
     """v_x m/s, v_y m/s, ω rad/s of C, where a model's equations give ``v`` and ``rate``."""
-    rate += x[RATE_MISFIT]
-    return v + x[SPEED_MISFIT], -rate * x[ROTATION_OFFSET], rate
+    rate += x[YAW_RATE_ERROR]
+    return v + x[SPEED_ERROR], -rate * x[ROTATION_OFFSET], rate
 
 
 @compiled
-def twist_jacobian(x: FloatArray, rate: float, J: FloatArray) -> FloatArray:
-    """(3, 10) derivative of ``twist``; J has those of the equations in its first and last row."""
-    J[0, SPEED_MISFIT] = J[2, RATE_MISFIT] = 1.0
-    J[1] = -x[ROTATION_OFFSET] * J[2]
-    J[1, ROTATION_OFFSET] -= rate + x[RATE_MISFIT]
-    return J
+def complete_jacobian(x: FloatArray, rate: float, J: FloatArray) -> None:
+    """Completes J (3, n), which has a model's derivatives of v and ω in its first and last row."""
+    J[0, SPEED_ERROR] = J[2, YAW_RATE_ERROR] = 1.0
+    for k in range(x.size):
+        J[1, k] = -x[ROTATION_OFFSET] * J[2, k]
+    J[1, ROTATION_OFFSET] -= rate + x[YAW_RATE_ERROR]
 
 
 @compiled
 def persistence(dt: float, motion: int, c: Any) -> tuple[float, float]:
-    """Share of a misfit that is left after dt, ρ, and the mean share over it, (1 − ρ) τ/dt."""
-    a = dt / c.misfit_time
+    """Share of a velocity error that is left after dt, ρ, and the mean share over it, (1 − ρ) τ/dt."""
+    a = dt / c.velocity_errors.time
     if motion == _SILENT or a <= 0.0:
         return 1.0, 1.0
-    return math.exp(-a), -math.expm1(-a) / a
+    lost = -math.expm1(-a)
+    return 1.0 - lost, lost / a
 
 
 @compiled
-def misfit_growth(dt: float, motion: int, c: Any) -> tuple[float, float, float]:
-    """What dt adds to a misfit of size 1: variance of its mean over dt, covariance with its end, variance."""
-    a = dt / c.misfit_time
+def error_growth(dt: float, motion: int, c: Any) -> tuple[float, float, float]:
+    """What dt adds to an error of size 1: variance of its mean over dt, covariance with its end, variance."""
+    a = dt / c.velocity_errors.time
     if motion == _SILENT or a <= 0.0:
         return 0.0, 0.0, 0.0
-    left = -math.expm1(-a)  # 1 − ρ
+    lost = -math.expm1(-a)  # 1 − ρ
     if a < 1e-2:  # the closed form cancels
         mean = a * (2.0 / 3.0 - a / 2.0)
     else:
-        mean = (2.0 * a - 4.0 * left + 1.0 - (1.0 - left) ** 2) / (a * a)
-    return mean, left * left / a, 1.0 - (1.0 - left) ** 2
+        mean = (2.0 * a - 4.0 * lost + 1.0 - (1.0 - lost) ** 2) / (a * a)
+    return mean, lost * lost / a, 1.0 - (1.0 - lost) ** 2
 
 
 @compiled
-def misfit_variances(
-    x: FloatArray, P: FloatArray, left: float, right: float, motion: int, departure: float, c: Any
-) -> tuple[float, float]:
+def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[float, float]:
     """Of m_v, (m/s)², and of m_ω, (rad/s)²; expected, as far as i₀ is known."""
-    if motion == _TURNING:
-        steady = c.turning_misfit * c.rolling_radius * (right - left)
+    e, speeds, motion = c.velocity_errors, drive.speeds, drive.motion
+    if motion.motion == _TURNING:
+        steady = e.turning * c.rolling_radius * (speeds.right - speeds.left)
     else:
-        steady = c.straight_misfit * c.rolling_radius * (left + right) / 2.0
-    changing = c.changing_misfit * c.rolling_radius * departure
-    yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / float(c.yielding_slip) ** 2
-    of_speed = (steady**2 + changing**2) * yielding + c.standing_misfit**2
-    of_rate = ((c.rate_misfit * steady) ** 2 + changing**2) * yielding + c.standing_misfit**2
-    return of_speed, of_rate / c.tread**2
+        steady = e.straight * c.rolling_radius * (speeds.left + speeds.right) / 2.0
+    changing = e.changing * c.rolling_radius * motion.departure
+    yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
+    of_speed = (steady**2 + changing**2) * yielding + e.standing**2
+    of_rate = ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2
+    return of_speed, of_rate / (c.tread * c.tread)
 
 
 @compiled
-def slips(
-    x: FloatArray, v_x: float, v_y: float, rate: float, left: float, right: float, c: Any
-) -> FloatArray:
+def slips(x: FloatArray, twist_: tuple[float, float, float], left: float, right: float, c: Any) -> FloatArray:
     """(3,) i_L, i_R, α from the twist and the sprockets; where a track stands, the common slip."""
+    v_x, v_y, rate = twist_
     found = np.zeros(3)
     for side in range(2):
         track = c.rolling_radius * (left if side == 0 else right)
@@ -196,9 +204,12 @@ def slips(
 
 
 @compiled
-def slips_jacobian(v_x: float, v_y: float, J: FloatArray, left: float, right: float, c: Any) -> FloatArray:
-    """(3, 10) derivative of ``slips``, by that of the twist, J (3, 10)."""
-    S = np.zeros((3, SIZE))
+def slips_jacobian(
+    twist_: tuple[float, float, float], J: FloatArray, left: float, right: float, c: Any
+) -> FloatArray:
+    """(3, n) derivative of ``slips``, by that of the twist, J (3, n)."""
+    v_x, v_y, _ = twist_
+    S = np.zeros(J.shape)
     for side in range(2):
         track = c.rolling_radius * (left if side == 0 else right)
         sign = -1.0 if side == 0 else 1.0
