@@ -2,9 +2,9 @@
 """The thesis' kinematic sub-model (3.17)–(3.20), (3.23), with its errata applied, and a gyro bias.
 
     x, y, φ    position of the track-contact centre C, heading   m, m, rad (site frame)
+    b_g        bias of the yaw-rate gyro                         rad/s
     i_L, i_R   longitudinal slip, v_j = r ω_j (1 − i_j)          1
     α          slip angle, tan α = v_y / v_x                     rad
-    b_g        bias of the yaw-rate gyro                         rad/s
     ω_L, ω_R   sprocket speeds, the input                        rad/s
     r, B       rolling radius, tread                             m
 
@@ -24,13 +24,19 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.slip.models.model import FREE_SLIPS, POSE, Gaussian
+from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, SIZE, Part, Prior
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
-LEFT_SLIP, RIGHT_SLIP, SLIP_ANGLE, GYRO_BIAS = range(3, 7)
-SIZE = 7
+CODE, NAME, ACTIVE = 0, "free_slips", 7
+LEFT_SLIP, RIGHT_SLIP, SLIP_ANGLE = range(4, 7)
+PARTS = (
+    *COMMON,
+    Part("slips", slice(LEFT_SLIP, RIGHT_SLIP + 1), "1, 1", "longitudinal slip of the left and right track"),
+    Part("slip_angle", slice(SLIP_ANGLE, SLIP_ANGLE + 1), "rad", "direction of the velocity, left of x"),
+)
+CONSTANTS = np.dtype([("encoder", np.float64)], align=True)  # (3.21), √s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +48,7 @@ class SlipNoise(Parameters):
     slip_moving: float = parameter("slip, speeds differ or change (3.22)", unit="1/√s", ge=0.0)
     slip_angle_steady: float = parameter("slip angle, straight", unit="rad/√s", ge=0.0)
     slip_angle_turning: float = parameter("slip angle, turning", unit="rad/√s", ge=0.0)
-    gyro_bias: float = parameter("walk of the gyro bias", unit="rad/s/√s", ge=0.0)
+    gyro_bias: float = parameter("random walk of the gyro bias", unit="rad/s/√s", ge=0.0)
     initial_slip: float = parameter("standard deviation of the slips at the start", gt=0.0)
     initial_slip_angle: float = parameter(
         "standard deviation of the slip angle at the start", unit="rad", gt=0.0
@@ -52,50 +58,31 @@ class SlipNoise(Parameters):
     )
 
 
-@dataclass(frozen=True)
-class SlipModel:
-    """Numbers of the sub-model for one vehicle (a ``model.Model``)."""
+def prior(n: SlipNoise, tread: float) -> Prior:
+    """Unknown slips about zero, whatever the tread."""
+    del tread
+    stddev = np.zeros(SIZE)
+    stddev[LEFT_SLIP] = stddev[RIGHT_SLIP] = n.initial_slip
+    stddev[SLIP_ANGLE], stddev[GYRO_BIAS] = n.initial_slip_angle, n.initial_gyro_bias
+    return Prior(np.zeros(SIZE), stddev)
 
-    rolling_radius: float  # m
-    tread: float  # m
-    encoder_resolution: float  # rad
-    noise: SlipNoise
 
-    code = FREE_SLIPS
+def process_noise_density(n: SlipNoise, motion: MotionState) -> FloatArray:
+    """(SIZE,) per √s: (3.22) by the jump hypothesis."""
+    slip = n.slip_moving if motion.slips_move else n.slip_steady
+    turning = motion.motion is Motion.TURNING or motion.changing
+    angle = n.slip_angle_turning if turning else n.slip_angle_steady
+    if motion.motion is Motion.STANDING:
+        slip = angle = 0.0  # undefined at ω = 0: frozen
+    density = np.zeros(SIZE)
+    density[LEFT_SLIP] = density[RIGHT_SLIP] = slip
+    density[SLIP_ANGLE], density[GYRO_BIAS] = angle, n.gyro_bias
+    return density
 
-    def initial(self, pose: FloatArray, pose_covariance: FloatArray) -> Gaussian:
-        """Unknown slips about zero."""
-        mean = np.zeros(SIZE)
-        mean[POSE] = pose
-        noise = self.noise
-        deviations = (
-            noise.initial_slip,
-            noise.initial_slip,
-            noise.initial_slip_angle,
-            noise.initial_gyro_bias,
-        )
-        covariance = np.diag((0.0, 0.0, 0.0, *np.square(deviations)))
-        covariance[POSE, POSE] = pose_covariance
-        return Gaussian(mean, covariance)
 
-    def constants(self) -> dict[str, float]:
-        """What the compiled equations need."""
-        return {
-            "rolling_radius": self.rolling_radius,
-            "tread": self.tread,
-            "encoder_resolution": self.encoder_resolution,
-            "encoder": self.noise.encoder,
-        }
-
-    def walk(self, motion: MotionState) -> FloatArray:
-        """(3.22) by the jump hypothesis."""
-        noise = self.noise
-        slip = noise.slip_moving if motion.slips_move else noise.slip_steady
-        turning = motion.motion is Motion.TURNING or motion.changing
-        angle = noise.slip_angle_turning if turning else noise.slip_angle_steady
-        if motion.motion is Motion.STANDING:
-            slip = angle = 0.0  # undefined at ω = 0: frozen
-        return np.array((0.0, 0.0, 0.0, slip, slip, angle, noise.gyro_bias))
+def constants(n: SlipNoise) -> dict[str, float]:
+    """The fields of ``CONSTANTS``."""
+    return {"encoder": n.encoder}
 
 
 @compiled
@@ -109,8 +96,8 @@ def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, floa
 
 @compiled
 def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
-    """(3, 7) derivative of ``twist`` by the state."""
-    J = np.zeros((3, SIZE))
+    """(3, SIZE) derivative of ``twist`` by the state."""
+    J = np.zeros((3, x.size))
     tan = math.tan(x[SLIP_ANGLE])
     J[0, LEFT_SLIP] = -c.rolling_radius * left / 2.0
     J[0, RIGHT_SLIP] = -c.rolling_radius * right / 2.0
@@ -143,8 +130,8 @@ def slips(x: FloatArray) -> FloatArray:
 
 
 @compiled
-def slips_jacobian() -> FloatArray:
-    """(3, 7) derivative of ``slips`` by the state."""
-    S = np.zeros((3, SIZE))
+def slips_jacobian(size: int) -> FloatArray:
+    """(3, size) derivative of ``slips`` by the state."""
+    S = np.zeros((3, size))
     S[0, LEFT_SLIP] = S[1, RIGHT_SLIP] = S[2, SLIP_ANGLE] = 1.0
     return S

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sub-model 1b: not the slips are constant on a soil, but how the vehicle turns (symbols: ``speed_model``).
+"""Sub-model 1b: not the slips are constant on a soil, but how the vehicle turns (symbols: ``speed``).
 
     κ    turning efficiency, ω = κ D/B + m_ω                   1
     η    speed lost in a turn, v = (1 − i₀) V − η s + m_v      1
@@ -21,20 +21,21 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import parameter
-from trackslip_estimation.slip.models.model import TURNING, Gaussian
-from trackslip_estimation.slip.models.speed import (
-    COMMON_SLIP,
-    FIRST,
-    SECOND,
-    SIZE,
-    SpeedModel,
-    SpeedNoise,
-)
+from trackslip_estimation.slip.models import speed
+from trackslip_estimation.slip.models.model import Part, Prior
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, SpeedNoise, noise_scale
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
+CODE, NAME, ACTIVE = 1, "turning", speed.ACTIVE
 EFFICIENCY, LOSS = FIRST, SECOND
+PARTS = (
+    *speed.PARTS,
+    Part("efficiency", slice(EFFICIENCY, EFFICIENCY + 1), "1", "turning efficiency κ"),
+    Part("loss", slice(LOSS, LOSS + 1), "1", "speed lost in a turn, η"),
+)
+CONSTANTS = np.dtype([("gentle_turn", np.float64)], align=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,63 +51,64 @@ class TurningNoise(SpeedNoise):
     initial_loss_stddev: float = parameter("its standard deviation", gt=0.0)
 
 
-@dataclass(frozen=True)
-class TurningModel(SpeedModel):
-    """Numbers of the sub-model for one vehicle (a ``model.Model``)."""
+def prior(n: TurningNoise, tread: float) -> Prior:
+    """At rest, with typical turning and no slip."""
+    start = speed.prior(n, tread)
+    start.mean[EFFICIENCY], start.mean[LOSS] = n.initial_efficiency, n.initial_loss
+    start.stddev[EFFICIENCY], start.stddev[LOSS] = n.initial_efficiency_stddev, n.initial_loss_stddev
+    return start
 
-    noise: TurningNoise
 
-    code = TURNING
+def process_noise_density(n: TurningNoise, motion: MotionState) -> FloatArray:
+    """(SIZE,) per √s: κ and η change in turns only."""
+    density = speed.process_noise_density(n, motion)
+    if motion.motion is Motion.TURNING:
+        scale = noise_scale(n, motion)
+        density[EFFICIENCY], density[LOSS] = n.efficiency * scale, n.loss * scale
+    return density
 
-    def initial(self, pose: FloatArray, pose_covariance: FloatArray) -> Gaussian:
-        """At rest, with typical turning and no slip."""
-        mean, covariance = super().initial(pose, pose_covariance)
-        n = self.noise
-        mean[EFFICIENCY], mean[LOSS] = n.initial_efficiency, n.initial_loss
-        covariance[EFFICIENCY, EFFICIENCY] = n.initial_efficiency_stddev**2
-        covariance[LOSS, LOSS] = n.initial_loss_stddev**2
-        return Gaussian(mean, covariance)
 
-    def constants(self) -> dict[str, float]:
-        """What the compiled equations need."""
-        n = self.noise
-        unknown = {
-            "first_variance": n.initial_efficiency_stddev**2,
-            "second_variance": n.initial_loss_stddev**2,
-        }
-        return super().constants() | unknown | {"gentle_turn": n.gentle_turn}
+def constants(n: TurningNoise) -> dict[str, float]:
+    """The fields of ``CONSTANTS``."""
+    return {"gentle_turn": n.gentle_turn}
 
-    def walk(self, motion: MotionState) -> FloatArray:
-        """κ and η change in turns only."""
-        walk = super().walk(motion)
-        if motion.motion is Motion.TURNING:
-            hurry = self.hurry(motion)
-            walk[EFFICIENCY], walk[LOSS] = self.noise.efficiency * hurry, self.noise.loss * hurry
-        return walk
+
+def velocity_error_constants(n: TurningNoise) -> dict[str, float]:
+    """The fields of ``speed.CONSTANTS``."""
+    return speed.constants(n, (n.initial_efficiency_stddev, n.initial_loss_stddev))
 
 
 @compiled
-def lag(V: float, D: float, c: Any) -> float:
+def turn_speed_loss(V: float, D: float, c: Any) -> float:
     """s, m/s: odd in the travel, as a turn in reverse mirrors the one forward; the cube is measured."""
     half = abs(D) / 2.0
     if half == 0.0:
         return 0.0
-    share = half / (half + float(c.gentle_turn) * abs(V))
-    return half * share * min(max(V / half, -1.0), 1.0) ** 3
+    share = half / (half + c.turning.gentle_turn * abs(V))
+    ratio = min(max(V / half, -1.0), 1.0)
+    return half * share * (ratio * ratio * ratio)
 
 
 @compiled
 def equations(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float]:
-    """v in m/s and ω in rad/s but for the misfits."""
+    """v in m/s and ω in rad/s but for the velocity errors."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
-    return (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * lag(V, D, c), x[EFFICIENCY] * D / c.tread
+    return (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * turn_speed_loss(V, D, c), x[EFFICIENCY] * D / c.tread
 
 
 @compiled
-def equations_jacobian(left: float, right: float, c: Any) -> FloatArray:
-    """(3, 10) derivative of v and ω by the state, in the first and last row."""
+def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float, float]:
+    """v_x m/s, v_y m/s, ω rad/s of C."""
+    v, rate = equations(x, left, right, c)
+    return speed.twist(x, v, rate)
+
+
+@compiled
+def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+    """(3, SIZE) derivative of ``twist`` by the state."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
-    J = np.zeros((3, SIZE))
-    J[0, COMMON_SLIP], J[0, LOSS] = -V, -lag(V, D, c)
+    J = np.zeros((3, x.size))
+    J[0, COMMON_SLIP], J[0, LOSS] = -V, -turn_speed_loss(V, D, c)
     J[2, EFFICIENCY] = D / c.tread
+    speed.complete_jacobian(x, x[EFFICIENCY] * D / c.tread, J)
     return J
