@@ -9,9 +9,8 @@ from scipy.special import chdtri
 
 from trackslip_common.clock_monitor import CLOCK_LIMITS
 from trackslip_estimation.slip.coasting import motion_limits
-from trackslip_estimation.slip.models import speed
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
-from trackslip_estimation.slip.models.model import POSE, SIZE
+from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import MOST_SOURCES
@@ -82,18 +81,17 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
 
 def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
     """What the chosen model says of itself."""
-    model, noise = MODELS[p.model], p.model_noise
+    model, noise = MODELS[p.model], p.noise_of(p.model)
     c["model"], c["active"] = model.CODE, model.ACTIVE
-    for name, _ in ((name, None) for name, *_ in CONSTANTS if name in MODELS):
-        of_model = MODELS[name].constants({"turning": p.turning, "free_slips": p.noise}[name])
-        for field, value in of_model.items():
-            c[name][field] = value
-    if hasattr(model, "speed_constants"):
-        for field in speed.CONSTANTS.names or ():
-            c["velocity_errors"][field] = model.speed_constants(noise)[field]
+    for name, dtype in CONSTANTS:
+        of_model = {}
+        if name in MODELS:
+            of_model = MODELS[name].constants(p.noise_of(name))
+        elif hasattr(model, "velocity_error_constants"):
+            of_model = model.velocity_error_constants(noise)
+        c[name] = tuple(of_model.get(field, 0.0) for field in dtype.names or ())
     prior = model.prior(noise, p.vehicle.tread)
     c["prior_mean"], c["prior_variance"] = prior.mean, np.square(prior.stddev)
-    c["prior_mean"][POSE] = 0.0
     for motion in Motion:
         for changing in (False, True):
             density = model.process_noise_density(noise, MotionState(motion, changing))

@@ -6,12 +6,17 @@ and steady speeds, and move while the speeds differ or change.
 
     ω_L, ω_R   sprocket speeds, low-passed             rad/s
     ω̄          mean of |ω_L| and |ω_R|                  rad/s
+
+``SPEEDS`` and ``MOTION`` are the records that compiled code passes on; ``Speeds`` and ``MotionState`` are the
+same for Python.
 """
 
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
@@ -28,7 +33,33 @@ class Motion(IntEnum):
     TURNING = 3
 
 
-_MOTIONS = tuple(Motion)
+SPEEDS = np.dtype(
+    [("left", np.float64), ("right", np.float64), ("interval", np.float64), ("differenced", np.bool_)],
+    align=True,
+)
+MOTION = np.dtype(
+    [
+        ("motion", np.int64),
+        ("changing", np.bool_),
+        ("left", np.float64),
+        ("right", np.float64),
+        ("left_mean", np.float64),
+        ("right_mean", np.float64),
+        ("departure", np.float64),
+    ],
+    align=True,
+)
+LIMITS = np.dtype(
+    [
+        ("standing_speed", np.float64),
+        ("turning_ratio", np.float64),
+        ("change_ratio", np.float64),
+        ("hysteresis", np.float64),
+        ("smoothing_time", np.float64),
+        ("memory_time", np.float64),
+    ],
+    align=True,
+)
 _UNKNOWN, _STANDING, _STRAIGHT, _TURNING = map(int, Motion)
 
 
@@ -45,11 +76,11 @@ class MotionParameters(Parameters):
 
 
 class Speeds(NamedTuple):
-    """Mean sprocket speeds over the stretch between two samples."""
+    """Mean sprocket speeds over the interval between two samples."""
 
     left: float  # rad/s
     right: float  # rad/s
-    stretch: float  # s between the two samples; 0 where there was but one
+    interval: float  # s between the two samples; 0 where there was but one
     differenced: bool  # from positions, which were rounded to counts; else measured as speeds
 
 
@@ -80,103 +111,86 @@ def classify(
 
     ``resolution`` is the angle of a count, rad.
     """
-    motion, changing, *remembered = classified(
-        int(state.motion),
-        *state[1:],
-        *speeds,
-        dt,
-        resolution,
-        limits.standing_speed,
-        limits.turning_ratio,
-        limits.change_ratio,
-        limits.hysteresis,
-        limits.smoothing_time,
-        limits.memory_time,
-    )
-    return MotionState(_MOTIONS[motion], changing, *remembered)
-
-
-@compiled
-def classified(
-    motion: int,
-    changing: bool,
-    left: float,
-    right: float,
-    left_mean: float,
-    right_mean: float,
-    departure: float,
-    left_speed: float,
-    right_speed: float,
-    stretch: float,
-    differenced: bool,
-    dt: float,
-    resolution: float,
-    standing_speed: float,
-    turning_ratio: float,
-    change_ratio: float,
-    hysteresis: float,
-    smoothing_time: float,
-    memory_time: float,
-) -> tuple[int, bool, float, float, float, float, float]:
-    """The fields of the next ``MotionState``, from its last, those of ``Speeds``, of ``MotionParameters``."""
-    if dt <= 0.0:
-        return motion, changing, left, right, left_mean, right_mean, departure
-    if motion == _UNKNOWN:
-        left, right, left_mean, right_mean = left_speed, right_speed, left_speed, right_speed
-    else:
-        fast = -math.expm1(-dt / smoothing_time)
-        slow = -math.expm1(-dt / memory_time)
-        left += fast * (left_speed - left)
-        right += fast * (right_speed - right)
-        left_mean += slow * (left_speed - left_mean)
-        right_mean += slow * (right_speed - right_mean)
-    fastest, mean = max(abs(left), abs(right)), (abs(left) + abs(right)) / 2.0
-    moved, turned = motion in (_STRAIGHT, _TURNING), motion == _TURNING
-    moves = fastest > standing_speed * (hysteresis if moved else 1.0)
-    turns = abs(right - left) > turning_ratio * mean * (hysteresis if turned else 1.0)
-    smooth = max(abs(left - left_mean), abs(right - right_mean))
-    changing = smooth > change_ratio * max(mean, standing_speed) * (hysteresis if changing else 1.0)
-    motion = _STANDING if not moves else _TURNING if turns else _STRAIGHT
-    lately = max(abs(left_speed - left), abs(right_speed - right))
-    departure = max(lately, abs(left_speed - left_mean), abs(right_speed - right_mean))
-    if differenced and stretch > 0.0 and departure <= _SIGNIFICANT * _rounding(stretch, resolution):
-        departure = 0.0
-    return motion, changing, left, right, left_mean, right_mean, departure
+    motion = np.array([tuple(state)], MOTION)
+    _classify(motion, np.array([tuple(speeds)], SPEEDS), dt, limits_record(limits), resolution)
+    code, changing, *remembered = motion[0].item()
+    return MotionState(Motion(code), changing, *remembered)
 
 
 def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters, resolution: float = 0.0) -> Speeds:
-    """What a gyro is compared with: no rounding of counts passes for a turn, or for a change of speed.
+    """What a gyro is compared with: ``steady_speeds``."""
+    records = np.array([tuple(speeds)], SPEEDS), np.array([tuple(state)], MOTION)
+    return Speeds(*_steady_speeds(*records, limits_record(limits), resolution), speeds.differenced)
+
+
+def limits_record(limits: MotionParameters) -> Any:
+    """(1,) of ``LIMITS``."""
+    return np.array([tuple(getattr(limits, name) for name in LIMITS.names or ())], LIMITS)
+
+
+@compiled
+def _classify(motion: Any, speeds: Any, dt: float, limits: Any, resolution: float) -> None:
+    """``update_motion`` as called from Python."""
+    update_motion(motion[0], speeds[0], dt, limits[0], resolution)
+
+
+@compiled
+def _steady_speeds(speeds: Any, motion: Any, limits: Any, resolution: float) -> tuple[float, float, float]:
+    """``steady_speeds`` as called from Python."""
+    return steady_speeds(speeds[0], motion[0], limits[0], resolution)
+
+
+@compiled
+def update_motion(state: Any, speeds: Any, dt: float, limits: Any, resolution: float) -> None:
+    """The record ``state`` of ``MOTION``, ``dt`` s later with mean ``speeds``."""
+    if dt <= 0.0:
+        return
+    if state.motion == _UNKNOWN:
+        state.left = state.left_mean = speeds.left
+        state.right = state.right_mean = speeds.right
+    else:
+        fast = -math.expm1(-dt / limits.smoothing_time)
+        slow = -math.expm1(-dt / limits.memory_time)
+        state.left += fast * (speeds.left - state.left)
+        state.right += fast * (speeds.right - state.right)
+        state.left_mean += slow * (speeds.left - state.left_mean)
+        state.right_mean += slow * (speeds.right - state.right_mean)
+    left, right = state.left, state.right
+    fastest, mean = max(abs(left), abs(right)), (abs(left) + abs(right)) / 2.0
+    moved, turned = state.motion in (_STRAIGHT, _TURNING), state.motion == _TURNING
+    moves = fastest > limits.standing_speed * (limits.hysteresis if moved else 1.0)
+    turns = abs(right - left) > limits.turning_ratio * mean * (limits.hysteresis if turned else 1.0)
+    smooth = max(abs(left - state.left_mean), abs(right - state.right_mean))
+    still = limits.hysteresis if state.changing else 1.0
+    state.changing = smooth > limits.change_ratio * max(mean, limits.standing_speed) * still
+    state.motion = _STANDING if not moves else _TURNING if turns else _STRAIGHT
+    lately = max(abs(speeds.left - left), abs(speeds.right - right))
+    departure = max(lately, abs(speeds.left - state.left_mean), abs(speeds.right - state.right_mean))
+    explained = speeds.differenced and speeds.interval > 0.0
+    if explained and departure <= _SIGNIFICANT * rounding(speeds.interval, resolution):
+        departure = 0.0
+    state.departure = departure
+
+
+@compiled
+def steady_speeds(speeds: Any, motion: Any, limits: Any, resolution: float) -> tuple[float, float, float]:
+    """Left, right and interval with which a gyro is compared: no rounding of counts passes for a turn, or for a
+    change of speed.
 
     Low-passed, where rounding explains how the speeds depart from their mean; alike, where it explains their
     difference.
     """
-    now = steadied(*speeds, state.left, state.right, state.departure, resolution, limits.smoothing_time)
-    return Speeds(*now, speeds.differenced)
-
-
-@compiled
-def steadied(
-    left: float,
-    right: float,
-    stretch: float,
-    differenced: bool,
-    smooth_left: float,
-    smooth_right: float,
-    departure: float,
-    resolution: float,
-    smoothing_time: float,
-) -> tuple[float, float, float]:
-    """Left, right and stretch of ``smoothed``."""
-    if not differenced or stretch <= 0.0:
-        return left, right, stretch
-    if departure == 0.0 and stretch < smoothing_time:
-        left, right, stretch = smooth_left, smooth_right, math.sqrt(2.0) * smoothing_time
-    if abs(right - left) <= math.sqrt(2.0) * _SIGNIFICANT * _rounding(stretch, resolution):
+    left, right, interval = speeds.left, speeds.right, speeds.interval
+    if not speeds.differenced or interval <= 0.0:
+        return left, right, interval
+    if motion.departure == 0.0 and interval < limits.smoothing_time:
+        left, right, interval = motion.left, motion.right, math.sqrt(2.0) * limits.smoothing_time
+    if abs(right - left) <= math.sqrt(2.0) * _SIGNIFICANT * rounding(interval, resolution):
         left = right = (left + right) / 2.0
-    return left, right, stretch
+    return left, right, interval
 
 
 @compiled
-def _rounding(stretch: float, resolution: float) -> float:
+def rounding(interval: float, resolution: float) -> float:
     """Standard deviation of a speed that is differenced from two rounded counts, rad/s."""
-    return resolution / math.sqrt(6.0) / stretch
+    return resolution / math.sqrt(6.0) / interval

@@ -7,19 +7,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Parameters, flat_fields, from_flat, parameter, to_flat
+from trackslip_common.parameters import flat_fields, from_flat, parameter, to_flat
 from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.slip.filter import Filter
-from trackslip_estimation.slip.gating import Gates
-from trackslip_estimation.slip.models.free_slips import SlipModel, SlipNoise
-from trackslip_estimation.slip.models.icr import IcrModel, IcrNoise
-from trackslip_estimation.slip.models.model import Model
-from trackslip_estimation.slip.models.turning import TurningModel, TurningNoise
+from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.motion import MotionParameters
+from trackslip_estimation.slip.records import MOST_SOURCES
 from trackslip_estimation.slip.sources import PoseSource, YawRateSource, each, named
 
 FloatArray = NDArray[np.float64]
@@ -30,20 +25,13 @@ _EACH = "one for each source, or one for all"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlipEstimatorParameters(Parameters):
+class SlipEstimatorParameters(ModelParameters):
     """Everything the slip estimator can be told."""
 
     vehicle: Vehicle
     motion: MotionParameters
-    model: str = parameter(
-        "motion model: sub-model 1b, its ICR form, or the thesis' (3.23)",
-        choices=("turning", "icr", "free_slips"),
-    )
     filter: str = parameter("extended Kalman filter, or the thesis' Fig. 4.3", choices=("ekf", "daf"))
     kappa: float = parameter("of the daf: scales the higher moments of its points", gt=-7.0, le=100.0)
-    turning: TurningNoise
-    icr: IcrNoise
-    noise: SlipNoise
     odom_frame: str = parameter("site frame of the estimate and of the pose sources")
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
     pose_sources: tuple[str, ...] = parameter("topics of PoseWithCovarianceStamped; '' names none")
@@ -116,6 +104,9 @@ class SlipEstimatorParameters(Parameters):
         le=1e3,
         read_only=False,
     )
+    gate_confirmations: int = parameter(
+        "measurements in a row that must agree with each other before what the gate refuses is believed", ge=1
+    )
     publish_tf: bool = parameter("whether odom_frame → base_frame goes to /tf, where tf2_msgs is installed")
 
     def __post_init__(self) -> None:
@@ -133,7 +124,8 @@ class SlipEstimatorParameters(Parameters):
         for name in set(named(self.position_only)) - set(self.pose_sources):
             accepted = ", ".join(named(self.pose_sources)) or "none, there are no pose_sources"
             raise InputError(f"{NODE}: position_only: '{name}' is no pose source; accepted: {accepted}")
-        self.timeouts_ns()
+        if len(self.timeouts_ns()) >= MOST_SOURCES:
+            raise InputError(f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}")
 
     def poses(self) -> dict[str, PoseSource]:
         """What each pose source is told.
@@ -209,26 +201,3 @@ def load_slip_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SlipE
     for layer in layers:
         values |= layer
     return from_flat(SlipEstimatorParameters, values, where)
-
-
-def make_gates(p: SlipEstimatorParameters) -> Gates:
-    """Gates of the sources, which are numbered as ``timeouts_ns`` names them."""
-    limits = [np.inf, *(float(chi2.ppf(p.gate_probability, dof)) for dof in (1, 2, 3))]
-    timeouts_ns = np.array(list(p.timeouts_ns().values()), dtype=np.int64)
-    levers = np.zeros((timeouts_ns.size, 2))
-    for row, source in enumerate(p.poses().values()):
-        levers[row] = source.lever
-    return Gates(np.array(limits), p.gate_relaxation, timeouts_ns, levers)
-
-
-def make_filter(p: SlipEstimatorParameters) -> Filter:
-    """The filter and the motion model that the parameters choose."""
-    return Filter(make_model(p), p.kappa if p.filter == "daf" else None)
-
-
-def make_model(p: SlipEstimatorParameters) -> Model:
-    """The motion model that the parameters choose."""
-    size = (p.vehicle.rolling_radius, p.vehicle.tread, p.encoder_resolution)
-    if p.model == "free_slips":
-        return SlipModel(*size, p.noise)
-    return IcrModel(*size, p.icr) if p.model == "icr" else TurningModel(*size, p.turning)

@@ -2,15 +2,10 @@
 """What the estimator is told of each source."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
-import numpy as np
-
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.gating import shifted
-from trackslip_estimation.slip.measurements import PoseFix, YawRate
-from trackslip_estimation.slip.models.model import YAW, Gaussian, Measured, pose_measured
 
 T = TypeVar("T")
 
@@ -26,29 +21,6 @@ class PoseSource:
     heading_ceiling: float  # rad, standard deviation beyond which a fix's heading is not used
     timeout_ns: int
 
-    def prepared(self, fix: PoseFix) -> PoseFix:
-        """The fix with no variance below the floors."""
-        heading_floor = self.heading_floor if self.use_heading else 0.0
-        floors = np.square((self.position_floor, self.position_floor, heading_floor))
-        missing = np.maximum(floors - np.diag(fix.covariance), 0.0)
-        return replace(fix, covariance=fix.covariance + np.diag(missing)) if missing.any() else fix
-
-    def tells_heading(self, fix: PoseFix) -> bool:
-        """Whether the fix's heading is a measurement: a doubtful one may be wrong by whole quarter turns."""
-        return self.use_heading and fix.covariance[YAW, YAW] <= self.heading_ceiling**2
-
-    def measured(self, fix: PoseFix) -> Measured:
-        """A prepared fix as the filter takes it."""
-        return pose_measured(fix.pose, fix.covariance, self.tells_heading(fix))
-
-    def to_sensor(self, state: Gaussian) -> Gaussian:
-        """The state with the sensor's place for that of base_link: a fix then measures it directly."""
-        return Gaussian(*shifted(*state, np.array(self.lever), 1.0))
-
-    def from_sensor(self, state: Gaussian) -> Gaussian:
-        """Back again."""
-        return Gaussian(*shifted(*state, np.array(self.lever), -1.0))
-
 
 @dataclass(frozen=True)
 class YawRateSource:
@@ -57,13 +29,6 @@ class YawRateSource:
     sign: int  # −1 where it is mounted upside down
     scale: float  # what it shows of 1 rad/s
     timeout_ns: int
-
-    def prepared(self, measurement: YawRate) -> YawRate:
-        """Positive to the left, in true rad/s."""
-        if self.sign == 1 and self.scale == 1.0:
-            return measurement
-        rate, variance = self.sign * measurement.rate / self.scale, measurement.variance / self.scale**2
-        return replace(measurement, rate=rate, variance=variance)
 
 
 def named(sources: Sequence[str]) -> list[str]:
