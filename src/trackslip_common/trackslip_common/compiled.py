@@ -1,46 +1,69 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one door to the compiler: machine code kept on disk, released from the interpreter's lock."""
+"""The one door to the compiler: machine code kept on disk, released from the interpreter's lock.
+
+``compiled`` is for kernels and for what several of them call. Each such function is optimised together with all
+that it calls, so a chain of them is optimised over and over. ``inlined`` is for the parts of a longer function,
+which have one caller: they become part of it.
+"""
 
 import hashlib
 import os
+import re
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_OURS = "trackslip_"
+_IMPORT = re.compile(r"^(?:from|import) +([\w.]+)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
+
+
+def compiled(function: F) -> F:
+    """Compile at the first call and keep the result (strict IEEE arithmetic)."""
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _cache_directory(function.__code__.co_filename)
+    try:
+        return cast(F, numba.njit(cache=True, nogil=True)(function))
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def inlined(function: F) -> F:
+    """Compile as part of the one function that calls it."""
+    return cast(F, numba.njit(nogil=True, inline="always")(function))
+
 
 @cache
-def _cache_directory(*folders: Path) -> str:
-    """In the first folder, one directory per state of the sources in all of them.
+def _cache_directory(file: str) -> str:
+    """One directory per state of a module's source and of all that it imports of ours, at any depth.
 
     Numba looks only at the file of the function itself, so a kernel would keep stale machine code of
     what it calls in other files.
     """
-    sources = b"".join(path.read_bytes() for folder in folders for path in sorted(folder.glob("*.py")))
-    parent = Path(os.environ.get("NUMBA_CACHE_DIR") or folders[0] / "__pycache__")
-    return str(parent / hashlib.sha256(sources).hexdigest()[:16])
+    found: set[str] = set()
+    waiting = {file}
+    while waiting:
+        source = waiting.pop()
+        found.add(source)
+        waiting.update(path for path in _imported(source) if path not in found)
+    digest = hashlib.sha256(b"".join(Path(source).read_bytes() for source in sorted(found)))
+    parent = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(file).parent / "__pycache__")
+    return str(parent / digest.hexdigest()[:16])
 
 
-def compiled(function: F) -> F:
-    """Compile at the first call and keep the result (strict IEEE arithmetic); calls its own folder only."""
-    return compiled_upon()(function)
-
-
-def compiled_upon(*modules: ModuleType) -> Callable[[F], F]:
-    """``compiled`` for a kernel that also calls those in the folders of these modules."""
-
-    def compile_(function: F) -> F:
-        files = (function.__code__.co_filename, *(str(module.__file__) for module in modules))
-        before = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = _cache_directory(*(Path(file).parent for file in files))
-        try:
-            return cast(F, numba.njit(cache=True, nogil=True)(function))
-        finally:
-            numba.config.CACHE_DIR = before
-
-    return compile_
+@cache
+def _imported(file: str) -> tuple[str, ...]:
+    """Files of the modules that a file imports, those of our packages and of its own folder."""
+    found = []
+    for match in _IMPORT.finditer(Path(file).read_text(encoding="utf-8")):
+        parent, names = match.group(1), re.findall(r"\w+", match.group(2) or "")
+        for name in (parent, *(f"{parent}.{name}" for name in names)):
+            path = getattr(sys.modules.get(name), "__file__", None)
+            if path and (name.startswith(_OURS) or Path(path).parent == Path(file).parent):
+                found.append(path)
+    return tuple(found)

@@ -48,7 +48,7 @@ CONFIG = np.dtype(
         ("timeouts_ns", np.int64, (MOST_SOURCES,)),  # of each source, as all below
         ("levers", np.float64, (MOST_SOURCES, 2)),  # m
         ("rate_scale", np.float64, (MOST_SOURCES,)),  # what a gyro shows of 1 rad/s
-        ("use_heading", np.bool_, (MOST_SOURCES,)),
+        ("use_heading", np.int64, (MOST_SOURCES,)),  # 0 or 1
         ("position_floor", np.float64, (MOST_SOURCES,)),  # m
         ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad

@@ -49,7 +49,7 @@ def observed(measurement: Any, coasting: bool, c: Any) -> tuple[FloatArray, Floa
 def shows_heading(measurement: Any, c: Any) -> bool:
     """Whether the heading of a pose is used: a doubtful one may be wrong by whole quarter turns."""
     ceiling = c.heading_ceiling[measurement.source]
-    return bool(c.use_heading[measurement.source]) and measurement.noise[YAW, YAW] <= ceiling * ceiling
+    return c.use_heading[measurement.source] == 1 and measurement.noise[YAW, YAW] <= ceiling * ceiling
 
 
 @compiled

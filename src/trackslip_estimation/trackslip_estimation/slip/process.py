@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import StampStatus, check_other, check_sample
-from trackslip_common.compiled import compiled
+from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SIZE, YAW
 from trackslip_estimation.slip.motion import Motion
@@ -59,7 +59,7 @@ def process(window: Window, arrivals: Records, results: Records, c: Any) -> int:
     return int(arrivals.size)
 
 
-@compiled
+@inlined
 def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
     status = window.status[0]
     result.published, result.dof = False, 0
@@ -82,7 +82,7 @@ def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
     result.stamp_ns, result.outcome = measurement.stamp_ns, outcome
 
 
-@compiled
+@inlined
 def _check(window: Window, measurement: Any, c: Any) -> int:
     """What its numbers and its stamp say; a clock that goes back clears the window."""
     status = window.status[0]
@@ -133,7 +133,7 @@ def is_usable(measurement: Any, c: Any) -> bool:
     if measurement.kind == SLIPS:
         rows = 2
     elif measurement.kind == POSE:
-        rows = 3 if measurement.source == MANUAL or c.use_heading[measurement.source] else 2
+        rows = 3 if measurement.source == MANUAL or c.use_heading[measurement.source] == 1 else 2
     return is_gaussian(measurement.value, measurement.noise, rows)
 
 
@@ -172,7 +172,7 @@ def _contradicts(window: Window, sample: Any, c: Any) -> bool:
     return bool(elapsed_ns <= c.sprocket_timeout_ns and max(left, right) > furthest)
 
 
-@compiled
+@inlined
 def _add(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
     """Outcome and entry of a measurement in its place, with all done again that depends on it."""
     status, measurements = window.status[0], window.measurements
@@ -189,7 +189,7 @@ def _add(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
     return int(window.updates[entry].outcome), entry
 
 
-@compiled
+@inlined
 def _start(window: Window, measurement: Any, c: Any) -> int:
     """Begin with a fix, a manual pose, or the initial pose at the first sprocket sample; else wait."""
     status, measurements = window.status[0], window.measurements
@@ -217,7 +217,7 @@ def _start(window: Window, measurement: Any, c: Any) -> int:
     return _ACCEPTED
 
 
-@compiled
+@inlined
 def _set_start(state: Any, measurement: Any, c: Any) -> None:
     """The state at the start; a heading that a fix does not have is that of the parameters."""
     x, P, stamp_ns = state.mean, state.covariance, measurement.stamp_ns
@@ -246,7 +246,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
         state.streaks[k].count, state.streaks[k].value = 0, 0.0
 
 
-@compiled
+@inlined
 def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) -> None:
     """The estimate at the newest sprocket sample, or at what carries the clock on while they are silent."""
     status, measurement = window.status[0], window.measurements[entry]
@@ -257,7 +257,7 @@ def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) 
     fill_estimate(window.states[entry], c, result.estimate)
 
 
-@compiled
+@inlined
 def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
     """What is published of a state, into a record of ``ESTIMATE``."""
     fill_outputs(state, c, estimate)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.compiled import compiled
+from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import sandwich, wrap
 from trackslip_estimation.slip.coasting import begin_coast, inflate, reset_velocity
@@ -41,7 +41,7 @@ _ACCEPTED, _GATED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.GATED), int(Outc
 _UNKNOWN = int(Motion.UNKNOWN)
 
 
-@compiled
+@inlined
 def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> None:
     """The state at the measurement's stamp, with the measurement used or not."""
     follow_sprockets(state, closing, measurement.stamp_ns, c)
@@ -59,7 +59,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         use(state, measurement, c, update)
 
 
-@compiled
+@inlined
 def follow_sprockets(state: Any, closing: Any, stamp_ns: int, c: Any) -> None:
     """The state at ``stamp_ns``, as the sprockets and the model say; it coasts while they are silent."""
     if state.sample.seen and state.sample.stamp_ns == stamp_ns == state.stamp_ns:
@@ -124,7 +124,7 @@ def place(state: Any, manual: Any) -> None:
     P[:3, :3] = manual.noise
 
 
-@compiled
+@inlined
 def use(state: Any, measurement: Any, c: Any, update: Any) -> None:
     """Gate and update with a yaw rate, a pose or slips; what is refused leaves the state as it was."""
     source, kind = measurement.source, measurement.kind

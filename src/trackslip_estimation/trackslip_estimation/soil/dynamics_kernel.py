@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.compiled import compiled_upon
+from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman import linear_algebra
 from trackslip_estimation.kalman.linear_algebra import apply, sandwich
 
@@ -32,7 +32,7 @@ class Numbers(NamedTuple):
     error_time: float
 
 
-@compiled_upon(linear_algebra)
+@compiled
 def predict(
     mean: FloatArray,
     covariance: FloatArray,
@@ -69,7 +69,7 @@ def predict(
     return after, sandwich(F, covariance) + Q
 
 
-@compiled_upon(linear_algebra)
+@compiled
 def correct(
     mean: FloatArray, covariance: FloatArray, measured: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
