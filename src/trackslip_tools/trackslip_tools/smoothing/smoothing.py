@@ -1,68 +1,116 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimates that a whole log gives: at each time from what came before and after it.
 
-The slip estimator runs over the measurements with a window as long as the log, so that every state is
-settled; then ``filters.smoother`` goes back over its states. Where one state does not follow from the one
-before it by the model (a start, a user's word for the pose, sprockets that were silent) nothing is carried
-back: each piece is smoothed by itself. The filter is the extended Kalman filter, whichever the parameters
-name.
+The slip estimator runs over the log in the order of the stamps, so that every state is settled; then
+``kalman.smoother`` goes back over its states. Where one state does not follow from the one before it by the model
+(a start, a manual pose, sprockets that were silent) nothing is carried back: each piece is smoothed by itself. The
+filter is the extended Kalman filter, whichever the parameters name.
 
-All states are kept in memory, some 20 MB for each minute of a log.
+Memory is bounded: the first pass keeps the state at which each block begins, the second goes back through the
+blocks, made anew from there, and keeps what is carried into each; the third makes them once more, in their order.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from trackslip_estimation.kalman.smoother import Step
-from trackslip_estimation.kalman.smoother import smooth as smooth_steps
-from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
-from trackslip_estimation.slip.filter import Filter
-from trackslip_estimation.slip.measurements import KINDS, Input, Measurement, Sprockets
-from trackslip_estimation.slip.parameters import SlipEstimatorParameters, make_filter
-from trackslip_estimation.slip.stepping import FilterState
-from trackslip_estimation.slip.timeline import key_of
+import numpy as np
 
-Shown = Callable[[list[Measurement]], Iterable[Measurement]]
-
-_FOREVER_NS = 2**62
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.smoother import step_back
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.log import Block, Log, run_blocks
+from trackslip_estimation.slip.models.dispatch import linearize
+from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.process import fill_estimate
+from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS
+from trackslip_estimation.slip.window import Records, Window, make_window
 
 
 class Smoothed(NamedTuple):
-    """Estimates at the stamps of the sprocket samples, in their order; of both the same number."""
+    """Records of ``ESTIMATE`` at the stamps of sprocket samples; of both the same number."""
 
-    filtered: list[Estimate]  # settled: from all that has an earlier stamp
-    smoothed: list[Estimate]  # from all there is
+    filtered: Records  # settled: from all that has an earlier stamp
+    smoothed: Records  # from all there is
 
 
-def smooth(measurements: Iterable[Input], p: SlipEstimatorParameters, shown: Shown = iter) -> Smoothed:
-    """Filter and smoother over a log, its measurements in any order; empty where nothing starts the estimate.
+class _Begin(NamedTuple):
+    """Where a block begins, and how far it goes."""
+
+    first: int
+    last: int
+    measurement: Records  # (1,)
+    state: Records  # (1,)
+
+
+def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
+    """Filter and smoother over a log, block by block.
 
     What was asked of the estimator while it ran (to begin anew, to hold still, new parameters) is left out.
-    ``shown`` wraps what the filter goes through, for a progress bar.
     """
-    p = replace(p, filter="ekf")
-    taken: list[Measurement] = sorted((m for m in measurements if isinstance(m, KINDS)), key=key_of)
-    estimator = SlipEstimator(p, window_ns=_FOREVER_NS)
-    for measurement in shown(taken):
-        estimator.take(measurement)
-    states = estimator.history()
-    sources = {m.source for m in taken if isinstance(m, Sprockets)}
-    wanted = [k for k, state in enumerate(states) if state.report and state.report.source in sources]
-    after = _smoothed(states, make_filter(p))
-    return Smoothed(
-        [estimator.estimate_of(states[k]) for k in wanted], [estimator.estimate_of(after[k]) for k in wanted]
-    )
+    estimator = SlipEstimator(replace(p, filter="ekf"))
+    estimator.process_records(log.begin)
+    begins = [
+        _Begin(b.first, b.first + len(b.states), b.window.measurements[:1].copy(), b.window.states[:1].copy())
+        for b in run_blocks(log.rest, estimator.window, estimator.config)
+    ]
+    carried: Records | None = None  # into the block that was done last
+    ends: list[Records | None] = []
+    for begin in reversed(begins):
+        ends.append(carried)
+        block = _again(log, begin, estimator)
+        _smooth(block.window, carried, estimator.config)
+        carried = block.window.states[:1].copy()
+    for begin, end in zip(begins, reversed(ends), strict=True):
+        block = _again(log, begin, estimator)
+        filtered = _estimates(block.window, estimator.config)
+        _smooth(block.window, end, estimator.config)
+        yield Smoothed(filtered, _estimates(block.window, estimator.config))
 
 
-def _smoothed(states: list[FilterState], filter_: Filter) -> list[FilterState]:
-    """The states with what came later in them too."""
-    steps = []
-    before_ns = states[0].stamp_ns if states else 0
-    for state in states:
-        predicted = None if state.silent else state.predicted
-        dt = (state.stamp_ns - before_ns) * 1e-9
-        steps.append(Step(predicted, state.gaussian, state.speeds, state.motion.motion, dt))
-        before_ns = state.stamp_ns
-    smoothed = smooth_steps(steps, filter_)
-    return [state._replace(gaussian=gaussian) for state, gaussian in zip(states, smoothed, strict=True)]
+def _again(log: Log, begin: _Begin, estimator: SlipEstimator) -> Block:
+    start = make_window(2)
+    start.measurements[:1], start.states[:1] = begin.measurement, begin.state
+    return next(run_blocks(log.rest[begin.first : begin.last], start, estimator.config))
+
+
+def _smooth(window: Window, end: Records | None, config: Records) -> None:
+    """The states of a window, smoothed; ``end`` (1,) is the last one, if something came after it."""
+    last = window.count - 1
+    if end is not None:
+        window.states["mean"][last], window.states["covariance"][last] = end["mean"][0], end["covariance"][0]
+    _smooth_back(window, last, config)
+
+
+def _estimates(window: Window, config: Records) -> Records:
+    """(s,) of ``ESTIMATE`` at the sprocket samples of a window, but for its first entry."""
+    estimates = np.zeros(window.count, ESTIMATE)
+    return estimates[: _fill_estimates(window, window.count, estimates, config)]
+
+
+@compiled
+def _smooth_back(window: Window, last: int, config: Records) -> None:
+    c, states = config[0], window.states
+    x, P = states[last].mean.copy(), states[last].covariance.copy()
+    for k in range(last, 0, -1):
+        before, update = states[k - 1], window.updates[k]
+        filtered = before.mean.copy(), before.covariance.copy()
+        if update.follows:
+            dt = (states[k].stamp_ns - before.stamp_ns) * 1e-9
+            F = linearize(filtered[0], filtered[1], states[k], dt, c)[1]
+            predicted = update.prior_mean.copy(), update.prior_covariance.copy()
+            x, P = step_back(filtered, predicted, (x, P), F, YAW)
+            before.mean[:], before.covariance[:] = x, P
+        else:
+            x, P = filtered
+
+
+@compiled
+def _fill_estimates(window: Window, count: int, estimates: Records, config: Records) -> int:
+    found = 0
+    for k in range(1, count):
+        if window.measurements[k].kind == SPROCKETS:
+            fill_estimate(window.states[k], config[0], estimates[found])
+            found += 1
+    return found

@@ -18,11 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.slip.batch import BoolArray, Run
-from trackslip_estimation.slip.measurement_log import MeasurementLog, read_measurements, reread, run_log
-from trackslip_estimation.slip.measurements import Measurement
-from trackslip_estimation.slip.models.model import FULL_POSE, POSE, POSITION, SPROCKETS, YAW_RATE
+from trackslip_estimation.slip.log import Log, make_log, run_log
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.model import POSE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import SPROCKETS
+from trackslip_estimation.slip.window import Records
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.scoring import nees_of_each, score
 from trackslip_tools.tuning.plan import changed
@@ -31,20 +32,28 @@ FloatArray = NDArray[np.float64]
 
 _WRONG = 1e-3  # ε
 _AREA, _RATES = 1e4, 2.0 * math.pi  # m², rad/s: where wrong measurements lie
-_DENSITIES = {YAW_RATE: 1.0 / _RATES, POSITION: 1.0 / _AREA, FULL_POSE: 1.0 / (_AREA * 2.0 * math.pi)}  # u
+_DENSITIES = np.array((1.0, 1.0 / _RATES, 1.0 / _AREA, 1.0 / (_AREA * 2.0 * math.pi)))  # u, by m
 _SCORED = 2000  # samples of a reference, spread evenly, that tell as much as all
+
+
+class _Run(NamedTuple):
+    """What a run over a log leaves to be scored."""
+
+    innovations: Records  # (k,) dof, NIS, ln |S|, outcome of each measurement
+    means: FloatArray  # (m, 3) poses at the entries asked for
+    covariances: FloatArray  # (m, 3, 3)
 
 
 class Score(NamedTuple):
     """How well a set of parameters does on a bag; errors are nan where it has no reference."""
 
     log_likelihood: float  # mean of a measurement
-    nis: dict[str, float]  # source → mean d²/m of what was taken, 1 if honest
+    nis: dict[str, float]  # source → mean d²/m of what was accepted, 1 if consistent
     rejected: dict[str, int]  # source → how many
     position: float  # m, RMS error
     heading: float  # rad, RMS error
-    nees: float  # mean of the pose's, 3 if honest
-    pose_log_likelihood: float  # mean of the reference's poses, by what the filter claims of its own
+    nees: float  # mean of the pose's, 3 if consistent
+    pose_log_likelihood: float  # mean of the reference's poses, by what the filter states of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +61,8 @@ class Task:
     """A bag, and the parameters that tuning starts from."""
 
     name: str
-    measurements: list[Measurement]
+    log: Log
     p: SlipEstimatorParameters
-    log: MeasurementLog  # read with them
     reference: Path | None
 
     def score(self, values: Mapping[str, float]) -> Score:
@@ -64,31 +72,31 @@ class Task:
             InputError: a value is refused.
         """
         p = changed(self.p, values)
-        log = reread(self.log, self.measurements, p, values)
-        keep = self._around_reference(log)
-        result = run_log(log, p, keep)
-        innovations = _innovations(log, result, list(p.timeouts_ns()))
-        return Score(*innovations, *self._errors(log.stamps_ns[keep], result))
+        rest, keep = self.log.rest, self._around_reference()
+        result = _run(self.log, p, keep)
+        innovations = _innovations(rest["source"], result.innovations, list(p.timeouts_ns()))
+        return Score(*innovations, *self._errors(rest["stamp_ns"][keep], result))
 
-    def _around_reference(self, log: MeasurementLog) -> BoolArray:
-        """(k,) the published rows next to the samples of the reference."""
-        keep = np.zeros(len(log.log.times), dtype=np.bool_)
-        published = np.flatnonzero(log.published)
+    def _around_reference(self) -> NDArray[np.bool_]:
+        """(k,) the sprocket samples, where the estimator publishes, next to the samples of the reference."""
+        rest = self.log.rest
+        keep = np.zeros(len(rest), dtype=np.bool_)
+        published = np.flatnonzero(rest["kind"] == SPROCKETS)
         if self.reference is not None and published.size:
-            after = np.searchsorted(log.stamps_ns[published], self.reference.stamps_ns)
+            after = np.searchsorted(rest["stamp_ns"][published], self.reference.stamps_ns)
             keep[published[np.clip(after, 0, published.size - 1)]] = True
             keep[published[np.clip(after - 1, 0, published.size - 1)]] = True
         return keep
 
-    def _errors(self, stamps_ns: NDArray[np.int64], result: Run) -> tuple[float, float, float, float]:
+    def _errors(self, stamps_ns: NDArray[np.int64], result: _Run) -> tuple[float, float, float, float]:
         """The last four of a ``Score``."""
         if self.reference is None or not len(stamps_ns):
             return math.nan, math.nan, math.nan, math.nan
-        poses = result.means[:, POSE].copy()
+        poses = result.means.copy()
         poses[:, 2] = np.unwrap(poses[:, 2])
         path = Path(stamps_ns, poses)
         errors = score(path, self.reference)
-        nees, log_dets = nees_of_each(path, result.covariances[:, POSE, POSE], self.reference)
+        nees, log_dets = nees_of_each(path, result.covariances, self.reference)
         if errors is None:
             return math.nan, math.nan, math.nan, math.nan
         likelihood = -0.5 * float(np.mean(nees + log_dets)) - 1.5 * math.log(2.0 * math.pi)
@@ -96,9 +104,9 @@ class Task:
 
 
 def make_task(
-    name: str, measurements: list[Measurement], p: SlipEstimatorParameters, reference: Path | None
+    name: str, arrivals: Records, p: SlipEstimatorParameters, reference: Path | None
 ) -> Task:
-    """A bag's measurements, read.
+    """A bag's measurements, records of ``MEASUREMENT``.
 
     Raises:
         InputError: there is none to start from.
@@ -106,24 +114,36 @@ def make_task(
     if reference is not None:
         every = -(-len(reference.stamps_ns) // _SCORED) or 1
         reference = Path(reference.stamps_ns[::every], reference.poses[::every])
-    return Task(name, measurements, p, read_measurements(measurements, p), reference)
+    return Task(name, make_log(arrivals, p), p, reference)
+
+
+def _run(log: Log, p: SlipEstimatorParameters, keep: NDArray[np.bool_]) -> _Run:
+    """One run over a log, with the poses after the entries to ``keep`` (k,)."""
+    fields = ["dof", "nis", "log_determinant", "outcome"]
+    innovations, means, covariances = [], [np.empty((0, 3))], [np.empty((0, 3, 3))]
+    for block in run_log(log, p):
+        kept = keep[block.first : block.first + len(block.states)]
+        innovations.append(block.updates[fields].copy())
+        means.append(block.states["mean"][kept][:, POSE])
+        covariances.append(block.states["covariance"][kept][:, POSE, POSE])
+    return _Run(np.concatenate(innovations), np.concatenate(means), np.concatenate(covariances))
 
 
 def _innovations(
-    log: MeasurementLog, result: Run, sources: list[str]
+    sources: NDArray[np.int64], found: Records, names: list[str]
 ) -> tuple[float, dict[str, float], dict[str, int]]:
-    """The first three of a ``Score``."""
-    dof, number = log.log.flags[:, 0], log.log.flags[:, 1]  # the kinds are numbered so
-    measured = dof > SPROCKETS
-    normal = -0.5 * (result.nis + result.log_dets + dof * math.log(2.0 * math.pi)) + math.log1p(-_WRONG)
+    """The first three of a ``Score``; ``sources`` (k,) are numbers of ``names``."""
+    measured = found["dof"] > 0
+    sources, found = sources[measured], found[measured]
+    dof, nis = found["dof"], found["nis"]
+    normal = -0.5 * (nis + found["log_determinant"] + dof * math.log(2.0 * math.pi)) + math.log1p(-_WRONG)
     normal[np.isnan(normal)] = -np.inf
-    wrong = np.log([_WRONG * _DENSITIES.get(kind, 1.0) for kind in range(FULL_POSE + 1)])
-    mixed = np.logaddexp(normal[measured], wrong[dof[measured]])
-    nis, rejected = {}, {}
-    for k, source in enumerate(sources):
-        of = measured & (number == k)
-        taken = of & result.accepted
+    mixed = np.logaddexp(normal, np.log(_WRONG * _DENSITIES)[dof])
+    accepted = found["outcome"] == Outcome.ACCEPTED
+    mean_nis, rejected = {}, {}
+    for number, name in enumerate(names):
+        of = sources == number
         if of.any():
-            rejected[source] = int(of.sum() - taken.sum())
-            nis[source] = float(result.nis[taken].sum() / max(dof[taken].sum(), 1))
-    return float(mixed.mean()) if mixed.size else -math.inf, nis, rejected
+            rejected[name] = int((of & ~accepted).sum())
+            mean_nis[name] = float(nis[of & accepted].sum() / max(dof[of & accepted].sum(), 1))
+    return float(mixed.mean()) if mixed.size else -math.inf, mean_nis, rejected

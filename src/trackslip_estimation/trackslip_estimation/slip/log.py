@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole logs in the order of their stamps: what is worked out once, for many runs with other parameters.
+
+Nothing comes late here, so every state is settled: each run gives what the estimator ends with on the same
+measurements. Blocks keep it in bounded memory; machine code holds no lock, so threads share the cores.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from trackslip_common.compiled import compiled
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.config import ConfigRecord
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import SPROCKETS
+from trackslip_estimation.slip.window import Records, Window, make_window, run
+
+_BLOCK = 1024  # entries
+_USED = (Outcome.ACCEPTED, Outcome.GATED, Outcome.JUMPED)
+
+
+class Log(NamedTuple):
+    """What an estimator takes of a log, as records of ``MEASUREMENT`` in the order of their stamps."""
+
+    begin: Records  # (b,) up to the one that the estimate starts from, with it
+    rest: Records  # (k,) after it
+
+
+class Block(NamedTuple):
+    """A stretch of a run; the first entry is the last of the block before, or the start."""
+
+    first: int  # number in ``Log.rest`` of the entry after the first one
+    window: Window  # is used again for the next block
+
+    @property
+    def measurements(self) -> Records:
+        """(m,) those of the block, without the first entry."""
+        return self.window.measurements[1 : self.window.count]
+
+    @property
+    def states(self) -> Records:
+        """(m,) the states after them."""
+        return self.window.states[1 : self.window.count]
+
+    @property
+    def updates(self) -> Records:
+        """(m,) what became of them."""
+        return self.window.updates[1 : self.window.count]
+
+
+def make_log(arrivals: Records, p: SlipEstimatorParameters) -> Log:
+    """What the estimator uses of (n,) records of ``MEASUREMENT``, each once.
+
+    Raises:
+        InputError: there is none to start from.
+    """
+    arrivals = arrivals[np.lexsort((arrivals["source"], arrivals["kind"], arrivals["stamp_ns"]))]
+    estimator = SlipEstimator(p)
+    parts = [arrivals[k : k + _BLOCK] for k in range(0, len(arrivals), _BLOCK)]
+    outcomes = np.concatenate([np.empty(0), *(estimator.process_records(a)["outcome"] for a in parts)])
+    begins = np.flatnonzero(outcomes == Outcome.ACCEPTED)
+    if not begins.size:
+        raise InputError(f"measurements: none of {len(arrivals)} to start from (start: {p.start})")
+    used = np.isin(outcomes, _USED)
+    used[: begins[0]] = (outcomes[: begins[0]] == Outcome.WAITING) & (
+        arrivals["kind"][: begins[0]] == SPROCKETS
+    )
+    head = begins[0] + 1
+    return Log(arrivals[:head][used[:head]], arrivals[head:][used[head:]])
+
+
+def run_log(log: Log, p: SlipEstimatorParameters) -> Iterator[Block]:
+    """The estimator that the parameters choose over a log, block by block; each ends at a sprocket sample.
+
+    From those that the log was made with they may differ in all but what is a measurement at all.
+    """
+    estimator = SlipEstimator(p)
+    estimator.process_records(log.begin)
+    return run_blocks(log.rest, estimator.window, estimator.config)
+
+
+def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[Block]:
+    """``run`` over measurements in the order of their stamps, from the first entry of ``start``."""
+    window = make_window(_BLOCK + 1)
+    window.measurements[0], window.states[0] = start.measurements[0], start.states[0]
+    first = 0
+    while first < len(rest):
+        last = _end_of_block(rest, first)
+        count = last - first + 1
+        window.measurements[1:count] = rest[first:last]
+        window.status["count"] = count
+        run_window(window, 1, count, config)
+        yield Block(first, window)
+        window.measurements[0], window.states[0] = window.measurements[count - 1], window.states[count - 1]
+        first = last
+
+
+def _end_of_block(rest: Records, first: int) -> int:
+    """After a sprocket sample, so that every interval is closed inside its block."""
+    last = min(first + _BLOCK, len(rest))
+    samples = np.flatnonzero(rest["kind"][first:last] == SPROCKETS)
+    return first + int(samples[-1]) + 1 if samples.size and last < len(rest) else last
+
+
+@compiled
+def run_window(window: Window, first: int, last: int, config: Records) -> None:
+    """``window.run`` as called from Python."""
+    run(window, first, last, config[0])
