@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.batch import Log
-from trackslip_estimation.slip.measurement_log import read_measurements
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.log import make_log, run_whole
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
-from trackslip_estimation.slip.models.model import SPROCKETS, YAW_RATE
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import POSE, SPROCKETS, YAW_RATE, to_records
+from trackslip_estimation.slip.window import Window
 from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.study.slip.kernels import RecordArray, Rows
 from trackslip_sim.study.slip.parameters import NODE, Cell, StudyParameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
@@ -33,9 +35,9 @@ class Drive:
     """Rows in the order of their stamps, after the fix at time 0 from which the filters start."""
 
     truth: Truth  # at the rows
-    rows: Log  # values and noises are each cell's own
-    true_speeds: FloatArray  # (k, 3) as the log's, from angles that are not rounded
-    told: tuple[FloatArray, FloatArray]  # (k, 2) rad/s, (k,) s: what slips are told by, over which stretch
+    begin: Window  # what the estimator holds at the start
+    rows: Rows  # values and noises are each cell's own
+    true_drives: RecordArray  # (k,) as those of the rows, from angles that are not rounded
     samples: IntArray  # rows of the sprocket samples: there the estimator publishes
     scored: IntArray  # (s,) those of them after settling
     moving: BoolArray  # (s,) whether the slips mean something
@@ -44,26 +46,21 @@ class Drive:
     @property
     def fixes(self) -> BoolArray:
         """(k,) rows of poses."""
-        fixes: BoolArray = (self.rows.flags[:, 0] != SPROCKETS) & ~self.rates
+        fixes: BoolArray = self.rows.measurements["kind"] == POSE
         return fixes
 
     @property
     def rates(self) -> BoolArray:
         """(k,) rows of the gyro."""
-        rates: BoolArray = self.rows.flags[:, 0] == YAW_RATE
+        rates: BoolArray = self.rows.measurements["kind"] == YAW_RATE
         return rates
 
-    @property
-    def fix_size(self) -> int:
-        """3, or 2 where the heading is not used."""
-        return int(self.rows.flags[self.fixes, 0].max())  # the kinds are numbered so
-
-    def log(self, cell: Cell, sigma_heading: float) -> Log:
-        """The rows with the noises of a cell; values are each run's own."""
-        noises = np.zeros_like(self.rows.noises)
-        noises[self.fixes] = np.diag(np.square(fix_deviations(cell, sigma_heading)))
-        noises[self.rates, 0, 0] = cell.sigma_omega**2
-        return self.rows._replace(noises=noises)
+    def with_noise(self, cell: Cell, sigma_heading: float) -> RecordArray:
+        """(k,) measurements with the noises of a cell; values are each run's own."""
+        measurements = self.rows.measurements.copy()
+        measurements["noise"][self.fixes] = np.diag(np.square(fix_deviations(cell, sigma_heading)))
+        measurements["noise"][self.rates, 0, 0] = cell.sigma_omega**2
+        return measurements
 
 
 def fix_deviations(cell: Cell, sigma_heading: float) -> FloatArray:
@@ -82,9 +79,10 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
     end = int(truth.duration * p.sprocket_rate + 1e-6) / p.sprocket_rate
     sprockets = list(_sprockets(truth, p, end, estimator.encoder_resolution))
     found = [*sprockets, *_rates(p.gyro_rate, end, estimator), *_fixes(p, end, estimator)]
-    rows = _read(found, estimator)
-    at = truth.interpolate(np.cumsum(rows.times[:, 0]))
-    samples = np.flatnonzero(rows.flags[:, 0] == SPROCKETS)
+    begin, rows = _read(found, estimator)
+    stamps_ns, kinds = rows.measurements["stamp_ns"], rows.measurements["kind"]
+    at = truth.interpolate(stamps_ns * 1e-9)
+    samples = np.flatnonzero(kinds == SPROCKETS)
     scored = samples[at.t[samples] > p.settling]
     moving = _moving(at, estimator)[scored]
     if not moving.any():
@@ -93,36 +91,27 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
         )
     return Drive(
         truth=at,
+        begin=begin,
         rows=rows,
-        true_speeds=_true_speeds(truth, at, rows, 1.0 / p.sprocket_rate),
-        told=_told(sprockets, estimator, p, rows),
+        true_drives=_true_drives(truth, at, rows, 1.0 / p.sprocket_rate),
         samples=samples,
         scored=scored,
         moving=moving,
-        turning=moving & (rows.flags[scored, 2] == Motion.TURNING),
+        turning=moving & (rows.drives["motion"]["motion"][scored] == Motion.TURNING),
     )
 
 
-def _told(
-    sprockets: list[Measurement], estimator: SlipEstimatorParameters, p: StudyParameters, rows: Log
-) -> tuple[FloatArray, FloatArray]:
-    """What slips are told by at the sprocket samples: what a gyro would be predicted with just there."""
-    end = sprockets[-1].stamp_ns * 1e-9
-    found = [*sprockets, *_rates(p.sprocket_rate, end, estimator), *_fixes(p, 0.0, estimator)]
-    probed = _read(found, estimator)
-    probes, samples = probed.flags[:, 0] == YAW_RATE, rows.flags[:, 0] == SPROCKETS
-    speeds, stretches = rows.speeds[:, :2].copy(), rows.times[:, 1].copy()
-    speeds[samples], stretches[samples] = probed.speeds[probes, :2], probed.times[probes, 1]
-    return speeds, stretches
-
-
-def _read(found: list[Measurement], estimator: SlipEstimatorParameters) -> Log:
-    log = read_measurements(found, estimator)
-    if log.asides:
+def _read(found: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window, Rows]:
+    """The start, and all after it with what the sprockets did."""
+    estimator = SlipEstimator(p)
+    log = make_log(to_records(found, estimator.sources), p)
+    estimator.process_records(log.begin)
+    window = run_whole(log.rest, estimator.window, estimator.config)
+    if window.states["coasting"][: window.count].any():
         raise InputError(
             f"{NODE}: sprocket_rate: the estimator takes the time between two samples for silence"
         )
-    return log.log
+    return estimator.window, Rows(log.rest, window.states[1 : window.count].copy())
 
 
 def _sprockets(truth: Truth, p: StudyParameters, end: float, resolution: float) -> Iterator[Measurement]:
@@ -160,12 +149,15 @@ def _ns(t: float) -> int:
     return round(t * 1e9)
 
 
-def _true_speeds(truth: Truth, at: Truth, rows: Log, period: float) -> FloatArray:
-    """(k, 3) left and right over the stretch between samples in which a row lies, and the log's departure."""
+def _true_drives(truth: Truth, at: Truth, rows: Rows, period: float) -> RecordArray:
+    """(k,) the rows' drives with the true speeds over the interval between samples in which a row lies."""
     ends = np.ceil(at.t / period - 1e-6) * period
     before, after = truth.interpolate(ends - period), truth.interpolate(ends)
-    left, right = after.left_angle - before.left_angle, after.right_angle - before.right_angle
-    return np.stack((left / period, right / period, rows.speeds[:, 2]), axis=1)
+    drives = rows.drives.copy()
+    drives["speeds"]["left"] = (after.left_angle - before.left_angle) / period
+    drives["speeds"]["right"] = (after.right_angle - before.right_angle) / period
+    drives["speeds"]["differenced"] = False
+    return drives
 
 
 def _moving(at: Truth, estimator: SlipEstimatorParameters) -> BoolArray:

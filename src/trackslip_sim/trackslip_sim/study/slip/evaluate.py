@@ -7,11 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.slip.batch import run
+from trackslip_estimation.slip.config import make_config
+from trackslip_estimation.slip.log import run_whole
 from trackslip_estimation.slip.models.model import POSE
-from trackslip_estimation.slip.parameters import SlipEstimatorParameters, make_filter
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.window import Window, make_window
 from trackslip_sim.study.slip.drive import Drive
-from trackslip_sim.study.slip.kernels import bound, compare, variances
+from trackslip_sim.study.slip.kernels import bound, compare, scratch, variances
 from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters
 from trackslip_sim.study.slip.results import Row, Sums, summary, total
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial
@@ -36,30 +38,38 @@ def evaluate(
 
 def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Setting:
     """What the runs of a cell have in common."""
-    filter_ = make_filter(estimator.changed({"filter": cell.filter}))
-    linear = filter_.constants.copy()
-    linear["sigma_points"] = False  # but Jacobians
-    return Setting(cell, drive, drive.log(cell, p.sigma_heading), filter_, linear, p.sigma_heading)
+    config, linear = (make_config(estimator.changed({"filter": name})) for name in (cell.filter, "ekf"))
+    for c in (config, linear):
+        c["gate_limits"] = np.inf  # what the filters are given is all true
+    rows = drive.rows._replace(measurements=drive.with_noise(cell, p.sigma_heading))
+    return Setting(cell, drive, rows, config, linear, p.sigma_heading)
 
 
 def score(setting: Setting, trial: Trial, bounds: FloatArray) -> Sums:
     """One run, filtered; ``bounds`` (s, 6) are its least variances."""
     drive, scored = setting.drive, setting.drive.scored
-    result = run(trial.log, setting.filter, trial.start)
-    errors, nees = compare(
-        scored, result.means, result.covariances, *drive.told, trial.states, trial.slips, setting.linear
-    )
-    settled = np.arange(len(result.nis)) >= scored[0]
-    nis = np.array([result.nis[settled & kind].mean() for kind in (drive.fixes, drive.rates)])
+    window = _filtered(setting, trial)
+    states, nis_of = window.states[1 : window.count], window.updates["nis"][1 : window.count]
+    errors, nees = compare(scored, states, trial.states, trial.slips, scratch(), setting.linear)
+    settled = np.arange(len(nis_of)) >= scored[0]
+    nis = np.array([nis_of[settled & kind].mean() for kind in (drive.fixes, drive.rates)])
     return Sums(np.square(errors), bounds, nees, nis)
+
+
+def _filtered(setting: Setting, trial: Trial) -> Window:
+    """The states of a run, after its start."""
+    begin = make_window(2)
+    begin.measurements[0] = setting.drive.begin.measurements[0]
+    begin.states[0] = setting.drive.begin.states[0]
+    begin.states["mean"][0], begin.states["covariance"][0] = trial.start
+    return run_whole(trial.rows.measurements, begin, setting.config)
 
 
 def least(setting: Setting, trial: Trial) -> FloatArray:
     """(s, 6) variances by the posterior Cramér–Rao bound."""
-    drive, log, linear = setting.drive, trial.log, setting.linear
-    rows = (log.times, log.speeds, log.flags, log.noises)
-    covariances = bound(*rows, trial.states, trial.start_state, trial.start.covariance, linear)
-    return variances(drive.scored, trial.states, covariances, *drive.told, linear)
+    drive, linear = setting.drive, setting.linear
+    covariances = bound(trial.rows, trial.states, trial.start_state, trial.start[1], linear)
+    return variances(drive.scored, trial.states, covariances, trial.rows.drives, scratch(), linear)
 
 
 class Trace(NamedTuple):
@@ -76,10 +86,11 @@ class Trace(NamedTuple):
 def trace(setting: Setting, seed: int) -> Trace:
     """One run of a cell."""
     trial, drive = make_trial(setting, seed), setting.drive
-    result = run(trial.log, setting.filter, trial.start)
-    estimated = (drive.samples, result.means, result.covariances, *drive.told)
-    errors, _ = compare(*estimated, trial.states, trial.slips, setting.linear)
-    deviations = np.sqrt(variances(*estimated, setting.linear))
+    window = _filtered(setting, trial)
+    states = window.states[1 : window.count]
+    errors, _ = compare(drive.samples, states, trial.states, trial.slips, scratch(), setting.linear)
+    found = states["mean"], states["covariance"]
+    deviations = np.sqrt(variances(drive.samples, *found, states, scratch(), setting.linear))
     t, poses, slips = (
         drive.truth.t[drive.samples],
         trial.states[drive.samples, POSE],

@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.kalman.linear_algebra import root
-from trackslip_estimation.slip.batch import Log
-from trackslip_estimation.slip.filter import Filter
-from trackslip_estimation.slip.models.model import Gaussian
+from trackslip_estimation.slip.config import ConfigRecord
+from trackslip_estimation.slip.models.model import GYRO_BIAS
 from trackslip_sim.study.slip.drive import Drive, fix_deviations
-from trackslip_sim.study.slip.kernels import draw, nearest, slips_of
+from trackslip_sim.study.slip.kernels import Rows, draw, nearest, slips_of
 from trackslip_sim.study.slip.parameters import MATCHED, Cell
 
 FloatArray = NDArray[np.float64]
-RecordArray = NDArray[np.void]
 
 
 class Setting(NamedTuple):
@@ -24,17 +22,17 @@ class Setting(NamedTuple):
 
     cell: Cell
     drive: Drive
-    log: Log  # without values
-    filter: Filter
-    linear: RecordArray  # constants of the same model under the EKF
+    rows: Rows  # measurements without values
+    config: ConfigRecord
+    linear: ConfigRecord  # of the same model under the EKF
     sigma_heading: float  # rad
 
 
 class Trial(NamedTuple):
     """One run before it is filtered."""
 
-    log: Log
-    start: Gaussian  # what a filter begins with
+    rows: Rows
+    start: tuple[FloatArray, FloatArray]  # mean and covariance that a filter begins with
     start_state: FloatArray  # (n,) the truth there
     states: FloatArray  # (k, n) the truth at the rows, as states of the filter's model
     slips: FloatArray  # (k, 3) left slip, right slip, slip angle
@@ -53,16 +51,15 @@ def make_trial(setting: Setting, seed: int) -> Trial:
 
 def _matched(setting: Setting, random: np.random.Generator) -> Trial:
     """The truth is the filter's model: a start from its covariance, noise from its Q and R."""
-    log, true_speeds = setting.log, setting.drive.true_speeds
-    deviations = fix_deviations(setting.cell, setting.sigma_heading)
-    start = setting.filter.initial(np.zeros(3), np.diag(np.square(deviations)))
-    n = start.mean.size
-    start_state = start.mean + root(start.covariance) @ random.standard_normal(n)
-    normals = random.standard_normal((len(log.values), n + 3))
-    rows = (log.times, true_speeds, log.flags, log.noises)
-    states, values = draw(*rows, start_state, normals, setting.linear)
-    slips = slips_of(states, true_speeds, setting.linear)
-    return Trial(log._replace(values=values), start, start_state, states, slips)
+    rows, true_drives = setting.rows, setting.drive.true_drives
+    mean, covariance = start = _start(setting, np.zeros(3))
+    n = mean.size
+    start_state = mean + root(covariance) @ random.standard_normal(n)
+    normals = random.standard_normal((len(rows.drives), n + 3))
+    true_rows = Rows(rows.measurements, true_drives)
+    states, values = draw(true_rows, start_state, normals, setting.linear)
+    slips = slips_of(states, true_drives, setting.linear)
+    return Trial(_with_values(rows, values), start, start_state, states, slips)
 
 
 def _shear(setting: Setting, random: np.random.Generator) -> Trial:
@@ -70,16 +67,30 @@ def _shear(setting: Setting, random: np.random.Generator) -> Trial:
     at, fixes, rates = setting.drive.truth, setting.drive.fixes, setting.drive.rates
     poses = np.stack((at.x, at.y, at.yaw), axis=1)
     deviations = fix_deviations(setting.cell, setting.sigma_heading)
-    covariance = np.diag(np.square(deviations))
-    start = setting.filter.initial(deviations * random.standard_normal(3), covariance)
-    prior = setting.filter.initial(np.zeros(3), covariance)
-    prior.mean[-1] = np.sqrt(prior.covariance[-1, -1]) * random.standard_normal()
+    start = _start(setting, deviations * random.standard_normal(3))
+    mean, covariance = prior = _start(setting, np.zeros(3))
+    mean[GYRO_BIAS] = np.sqrt(covariance[GYRO_BIAS, GYRO_BIAS]) * random.standard_normal()
     values = np.zeros((len(poses), 3))
     values[fixes] = poses[fixes] + deviations * random.standard_normal((np.count_nonzero(fixes), 3))
     noise = setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
-    values[rates, 0] = at.yaw_rate[rates] + prior.mean[-1] + noise
+    values[rates, 0] = at.yaw_rate[rates] + mean[GYRO_BIAS] + noise
     twists = np.stack((at.v_x, at.yaw_rate), axis=1)
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
-    states = nearest(poses, twists, true_speeds, *prior, setting.linear)
+    states = nearest(poses, twists, true_speeds, prior, setting.linear)
     slips = np.stack((at.left_slip, at.right_slip, at.slip_angle), axis=1)
-    return Trial(setting.log._replace(values=values), start, prior.mean, states, slips)
+    return Trial(_with_values(setting.rows, values), start, mean, states, slips)
+
+
+def _start(setting: Setting, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (n,) and covariance (n, n) that a filter begins with at a fix."""
+    c = setting.config[0]
+    mean, covariance = c["prior_mean"].copy(), np.diag(c["prior_variance"])
+    mean[:3] = pose
+    covariance[:3, :3] = np.diag(np.square(fix_deviations(setting.cell, setting.sigma_heading)))
+    return mean, covariance
+
+
+def _with_values(rows: Rows, values: FloatArray) -> Rows:
+    measurements = rows.measurements.copy()
+    measurements["value"] = values
+    return rows._replace(measurements=measurements)
