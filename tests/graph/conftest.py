@@ -26,7 +26,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.nodes.messages import topic_class
-from trackslip_common.nodes.qos import offered, wanted
+from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 
 INSTALL = Path(__file__).resolve().parents[2] / "ros2_ws" / "install"
 PACKAGE_OF = {
@@ -200,10 +200,10 @@ class Observer:
                 pytest.fail(f"waited for {what}; {surprise or 'too long'}")
             self._executor.spin_once(timeout_sec=0.05)
 
-    def listen(self, topic: str) -> list[Any]:
+    def subscribe(self, topic: str) -> list[Any]:
         """The list that the topic's messages will be in."""
         heard: list[Any] = []
-        self.node.create_subscription(topic_class(topic), topic, heard.append, wanted(topic))
+        self.node.create_subscription(topic_class(topic), topic, heard.append, subscriber_qos(topic))
         return heard
 
     def healths(self) -> list[Any]:
@@ -217,7 +217,7 @@ class Observer:
     def publisher(self, topic: str, as_topic: str | None = None) -> Any:
         """A publisher of a project topic, or of another one of the same kind."""
         kind = as_topic or topic
-        return self.node.create_publisher(topic_class(kind), topic, offered(kind))
+        return self.node.create_publisher(topic_class(kind), topic, publisher_qos(kind))
 
     def wait_for_ends(self, topic: str, *nodes: str) -> None:
         """Until these nodes publish the topic or subscribe to it."""

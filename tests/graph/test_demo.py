@@ -30,7 +30,7 @@ def demo(programs, *arguments):
 
 def wait_for_drive(observer):
     """Until the machine's sensors are heard."""
-    sprockets = observer.listen("sprockets")
+    sprockets = observer.subscribe("sprockets")
     observer.wait(lambda: len(sprockets) > 100, "the drive")
 
 

@@ -66,7 +66,7 @@ def test_parameter_files_of_the_project_are_accepted(programs, observer):
     """A node takes the file that ``config/`` has for it, and pc05.yaml where it has a vehicle."""
     config = programs.folder / "mine.yaml"
     config.write_text("/**: {ros__parameters: {vehicle: {tread: 0.8}}}", encoding="utf-8")
-    heard = observer.listen("slip_estimator/parameters")
+    heard = observer.subscribe("slip_estimator/parameters")
     programs.node("slip_estimator", "--params-file", "mine.yaml")
     observer.wait(lambda: heard, "the parameters in use")
     assert "vehicle.tread: 0.8" in heard[0].data

@@ -47,7 +47,7 @@ def seconds(stamp):
 def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
     with open_bag(path) as bag:
         expected = replay(bag, load_slip_parameters(), InputFilters(), None).estimates[-1]
-    odometry, clock = observer.listen("odometry"), []
+    odometry, clock = observer.subscribe("odometry"), []
     observer.node.create_subscription(Clock, "/clock", clock.append, qos_profile_sensor_data)
     programs.node("slip_estimator")
     observer.wait(lambda: observer.state("slip_estimator") == "active", "the estimator")
@@ -80,7 +80,7 @@ def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
 
 def test_ctrl_c_and_options(programs, observer, path):
     """It ends at once, says how far it came, and published only what it should."""
-    heard, hidden = observer.listen("sprockets"), observer.listen("hydraulics")
+    heard, hidden = observer.subscribe("sprockets"), observer.subscribe("hydraulics")
     options = (
         "--publish",
         "--loop",
@@ -110,7 +110,7 @@ def test_ctrl_c_and_options(programs, observer, path):
 
 def test_a_graph_with_drivers_that_still_run_is_warned_of(programs, observer, path):
     observer.publisher("sprockets")
-    observer.listen("sprockets")
+    observer.subscribe("sprockets")
     player = programs.tool("trackslip", "replay", str(path), "--publish", "--stop", "0.5")
     assert player.wait() == 0
     assert "/sprockets is published by observer too" in player.stderr

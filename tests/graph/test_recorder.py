@@ -31,7 +31,7 @@ import json, sys, time
 import numpy as np, rclpy
 from rclpy.duration import Duration
 from trackslip_common.nodes.messages import topic_class
-from trackslip_common.nodes.qos import offered
+from trackslip_common.nodes.qos import publisher_qos
 from trackslip_common.topics import TOPICS
 from trackslip_bags.messages import make, serialize
 
@@ -41,7 +41,7 @@ fast += ("truth/odometry", "truth/track_slip")
 rates = {**dict.fromkeys(fast, 100.0), "measurement_reports": 120.0, "imu/data_raw": 11.85, "scan": 4.2}
 rclpy.init()
 node = rclpy.create_node("load")
-publishers = {topic: node.create_publisher(topic_class(topic), topic, offered(topic)) for topic in rates}
+publishers = {t: node.create_publisher(topic_class(t), t, publisher_qos(t)) for t in rates}
 fields = {topic: {} for topic in rates} | {"scan": {"ranges": np.arange(361, dtype=np.float32)}}
 raw = {topic: serialize(make(TOPICS[topic].type_name, **fields[topic])) for topic in rates}
 while not all(publisher.get_subscription_count() for publisher in publishers.values()):

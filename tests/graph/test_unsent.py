@@ -32,7 +32,7 @@ class Speaker(TrackslipNode[NoParameters]):
         super().__init__("speaker", NoParameters)
 
     def configure(self) -> None:
-        self.scans = self.announce(topic_class("scan"), "scan")
+        self.scans = self.advertise(topic_class("scan"), "scan")
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def speaker(domain: int, stalled: set[str]) -> Iterator[Speaker]:
 
 
 def test_what_is_not_sent_is_counted_and_told_and_the_node_lives_on(speaker, stalled, observer):
-    healths, scans = observer.healths(), observer.listen("scan")
+    healths, scans = observer.healths(), observer.subscribe("scan")
     observer.wait_for_ends("scan", "speaker", "observer")
     message = topic_class("scan")()
     stalled.add(SCAN)

@@ -15,7 +15,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.qos import offered, wanted
+from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, parameter, to_flat
 from trackslip_common.tally import Tally
 
@@ -69,10 +69,10 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         self.active = False
         self._starting = False
         self._failure: Exception | None = None
-        self._announced: list[Any] = []
+        self._advertised: list[Any] = []
         self._unsent: Counter[str] = Counter()  # by topic
         self._unsent_told = 0
-        self._status = self.outlasting(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
+        self._status = self.tolerate_failures(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._pulse = self.create_timer(1.0, self.publish_health, clock=steady)
 
@@ -95,22 +95,24 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         """What /diagnostics shall say; asked only while the node is active."""
         return [Health(OK, "running")]
 
-    def listen(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
+    def subscribe(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe; messages that come while the node is inactive are not for it."""
 
         def when_active(message: Any) -> None:
             if self.active:
                 callback(message)
 
-        self.create_subscription(message_type, topic, when_active, wanted(topic))
+        self.create_subscription(message_type, topic, when_active, subscriber_qos(topic))
 
-    def announce(self, message_type: type, topic: str) -> Any:
+    def advertise(self, message_type: type, topic: str) -> Any:
         """A lifecycle publisher with the topic's own quality of service, whose failures the node outlives."""
-        publisher = self.create_lifecycle_publisher(message_type, topic, offered(topic.removeprefix("/")))
-        self._announced.append(publisher)
-        return self.outlasting(publisher)
+        publisher = self.create_lifecycle_publisher(
+            message_type, topic, publisher_qos(topic.removeprefix("/"))
+        )
+        self._advertised.append(publisher)
+        return self.tolerate_failures(publisher)
 
-    def outlasting(self, publisher: Any) -> Any:
+    def tolerate_failures(self, publisher: Any) -> Any:
         """The publisher; what it cannot send is counted: one stalled subscriber is no reason to end."""
         send = publisher.publish
 
@@ -220,8 +222,8 @@ class TrackslipNode(LifecycleNode, Generic[P]):
         for timer in list(self.timers):
             if timer is not self._pulse:
                 self.destroy_timer(timer)
-        while self._announced:
-            self.destroy_lifecycle_publisher(self._announced.pop())
+        while self._advertised:
+            self.destroy_lifecycle_publisher(self._advertised.pop())
         self._attempt(self.release)
 
     def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:

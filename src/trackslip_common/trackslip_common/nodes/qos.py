@@ -9,7 +9,7 @@ from trackslip_common.topics import TOPICS, Flow
 _DEPTH = 1000
 
 
-def offered(name: str) -> QoSProfile:
+def publisher_qos(name: str) -> QoSProfile:
     """Profile for publishing one of the project's topics.
 
     Sensors offer more than sensor data need: who asks for best effort gets it, and a recorder can have all.
@@ -19,7 +19,7 @@ def offered(name: str) -> QoSProfile:
     return reliable()
 
 
-def wanted(name: str) -> QoSProfile:
+def subscriber_qos(name: str) -> QoSProfile:
     """Profile for subscribing; a topic that is not the project's is taken as sensor data."""
     flow = TOPICS[name].flow if name in TOPICS else Flow.SENSOR
     if flow is Flow.LATCHED:

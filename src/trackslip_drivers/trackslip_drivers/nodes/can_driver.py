@@ -42,8 +42,8 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
             self._frames = FrameSet(config_file(self.settings.dbc_file))
         except InputError as error:
             raise InputError(f"can_driver: dbc_file: {error}") from error
-        self._sprockets = self.announce(topic_class("sprockets"), "sprockets")
-        self._hydraulics = self.announce(topic_class("hydraulics"), "hydraulics")
+        self._sprockets = self.advertise(topic_class("sprockets"), "sprockets")
+        self._hydraulics = self.advertise(topic_class("hydraulics"), "hydraulics")
         self._joints = conversions.blank_joint_state(make, _FRAME_ID)
         self._bus_state = BusState.ACTIVE
         self._forget()

@@ -31,7 +31,7 @@ class SickNode(DriverNode[SickParameters]):
         self.period = scan_period(self.settings)
         self._lock = threading.Lock()  # the session is fed by the link's thread and stepped by one of ours
         self._session = SickSession(self.settings, self.tally)
-        self._scans = self.announce(topic_class("scan"), "scan")
+        self._scans = self.advertise(topic_class("scan"), "scan")
         self._polluted = False
 
     def make_link(self) -> Link[bytes]:

@@ -30,8 +30,8 @@ class WatsonNode(DriverNode[WatsonParameters]):
         p = self.settings
         layout = Layout(p.channels, p.formats, p.full_scales)
         self._stream = WatsonStream(layout, p.serial_baud, round(p.time_offset * 1e9), self.tally)
-        self._imu = self.announce(topic_class("imu/data_raw"), "imu/data_raw")
-        self._mag = self.announce(topic_class("imu/mag"), "imu/mag")
+        self._imu = self.advertise(topic_class("imu/data_raw"), "imu/data_raw")
+        self._mag = self.advertise(topic_class("imu/mag"), "imu/mag")
 
     def make_link(self) -> Link[bytes]:
         """One serial port."""

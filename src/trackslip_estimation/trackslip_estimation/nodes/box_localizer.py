@@ -28,8 +28,8 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._fixes = 0
         self._scans = 0
         self._news = (0, 0)
-        self._poses = self.announce(topic_class("box_pose"), "box_pose")
-        self.listen(topic_class("scan"), "scan", self._on_scan)
+        self._poses = self.advertise(topic_class("box_pose"), "box_pose")
+        self.subscribe(topic_class("scan"), "scan", self._on_scan)
 
     def health(self) -> list[Health]:
         """Fixes per scan, and why scans gave none."""

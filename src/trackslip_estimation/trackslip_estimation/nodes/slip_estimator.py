@@ -53,20 +53,20 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._watch = SourceWatch(p.timeouts_ns())
         self._taken = self._estimates = 0
         self._heard: float | None = None  # s, steady: when the last sprocket sample came
-        self._odometry = self.announce(topic_class("odometry"), "odometry")
+        self._odometry = self.advertise(topic_class("odometry"), "odometry")
         self._pose_and_twist = conversions.blank_odometry(make, p.odom_frame, p.base_frame)
-        self._track_slip = self.announce(topic_class("track_slip"), "track_slip")
-        self._reports = self.announce(topic_class("measurement_reports"), "measurement_reports")
-        self._parameters_used = self.announce(topic_class(RELOAD), RELOAD)
-        self._tf = self._announce_tf() if p.publish_tf else None
-        self.listen(topic_class("sprockets"), "sprockets", self._on_sprockets)
-        self.listen(topic_class(SET_POSE), SET_POSE, partial(self._on_pose, source=SET_POSE))
+        self._track_slip = self.advertise(topic_class("track_slip"), "track_slip")
+        self._reports = self.advertise(topic_class("measurement_reports"), "measurement_reports")
+        self._parameters_used = self.advertise(topic_class(RELOAD), RELOAD)
+        self._tf = self._advertise_tf() if p.publish_tf else None
+        self.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
+        self.subscribe(topic_class(SET_POSE), SET_POSE, partial(self._on_pose, source=SET_POSE))
         for source in named(p.yaw_rate_sources):
-            self.listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
+            self.subscribe(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
         for source in named(p.pose_sources):
-            self.listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
+            self.subscribe(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source in named(p.slip_sources):
-            self.listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
+            self.subscribe(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
     def activate(self) -> None:
         """Say with which parameters the estimates of this run were made: a bag carries them along."""
@@ -123,9 +123,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         text = parameters_text(to_flat(self.settings), SLIP_NODE)
         self._parameters_used.publish(make("std_msgs/msg/String", data=text))
 
-    def _announce_tf(self) -> Any:
+    def _advertise_tf(self) -> Any:
         try:
-            return self.announce(topic_class("tf"), "/tf")
+            return self.advertise(topic_class("tf"), "/tf")
         except ModuleNotFoundError:
             self.get_logger().info("tf2_msgs is not installed: no tf")
             return None

@@ -41,11 +41,11 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         self._taken = self._published = 0
         self._heard: float | None = None  # s, steady: when the slip estimator was last heard
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
-        self._outputs = {topic: self.announce(topic_class(topic), topic) for topic in outputs}
-        self._parameters_used = self.announce(topic_class(PARAMETERS), PARAMETERS)
-        self.listen(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
-        self.listen(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
-        self.listen(topic_class(SLIPS), SLIPS, self._on_slips)
+        self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
+        self._parameters_used = self.advertise(topic_class(PARAMETERS), PARAMETERS)
+        self.subscribe(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
+        self.subscribe(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
+        self.subscribe(topic_class(SLIPS), SLIPS, self._on_slips)
 
     def activate(self) -> None:
         """Say with which parameters the estimates of this run are made: a bag carries them along."""

@@ -38,14 +38,14 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         p = self.settings
         self._truth = drive(p)
         self._excavator: EmulatedExcavator | None = None
-        self._odometry = self.announce(topic_class("truth/odometry"), "truth/odometry")
-        self._track_slip = self.announce(topic_class("truth/track_slip"), "truth/track_slip")
-        self._track_forces = self.announce(topic_class("truth/track_forces"), "truth/track_forces")
-        self._soil = self.announce(topic_class("truth/soil"), "truth/soil")
+        self._odometry = self.advertise(topic_class("truth/odometry"), "truth/odometry")
+        self._track_slip = self.advertise(topic_class("truth/track_slip"), "truth/track_slip")
+        self._track_forces = self.advertise(topic_class("truth/track_forces"), "truth/track_forces")
+        self._soil = self.advertise(topic_class("truth/soil"), "truth/soil")
         self._cables = Cables(p)
         self._ordered: queue.SimpleQueue[Fault] = queue.SimpleQueue()
         self._faults_refused = 0
-        self.listen(topic_class("emulator/fault"), "emulator/fault", self._on_fault)
+        self.subscribe(topic_class("emulator/fault"), "emulator/fault", self._on_fault)
 
     def activate(self) -> None:
         """Power on."""
