@@ -12,6 +12,7 @@ from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
+from trackslip_estimation.box.scan import Scan
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import PoseFix
 
@@ -46,7 +47,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._scans += 1
         ranges = np.asarray(message.ranges, dtype=np.float64)
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
-        fix = self._localizer.locate(stamp_ns_of(message), ranges, *geometry)
+        fix = self._localizer.locate(Scan(stamp_ns_of(message), ranges, *geometry))
         if isinstance(fix, BoxFix):
             self._fixes += 1
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
