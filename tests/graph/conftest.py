@@ -31,9 +31,8 @@ from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 INSTALL = Path(__file__).resolve().parents[2] / "ros2_ws" / "install"
 PACKAGE_OF = {
     **dict.fromkeys(("can_driver", "watson_imu", "sick_pls"), "trackslip_drivers"),
-    **dict.fromkeys(
-        ("box_localizer", "slip_estimator", "soil_estimator", "record", "trackslip"), "trackslip_estimation"
-    ),
+    **dict.fromkeys(("box_localizer", "slip_estimator", "soil_estimator", "record"), "trackslip_estimation"),
+    "trackslip": "trackslip_tools",
     "emulator": "trackslip_sim",
 }
 TRANSITIONS = {

@@ -14,7 +14,8 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
 from trackslip_bags.playback import Playback
-from trackslip_common.nodes.base import OK, Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import OK, Health
 from trackslip_common.nodes.messages import message_class
 from trackslip_common.nodes.qos import publisher_qos, reliable
 from trackslip_common.nodes.run import run

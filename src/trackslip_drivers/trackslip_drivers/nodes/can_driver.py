@@ -5,7 +5,7 @@ import sys
 
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.base import Health
+from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions

@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 
 from rclpy.clock import Clock, ClockType
 
-from trackslip_common.nodes.base import ERROR, OK, STALE, WARN, Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health
 from trackslip_common.parameters import Parameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample
 from trackslip_drivers.stamping import InOrder, StampEvent

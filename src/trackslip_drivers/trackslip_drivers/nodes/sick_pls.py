@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 
-from trackslip_common.nodes.base import ERROR, WARN, Health
+from trackslip_common.nodes.health import ERROR, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions

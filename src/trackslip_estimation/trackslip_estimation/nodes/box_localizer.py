@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.make import stamp_ns_of
-from trackslip_common.nodes.base import OK, WARN, Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer

@@ -8,7 +8,8 @@ import time
 from typing import Any
 
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.base import ERROR, OK, Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import ERROR, OK, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation.slip import conversions
