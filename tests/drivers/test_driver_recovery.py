@@ -193,9 +193,9 @@ def watson_outcome(rate, lines):
     while device.lines_emitted < lines:
         now += 84 * MS
         data = device.step(now)
-        true = [dataclasses.replace(sample, stamp_ns=0) for sample in clean.feed(data, now)]
+        true = [sample._replace(stamp_ns=0) for sample in clean.feed(data, now)]
         for sample in stream.feed(corrupt(data, rate, random), now):
-            known = dataclasses.replace(sample, stamp_ns=0) in true
+            known = sample._replace(stamp_ns=0) in true
             right, wrong = right + known, wrong + (not known)
     return right, wrong, device.lines_emitted - right - wrong
 

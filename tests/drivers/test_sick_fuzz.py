@@ -112,7 +112,7 @@ def test_samples_survive_a_round_trip(
     second = decode_scan(Telegram(payload, 10**18, 10**18), parameters)
     assert isinstance(second, Scan)
     np.testing.assert_array_equal(second.sample.ranges, first.sample.ranges)
-    assert replace(second.sample, ranges=first.sample.ranges).__dict__ == first.sample.__dict__
+    assert second.sample._replace(ranges=first.sample.ranges) == first.sample
     assert second.status == first.status
 
 

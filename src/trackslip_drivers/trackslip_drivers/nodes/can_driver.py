@@ -45,6 +45,7 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         self._sprockets = self.advertise(topic_class("sprockets"), "sprockets")
         self._hydraulics = self.advertise(topic_class("hydraulics"), "hydraulics")
         self._joints = conversions.blank_joint_state(make, _FRAME_ID)
+        self._pressures = conversions.blank_track_hydraulics(make, _FRAME_ID)
         self._bus_state = BusState.ACTIVE
         self._forget()
 
@@ -77,11 +78,11 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
             self._bus_state = BusState.ACTIVE  # it was restarted without a word
         sample = self._can.receive(*frame, self.arrived(arrival_ns))
         if isinstance(sample, SprocketSample):
-            conversions.fill_joint_state(self._joints, self.stamped(sample))
-            self._sprockets.publish(self._joints)
+            self._sprockets.publish(conversions.fill_joint_state(self._joints, self.stamped(sample)))
             self.count()
         elif sample is not None:
-            self._hydraulics.publish(conversions.track_hydraulics(make, self.stamped(sample), _FRAME_ID))
+            filled = conversions.fill_track_hydraulics(self._pressures, self.stamped(sample))
+            self._hydraulics.publish(filled)
 
 
 def main() -> None:

@@ -3,7 +3,6 @@
 
 import time
 from collections import defaultdict
-from dataclasses import replace
 from typing import Any, TypeVar
 
 from rclpy.clock import Clock, ClockType
@@ -60,18 +59,19 @@ class DriverNode(TrackslipNode[P]):
             self._link.stop()
 
     def arrived(self, host_ns: int) -> int:
-        """Steady time of what a port has just handed on, and a look whether somebody set the host's clock."""
-        if self._host.look():
+        """Steady time of what a port has just received; notes whether somebody set the host's clock."""
+        steady_ns, has_jumped = self._host.arrival(host_ns)
+        if has_jumped:
             self.tally.add(_HOST_CLOCK, StampEvent.CLOCK_JUMPED)
-        return self._host.steady(host_ns)
+        return steady_ns
 
     def stamped(self, sample: S) -> S:
         """The sample as it is published: on the host's clock, later than the one before it."""
-        wanted_ns = self._host.stamp(sample.stamp_ns)
-        stamp_ns = self._order[type(sample)].next(wanted_ns)
-        if stamp_ns != wanted_ns:
+        host_ns = self._host.stamp(sample.stamp_ns)
+        stamp_ns = self._order[type(sample)].next(host_ns)
+        if stamp_ns != host_ns:
             self.tally.add(type(sample).__name__, StampEvent.MOVED)
-        return replace(sample, stamp_ns=stamp_ns)
+        return sample._replace(stamp_ns=stamp_ns)
 
     def count(self) -> None:
         """One more message published."""

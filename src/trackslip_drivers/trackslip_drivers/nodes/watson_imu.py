@@ -32,6 +32,9 @@ class WatsonNode(DriverNode[WatsonParameters]):
         self._stream = WatsonStream(layout, p.serial_baud, round(p.time_offset * 1e9), self.tally)
         self._imu = self.advertise(topic_class("imu/data_raw"), "imu/data_raw")
         self._mag = self.advertise(topic_class("imu/mag"), "imu/mag")
+        stddevs = (p.linear_acceleration_stddev, p.angular_velocity_stddev)
+        self._motion = conversions.blank_imu(make, p.frame_id, *stddevs)
+        self._field = conversions.blank_magnetic_field(make, p.frame_id, p.magnetic_field_stddev)
 
     def make_link(self) -> Link[bytes]:
         """One serial port."""
@@ -45,15 +48,10 @@ class WatsonNode(DriverNode[WatsonParameters]):
         )
 
     def _on_bytes(self, data: bytes, arrival_ns: int) -> None:
-        p = self.settings
         for decoded in self._stream.feed(data, self.arrived(arrival_ns)):
             sample = self.stamped(decoded)
-            self._imu.publish(
-                conversions.imu(
-                    make, sample, p.frame_id, p.linear_acceleration_stddev, p.angular_velocity_stddev
-                )
-            )
-            field = conversions.magnetic_field(make, sample, p.frame_id, p.magnetic_field_stddev)
+            self._imu.publish(conversions.fill_imu(self._motion, sample))
+            field = conversions.fill_magnetic_field(self._field, sample)
             if field is not None:
                 self._mag.publish(field)
             self.count()

@@ -18,6 +18,7 @@ STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
 
 _NS_PER_S = 1_000_000_000
 _SEND_TIMEOUT_S = 0.1
+_GATHER_S = 0.001  # from a frame until the rest of its cycle is read; time stamps are the kernel's
 
 
 class CanBus:
@@ -42,7 +43,7 @@ class CanBus:
         """The frames that are there, once there is one, each with its time of reception.
 
         Raises:
-            can.CanError, OSError: the bus failed, or an error frame of the read before said that it is off.
+            can.CanError, OSError: the bus failed, or an error frame of the read before reported that it is off.
         """
         if self._is_off:
             raise can.CanOperationError("bus off")
@@ -52,7 +53,7 @@ class CanBus:
         """Send one frame with a 29-bit id; an error frame where ``ERROR_FLAG`` is set.
 
         Raises:
-            can.CanError: the bus did not take it.
+            can.CanError: the bus did not accept it.
         """
         name, payload = data
         is_error = bool(name & ERROR_FLAG)
@@ -62,13 +63,17 @@ class CanBus:
         self._bus.send(message, timeout=_SEND_TIMEOUT_S)
 
     def _frames(self) -> Iterator[tuple[CanFrame, int]]:
-        """One by one: a frame is handed on before the next is looked for."""
+        """The first at once; those that follow a moment later, or each of them would wake the process."""
         message = self._bus.recv(READ_TIMEOUT_S)
+        is_first = True
         while message is not None:
             frame = (_flagged_id(message), bytes(message.data))
             if message.is_error_frame:
                 self._is_off = bus_state(*frame) is BusState.OFF
             yield frame, _stamp_ns(message)
+            if is_first:
+                time.sleep(_GATHER_S)
+                is_first = False
             message = self._bus.recv(0.0)
 
     def close(self) -> None:
