@@ -13,11 +13,12 @@ import can
 import pytest
 
 from trackslip_drivers.transports.can_bus import CanBus
-from trackslip_drivers.transports.link import Link
+from trackslip_drivers.transports.link import Handlers, Link
 from trackslip_drivers.transports.serial_port import SerialPort
 from trackslip_sim.devices.pty_port import PtyPort
 
 PATIENCE_S = 20.0
+IGNORED = Handlers(lambda *_: None, lambda: None)
 UDP_PORT = 44000 + os.getpid() % 10000  # parallel test runs must not hear each other
 GROUP = "239.74.163.2"
 
@@ -55,7 +56,7 @@ def start_link(heard):
     links = []
 
     def start(open_port, silence_s=math.inf, on_data=None):
-        link = Link("test", open_port, on_data or heard.on_data, heard.on_open, silence_s)
+        link = Link("test", open_port, Handlers(on_data or heard.on_data, heard.on_open), silence_s)
         links.append(link)
         link.start()
         return link
@@ -129,10 +130,10 @@ def test_socket_url(heard, start_link):
         client.close()
 
 
-def test_silence_is_told_only_after_a_read_in_vain(heard, start_link):
+def test_silence_is_reported_only_after_a_read_in_vain(heard, start_link):
     """Bytes that wait while the reader is busy are no silence."""
     reads = [[(b"a", 1)], [(b"b", 2)], [], [(b"c", 3)], []]
-    told = []
+    reported = []
 
     class Port(BrokenPort):
         def read(self):
@@ -143,15 +144,12 @@ def test_silence_is_told_only_after_a_read_in_vain(heard, start_link):
     link = Link(
         "test",
         lambda: Port(OSError("gone"), []),
-        heard.on_data,
-        heard.on_open,
-        math.inf,
-        lambda: told.append(list(heard.data)),
+        Handlers(heard.on_data, heard.on_open, lambda: reported.append(list(heard.data))),
     )
     link.start()
     wait_for(lambda: link.state().errors >= 1)
     link.stop()
-    assert told == [[b"a", b"b"], [b"a", b"b", b"c"]]
+    assert reported == [[b"a", b"b"], [b"a", b"b", b"c"]]
 
 
 def test_silent_port_is_reopened(pty_port, heard, start_link):
@@ -210,7 +208,7 @@ def test_pauses_double_up_to_half_a_second(start_link, monkeypatch):
     def refuse():
         raise OSError("absent")
 
-    link = Link("test", refuse, lambda *_: None, lambda: None, math.inf)
+    link = Link("test", refuse, IGNORED)
 
     def wait(pause_s):
         pauses.append(pause_s)
@@ -232,7 +230,7 @@ def test_stop_does_not_wait_for_an_opening_that_hangs():
         release.wait(PATIENCE_S)
         return BrokenPort(OSError(), closed)
 
-    link = Link("test", hang, lambda *_: None, lambda: None, math.inf)
+    link = Link("test", hang, IGNORED)
     link.start()
     link.stop()
     assert link._thread.is_alive()  # it returned although the opening still hangs

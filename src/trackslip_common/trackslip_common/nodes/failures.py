@@ -49,9 +49,14 @@ class CallbackFailures:
         self.last = ""
 
     def guard(
-        self, callback: Callable[..., Any], name: str, *, handles_data: bool = False
+        self,
+        callback: Callable[..., Any],
+        name: str,
+        *,
+        handles_data: bool = False,
+        recover: Callable[[], None] = lambda: None,
     ) -> Callable[..., Any]:
-        """The callback, whose exceptions are counted under this name; then it returns None.
+        """The callback, whose exceptions are counted under this name; then it recovers, and returns None.
 
         ``handles_data``: where it succeeds, the node is of use, and a streak of failures ends.
         """
@@ -62,7 +67,7 @@ class CallbackFailures:
                 result = callback(*args)
             except Exception as error:  # noqa: BLE001 (whatever it is, the node goes on)
                 self.add(name, error)
-                return None
+                return recover()
             if handles_data and self._streak:
                 self._streak = 0
             return result

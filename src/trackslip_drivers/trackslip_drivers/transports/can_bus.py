@@ -43,7 +43,7 @@ class CanBus:
         """The frames that are there, once there is one, each with its time of reception.
 
         Raises:
-            can.CanError, OSError: the bus failed, or an error frame of the read before reported that it is off.
+            can.CanError, OSError: the bus failed, or an error frame of the read before reported it off.
         """
         if self._is_off:
             raise can.CanOperationError("bus off")
