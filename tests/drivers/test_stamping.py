@@ -75,7 +75,7 @@ def test_a_wrong_period_is_noticed():
     assert (errors == 0).sum() >= 3000 // 201
 
 
-def test_a_sender_that_restarts_is_believed_again():
+def test_a_sender_that_restarts_is_followed():
     stamps = PeriodicStamps(PERIOD, TOLERANCE, patience=200)
     for k in range(100):
         stamps.filter(k * PERIOD, 1)

@@ -144,7 +144,7 @@ class Programs:
         return self._started[-1]
 
     def surprise(self) -> str:
-        """What a program that ended unasked said; empty where all run."""
+        """The output of a program that ended unasked; empty where all run."""
         ended = [p for p in self._started if not p.asked and p.process.poll() is not None]
         return "".join(f"{p.process.args} ended with {p.process.returncode}: {p.stderr}" for p in ended)
 
@@ -201,17 +201,17 @@ class Observer:
 
     def subscribe(self, topic: str) -> list[Any]:
         """The list that the topic's messages will be in."""
-        heard: list[Any] = []
-        self.node.create_subscription(topic_class(topic), topic, heard.append, subscriber_qos(topic))
-        return heard
+        received: list[Any] = []
+        self.node.create_subscription(topic_class(topic), topic, received.append, subscriber_qos(topic))
+        return received
 
     def healths(self) -> list[Any]:
         """The list that all entries of /diagnostics will be in."""
-        heard: list[Any] = []
+        received: list[Any] = []
         self.node.create_subscription(
-            DiagnosticArray, "/diagnostics", lambda message: heard.extend(message.status), 100
+            DiagnosticArray, "/diagnostics", lambda message: received.extend(message.status), 100
         )
-        return heard
+        return received
 
     def publisher(self, topic: str, as_topic: str | None = None) -> Any:
         """A publisher of a project topic, or of another one of the same kind."""
@@ -233,8 +233,8 @@ class Observer:
         """Until the recorder itself has found a publisher of each of these topics."""
 
         def found() -> bool:
-            told = [health for health in healths if health.name == "record: publishers"][-1:]
-            counts = {pair.key: int(pair.value) for health in told for pair in health.values}
+            reports = [health for health in healths if health.name == "record: publishers"][-1:]
+            counts = {pair.key: int(pair.value) for health in reports for pair in health.values}
             return all(counts.get(f"/{topic}", 0) > 0 for topic in topics)
 
         self.wait(found, f"the recorder to find {', '.join(topics)}")

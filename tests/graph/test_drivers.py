@@ -171,7 +171,7 @@ def are_stamped(messages, began_ns):
 
 
 def is_healthy(healths, node):
-    """The last of its entries is OK and tells a rate."""
+    """The last of its entries is OK and has a rate."""
     mine = [status for status in healths if status.name == node]
     if not mine or mine[-1].level != b"\0":
         return False
@@ -266,7 +266,7 @@ def test_device_that_vanishes_is_found_again(bench, programs, observer, node):
     powered = make()
     messages, healths = observer.subscribe(TOPIC[node]), observer.healths()
     program = programs.node(node, **parameters)  # before there is a device
-    observer.wait(lambda: any(h.name == node for h in healths), f"{node} to say how it is")
+    observer.wait(lambda: any(h.name == node for h in healths), f"the first report of {node}")
     powered.plug()
     observer.wait(lambda: messages, f"{node} to find its device")
     powered.unplug()
@@ -296,7 +296,7 @@ def test_lifecycle(bench, programs, observer, node):
     make().plug()
     messages, healths = observer.subscribe(TOPIC[node]), observer.healths()
     program = programs.node(node, autostart=False, **parameters)
-    observer.wait(lambda: any(h.name == node for h in healths), f"{node} to say how it is")
+    observer.wait(lambda: any(h.name == node for h in healths), f"the first report of {node}")
     assert observer.state(node) == "unconfigured"
     assert not observer.change(node, "activate")
     assert observer.change(node, "configure")
@@ -332,7 +332,7 @@ def test_autostart_ends_in_active(bench, programs, observer):
 
 @pytest.mark.parametrize("priority", [7, 0])
 def test_realtime_priority(bench, programs, observer, priority):
-    """All threads of the process have it, or the node says that the host refuses."""
+    """All threads of the process have it, or the node reports that the host refuses."""
     program = programs.node("can_driver", **bench["can_driver"][1], realtime_priority=priority)
     observer.wait(lambda: observer.state("can_driver") == "active", "can_driver to be active")
     threads = [int(path.name) for path in Path(f"/proc/{program.process.pid}/task").iterdir()]

@@ -26,7 +26,7 @@ class NoParameters(Parameters):
 
 
 class Speaker(TrackslipNode[NoParameters]):
-    """Publishes when the test says so."""
+    """Publishes when the test wants it."""
 
     def __init__(self) -> None:
         super().__init__("speaker", NoParameters)
@@ -105,7 +105,7 @@ def test_diagnostics_that_cannot_be_sent_do_not_end_the_node(speaker, stalled, o
     executor.shutdown()
 
 
-def test_all_sent_is_not_worth_a_word(speaker, observer):
+def test_all_sent_is_not_reported(speaker, observer):
     healths = observer.healths()
     observer.wait_for_ends("/diagnostics", "speaker", "observer")
     speaker.publish_health()

@@ -56,7 +56,7 @@ def test_offset_of_the_box_is_applied_with_its_covariance():
 
 
 @pytest.mark.parametrize("initial_yaw", [-2.0, -0.3, 0.0, 0.3, 2.8])
-def test_front_of_the_box_is_told_by_the_initial_heading(initial_yaw):
+def test_front_of_the_box_follows_the_initial_heading(initial_yaw):
     parameters = dataclasses.replace(PARAMETERS, initial_yaw=initial_yaw)
     ranges = SiteScanner(BARE, VEHICLE, seed=4).scan(1.0, standing(0.0, 0.0, initial_yaw + 0.2))
     fix = locate(BoxLocalizer(parameters, VEHICLE), 1.0, ranges)
@@ -147,7 +147,7 @@ def test_lost_for_long_it_is_found_again_with_its_heading():
 
 
 def test_half_turn_unseen_is_not_falsely_certain():
-    """Turned by more than a quarter while hidden: nothing in a scan tells the front from the back."""
+    """Turned by more than a quarter while hidden: nothing in a scan distinguishes front and back."""
     localizer = BoxLocalizer(PARAMETERS, VEHICLE)
     scanner = SiteScanner(BARE, VEHICLE, seed=14)
     before = standing(0.0, 0.0, 0.0)
@@ -160,7 +160,7 @@ def test_half_turn_unseen_is_not_falsely_certain():
 
 
 def test_what_was_there_before_is_not_the_box():
-    """A second box stands on the site; when ours is hidden for long, it is not taken for it."""
+    """A second box stands on the site; when ours is hidden for long, it is not mistaken for it."""
     twin = dataclasses.replace(
         BARE, walls=(-3.35, -0.3, -2.65, -0.3, -3.35, -0.3, -3.35, 0.3, -2.65, -0.3, -2.65, 0.3)
     )

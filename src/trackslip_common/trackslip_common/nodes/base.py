@@ -12,9 +12,8 @@ from std_msgs.msg import String
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes import parameters as node_parameters
-from trackslip_common.nodes.failures import CallbackFailures, SendFailures
+from trackslip_common.nodes.guarded import GuardedNode
 from trackslip_common.nodes.health import OK, Health, diagnostics
-from trackslip_common.nodes.lifecycle import SelfStartingNode
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 from trackslip_common.parameters import Parameters, to_flat
@@ -23,7 +22,7 @@ from trackslip_common.tally import Tally
 P = TypeVar("P", bound=Parameters)
 
 
-class TrackslipNode(SelfStartingNode, Generic[P]):
+class TrackslipNode(GuardedNode, Generic[P]):
     """Base of all nodes.
 
     Subclasses override ``configure`` (make publishers, subscriptions, the core), ``activate`` and
@@ -37,8 +36,6 @@ class TrackslipNode(SelfStartingNode, Generic[P]):
     parameters_topic = ""  # on which the parameters in use are published, if any
 
     def __init__(self, name: str, parameters: type[P], *default_files: str) -> None:
-        self.callback_failures = CallbackFailures(lambda text: self.get_logger().error(text))
-        self.send_failures = SendFailures(lambda text: self.get_logger().warning(text))
         super().__init__(name)
         common = CommonParameters(autostart=True, realtime_priority=self.realtime_priority)
         given = node_parameters.read_overrides(self, common, parameters, default_files)
@@ -86,37 +83,6 @@ class TrackslipNode(SelfStartingNode, Generic[P]):
         publisher = self.create_lifecycle_publisher(message_type, topic, qos)
         self._advertised.append(publisher)
         return self.tolerate_failures(publisher)
-
-    def tolerate_failures(self, publisher: Any) -> Any:
-        """The publisher; what it cannot send is counted."""
-        return self.send_failures.tolerate(publisher)
-
-    def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **options: Any
-    ) -> Any:
-        """rclpy's, with a callback whose exceptions are counted."""
-        handles_data = topic != "/clock"
-        guarded = self.callback_failures.guard(callback, topic, handles_data=handles_data)
-        return super().create_subscription(msg_type, topic, guarded, *args, **options)
-
-    def create_timer(self, period: float, callback: Callable[..., Any], *args: Any, **options: Any) -> Any:
-        """rclpy's, with a callback whose exceptions are counted."""
-        guarded = self.callback_failures.guard(callback, f"timer {callback.__name__.strip('_')}")
-        return super().create_timer(period, guarded, *args, **options)
-
-    def create_service(
-        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], *args: Any, **options: Any
-    ) -> Any:
-        """rclpy's, with a callback whose exceptions are counted and answered with the blank response."""
-        guarded = self.callback_failures.guard(callback, srv_name)
-
-        def answer(request: Any, response: Any) -> Any:
-            answered = guarded(request, response)
-            if answered is None and hasattr(response, "message"):
-                response.success, response.message = False, self.callback_failures.last
-            return answered or response
-
-        return super().create_service(srv_type, srv_name, answer, *args, **options)
 
     def publish_health(self) -> None:
         """Report on /diagnostics now; that is done once a second anyway."""

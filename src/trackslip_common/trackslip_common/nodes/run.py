@@ -131,7 +131,7 @@ def _make(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | Non
     """The node.
 
     Raises:
-        InputError: it, or rcl, refused the arguments; rcl says what and adds places in its source.
+        InputError: it, or rcl, refused the arguments; rcl's reason has places in its source added.
     """
     set_logger_level("rcl", LoggingSeverity.FATAL)  # it would write the same in a line of its own
     try:

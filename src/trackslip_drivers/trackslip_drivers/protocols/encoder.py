@@ -60,7 +60,7 @@ class SprocketEncoder:
         """One reading, ``cycles`` of the sender after the previous one given here.
 
         After a silence that could hide half a turn of the encoder the position goes on from where it was:
-        what was turned meanwhile is unknown, and the event says so.
+        what was turned meanwhile is unknown, and the event reports it.
         """
         self._now += cycles
         self._silent += cycles

@@ -20,7 +20,7 @@ class SerialPort:
     """An open port (a ``link.Port`` of bytes).
 
     A pty carries no parity bit: the kernel refuses or ignores the setting. Then the port works without, and
-    ``note`` says so.
+    ``note`` states it.
 
     Args:
         url: device path or pyserial URL.
@@ -80,7 +80,7 @@ class SerialPort:
         """Send.
 
         Raises:
-            serial.SerialException: the port is gone, or did not take the bytes in time.
+            serial.SerialException: the port is gone, or did not accept the bytes in time.
         """
         self._serial.write(data)
 

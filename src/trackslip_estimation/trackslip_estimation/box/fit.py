@@ -9,7 +9,7 @@
     s              standard deviation of an end            rad
 
 The measurement model is the ray cast itself: of the sides that face the laser a beam meets the last entered,
-so ρ_i is the larger of the distances to their lines. What the ends say stands beside the ranges: the last
+so ρ_i is the larger of the distances to their lines. The ends are measurements beside the ranges: the last
 beam on the box hits and the next one passes, so θ_L is uniform between their angles (s = width/√12).
 
 The most likely q is found by Gauss–Newton with Huber's weights. Near the view onto one side the outline has

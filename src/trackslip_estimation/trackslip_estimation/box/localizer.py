@@ -57,7 +57,7 @@ class BoxLocalizer:
         self.reset()
 
     def reset(self) -> None:
-        """Forget every scan: start again from the initial pose."""
+        """Drop every scan: start again from the initial pose."""
         self._search = BoxSearch(self._parameters, self._vehicle, self.tally)
         self._tracks: list[Track | None] = [None]  # to look at, in turn; None: the initial pose
         self._first_ns: int | None = None  # stamp of the run's first scan
@@ -122,7 +122,7 @@ class BoxLocalizer:
             turned = float(found.optimum.pose[2] - self._frames.laser_from_odom(expected.pose)[2])
             variance += half_turn_variance(turned, expected.yaw_reach / SPREADS)
         else:  # sure enough that this is the box, and the rest is not
-            self._search.background.learn(scan.ranges, found.beams)
+            self._search.background.update(scan.ranges, found.beams)
         optimum, doubt = self._settle_sides(found, ambiguous=expected.is_ambiguous)
         box, range_stddev = self._search.box, self._search.range_stddev
         in_laser, covariance = posterior(optimum, box, found.beams, range_stddev)
