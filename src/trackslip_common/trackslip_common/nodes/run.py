@@ -66,10 +66,7 @@ def run(
     try:
         node = _make(make_node, argv)
         node.start()
-        if not _request_priority(node.common.realtime_priority):
-            node.get_logger().info("no right to real-time scheduling: on a busy host it waits its turn")
-        gc.set_threshold(_GARBAGE)
-        gc.freeze()  # what the imports made stays: to look through it for garbage would take tens of ms
+        _settle(node)
         signals.break_off = False
         executor = make_executor()
         executor.add_node(node)
@@ -109,6 +106,14 @@ def _spin_once(node: TrackslipNode[Any], executor: Any, timeout_s: float) -> Non
         raise
     except Exception as error:  # noqa: BLE001 (counted, and the node goes on)
         node.callback_failures.add("executor", error)
+
+
+def _settle(node: TrackslipNode[Any]) -> None:
+    """Once all is made: the priority asked for, and no garbage collection of what stays."""
+    if not _request_priority(node.common.realtime_priority):
+        node.get_logger().info("no right to real-time scheduling: on a busy host it waits its turn")
+    gc.set_threshold(_GARBAGE)
+    gc.freeze()  # what the imports made stays: to look through it for garbage would take tens of ms
 
 
 def _request_priority(priority: int) -> bool:

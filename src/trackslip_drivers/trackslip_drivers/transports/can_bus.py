@@ -18,7 +18,6 @@ STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
 
 _NS_PER_S = 1_000_000_000
 _SEND_TIMEOUT_S = 0.1
-_GATHER_S = 0.001  # from a frame until the rest of its cycle is read; time stamps are the kernel's
 
 
 class CanBus:
@@ -63,17 +62,13 @@ class CanBus:
         self._bus.send(message, timeout=_SEND_TIMEOUT_S)
 
     def _frames(self) -> Iterator[tuple[CanFrame, int]]:
-        """The first at once; those that follow a moment later, or each of them would wake the process."""
+        """One by one: a frame is returned before the next is looked for."""
         message = self._bus.recv(READ_TIMEOUT_S)
-        is_first = True
         while message is not None:
             frame = (_flagged_id(message), bytes(message.data))
             if message.is_error_frame:
                 self._is_off = bus_state(*frame) is BusState.OFF
             yield frame, _stamp_ns(message)
-            if is_first:
-                time.sleep(_GATHER_S)
-                is_first = False
             message = self._bus.recv(0.0)
 
     def close(self) -> None:

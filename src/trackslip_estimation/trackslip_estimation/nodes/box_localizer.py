@@ -37,7 +37,8 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         """Fixes per scan, and why scans gave none."""
         (fixes, scans), self._news = self._news, (self._fixes, self._scans)
         refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
-        values = {"scans": self._scans, "fixes": self._fixes, **refused}
+        restarts = self._localizer.restarts
+        values = {"scans": self._scans, "fixes": self._fixes, "restarts": restarts, **refused}
         if self._scans == scans:
             return [Health(WARN, "no scans", values)]
         if self._fixes == fixes:

@@ -9,6 +9,7 @@ from typing import Any
 
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.failures import cause
 from trackslip_common.nodes.health import ERROR, OK, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
@@ -121,8 +122,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
                 self._finished = now_ns > excavator.end_ns + _DRAIN_NS
                 tick_ns += _TICK_NS * max(1, (time.monotonic_ns() - tick_ns) // _TICK_NS)
                 self._stopping.wait(max(tick_ns - time.monotonic_ns(), 0) * 1e-9)
-        except OSError as error:
-            self._trouble = f"stopped: {error}"
+        except Exception as error:  # noqa: BLE001 (the thread ends, which /diagnostics must show)
+            self._trouble = f"stopped: {cause(error)}"
             self.get_logger().error(self._trouble)
 
     def _tell_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
