@@ -19,7 +19,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
 from trackslip_common.nodes.messages import make, topic_class
-from trackslip_common.nodes.qos import offered, wanted
+from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 from trackslip_common.nodes.run import Executor
 from trackslip_drivers import conversions
 from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample
@@ -40,10 +40,10 @@ class Listener:
         for topic in topics:
             name = topic.removeprefix(FLOOR)
             callback = self._counting(topic)
-            self._node.create_subscription(topic_class(name), topic, callback, wanted(name), raw=True)
+            self._node.create_subscription(topic_class(name), topic, callback, subscriber_qos(name), raw=True)
         for topic in odometry:
             note = self._noting(self.ages_ms[topic])
-            self._node.create_subscription(topic_class("odometry"), topic, note, wanted("odometry"))
+            self._node.create_subscription(topic_class("odometry"), topic, note, subscriber_qos("odometry"))
 
     def listen(self, seconds: float) -> None:
         """Handle what comes."""
@@ -104,7 +104,7 @@ def floor(name: str) -> None:
     rclpy.init()
     node = rclpy.create_node(f"floor_{name}")
     outputs = [
-        (node.create_publisher(type(message), FLOOR + topic, offered(topic)), message)
+        (node.create_publisher(type(message), FLOOR + topic, publisher_qos(topic)), message)
         for topic, message in messages_of(name).items()
     ]
 
@@ -127,13 +127,13 @@ def relay() -> None:
     rclpy.init()
     node = rclpy.create_node("relay")
     message = make("nav_msgs/msg/Odometry")
-    publisher = node.create_publisher(type(message), "odometry", offered("odometry"))
+    publisher = node.create_publisher(type(message), "odometry", publisher_qos("odometry"))
 
     def hand_on(sprockets: Any) -> None:
         message.header.stamp = sprockets.header.stamp
         publisher.publish(message)
 
-    node.create_subscription(topic_class("sprockets"), "sprockets", hand_on, wanted("sprockets"))
+    node.create_subscription(topic_class("sprockets"), "sprockets", hand_on, subscriber_qos("sprockets"))
     executor = Executor()
     executor.add_node(node)
     while rclpy.ok():

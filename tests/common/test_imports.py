@@ -26,8 +26,7 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
 }
 # From pip, as the README says (Ubuntu 24.04 has no rosdep key of numba): requirements/with-apt-ros.txt.
-# crccheck comes with cantools.
-PIP_ONLY = {"bokeh", "crccheck", "distributed", "joblib", "mcap", "numba", "rich", "rosbags"}
+PIP_ONLY = {"bokeh", "distributed", "joblib", "mcap", "numba", "rich", "rosbags"}
 
 
 def imported(package: str) -> dict[str, set[str]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error frames of a CAN controller: what they say, and that bus-off has the bus opened anew."""
+"""Error frames of a CAN controller: what they report, and that bus-off has the bus opened anew."""
 
 import can
 import pytest

@@ -113,8 +113,8 @@ class Scanner:
     def exchange(self, now):
         """Both ways; stamps of the scans that came."""
         sent = self.device.step(now) if self.powered else b""
-        heard = sent if self.host == self.device.baud else b""
-        scans = self.session.receive(heard, now)
+        received = sent if self.host == self.device.baud else b""
+        scans = self.session.receive(received, now)
         action = self.session.step(now)
         self.host = action.baud or self.host
         if action.write and self.powered:
@@ -139,8 +139,8 @@ def test_scans_within_a_second_of_power(baud):
         off = 5 * S + round(random.uniform(0.0, 0.3) * S)
         on = off + round(random.uniform(0.02, 4.0) * S)
         ready = on + scanner.boot * S
-        heard, now = [], 0
-        while not heard:
+        received, now = [], 0
+        while not received:
             now += 10 * MS
             if now < off:
                 scanner.exchange(now)
@@ -148,8 +148,8 @@ def test_scans_within_a_second_of_power(baud):
             if now >= on and not scanner.powered:
                 scanner.device.power_cycle(on)
             scanner.powered = now >= on
-            heard = scanner.exchange(now)
-            heard = heard if now > on else []
+            received = scanner.exchange(now)
+            received = received if now > on else []
             assert now - ready < S
 
 
@@ -193,15 +193,15 @@ def watson_outcome(rate, lines):
     while device.lines_emitted < lines:
         now += 84 * MS
         data = device.step(now)
-        true = [dataclasses.replace(sample, stamp_ns=0) for sample in clean.feed(data, now)]
+        true = [sample._replace(stamp_ns=0) for sample in clean.feed(data, now)]
         for sample in stream.feed(corrupt(data, rate, random), now):
-            known = dataclasses.replace(sample, stamp_ns=0) in true
+            known = sample._replace(stamp_ns=0) in true
             right, wrong = right + known, wrong + (not known)
     return right, wrong, device.lines_emitted - right - wrong
 
 
 def test_what_slips_through_the_inertial_units_lines():
-    """No checksum: a digit that becomes another digit cannot be seen. The docstring of ``watson`` says so."""
+    """No checksum: a digit that becomes another digit cannot be seen. See the docstring of ``watson``."""
     right, wrong, rejected = watson_outcome(0.01, 3000)
     assert right / 3000 == pytest.approx(0.99**65, abs=0.04)
     assert wrong / 3000 < 0.03

@@ -54,30 +54,30 @@ def scan_frame(seed: int) -> bytes:
     return frame(RawScan(values, status=0).payload(), FROM_SENSOR)
 
 
-class Listener:
-    """A parser that is told the time."""
+class Receiver:
+    """A parser with a clock."""
 
     def __init__(self) -> None:
         self.tally = Tally()
         self.parser = TelegramParser(FROM_SENSOR, 38_400, 11, self.tally, "scan")
         self.now_ns = 0
-        self.heard = 0
+        self.used = 0
         self.payloads: list[bytes] = []
 
-    def hear(self, data: bytes) -> None:
+    def feed(self, data: bytes) -> None:
         self.now_ns += MS
         for event in self.parser.feed(data, self.now_ns):
             if isinstance(event, Telegram):
                 assert event.end_ns <= self.now_ns
                 self.payloads.append(event.payload)
-                self.heard += len(frame(event.payload, FROM_SENSOR))
+                self.used += len(frame(event.payload, FROM_SENSOR))
             else:
-                self.heard += 1
+                self.used += 1
         assert self.parser.bytes_held < MAX_TELEGRAM
 
     def wait(self) -> None:
         self.now_ns += SILENCE_NS
-        self.hear(b"")
+        self.feed(b"")
 
     def garbage(self) -> int:
         return self.tally.total["scan", TelegramFault.GARBAGE_BYTE.value]
@@ -112,45 +112,45 @@ def test_samples_survive_a_round_trip(
     second = decode_scan(Telegram(payload, 10**18, 10**18), parameters)
     assert isinstance(second, Scan)
     np.testing.assert_array_equal(second.sample.ranges, first.sample.ranges)
-    assert replace(second.sample, ranges=first.sample.ranges).__dict__ == first.sample.__dict__
+    assert second.sample._replace(ranges=first.sample.ranges) == first.sample
     assert second.status == first.status
 
 
 @seeded
 @given(data=noise, cuts=st.lists(st.integers(0, 400), max_size=20))
 def test_noise_is_counted_to_the_last_byte(data: bytes, cuts: list[int]) -> None:
-    listener = Listener()
+    receiver = Receiver()
     edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
     for start, end in itertools.pairwise(edges):
-        listener.hear(data[start:end])
-        assert listener.heard + listener.garbage() + listener.parser.bytes_held == end
-    listener.wait()
-    assert listener.parser.bytes_held == 0
-    assert listener.heard + listener.garbage() == len(data)
+        receiver.feed(data[start:end])
+        assert receiver.used + receiver.garbage() + receiver.parser.bytes_held == end
+    receiver.wait()
+    assert receiver.parser.bytes_held == 0
+    assert receiver.used + receiver.garbage() == len(data)
 
 
 @seeded
 @given(before=noise, seed=st.integers(0, 1000))
 def test_every_scan_after_noise_is_heard(before: bytes, seed: int) -> None:
-    listener = Listener()
+    receiver = Receiver()
     scans = [scan_frame(seed + i) for i in range(3)]
-    listener.hear(before)
+    receiver.feed(before)
     for scan in scans:
-        listener.hear(scan)
+        receiver.feed(scan)
     # A false start holds back less than two scans; it loses none.
-    assert listener.payloads[:1] == [scans[0][4:-2]]
-    listener.wait()
-    assert listener.payloads == [scan[4:-2] for scan in scans]
+    assert receiver.payloads[:1] == [scans[0][4:-2]]
+    receiver.wait()
+    assert receiver.payloads == [scan[4:-2] for scan in scans]
 
 
 def test_a_telegram_may_be_split_anywhere() -> None:
     whole = scan_frame(3)
     for cut in range(len(whole) + 1):
-        listener = Listener()
-        listener.hear(whole[:cut])
-        listener.hear(whole[cut:])
-        assert listener.payloads == [whole[4:-2]]
-        assert not listener.tally.total
+        receiver = Receiver()
+        receiver.feed(whole[:cut])
+        receiver.feed(whole[cut:])
+        assert receiver.payloads == [whole[4:-2]]
+        assert not receiver.tally.total
 
 
 @seeded
@@ -158,25 +158,25 @@ def test_a_telegram_may_be_split_anywhere() -> None:
 def test_a_byte_changed_is_a_scan_rejected(position: int, flip: int, seed: int) -> None:
     whole, following = bytearray(scan_frame(seed)), [scan_frame(seed + 1), scan_frame(seed + 2)]
     whole[position] ^= flip
-    listener = Listener()
-    listener.hear(bytes(whole))
+    receiver = Receiver()
+    receiver.feed(bytes(whole))
     for scan in following:
-        listener.hear(scan)
-    listener.wait()
-    assert listener.payloads == [scan[4:-2] for scan in following]
-    assert listener.garbage() == len(whole)
+        receiver.feed(scan)
+    receiver.wait()
+    assert receiver.payloads == [scan[4:-2] for scan in following]
+    assert receiver.garbage() == len(whole)
 
 
 @seeded
 @given(position=st.integers(0, 731), lost=st.integers(1, 100), seed=st.integers(0, 1000))
 def test_bytes_lost_are_a_scan_rejected(position: int, lost: int, seed: int) -> None:
     whole, following = scan_frame(seed), [scan_frame(seed + 1), scan_frame(seed + 2)]
-    listener = Listener()
-    listener.hear(whole[:position] + whole[position + lost :])
+    receiver = Receiver()
+    receiver.feed(whole[:position] + whole[position + lost :])
     for scan in following:
-        listener.hear(scan)
-    listener.wait()
-    assert listener.payloads == [scan[4:-2] for scan in following]
+        receiver.feed(scan)
+    receiver.wait()
+    assert receiver.payloads == [scan[4:-2] for scan in following]
 
 
 @seeded

@@ -143,7 +143,7 @@ def test_other_scans_are_refused(payload: bytes, fault: ScanFault) -> None:
 def test_what_has_no_distance_survives_a_round_trip(parameters: SickParameters) -> None:
     ranges = np.full(361, 12.34)
     ranges[:3] = [np.nan, np.inf, -np.inf]
-    sample = replace(decoded(FULL, parameters).sample, ranges=ranges)
+    sample = decoded(FULL, parameters).sample._replace(ranges=ranges)
     np.testing.assert_allclose(decoded(encode_scan(sample, parameters), parameters).sample.ranges, ranges)
 
 

@@ -55,14 +55,14 @@ OK = bytes.fromhex("02 80 03 00 A0 00 00 06 0A")
 ACK, NAK = b"\x06", b"\x15"
 
 
-class Listener:
+class Receiver:
     """A parser, its tally, and a short way to ask for counts."""
 
     def __init__(self, address: int = FROM_SENSOR) -> None:
         self.tally = Tally()
         self.parser = TelegramParser(address, 38_400, 11, self.tally, "scan")
 
-    def hear(self, data: bytes, arrival_ns: int = 0) -> list[bytes | Control]:
+    def feed(self, data: bytes, arrival_ns: int = 0) -> list[bytes | Control]:
         events = self.parser.feed(data, arrival_ns)
         return [event.payload if isinstance(event, Telegram) else event for event in events]
 
@@ -72,10 +72,10 @@ class Listener:
 
 @pytest.mark.parametrize(("wire", "payload", "address"), VECTORS)
 def test_known_telegrams_encode_and_decode(wire: bytes, payload: bytes, address: int) -> None:
-    listener = Listener(address)
+    receiver = Receiver(address)
     assert frame(payload, address) == wire
-    assert listener.hear(wire) == [payload]
-    assert not listener.tally.total
+    assert receiver.feed(wire) == [payload]
+    assert not receiver.tally.total
 
 
 @pytest.mark.parametrize("payload", [b"", bytes(MAX_PAYLOAD + 1)])
@@ -85,67 +85,67 @@ def test_payloads_of_no_telegram_are_refused(payload: bytes) -> None:
 
 
 def test_controls_stand_between_telegrams() -> None:
-    listener = Listener()
-    assert listener.hear(ACK + OK + NAK + OK + ACK) == [
+    receiver = Receiver()
+    assert receiver.feed(ACK + OK + NAK + OK + ACK) == [
         Control.ACK,
         b"\xa0\x00\x00",
         Control.NAK,
         b"\xa0\x00\x00",
         Control.ACK,
     ]
-    assert not listener.tally.total
+    assert not receiver.tally.total
 
 
 def test_telegrams_of_the_other_direction_are_garbage() -> None:
-    listener = Listener(TO_SENSOR)
-    assert listener.hear(OK) == []
-    assert listener.counted(TelegramFault.GARBAGE_BYTE) == len(OK)
+    receiver = Receiver(TO_SENSOR)
+    assert receiver.feed(OK) == []
+    assert receiver.counted(TelegramFault.GARBAGE_BYTE) == len(OK)
 
 
 def test_garbage_costs_no_telegram_and_hides_controls_within() -> None:
-    listener = Listener()
-    assert listener.hear(b"\xff\x06\x02\x15" + OK + ACK) == [b"\xa0\x00\x00", Control.ACK]
-    assert listener.counted(TelegramFault.GARBAGE_BYTE) == 4
+    receiver = Receiver()
+    assert receiver.feed(b"\xff\x06\x02\x15" + OK + ACK) == [b"\xa0\x00\x00", Control.ACK]
+    assert receiver.counted(TelegramFault.GARBAGE_BYTE) == 4
 
 
 def test_a_silence_ends_garbage() -> None:
-    listener = Listener()
-    assert listener.hear(b"\xff", 0) == []
-    assert listener.hear(ACK, SILENCE_NS - 1) == []
-    assert listener.hear(ACK, 2 * SILENCE_NS) == [Control.ACK]
+    receiver = Receiver()
+    assert receiver.feed(b"\xff", 0) == []
+    assert receiver.feed(ACK, SILENCE_NS - 1) == []
+    assert receiver.feed(ACK, 2 * SILENCE_NS) == [Control.ACK]
 
 
 @pytest.mark.parametrize("length", [0, MAX_PAYLOAD + 1])
 def test_bad_lengths_are_counted_and_passed(length: int) -> None:
-    listener = Listener()
-    assert listener.hear(b"\x02\x80" + length.to_bytes(2, "little") + OK) == [b"\xa0\x00\x00"]
-    assert listener.counted(TelegramFault.BAD_LENGTH) == 1
+    receiver = Receiver()
+    assert receiver.feed(b"\x02\x80" + length.to_bytes(2, "little") + OK) == [b"\xa0\x00\x00"]
+    assert receiver.counted(TelegramFault.BAD_LENGTH) == 1
 
 
 def test_a_corrupt_telegram_is_counted_and_the_next_one_heard() -> None:
-    listener = Listener()
+    receiver = Receiver()
     corrupt = bytearray(OK)
     corrupt[5] ^= 0x10
-    assert listener.hear(bytes(corrupt) + OK) == [b"\xa0\x00\x00"]
-    assert listener.counted(TelegramFault.BAD_CRC) == 1
-    assert listener.counted(TelegramFault.GARBAGE_BYTE) == len(OK)
+    assert receiver.feed(bytes(corrupt) + OK) == [b"\xa0\x00\x00"]
+    assert receiver.counted(TelegramFault.BAD_CRC) == 1
+    assert receiver.counted(TelegramFault.GARBAGE_BYTE) == len(OK)
 
 
 def test_a_telegram_cut_short_gives_way_after_a_silence() -> None:
-    listener = Listener()
-    assert listener.hear(b"\x02\x80\xd6\x02\xb0" + OK, 0) == []
-    assert listener.hear(b"", SILENCE_NS - 1) == []
-    assert listener.hear(b"", SILENCE_NS) == [b"\xa0\x00\x00"]
-    assert listener.counted(TelegramFault.TRUNCATED) == 1
-    assert listener.parser.bytes_held == 0
+    receiver = Receiver()
+    assert receiver.feed(b"\x02\x80\xd6\x02\xb0" + OK, 0) == []
+    assert receiver.feed(b"", SILENCE_NS - 1) == []
+    assert receiver.feed(b"", SILENCE_NS) == [b"\xa0\x00\x00"]
+    assert receiver.counted(TelegramFault.TRUNCATED) == 1
+    assert receiver.parser.bytes_held == 0
 
 
 def test_what_came_at_the_old_rate_is_dropped() -> None:
-    listener = Listener()
-    assert listener.hear(OK[:4]) == []
-    listener.parser.set_baud(9600)
-    assert listener.hear(OK) == [b"\xa0\x00\x00"]
-    assert listener.counted(TelegramFault.GARBAGE_BYTE) == 4
+    receiver = Receiver()
+    assert receiver.feed(OK[:4]) == []
+    receiver.parser.set_baud(9600)
+    assert receiver.feed(OK) == [b"\xa0\x00\x00"]
+    assert receiver.counted(TelegramFault.GARBAGE_BYTE) == 4
 
 
 def only(events: list[Telegram | Control]) -> Telegram:
@@ -155,20 +155,20 @@ def only(events: list[Telegram | Control]) -> Telegram:
 
 
 def test_a_telegram_read_at_once_began_its_transfer_time_ago() -> None:
-    telegram = only(Listener().parser.feed(OK, 50 * MS))
+    telegram = only(Receiver().parser.feed(OK, 50 * MS))
     assert telegram.end_ns == 50 * MS
     assert telegram.start_ns == 50 * MS - round(9 * CHAR_NS)
 
 
 def test_bytes_behind_a_telegram_put_it_earlier() -> None:
-    events = Listener().parser.feed(OK + OK, 50 * MS)
+    events = Receiver().parser.feed(OK + OK, 50 * MS)
     first, second = (event for event in events if isinstance(event, Telegram))
     assert second.end_ns == 50 * MS
     assert first.end_ns == pytest.approx(second.start_ns, abs=1)
 
 
 def test_one_prompt_read_makes_up_for_late_ones() -> None:
-    parser = Listener().parser
+    parser = Receiver().parser
     began_ns = 100 * MS
     assert parser.feed(OK[:5], began_ns + round(5 * CHAR_NS)) == []
     telegram = only(parser.feed(OK[5:], began_ns + 60 * MS))
@@ -177,7 +177,7 @@ def test_one_prompt_read_makes_up_for_late_ones() -> None:
 
 
 def test_a_read_before_a_telegram_says_nothing_of_its_time() -> None:
-    parser = Listener().parser
+    parser = Receiver().parser
     assert parser.feed(b"\x02\x80\x09\x00", 0) == []
     telegram = only(parser.feed(OK + b"\xff\xff", 50 * MS))
     assert telegram.end_ns == 50 * MS - round(2 * CHAR_NS)

@@ -13,12 +13,13 @@ import can
 import pytest
 
 from trackslip_drivers.transports.can_bus import CanBus
-from trackslip_drivers.transports.link import Link
+from trackslip_drivers.transports.link import Handlers, Link
 from trackslip_drivers.transports.serial_port import SerialPort
 from trackslip_sim.devices.pty_port import PtyPort
 
 PATIENCE_S = 20.0
-UDP_PORT = 44000 + os.getpid() % 10000  # parallel test runs must not hear each other
+IGNORED = Handlers(lambda *_: None, lambda: None)
+UDP_PORT = 44000 + os.getpid() % 10000  # parallel test runs must not receive each other's frames
 GROUP = "239.74.163.2"
 
 
@@ -29,7 +30,7 @@ def wait_for(condition):
         time.sleep(0.01)
 
 
-class Heard:
+class Received:
     """Collects what a link hands on."""
 
     def __init__(self):
@@ -46,16 +47,16 @@ class Heard:
 
 
 @pytest.fixture
-def heard():
-    return Heard()
+def received():
+    return Received()
 
 
 @pytest.fixture
-def start_link(heard):
+def start_link(received):
     links = []
 
     def start(open_port, silence_s=math.inf, on_data=None):
-        link = Link("test", open_port, on_data or heard.on_data, heard.on_open, silence_s)
+        link = Link("test", open_port, Handlers(on_data or received.on_data, received.on_open), silence_s)
         links.append(link)
         link.start()
         return link
@@ -66,15 +67,15 @@ def start_link(heard):
         assert not link._thread.is_alive()
 
 
-def test_bytes_both_ways_over_a_pty(pty_port, heard, start_link):
+def test_bytes_both_ways_over_a_pty(pty_port, received, start_link):
     every_byte = bytes(range(256))
     link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"))
     wait_for(lambda: link.state().connected)
     before_ns = time.time_ns()
     assert pty_port.write(every_byte) == 256
-    wait_for(lambda: len(b"".join(heard.data)) == 256)
-    assert b"".join(heard.data) == every_byte
-    assert before_ns <= heard.stamps[0] <= time.time_ns()
+    wait_for(lambda: len(b"".join(received.data)) == 256)
+    assert b"".join(received.data) == every_byte
+    assert before_ns <= received.stamps[0] <= time.time_ns()
     assert link.write(every_byte)
     received = b""
     deadline = time.monotonic() + PATIENCE_S
@@ -92,12 +93,12 @@ def test_baud_is_changed_through_the_link(pty_port, start_link):
     assert pty_port.baud == 38400
 
 
-def test_reconnects_when_the_device_comes_back(tmp_path, heard, start_link):
+def test_reconnects_when_the_device_comes_back(tmp_path, received, start_link):
     first = PtyPort(tmp_path / "device")
     link = start_link(partial(SerialPort, str(first.link), 9600, "N"))
     wait_for(lambda: link.state().connected)
     first.write(b"one")
-    wait_for(lambda: b"".join(heard.data) == b"one")
+    wait_for(lambda: b"".join(received.data) == b"one")
     first.close()
     wait_for(lambda: link.state().errors >= 2)  # the loss, and an opening in vain
     assert not link.write(b"x")
@@ -105,34 +106,34 @@ def test_reconnects_when_the_device_comes_back(tmp_path, heard, start_link):
     second = PtyPort(tmp_path / "device")
     wait_for(lambda: link.state().openings == 2)
     second.write(b"two")
-    wait_for(lambda: b"".join(heard.data) == b"onetwo")
-    assert heard.openings == 2
+    wait_for(lambda: b"".join(received.data) == b"onetwo")
+    assert received.openings == 2
     link.stop()
     second.close()
 
 
-def test_socket_url(heard, start_link):
+def test_socket_url(received, start_link):
     with socket.create_server(("127.0.0.1", 0)) as server:
         url = f"socket://127.0.0.1:{server.getsockname()[1]}"
         link = start_link(partial(SerialPort, url, 9600, "E"))
         client, _ = server.accept()
-        wait_for(lambda: heard.openings == 1)  # opening discards what came before
+        wait_for(lambda: received.openings == 1)  # opening discards what came before
         client.sendall(b"x" * 10000)
-        wait_for(lambda: sum(map(len, heard.data)) == 10000)
+        wait_for(lambda: sum(map(len, received.data)) == 10000)
         client.close()
         wait_for(lambda: link.state().errors >= 1)
         client, _ = server.accept()
-        wait_for(lambda: heard.openings == 2)
+        wait_for(lambda: received.openings == 2)
         client.sendall(b"again")
-        wait_for(lambda: b"".join(heard.data).endswith(b"again"))
+        wait_for(lambda: b"".join(received.data).endswith(b"again"))
         link.stop()
         client.close()
 
 
-def test_silence_is_told_only_after_a_read_in_vain(heard, start_link):
+def test_silence_is_reported_only_after_a_read_in_vain(received, start_link):
     """Bytes that wait while the reader is busy are no silence."""
     reads = [[(b"a", 1)], [(b"b", 2)], [], [(b"c", 3)], []]
-    told = []
+    reported = []
 
     class Port(BrokenPort):
         def read(self):
@@ -143,25 +144,22 @@ def test_silence_is_told_only_after_a_read_in_vain(heard, start_link):
     link = Link(
         "test",
         lambda: Port(OSError("gone"), []),
-        heard.on_data,
-        heard.on_open,
-        math.inf,
-        lambda: told.append(list(heard.data)),
+        Handlers(received.on_data, received.on_open, lambda: reported.append(list(received.data))),
     )
     link.start()
     wait_for(lambda: link.state().errors >= 1)
     link.stop()
-    assert told == [[b"a", b"b"], [b"a", b"b", b"c"]]
+    assert reported == [[b"a", b"b"], [b"a", b"b", b"c"]]
 
 
-def test_silent_port_is_reopened(pty_port, heard, start_link):
+def test_silent_port_is_reopened(pty_port, received, start_link):
     link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"), silence_s=0.2)
     wait_for(lambda: link.state().openings >= 2)
     assert link.state().last_error == "TimeoutError: nothing received for 0.2 s"
 
 
 class BrokenPort:
-    """Fails as told; every kind of error must end in a new opening."""
+    """Fails as asked; every kind of error must end in a new opening."""
 
     note = "broken"
 
@@ -210,7 +208,7 @@ def test_pauses_double_up_to_half_a_second(start_link, monkeypatch):
     def refuse():
         raise OSError("absent")
 
-    link = Link("test", refuse, lambda *_: None, lambda: None, math.inf)
+    link = Link("test", refuse, IGNORED)
 
     def wait(pause_s):
         pauses.append(pause_s)
@@ -232,7 +230,7 @@ def test_stop_does_not_wait_for_an_opening_that_hangs():
         release.wait(PATIENCE_S)
         return BrokenPort(OSError(), closed)
 
-    link = Link("test", hang, lambda *_: None, lambda: None, math.inf)
+    link = Link("test", hang, IGNORED)
     link.start()
     link.stop()
     assert link._thread.is_alive()  # it returned although the opening still hangs
@@ -242,7 +240,7 @@ def test_stop_does_not_wait_for_an_opening_that_hangs():
     assert len(closed) == 1  # what was opened too late was closed again
 
 
-def test_frames_over_udp_multicast(heard, start_link):
+def test_frames_over_udp_multicast(received, start_link):
     link = start_link(partial(CanBus, "udp_multicast", GROUP, UDP_PORT))
     wait_for(lambda: link.state().connected)
     peer = CanBus("udp_multicast", GROUP, UDP_PORT)
@@ -251,17 +249,17 @@ def test_frames_over_udp_multicast(heard, start_link):
     stranger.write((1, b"not ours"))
     for n in range(200):
         peer.write((0x0CFF1080, bytes([n] * 8)))
-    wait_for(lambda: len(heard.data) == 200)
-    assert heard.data == [(0x0CFF1080, bytes([n] * 8)) for n in range(200)]
-    assert heard.stamps == sorted(heard.stamps)
-    assert before_ns - 1_000_000 <= heard.stamps[0] <= time.time_ns()
+    wait_for(lambda: len(received.data) == 200)
+    assert received.data == [(0x0CFF1080, bytes([n] * 8)) for n in range(200)]
+    assert received.stamps == sorted(received.stamps)
+    assert before_ns - 1_000_000 <= received.stamps[0] <= time.time_ns()
     assert link.write((0x0CFF1180, b"12345678"))
     wait_for(lambda: any(frame == (0x0CFF1180, b"12345678") for frame, _ in peer.read()))
     peer.close()
     stranger.close()
 
 
-def test_a_port_that_never_falls_silent_does_not_hold_up_the_end(heard, start_link):
+def test_a_port_that_never_falls_silent_does_not_hold_up_the_end(received, start_link):
     class Flood(BrokenPort):
         def read(self):
             while True:
@@ -269,7 +267,7 @@ def test_a_port_that_never_falls_silent_does_not_hold_up_the_end(heard, start_li
                 yield b"x", 0
 
     start_link(lambda: Flood(OSError(), []))
-    wait_for(lambda: heard.data)
+    wait_for(lambda: received.data)
 
 
 def test_missing_bus_is_an_error_of_the_link(start_link):

@@ -26,14 +26,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.nodes.messages import topic_class
-from trackslip_common.nodes.qos import offered, wanted
+from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 
 INSTALL = Path(__file__).resolve().parents[2] / "ros2_ws" / "install"
 PACKAGE_OF = {
     **dict.fromkeys(("can_driver", "watson_imu", "sick_pls"), "trackslip_drivers"),
-    **dict.fromkeys(
-        ("box_localizer", "slip_estimator", "soil_estimator", "record", "trackslip"), "trackslip_estimation"
-    ),
+    **dict.fromkeys(("box_localizer", "slip_estimator", "soil_estimator", "record"), "trackslip_estimation"),
+    "trackslip": "trackslip_tools",
     "emulator": "trackslip_sim",
 }
 TRANSITIONS = {
@@ -145,7 +144,7 @@ class Programs:
         return self._started[-1]
 
     def surprise(self) -> str:
-        """What a program that ended unasked said; empty where all run."""
+        """The output of a program that ended unasked; empty where all run."""
         ended = [p for p in self._started if not p.asked and p.process.poll() is not None]
         return "".join(f"{p.process.args} ended with {p.process.returncode}: {p.stderr}" for p in ended)
 
@@ -200,24 +199,24 @@ class Observer:
                 pytest.fail(f"waited for {what}; {surprise or 'too long'}")
             self._executor.spin_once(timeout_sec=0.05)
 
-    def listen(self, topic: str) -> list[Any]:
+    def subscribe(self, topic: str) -> list[Any]:
         """The list that the topic's messages will be in."""
-        heard: list[Any] = []
-        self.node.create_subscription(topic_class(topic), topic, heard.append, wanted(topic))
-        return heard
+        received: list[Any] = []
+        self.node.create_subscription(topic_class(topic), topic, received.append, subscriber_qos(topic))
+        return received
 
     def healths(self) -> list[Any]:
         """The list that all entries of /diagnostics will be in."""
-        heard: list[Any] = []
+        received: list[Any] = []
         self.node.create_subscription(
-            DiagnosticArray, "/diagnostics", lambda message: heard.extend(message.status), 100
+            DiagnosticArray, "/diagnostics", lambda message: received.extend(message.status), 100
         )
-        return heard
+        return received
 
     def publisher(self, topic: str, as_topic: str | None = None) -> Any:
         """A publisher of a project topic, or of another one of the same kind."""
         kind = as_topic or topic
-        return self.node.create_publisher(topic_class(kind), topic, offered(kind))
+        return self.node.create_publisher(topic_class(kind), topic, publisher_qos(kind))
 
     def wait_for_ends(self, topic: str, *nodes: str) -> None:
         """Until these nodes publish the topic or subscribe to it."""
@@ -234,8 +233,8 @@ class Observer:
         """Until the recorder itself has found a publisher of each of these topics."""
 
         def found() -> bool:
-            told = [health for health in healths if health.name == "record: publishers"][-1:]
-            counts = {pair.key: int(pair.value) for health in told for pair in health.values}
+            reports = [health for health in healths if health.name == "record: publishers"][-1:]
+            counts = {pair.key: int(pair.value) for health in reports for pair in health.values}
             return all(counts.get(f"/{topic}", 0) > 0 for topic in topics)
 
         self.wait(found, f"the recorder to find {', '.join(topics)}")

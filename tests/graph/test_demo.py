@@ -29,8 +29,8 @@ def demo(programs, *arguments):
 
 
 def wait_for_drive(observer):
-    """Until the machine's sensors are heard."""
-    sprockets = observer.listen("sprockets")
+    """Until messages of the machine's sensors come."""
+    sprockets = observer.subscribe("sprockets")
     observer.wait(lambda: len(sprockets) > 100, "the drive")
 
 

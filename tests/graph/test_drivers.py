@@ -171,7 +171,7 @@ def are_stamped(messages, began_ns):
 
 
 def is_healthy(healths, node):
-    """The last of its entries is OK and tells a rate."""
+    """The last of its entries is OK and has a rate."""
     mine = [status for status in healths if status.name == node]
     if not mine or mine[-1].level != b"\0":
         return False
@@ -184,7 +184,7 @@ def run(bench, programs, observer, node, count):
     make, parameters = bench[node]
     began_ns = time.time_ns()
     make().plug()
-    messages, healths = observer.listen(TOPIC[node]), observer.healths()
+    messages, healths = observer.subscribe(TOPIC[node]), observer.healths()
     program = programs.node(node, **parameters)
     observer.wait(lambda: len(messages) >= count, f"{count} messages of {node}: {program.stderr}")
     observer.wait(lambda: is_healthy(healths, node), f"good health of {node}")
@@ -195,7 +195,7 @@ def run(bench, programs, observer, node, count):
 
 
 def test_watson(bench, programs, observer):
-    fields = observer.listen("imu/mag")
+    fields = observer.subscribe("imu/mag")
     for message in run(bench, programs, observer, "watson_imu", 20):
         assert message.header.frame_id == "imu_link"
         assert message.orientation_covariance[0] == -1.0
@@ -241,7 +241,7 @@ def test_refused_password_is_told(programs, observer, device):
 
 
 def test_can(bench, programs, observer):
-    hydraulics = observer.listen("hydraulics")
+    hydraulics = observer.subscribe("hydraulics")
     messages = run(bench, programs, observer, "can_driver", 200)
     for message in messages:
         assert message.header.frame_id == "base_link"
@@ -264,9 +264,9 @@ def test_can(bench, programs, observer):
 def test_device_that_vanishes_is_found_again(bench, programs, observer, node):
     make, parameters = bench[node]
     powered = make()
-    messages, healths = observer.listen(TOPIC[node]), observer.healths()
+    messages, healths = observer.subscribe(TOPIC[node]), observer.healths()
     program = programs.node(node, **parameters)  # before there is a device
-    observer.wait(lambda: any(h.name == node for h in healths), f"{node} to say how it is")
+    observer.wait(lambda: any(h.name == node for h in healths), f"the first report of {node}")
     powered.plug()
     observer.wait(lambda: messages, f"{node} to find its device")
     powered.unplug()
@@ -294,9 +294,9 @@ def reconnects(status):
 def test_lifecycle(bench, programs, observer, node):
     make, parameters = bench[node]
     make().plug()
-    messages, healths = observer.listen(TOPIC[node]), observer.healths()
+    messages, healths = observer.subscribe(TOPIC[node]), observer.healths()
     program = programs.node(node, autostart=False, **parameters)
-    observer.wait(lambda: any(h.name == node for h in healths), f"{node} to say how it is")
+    observer.wait(lambda: any(h.name == node for h in healths), f"the first report of {node}")
     assert observer.state(node) == "unconfigured"
     assert not observer.change(node, "activate")
     assert observer.change(node, "configure")
@@ -332,7 +332,7 @@ def test_autostart_ends_in_active(bench, programs, observer):
 
 @pytest.mark.parametrize("priority", [7, 0])
 def test_realtime_priority(bench, programs, observer, priority):
-    """All threads of the process have it, or the node says that the host refuses."""
+    """All threads of the process have it, or the node reports that the host refuses."""
     program = programs.node("can_driver", **bench["can_driver"][1], realtime_priority=priority)
     observer.wait(lambda: observer.state("can_driver") == "active", "can_driver to be active")
     threads = [int(path.name) for path in Path(f"/proc/{program.process.pid}/task").iterdir()]

@@ -64,8 +64,8 @@ class Machine:
             "box_pose": observer.publisher("box_pose"),
             SET_POSE: observer.publisher(SET_POSE),
         }
-        self.reports = observer.listen("measurement_reports")
-        self.odometry = observer.listen("odometry")
+        self.reports = observer.subscribe("measurement_reports")
+        self.odometry = observer.subscribe("odometry")
         self.healths = observer.healths()
         self._recorder = programs.node("record", output="bag")
         self._estimator = programs.node("slip_estimator", jump_confirmations=5)

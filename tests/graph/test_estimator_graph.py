@@ -129,8 +129,8 @@ class Line:
             "gnss": observer.publisher("gnss", as_topic="box_pose"),
             **{topic: observer.publisher(topic) for topic in INPUTS if topic != "gnss"},
         }
-        self.reports = observer.listen("measurement_reports")
-        self.odometry = observer.listen("odometry")
+        self.reports = observer.subscribe("measurement_reports")
+        self.odometry = observer.subscribe("odometry")
         self._sent = Counter()
         self._healths = observer.healths()
         sources = ["box_pose", "gnss"]

@@ -36,7 +36,7 @@ RANDOM_FAULTS = {
 
 
 class Rig:
-    """Emulator and drivers, watched through what they say of themselves."""
+    """Emulator and drivers, watched through their diagnostics."""
 
     def __init__(self, programs, observer, udp_port):
         can = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2", "can_port": udp_port}
@@ -60,7 +60,7 @@ class Rig:
         self._observer.wait(condition, what)
 
     def latest(self, name):
-        """What a node, or a part of it, said last: (level, values)."""
+        """The last report of a node, or of a part of it: (level, values)."""
         for status in self._all:
             self._healths[status.name] = status
         self._all.clear()
@@ -68,23 +68,23 @@ class Rig:
         return None if status is None else (status.level, {pair.key: pair.value for pair in status.values})
 
     def value(self, name, key):
-        said = self.latest(name)
-        return None if said is None else said[1].get(key)
+        found = self.latest(name)
+        return None if found is None else found[1].get(key)
 
     def fault(self, text):
         self._fault.publish(String(data="{" + text + "}"))
 
     def complains(self, sensor):
-        """Whether the driver says that no data come."""
-        said = self.latest(NODE[sensor])
-        return said is not None and said[0] not in (OK, WARN)
+        """Whether the driver reports that no data come."""
+        found = self.latest(NODE[sensor])
+        return found is not None and found[0] not in (OK, WARN)
 
     def is_nominal(self, sensor):
-        said = self.latest(NODE[sensor])
+        found = self.latest(NODE[sensor])
         return (
-            said is not None
-            and said[0] == OK
-            and float(said[1]["rate (Hz)"]) == pytest.approx(RATE[sensor], rel=0.3)
+            found is not None
+            and found[0] == OK
+            and float(found[1]["rate (Hz)"]) == pytest.approx(RATE[sensor], rel=0.3)
         )
 
     def wait_until_nominal(self):

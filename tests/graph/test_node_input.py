@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a user does wrong with a node is told in one line; what ends a node ends it quietly."""
+"""A user's mistake with a node is reported in one line; what ends a node ends it quietly."""
 
 import signal
 
@@ -66,10 +66,10 @@ def test_parameter_files_of_the_project_are_accepted(programs, observer):
     """A node takes the file that ``config/`` has for it, and pc05.yaml where it has a vehicle."""
     config = programs.folder / "mine.yaml"
     config.write_text("/**: {ros__parameters: {vehicle: {tread: 0.8}}}", encoding="utf-8")
-    heard = observer.listen("slip_estimator/parameters")
+    texts = observer.subscribe("slip_estimator/parameters")
     programs.node("slip_estimator", "--params-file", "mine.yaml")
-    observer.wait(lambda: heard, "the parameters in use")
-    assert "vehicle.tread: 0.8" in heard[0].data
+    observer.wait(lambda: texts, "the parameters in use")
+    assert "vehicle.tread: 0.8" in texts[0].data
 
 
 def test_recorder_does_not_touch_what_exists(programs):

@@ -47,7 +47,7 @@ def seconds(stamp):
 def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
     with open_bag(path) as bag:
         expected = replay(bag, load_slip_parameters(), InputFilters(), None).estimates[-1]
-    odometry, clock = observer.listen("odometry"), []
+    odometry, clock = observer.subscribe("odometry"), []
     observer.node.create_subscription(Clock, "/clock", clock.append, qos_profile_sensor_data)
     programs.node("slip_estimator")
     observer.wait(lambda: observer.state("slip_estimator") == "active", "the estimator")
@@ -65,8 +65,8 @@ def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
     assert answer.message == "playing"
     observer.wait(lambda: player.process.poll() is not None, "the end of the bag")
     assert player.wait() == 0, player.stderr
-    told = dict(line.split() for line in player.stdout.splitlines()[1:])
-    assert {topic: int(count) for topic, count in told.items()} == sent
+    published = dict(line.split() for line in player.stdout.splitlines()[1:])
+    assert {topic: int(count) for topic, count in published.items()} == sent
     last = expected.stamp_ns * 1e-9
     observer.wait(lambda: odometry and seconds(odometry[-1].header.stamp) >= last, "the last estimate")
     live = planar_pose(odometry[-1].pose.pose)
@@ -79,8 +79,8 @@ def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
 
 
 def test_ctrl_c_and_options(programs, observer, path):
-    """It ends at once, says how far it came, and published only what it should."""
-    heard, hidden = observer.listen("sprockets"), observer.listen("hydraulics")
+    """It ends at once, reports how far it came, and published only what it should."""
+    received, hidden = observer.subscribe("sprockets"), observer.subscribe("hydraulics")
     options = (
         "--publish",
         "--loop",
@@ -94,7 +94,7 @@ def test_ctrl_c_and_options(programs, observer, path):
         "2",
     )
     player = programs.tool("trackslip", "replay", str(path), *options)
-    observer.wait(lambda: len(heard) > 120, "the loop to begin again")
+    observer.wait(lambda: len(received) > 120, "the loop to begin again")
     assert player.end()[0] == 130
     assert "Traceback" not in player.stderr
     assert "messages published" in player.stdout
@@ -102,7 +102,7 @@ def test_ctrl_c_and_options(programs, observer, path):
     assert not hidden
     with open_bag(path) as bag:
         begin = bag.start_ns * 1e-9
-    stamps = np.array([seconds(message.header.stamp) - begin for message in heard])
+    stamps = np.array([seconds(message.header.stamp) - begin for message in received])
     assert stamps.min() > 1.9
     assert stamps.max() < 2.6
     assert np.count_nonzero(np.diff(stamps) < 0.0) >= 2
@@ -110,7 +110,7 @@ def test_ctrl_c_and_options(programs, observer, path):
 
 def test_a_graph_with_drivers_that_still_run_is_warned_of(programs, observer, path):
     observer.publisher("sprockets")
-    observer.listen("sprockets")
+    observer.subscribe("sprockets")
     player = programs.tool("trackslip", "replay", str(path), "--publish", "--stop", "0.5")
     assert player.wait() == 0
     assert "/sprockets is published by observer too" in player.stderr

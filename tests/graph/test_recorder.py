@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder live: what it hears it writes, or tells as lost; killed at any moment it leaves a bag."""
+"""The recorder live: what it receives it writes, or reports as lost; killed at any moment it leaves a bag."""
 
 import json
 import random
@@ -31,7 +31,7 @@ import json, sys, time
 import numpy as np, rclpy
 from rclpy.duration import Duration
 from trackslip_common.nodes.messages import topic_class
-from trackslip_common.nodes.qos import offered
+from trackslip_common.nodes.qos import publisher_qos
 from trackslip_common.topics import TOPICS
 from trackslip_bags.messages import make, serialize
 
@@ -41,7 +41,7 @@ fast += ("truth/odometry", "truth/track_slip")
 rates = {**dict.fromkeys(fast, 100.0), "measurement_reports": 120.0, "imu/data_raw": 11.85, "scan": 4.2}
 rclpy.init()
 node = rclpy.create_node("load")
-publishers = {topic: node.create_publisher(topic_class(topic), topic, offered(topic)) for topic in rates}
+publishers = {t: node.create_publisher(topic_class(t), t, publisher_qos(t)) for t in rates}
 fields = {topic: {} for topic in rates} | {"scan": {"ranges": np.arange(361, dtype=np.float32)}}
 raw = {topic: serialize(make(TOPICS[topic].type_name, **fields[topic])) for topic in rates}
 while not all(publisher.get_subscription_count() for publisher in publishers.values()):
@@ -55,7 +55,7 @@ while (now := time.monotonic() - began) < seconds:
             publisher.publish(raw[topic])
             sent[topic] += 1
     time.sleep(0.001)
-for topic, publisher in publishers.items():  # the last one tells of all before it
+for topic, publisher in publishers.items():  # the last one implies all before it
     assert publisher.wait_for_all_acked(Duration(seconds=20))
 print(json.dumps(sent), flush=True)
 time.sleep(600)  # the middleware forgets what it holds for a publisher that is gone
@@ -82,7 +82,7 @@ record.main()
 
 
 class Recorder:
-    """The node, and what it says of itself."""
+    """The node, and what it reports of itself."""
 
     def __init__(self, programs, observer, program=None, **parameters):
         self.path = programs.folder / "bag"
@@ -91,9 +91,9 @@ class Recorder:
         self.program = program or programs.node("record", output="bag", **parameters)
 
     def health(self):
-        """The last word on itself, by name."""
-        told = [h for h in self._healths if h.name == "record"][-1:]
-        return told[0] if told else DiagnosticStatus()
+        """Its last report."""
+        reports = [h for h in self._healths if h.name == "record"][-1:]
+        return reports[0] if reports else DiagnosticStatus()
 
     def values(self):
         return {pair.key: pair.value for pair in self.health().values}
@@ -167,13 +167,13 @@ def test_killed_at_any_moment(programs, observer, number, moment):
 
 
 def told_and_written(programs, observer, recorder, seconds):
-    """Ten times the nominal load; (sent, told lost, in the bag), by topic."""
+    """Ten times the nominal load; (sent, reported lost, in the bag), by topic."""
     recorder.wait(recorder.values, "the recorder")
     load = programs.python("-c", LOAD, "10", str(seconds))
     observer.wait(lambda: "}" in load.stdout, "the load to end")
     sent = json.loads(load.stdout)
     observer.wait(
-        lambda: all(recorder.count(t) + recorder.lost(t) >= n for t, n in sent.items()), "all to be told of"
+        lambda: all(recorder.count(t) + recorder.lost(t) >= n for t, n in sent.items()), "all to be reported"
     )
     lost = {topic: recorder.lost(topic) for topic in sent}
     assert recorder.health().level == (DiagnosticStatus.ERROR if any(lost.values()) else DiagnosticStatus.OK)
@@ -213,9 +213,9 @@ def test_a_full_disk_is_shouted_and_what_it_holds_is_kept(programs, observer):
         return [h for h in healths if h.name == "record" and "cannot write (File too large)" in h.message]
 
     observer.wait(is_full, "the disk to be full")
-    told = is_full()[-1]
-    assert told.level == DiagnosticStatus.ERROR
-    assert "/emulator/fault lost" in {pair.key for pair in told.values}
+    report = is_full()[-1]
+    assert report.level == DiagnosticStatus.ERROR
+    assert "/emulator/fault lost" in {pair.key for pair in report.values}
     assert program.end()[0] == 130
     assert "what comes from now on is lost" in program.stderr
     assert "Traceback" not in program.stderr
@@ -227,7 +227,7 @@ def test_a_full_disk_is_shouted_and_what_it_holds_is_kept(programs, observer):
 
 
 def test_topics_of_others_are_recorded_by_expression(programs, observer):
-    """Also what was said before the recorder came, where it is kept for late comers."""
+    """Also what was published before the recorder came, where it is kept for late subscribers."""
     node = observer.node
     kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     latched = node.create_publisher(String, "/site/plan", kept)

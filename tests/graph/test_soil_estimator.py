@@ -55,7 +55,7 @@ class Machine:
     def __init__(self, programs, observer):
         self._observer = observer
         self._topics = {topic: observer.publisher(topic) for topic in INPUTS}
-        self.forces, self.soils = observer.listen("track_forces"), observer.listen("soil")
+        self.forces, self.soils = observer.subscribe("track_forces"), observer.subscribe("soil")
         self.healths = observer.healths()
         self.program = programs.node("soil_estimator")
         for topic in (*INPUTS, "track_forces", "soil"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the middleware refuses to send, as to a stalled subscriber, is counted and told; the node lives on."""
+"""What the middleware refuses to send, as to a stalled subscriber, is counted and reported."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ class NoParameters(Parameters):
 
 
 class Speaker(TrackslipNode[NoParameters]):
-    """Publishes when the test says so."""
+    """Publishes when the test wants it."""
 
     def __init__(self) -> None:
         super().__init__("speaker", NoParameters)
 
     def configure(self) -> None:
-        self.scans = self.announce(topic_class("scan"), "scan")
+        self.scans = self.advertise(topic_class("scan"), "scan")
 
 
 @pytest.fixture
@@ -61,8 +61,8 @@ def speaker(domain: int, stalled: set[str]) -> Iterator[Speaker]:
     rclpy.try_shutdown()
 
 
-def test_what_is_not_sent_is_counted_and_told_and_the_node_lives_on(speaker, stalled, observer):
-    healths, scans = observer.healths(), observer.listen("scan")
+def test_what_is_not_sent_is_counted_and_reported_and_the_node_lives_on(speaker, stalled, observer):
+    healths, scans = observer.healths(), observer.subscribe("scan")
     observer.wait_for_ends("scan", "speaker", "observer")
     message = topic_class("scan")()
     stalled.add(SCAN)
@@ -73,8 +73,8 @@ def test_what_is_not_sent_is_counted_and_told_and_the_node_lives_on(speaker, sta
     observer.wait(lambda: scans, "the message after those not sent")
 
     def outputs() -> list[tuple[bytes, str, dict[str, str]]]:
-        told = [health for health in healths if health.name == "speaker: outputs"]
-        return [(health.level, health.message, {v.key: v.value for v in health.values}) for health in told]
+        reported = [health for health in healths if health.name == "speaker: outputs"]
+        return [(h.level, h.message, {v.key: v.value for v in h.values}) for h in reported]
 
     speaker.publish_health()
     speaker.publish_health()
@@ -93,7 +93,10 @@ def test_diagnostics_that_cannot_be_sent_do_not_end_the_node(speaker, stalled, o
     stalled.add(STATUS)
     executor = SingleThreadedExecutor()
     executor.add_node(speaker)
-    observer.wait(lambda: executor.spin_once(timeout_sec=0.1) or speaker._unsent[STATUS], "a report in vain")
+    observer.wait(
+        lambda: executor.spin_once(timeout_sec=0.1) or speaker.send_failures.counts[STATUS],
+        "a report in vain",
+    )
     stalled.clear()
     observer.wait(
         lambda: executor.spin_once(timeout_sec=0.1) or "speaker: outputs" in [h.name for h in healths],
@@ -102,7 +105,7 @@ def test_diagnostics_that_cannot_be_sent_do_not_end_the_node(speaker, stalled, o
     executor.shutdown()
 
 
-def test_all_sent_is_not_worth_a_word(speaker, observer):
+def test_all_sent_is_not_reported(speaker, observer):
     healths = observer.healths()
     observer.wait_for_ends("/diagnostics", "speaker", "observer")
     speaker.publish_health()

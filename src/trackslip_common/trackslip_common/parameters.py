@@ -56,7 +56,7 @@ class Spec:
         )
 
     def accepted(self) -> str:
-        """The range in words, for messages."""
+        """The range as text, for messages."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         bounds = [

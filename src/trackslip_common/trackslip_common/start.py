@@ -13,7 +13,7 @@ from trackslip_common.errors import ExitCode
 def start(module: str) -> NoReturn:
     """Import ``module`` and leave with what its ``main`` returns.
 
-    A job that a shell put in the background ignores SIGINT from birth; here it hears it again.
+    A job that a shell put in the background ignores SIGINT from the start; here it receives it again.
     """
     signal.signal(signal.SIGINT, lambda *_: os._exit(ExitCode.INTERRUPTED))  # nothing is open yet
     main = importlib.import_module(module).main

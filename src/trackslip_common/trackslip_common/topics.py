@@ -8,9 +8,9 @@ from enum import Enum
 class Flow(Enum):
     """How messages of a topic are delivered."""
 
-    SENSOR = "sensor"  # who listens may do with best effort: a late reading is worth less than the next
+    SENSOR = "sensor"  # a subscriber may do with best effort: a late reading is worth less than the next
     RELIABLE = "reliable"  # every message, in order
-    LATCHED = "latched"  # reliable, and the last one is kept for who comes later
+    LATCHED = "latched"  # reliable, and the last one is kept for later subscribers
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensors say, once their bytes are decoded: SI units, FLU axes, stamped in integer ns.
+"""What the sensors measure, once their bytes are decoded: SI units, FLU axes, stamped in integer ns.
 
 A stamp is the time of the measurement on the host's clock, not of the arrival of its bytes.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,7 @@ FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class SprocketSample:
+class SprocketSample(NamedTuple):
     """Both sprockets; positive drives forward. Positions are continuous (unwrapped)."""
 
     stamp_ns: int
@@ -24,8 +23,7 @@ class SprocketSample:
     right_velocity: float  # rad/s
 
 
-@dataclass(frozen=True)
-class HydraulicsSample:
+class HydraulicsSample(NamedTuple):
     """Travel motors: differential pressures, spool positions, supply."""
 
     stamp_ns: int
@@ -36,8 +34,7 @@ class HydraulicsSample:
     supply_pressure: float  # Pa
 
 
-@dataclass(frozen=True)
-class ImuSample:
+class ImuSample(NamedTuple):
     """One line of the inertial unit, in FLU axes."""
 
     stamp_ns: int
@@ -47,8 +44,7 @@ class ImuSample:
     over_range: bool  # a channel was at its limit
 
 
-@dataclass(frozen=True, eq=False)
-class ScanSample:
+class ScanSample(NamedTuple):
     """One sweep of the laser scanner; the stamp is that of its first ray."""
 
     stamp_ns: int

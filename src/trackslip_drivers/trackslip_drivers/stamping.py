@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From arrivals to stamps that tell when was measured: jitter taken off, no clock trusted blindly, in order.
+"""From arrivals to stamps, the times of measurement: jitter removed, no clock trusted blindly, in order.
 
     r_k, s_k  raw and filtered stamp of reading k: its arrival less all that is known to lie between   ns
     t_k       true stamp; r_k = t_k + d_k with a delay d_k ≥ 0, for nothing arrives before it is sent   ns
@@ -39,7 +39,7 @@ class PeriodicStamps:
         period_ns: P.
         tolerance: ρ, of sender and host together.
         patience: after so many readings in a row that were all later than the model has them, the model is
-            doubted (a longer period, or a sender that restarted), and the next raw stamp is believed.
+            doubted (a longer period, or a sender that restarted), and the next raw stamp is used.
     """
 
     def __init__(self, period_ns: float, tolerance: float, patience: int) -> None:
@@ -52,23 +52,23 @@ class PeriodicStamps:
     def filter(self, raw_ns: int, cycles: int | None = None) -> int:
         """The stamp of one reading; ``cycles`` n_k, 0 if unknown as after a start, None: not counted."""
         if self._last_ns is None or self._late >= self._patience:
-            return self._believe(raw_ns)
+            return self._restart_from(raw_ns)
         if cycles is None:
             cycles = max(1, round((raw_ns - self._last_ns) / self._period_ns))
         if not 0 < cycles <= _LONGEST_GAP:
-            return self._believe(raw_ns)
+            return self._restart_from(raw_ns)
         modelled_ns = self._last_ns + cycles * self._step_ns
         if raw_ns <= modelled_ns:
-            return self._believe(raw_ns)
+            return self._restart_from(raw_ns)
         self._late += 1
         self._last_ns = modelled_ns
         return round(modelled_ns)
 
     def restart(self) -> None:
-        """Forget: what comes next is not known to continue what was."""
+        """Start over: what comes next may not continue what was."""
         self._last_ns = None
 
-    def _believe(self, raw_ns: int) -> int:
+    def _restart_from(self, raw_ns: int) -> int:
         self._last_ns = raw_ns
         self._late = 0
         return raw_ns

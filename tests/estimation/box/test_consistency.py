@@ -14,6 +14,7 @@ from trackslip_common.parameters import flat_fields, flatten, from_flat
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
+from trackslip_estimation.box.scan import Scan
 from trackslip_sim.machine.scan_model import (
     ANGLE_INCREMENT,
     ANGLE_MIN,
@@ -61,7 +62,8 @@ def first_fix(pose, prediction, stddev, seed, resolution=0.01):
     ranges = SiteScanner(site(stddev, resolution), VEHICLE, seed).scan(
         0.0, lambda times: tuple(np.full_like(times, value) for value in pose)
     )
-    return BoxLocalizer(parameters, VEHICLE).locate(0, ranges, ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT)
+    scan = Scan(0, ranges, ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT)
+    return BoxLocalizer(parameters, VEHICLE).locate(scan)
 
 
 def miss(fix, pose):
@@ -117,7 +119,7 @@ def test_exact_without_noise_where_two_sides_are_seen(distance, bearing, corner,
 )
 def test_no_scan_breaks_it_or_gives_numbers_that_are_none(ranges):
     localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=8.0, initial_reach=50.0), VEHICLE)
-    outcome = localizer.locate(0, np.array(ranges), ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT)
+    outcome = localizer.locate(Scan(0, np.array(ranges), ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT))
     if isinstance(outcome, BoxFix):
         assert np.all(np.isfinite([outcome.x, outcome.y, outcome.yaw]))
         assert np.all(np.linalg.eigvalsh(outcome.covariance) > 0.0)

@@ -5,84 +5,25 @@ import dataclasses
 
 import numpy as np
 import pytest
+from fixtures.box_site import (
+    BARE,
+    PARAMETERS,
+    PERIOD,
+    SITE,
+    VEHICLE,
+    assert_near,
+    drive,
+    error,
+    hidden,
+    locate,
+    standing,
+    turning,
+)
 
-from trackslip_common.config_files import config_file, node_defaults, read_yaml
-from trackslip_common.parameters import flat_fields, flatten, from_flat
-from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.box import parameters as box_parameters
-from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer, Reason, Rejection
-from trackslip_estimation.box.parameters import BoxNodeParameters
+from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer, Rejection
+from trackslip_estimation.box.search import Reason
 from trackslip_estimation.box.sides import SideDoubt, half_turn_variance
-from trackslip_sim.machine.scan_model import (
-    ANGLE_INCREMENT,
-    ANGLE_MIN,
-    TIME_INCREMENT,
-    SiteParameters,
-    SiteScanner,
-)
-
-PERIOD = 0.21  # s, one scan at 38400 baud
-SPEED, RATE = 0.35, -0.15  # m/s, rad/s
-
-
-def load(cls, name, *path):
-    """The part of a node's parameters that belongs to ``cls``."""
-    tree = read_yaml(config_file(name))
-    for key in path:
-        tree = tree[key]
-    known = {field for field, _, _ in flat_fields(cls)}
-    return from_flat(cls, {field: value for field, value in flatten(tree).items() if field in known}, name)
-
-
-VEHICLE = load(Vehicle, "pc05.yaml", "/**", "ros__parameters", "vehicle")
-PARAMETERS = from_flat(
-    BoxNodeParameters, node_defaults(box_parameters.NODE, *box_parameters.DEFAULT_FILES), "box_localizer"
-)
-SITE = load(SiteParameters, "site.yaml", "emulator", "ros__parameters", "site")
-BARE = dataclasses.replace(SITE, walls=(), posts=())
-
-
-def turning(times):
-    """A right turn at constant speed from the origin."""
-    yaw = RATE * times
-    return SPEED / RATE * np.sin(yaw), SPEED / RATE * (1.0 - np.cos(yaw)), yaw
-
-
-def standing(x, y, yaw):
-    return lambda times: (np.full_like(times, x), np.full_like(times, y), np.full_like(times, yaw))
-
-
-def locate(localizer, stamp_s, ranges):
-    return localizer.locate(round(stamp_s * 1e9), ranges, ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT)
-
-
-def drive(localizer, scanner, pose_at, scans, first=0, change=lambda index, ranges: ranges):
-    """Outcomes of consecutive scans."""
-    outcomes = []
-    for index in range(first, first + scans):
-        stamp = 1.0 + index * PERIOD
-        outcomes.append(locate(localizer, stamp, change(index, scanner.scan(stamp, pose_at))))
-    return outcomes
-
-
-def error(fix, pose_at):
-    x, y, yaw = (float(value[0]) for value in pose_at(np.array([fix.stamp_ns * 1e-9])))
-    return np.array([fix.x - x, fix.y - y, np.arctan2(np.sin(fix.yaw - yaw), np.cos(fix.yaw - yaw))])
-
-
-def assert_near(fix, pose_at):
-    """Within four standard deviations, and these of a sensible size."""
-    assert isinstance(fix, BoxFix)
-    miss = error(fix, pose_at)
-    assert np.all(np.abs(miss) < 4.0 * np.sqrt(np.diag(fix.covariance))), miss
-    assert np.hypot(miss[0], miss[1]) < 0.15
-
-
-def hidden(ranges, first, last):
-    """Something near stands before these beams."""
-    changed = ranges.copy()
-    changed[first:last] = 2.0
-    return changed
+from trackslip_sim.machine.scan_model import TIME_INCREMENT, SiteScanner
 
 
 def test_follows_a_turn_among_clutter():
@@ -115,7 +56,7 @@ def test_offset_of_the_box_is_applied_with_its_covariance():
 
 
 @pytest.mark.parametrize("initial_yaw", [-2.0, -0.3, 0.0, 0.3, 2.8])
-def test_front_of_the_box_is_told_by_the_initial_heading(initial_yaw):
+def test_front_of_the_box_follows_the_initial_heading(initial_yaw):
     parameters = dataclasses.replace(PARAMETERS, initial_yaw=initial_yaw)
     ranges = SiteScanner(BARE, VEHICLE, seed=4).scan(1.0, standing(0.0, 0.0, initial_yaw + 0.2))
     fix = locate(BoxLocalizer(parameters, VEHICLE), 1.0, ranges)
@@ -206,7 +147,7 @@ def test_lost_for_long_it_is_found_again_with_its_heading():
 
 
 def test_half_turn_unseen_is_not_falsely_certain():
-    """Turned by more than a quarter while hidden: nothing in a scan tells the front from the back."""
+    """Turned by more than a quarter while hidden: nothing in a scan distinguishes front and back."""
     localizer = BoxLocalizer(PARAMETERS, VEHICLE)
     scanner = SiteScanner(BARE, VEHICLE, seed=14)
     before = standing(0.0, 0.0, 0.0)
@@ -219,7 +160,7 @@ def test_half_turn_unseen_is_not_falsely_certain():
 
 
 def test_what_was_there_before_is_not_the_box():
-    """A second box stands on the site; when ours is hidden for long, it is not taken for it."""
+    """A second box stands on the site; when ours is hidden for long, it is not mistaken for it."""
     twin = dataclasses.replace(
         BARE, walls=(-3.35, -0.3, -2.65, -0.3, -3.35, -0.3, -3.35, 0.3, -2.65, -0.3, -2.65, 0.3)
     )
@@ -243,24 +184,6 @@ def test_doubt_about_the_sides_ends_with_enough_evidence():
     assert doubt.after(-100.0) == SideDoubt(np.pi / 2.0, -10.0)  # no single scan decides
     assert SideDoubt(np.pi / 2.0, -26.0).after(-5.0) is None
     assert doubt.after(-5.0).probability() < doubt.probability() < 0.5
-
-
-@pytest.mark.parametrize(
-    ("stamps", "reason"), [((1.0, 1.0), Reason.NOT_LATER), ((1.0, 0.5), Reason.NOT_LATER)]
-)
-def test_scan_not_later_than_the_one_before_is_refused(stamps, reason):
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    scanner = SiteScanner(BARE, VEHICLE, seed=12)
-    outcomes = [locate(localizer, stamp, scanner.scan(stamp, standing(0.0, 0.0, 0.0))) for stamp in stamps]
-    assert isinstance(outcomes[0], BoxFix)
-    assert outcomes[1] == Rejection(reason)
-    localizer.reset()
-    assert isinstance(locate(localizer, 0.5, scanner.scan(0.5, standing(0.0, 0.0, 0.0))), BoxFix)
-
-
-@pytest.mark.parametrize("ranges", [np.zeros(0), np.zeros(1), np.zeros((2, 2))])
-def test_malformed_scan_is_refused(ranges):
-    assert locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, ranges) == Rejection(Reason.MALFORMED)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, 0.01])

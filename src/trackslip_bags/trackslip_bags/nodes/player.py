@@ -14,9 +14,10 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
 from trackslip_bags.playback import Playback
-from trackslip_common.nodes.base import OK, Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import OK, Health
 from trackslip_common.nodes.messages import message_class
-from trackslip_common.nodes.qos import offered, reliable
+from trackslip_common.nodes.qos import publisher_qos, reliable
 from trackslip_common.nodes.run import run
 from trackslip_common.parameters import Parameters
 from trackslip_common.topics import TOPICS
@@ -59,10 +60,10 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
     def configure(self) -> None:
         """Announce all topics, for subscribers to find."""
         self._outlets = {
-            topic: self.outlasting(self.create_publisher(message_class(kind), topic, _quality(topic)))
+            topic: self.tolerate_failures(self.create_publisher(message_class(kind), topic, _quality(topic)))
             for topic, kind in self._topics.items()
         }
-        self._time = self.outlasting(self.create_publisher(ClockMessage, "/clock", 10))
+        self._time = self.tolerate_failures(self.create_publisher(ClockMessage, "/clock", 10))
         self._matched, self._quiet_since = 0, time.monotonic()
         self._is_open = False  # whether playing has begun
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -130,7 +131,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
 
 def _quality(topic: str) -> Any:
     name = topic.removeprefix("/")
-    return offered(name) if name in TOPICS else reliable()
+    return publisher_qos(name) if name in TOPICS else reliable()
 
 
 def can_publish(type_name: str) -> bool:

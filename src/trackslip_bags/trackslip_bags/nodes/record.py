@@ -22,7 +22,8 @@ from trackslip_bags.losses import Losses
 from trackslip_bags.qos import offered_qos
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.base import ERROR, OK, WARN, Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_common.nodes.messages import message_class, type_name_of
 from trackslip_common.nodes.qos import best_effort, latched, reliable
 from trackslip_common.nodes.run import run

@@ -9,18 +9,18 @@ from trackslip_common.topics import TOPICS, Flow
 _DEPTH = 1000
 
 
-def offered(name: str) -> QoSProfile:
+def publisher_qos(name: str) -> QoSProfile:
     """Profile for publishing one of the project's topics.
 
-    Sensors offer more than sensor data need: who asks for best effort gets it, and a recorder can have all.
+    Sensors are published reliably: a best-effort subscriber matches, and a recorder gets all.
     """
     if TOPICS[name].flow is Flow.LATCHED:
         return latched()
     return reliable()
 
 
-def wanted(name: str) -> QoSProfile:
-    """Profile for subscribing; a topic that is not the project's is taken as sensor data."""
+def subscriber_qos(name: str) -> QoSProfile:
+    """Profile for subscribing; a topic that is not the project's counts as sensor data."""
     flow = TOPICS[name].flow if name in TOPICS else Flow.SENSOR
     if flow is Flow.LATCHED:
         return latched()
@@ -28,7 +28,7 @@ def wanted(name: str) -> QoSProfile:
 
 
 def latched(depth: int = 1) -> QoSProfile:
-    """Every message, and the last ones for who comes later."""
+    """Every message, and the last ones for later subscribers."""
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -38,5 +38,5 @@ def reliable() -> QoSProfile:
 
 
 def best_effort() -> QoSProfile:
-    """Sensor-data quality of service, with a deep queue: it takes what any publisher offers."""
+    """Sensor-data quality of service, with a deep queue: it matches any publisher."""
     return QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)

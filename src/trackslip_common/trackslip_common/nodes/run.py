@@ -19,6 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.failures import cause
 
 try:
     from rclpy.experimental import EventsExecutor as Executor  # half the load and latency of the other
@@ -65,21 +66,23 @@ def run(
     try:
         node = _make(make_node, argv)
         node.start()
-        if not _hurry(node.common.realtime_priority):
-            node.get_logger().info("no right to real-time scheduling: on a busy host it waits its turn")
-        gc.set_threshold(_GARBAGE)
-        gc.freeze()  # what the imports made stays: to look through it for garbage would take tens of ms
+        _settle(node)
         signals.break_off = False
         executor = make_executor()
         executor.add_node(node)
-        while not signals.received and rclpy.ok():
-            executor.spin_once(timeout_sec=_POLL)
-        node.drain(lambda: executor.spin_once(timeout_sec=_DRAIN_POLL))
+        _spin(node, executor, signals)
+        node.drain(lambda: _spin_once(node, executor, _DRAIN_POLL))
+        if node.callback_failures.are_hopeless:
+            print(f"{node.get_name()}: nothing but failures; {node.callback_failures.last}", file=sys.stderr)
+            return ExitCode.FAILED
     except InputError as error:
         print(error, file=sys.stderr)
         return ExitCode.BAD_INPUT
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception as error:  # noqa: BLE001 (a defect of ours, but no traceback reaches a user)
+        print(f"failed: {cause(error)}", file=sys.stderr)
+        return ExitCode.FAILED
     finally:
         signals.break_off = False
         if node is not None:
@@ -89,7 +92,31 @@ def run(
     return ExitCode.INTERRUPTED if signal.SIGINT in signals.received else ExitCode.DONE
 
 
-def _hurry(priority: int) -> bool:
+def _spin(node: TrackslipNode[Any], executor: Any, signals: _StopSignals) -> None:
+    """Until a signal, the end of ROS, or nothing but failures."""
+    while not signals.received and rclpy.ok() and not node.callback_failures.are_hopeless:
+        _spin_once(node, executor, _POLL)
+
+
+def _spin_once(node: TrackslipNode[Any], executor: Any, timeout_s: float) -> None:
+    """What fails outside of a callback, such as a message that cannot be decoded, counts as one."""
+    try:
+        executor.spin_once(timeout_sec=timeout_s)
+    except ExternalShutdownException:
+        raise
+    except Exception as error:  # noqa: BLE001 (counted, and the node goes on)
+        node.callback_failures.add("executor", error)
+
+
+def _settle(node: TrackslipNode[Any]) -> None:
+    """Once all is made: the priority asked for, and no garbage collection of what stays."""
+    if not _request_priority(node.common.realtime_priority):
+        node.get_logger().info("no right to real-time scheduling: on a busy host it waits its turn")
+    gc.set_threshold(_GARBAGE)
+    gc.freeze()  # what the imports made stays: to look through it for garbage would take tens of ms
+
+
+def _request_priority(priority: int) -> bool:
     """Real-time scheduling for all threads there are, and for those that they start; False if not allowed.
 
     Only once the node has started: who compiles has time.
@@ -109,9 +136,9 @@ def _make(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | Non
     """The node.
 
     Raises:
-        InputError: it, or rcl, refused the arguments; rcl says what and adds places in its source.
+        InputError: it, or rcl, refused the arguments; rcl's reason has places in its source added.
     """
-    set_logger_level("rcl", LoggingSeverity.FATAL)  # it would say the same in a line of its own
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # it would write the same in a line of its own
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         return make_node()

@@ -5,7 +5,7 @@ import sys
 
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.base import Health
+from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
@@ -16,16 +16,15 @@ from trackslip_drivers.protocols.can_frames import ERROR_FLAG, FrameSet
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.records import SprocketSample
 from trackslip_drivers.transports.can_bus import CanBus, CanFrame
-from trackslip_drivers.transports.link import Link
 
 _FRAME_ID = "base_link"
-_SILENCE = 2.0  # s without a frame after which the bus is opened anew
 
 
 class CanDriverNode(DriverNode[CanDriverParameters]):
     """Frames in, ``sprockets`` and ``hydraulics`` out."""
 
     period = 0.01
+    silence = 2.0
     realtime_priority = 10  # a message takes 0.5 ms; odometry, for which others wait, begins here
 
     def __init__(self) -> None:
@@ -42,26 +41,34 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
             self._frames = FrameSet(config_file(self.settings.dbc_file))
         except InputError as error:
             raise InputError(f"can_driver: dbc_file: {error}") from error
-        self._sprockets = self.announce(topic_class("sprockets"), "sprockets")
-        self._hydraulics = self.announce(topic_class("hydraulics"), "hydraulics")
+        self._sprockets = self.advertise(topic_class("sprockets"), "sprockets")
+        self._hydraulics = self.advertise(topic_class("hydraulics"), "hydraulics")
         self._joints = conversions.blank_joint_state(make, _FRAME_ID)
+        self._pressures = conversions.blank_track_hydraulics(make, _FRAME_ID)
         self._bus_state = BusState.ACTIVE
-        self._forget()
+        self.begin()
 
-    def make_link(self) -> Link[CanFrame]:
-        """One bus."""
-        p = self.settings
-        return Link(
-            "can",
-            lambda: CanBus(p.can_interface, p.can_channel, p.can_port),
-            self._on_frame,
-            self._forget,
-            _SILENCE,
-        )
+    def open_port(self) -> CanBus:
+        """The bus."""
+        return CanBus(self.settings.can_interface, self.settings.can_channel, self.settings.can_port)
 
-    def _forget(self) -> None:
-        """What was said before the bus was opened is not continued."""
+    def begin(self) -> None:
+        """What came before the bus was opened is not continued."""
         self._can = ExcavatorCan(self.settings, self._frames, self.tally)
+
+    def receive(self, data: CanFrame, arrival_ns: int) -> None:
+        """One frame."""
+        if data[0] & ERROR_FLAG:
+            self._bus_state = bus_state(*data) or self._bus_state
+        elif self._bus_state is BusState.OFF:
+            self._bus_state = BusState.ACTIVE  # it was restarted, without an error frame
+        sample = self._can.receive(*data, self.arrived(arrival_ns))
+        if isinstance(sample, SprocketSample):
+            self._sprockets.publish(conversions.fill_joint_state(self._joints, self.stamped(sample)))
+            self.count()
+        elif sample is not None:
+            filled = conversions.fill_track_hydraulics(self._pressures, self.stamped(sample))
+            self._hydraulics.publish(filled)
 
     def health(self) -> list[Health]:
         """The link's health, with the state of the bus."""
@@ -69,19 +76,6 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         if self.active:
             entries[0].values["bus state"] = self._bus_state.value
         return entries
-
-    def _on_frame(self, frame: CanFrame, arrival_ns: int) -> None:
-        if frame[0] & ERROR_FLAG:
-            self._bus_state = bus_state(*frame) or self._bus_state
-        elif self._bus_state is BusState.OFF:
-            self._bus_state = BusState.ACTIVE  # it was restarted without a word
-        sample = self._can.receive(*frame, self.arrived(arrival_ns))
-        if isinstance(sample, SprocketSample):
-            conversions.fill_joint_state(self._joints, self.stamped(sample))
-            self._sprockets.publish(self._joints)
-            self.count()
-        elif sample is not None:
-            self._hydraulics.publish(conversions.track_hydraulics(make, self.stamped(sample), _FRAME_ID))
 
 
 def main() -> None:

@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the drivers share: one link to a sensor, stamps on the host's clock, and its health."""
 
+import math
 import time
 from collections import defaultdict
-from dataclasses import replace
 from typing import Any, TypeVar
 
 from rclpy.clock import Clock, ClockType
 
-from trackslip_common.nodes.base import ERROR, OK, STALE, WARN, Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health
 from trackslip_common.parameters import Parameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample
 from trackslip_drivers.stamping import InOrder, StampEvent
 from trackslip_drivers.transports.host_clock import HostClock
-from trackslip_drivers.transports.link import Link
+from trackslip_drivers.transports.link import Handlers, Link, Port
 
 P = TypeVar("P", bound=Parameters)
 S = TypeVar("S", SprocketSample, HydraulicsSample, ImuSample, ScanSample)
@@ -25,32 +26,46 @@ _HOST_CLOCK = "host clock"
 
 
 class DriverNode(TrackslipNode[P]):
-    """Opens its link while active.
+    """Opens its link while active; subclasses override ``open_port``, ``begin``, ``receive``, ``on_silence``.
 
-    Says whether data come, how fast, and what was rejected: at 1 Hz, and at once when data begin or cease.
+    Reports whether data come, how fast, and what was rejected: at 1 Hz, and at once when data begin or cease.
     """
 
     period = 1.0  # s between messages when all is well
+    silence = math.inf  # s without a byte or frame after which the port is opened anew
 
     def configure(self) -> None:
         """Start counting."""
         self._published = 0
         self._rate = 0.0
         self._looked_at = (time.monotonic(), 0)
-        self._last_s = -float("inf")
+        self._last_s = -math.inf
         self._link: Link[Any] | None = None
-        self._told: tuple[bytes, str] | None = None
+        self._reported: tuple[bytes, str] | None = None
         self.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def make_link(self) -> Link[Any]:
-        """A fresh link to the sensor; it is started by ``activate``."""
+    def open_port(self) -> Port[Any]:
+        """Open the port to the sensor, or raise; in the link's thread, as all that follow."""
         raise NotImplementedError
 
+    def begin(self) -> None:
+        """A port was opened, or decoding failed: what was half received is not continued."""
+
+    def receive(self, data: Any, arrival_ns: int) -> None:
+        """Decode what the port received, and publish."""
+        raise NotImplementedError
+
+    def on_silence(self) -> None:
+        """A read has found nothing."""
+
     def activate(self) -> None:
-        """Believe the host's clock, and open the link."""
+        """Set the clocks, and open the link."""
         self._host = HostClock()
         self._order: defaultdict[type, InOrder] = defaultdict(InOrder)
-        self._link = self.make_link()
+        guard = self.callback_failures.guard
+        receive = guard(self.receive, "received data", handles_data=True, recover=self.begin)
+        handlers = Handlers(receive, self.begin, guard(self.on_silence, "silence"))
+        self._link = Link(self.get_name(), self.open_port, handlers, self.silence)
         self._link.start()
 
     def deactivate(self) -> None:
@@ -59,18 +74,19 @@ class DriverNode(TrackslipNode[P]):
             self._link.stop()
 
     def arrived(self, host_ns: int) -> int:
-        """Steady time of what a port has just handed on, and a look whether somebody set the host's clock."""
-        if self._host.look():
+        """Steady time of what a port has just received; notes whether somebody set the host's clock."""
+        steady_ns, has_jumped = self._host.arrival(host_ns)
+        if has_jumped:
             self.tally.add(_HOST_CLOCK, StampEvent.CLOCK_JUMPED)
-        return self._host.steady(host_ns)
+        return steady_ns
 
     def stamped(self, sample: S) -> S:
         """The sample as it is published: on the host's clock, later than the one before it."""
-        wanted_ns = self._host.stamp(sample.stamp_ns)
-        stamp_ns = self._order[type(sample)].next(wanted_ns)
-        if stamp_ns != wanted_ns:
+        host_ns = self._host.stamp(sample.stamp_ns)
+        stamp_ns = self._order[type(sample)].next(host_ns)
+        if stamp_ns != host_ns:
             self.tally.add(type(sample).__name__, StampEvent.MOVED)
-        return replace(sample, stamp_ns=stamp_ns)
+        return sample._replace(stamp_ns=stamp_ns)
 
     def count(self) -> None:
         """One more message published."""
@@ -97,7 +113,7 @@ class DriverNode(TrackslipNode[P]):
         }
         values |= {f"{source}: {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
         news = self.tally.since_last_look()
-        level, message = self._told = self._condition(self._link)
+        level, message = self._reported = self._condition(self._link)
         if level == OK and news:
             return [Health(WARN, f"{sum(news.values())} rejected in the last second", values)]
         return [Health(level, message, values)]
@@ -112,6 +128,6 @@ class DriverNode(TrackslipNode[P]):
         return OK, "running"
 
     def _look(self) -> None:
-        """What has changed is told at once."""
-        if self.active and self._link is not None and self._told != self._condition(self._link):
+        """What has changed is reported at once."""
+        if self.active and self._link is not None and self._reported != self._condition(self._link):
             self.publish_health()

@@ -4,15 +4,15 @@
 import sys
 import threading
 import time
+from collections.abc import Callable
 
-from trackslip_common.nodes.base import ERROR, WARN, Health
+from trackslip_common.nodes.health import ERROR, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.sick_session import Phase, SickSession, scan_period
 from trackslip_drivers.sick_parameters import SickParameters
-from trackslip_drivers.transports.link import Link
 from trackslip_drivers.transports.serial_port import SerialPort
 
 _STEP = 0.01  # s between looks at the dialogue's time-outs
@@ -31,26 +31,19 @@ class SickNode(DriverNode[SickParameters]):
         self.period = scan_period(self.settings)
         self._lock = threading.Lock()  # the session is fed by the link's thread and stepped by one of ours
         self._session = SickSession(self.settings, self.tally)
-        self._scans = self.announce(topic_class("scan"), "scan")
+        self._scans = self.advertise(topic_class("scan"), "scan")
         self._polluted = False
 
-    def make_link(self) -> Link[bytes]:
-        """One serial port, silent while the scanner boots: the session does the worrying."""
-        p = self.settings
-        return Link(
-            "sick",
-            lambda: SerialPort(p.serial_port, p.serial_baud, p.parity),
-            self._on_bytes,
-            self._begin,
-            float("inf"),
-            self._on_silence,
-        )
+    def open_port(self) -> SerialPort:
+        """The serial port. Silent while the scanner boots: the session alone decides what is too long."""
+        return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
 
     def activate(self) -> None:
         """Open the link and begin to talk, in a thread: a timer of rclpy costs ten times as much."""
         super().activate()
         self._ending = threading.Event()
-        self._talker = threading.Thread(target=self._keep_talking, name="sick dialogue", daemon=True)
+        talk = self.callback_failures.guard(self._talk, "dialogue", recover=self.begin)
+        self._talker = threading.Thread(target=self._keep_talking, args=(talk,), daemon=True)
         self._talker.start()
 
     def deactivate(self) -> None:
@@ -75,17 +68,17 @@ class SickNode(DriverNode[SickParameters]):
             entries.append(Health(WARN, "front window is dirty", part="pollution"))
         return entries
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
         """A port was opened: the dialogue starts from nothing."""
         with self._lock:
             self._session = SickSession(self.settings, self.tally)
 
-    def _keep_talking(self) -> None:
+    def _keep_talking(self, talk: Callable[[], None]) -> None:
         while not self._ending.wait(_STEP):
-            self._talk()
+            talk()
 
     def _talk(self) -> None:
-        """Tell the session the time, and do what it asks of the port."""
+        """Give the session the time, and do what it asks of the port."""
         now_ns = time.monotonic_ns()
         with self._lock:
             action = self._session.step(now_ns)
@@ -98,11 +91,13 @@ class SickNode(DriverNode[SickParameters]):
         if action.write:
             link.write(action.write)
 
-    def _on_bytes(self, data: bytes, arrival_ns: int) -> None:
+    def receive(self, data: bytes, arrival_ns: int) -> None:
+        """Bytes of some telegrams."""
         self._receive(data, self.arrived(arrival_ns))
 
-    def _on_silence(self) -> None:
-        self._receive(b"", time.monotonic_ns())  # so that a telegram cut short is given up
+    def on_silence(self) -> None:
+        """So that a telegram cut short is given up."""
+        self._receive(b"", time.monotonic_ns())
 
     def _receive(self, data: bytes, steady_ns: int) -> None:
         with self._lock:

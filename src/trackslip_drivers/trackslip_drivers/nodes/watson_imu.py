@@ -9,17 +9,15 @@ from trackslip_drivers import conversions
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
-from trackslip_drivers.transports.link import Link
 from trackslip_drivers.transports.serial_port import SerialPort
 from trackslip_drivers.watson_parameters import WatsonParameters
-
-_SILENCE = 8.0  # s without a byte after which the port is opened anew; starting up takes the unit 5 s
 
 
 class WatsonNode(DriverNode[WatsonParameters]):
     """Bytes in, ``imu/data_raw`` and ``imu/mag`` out."""
 
     period = 1.0 / 11.85
+    silence = 8.0  # starting up takes the unit 5 s
 
     def __init__(self) -> None:
         super().__init__("watson_imu", WatsonParameters, "watson_imu.yaml")
@@ -30,30 +28,26 @@ class WatsonNode(DriverNode[WatsonParameters]):
         p = self.settings
         layout = Layout(p.channels, p.formats, p.full_scales)
         self._stream = WatsonStream(layout, p.serial_baud, round(p.time_offset * 1e9), self.tally)
-        self._imu = self.announce(topic_class("imu/data_raw"), "imu/data_raw")
-        self._mag = self.announce(topic_class("imu/mag"), "imu/mag")
+        self._imu = self.advertise(topic_class("imu/data_raw"), "imu/data_raw")
+        self._mag = self.advertise(topic_class("imu/mag"), "imu/mag")
+        stddevs = (p.linear_acceleration_stddev, p.angular_velocity_stddev)
+        self._motion = conversions.blank_imu(make, p.frame_id, *stddevs)
+        self._field = conversions.blank_magnetic_field(make, p.frame_id, p.magnetic_field_stddev)
 
-    def make_link(self) -> Link[bytes]:
-        """One serial port."""
-        p = self.settings
-        return Link(
-            "watson",
-            lambda: SerialPort(p.serial_port, p.serial_baud, p.parity),
-            self._on_bytes,
-            self._stream.reset,
-            _SILENCE,
-        )
+    def open_port(self) -> SerialPort:
+        """The serial port."""
+        return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
 
-    def _on_bytes(self, data: bytes, arrival_ns: int) -> None:
-        p = self.settings
+    def begin(self) -> None:
+        """Drop a half-received line."""
+        self._stream.reset()
+
+    def receive(self, data: bytes, arrival_ns: int) -> None:
+        """Bytes of some lines."""
         for decoded in self._stream.feed(data, self.arrived(arrival_ns)):
             sample = self.stamped(decoded)
-            self._imu.publish(
-                conversions.imu(
-                    make, sample, p.frame_id, p.linear_acceleration_stddev, p.angular_velocity_stddev
-                )
-            )
-            field = conversions.magnetic_field(make, sample, p.frame_id, p.magnetic_field_stddev)
+            self._imu.publish(conversions.fill_imu(self._motion, sample))
+            field = conversions.fill_magnetic_field(self._field, sample)
             if field is not None:
                 self._mag.publish(field)
             self.count()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the error frames of a CAN controller say of its bus (classes and bits as in Linux' can/error.h)."""
+"""State of a CAN bus from the error frames of its controller (classes and bits of Linux' can/error.h)."""
 
 from enum import Enum
 
@@ -9,7 +9,7 @@ _RESTARTED = 0x100
 
 
 class BusState(Enum):
-    """How well the controller can take part."""
+    """How well the controller can participate."""
 
     ACTIVE = "active"
     WARNING = "warning: many errors"
@@ -21,7 +21,7 @@ _DETAILS = ((0x30, BusState.PASSIVE), (0x0C, BusState.WARNING), (0x40, BusState.
 
 
 def bus_state(arbitration_id: int, data: bytes) -> BusState | None:
-    """The state that an error frame tells of; None where it tells of none."""
+    """The state that an error frame reports; None where it reports none."""
     if arbitration_id & _BUS_OFF:
         return BusState.OFF
     if arbitration_id & _RESTARTED:

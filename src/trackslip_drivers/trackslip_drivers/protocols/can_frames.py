@@ -5,15 +5,16 @@ The DBC is the contract: ids, lengths, scaling, ranges, cycle time. Two checks t
 are here: the alive counter and the checksum behind it, the last 4 + 12 bits of a payload.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import cantools
 from cantools.database import Database, Message
 from cantools.database.errors import Error as CantoolsError
-from crccheck.crc import Crc12Gsm
 
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
@@ -53,8 +54,7 @@ class Rejection(Enum):
     LOST = "lost"
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """One accepted frame."""
 
     name: str
@@ -70,8 +70,58 @@ def sealed(frame_id: int, payload: bytes) -> bytes:
     bits; of two or more wrong bytes it misses one pattern in 4096. No checksum of 12 bits finds all those.
     """
     alive = payload[-2] & (_MODULUS - 1)
-    crc = int(Crc12Gsm.calc(frame_id.to_bytes(4, "big") + payload[:-2] + bytes((alive,))))
+    crc = _crc12(payload[:-2] + bytes((alive,)), _crc12_of_id(frame_id)) ^ _CRC_FINAL
     return payload[:-2] + (alive | crc << _ALIVE_BITS).to_bytes(2, "little")
+
+
+def _crc12(data: bytes, crc: int = 0) -> int:
+    """CRC-12/GSM, without its final XOR, continued from ``crc``."""
+    for byte in data:
+        crc = crc << 8 & 0xFFF ^ _CRC_TABLE[crc >> 4 ^ byte]
+    return crc
+
+
+@cache
+def _crc12_of_id(frame_id: int) -> int:
+    return _crc12(frame_id.to_bytes(4, "big"))
+
+
+def _crc12_table() -> tuple[int, ...]:
+    """The CRC of each byte."""
+    table = []
+    for byte in range(256):
+        crc = byte << 4
+        for _ in range(8):
+            crc = crc << 1 ^ (_CRC_POLYNOMIAL if crc & 0x800 else 0)
+        table.append(crc & 0xFFF)
+    return tuple(table)
+
+
+_CRC_POLYNOMIAL, _CRC_FINAL = 0xD31, 0xFFF
+_CRC_TABLE = _crc12_table()
+
+
+class _Checks(NamedTuple):
+    """What is asked of each frame of a kind; cantools checks ranges only when encoding."""
+
+    name: str
+    length: int
+    unused_bits: int  # of a payload, read as a little-endian number
+    ranges: tuple[tuple[str, float, float], ...]  # signal, low, high
+
+    @staticmethod
+    def of(message: Message) -> "_Checks":
+        """As the DBC has it."""
+        signals = [message.get_signal_by_name(name) for name in SIGNALS[message.name]]
+        ranges = tuple(
+            (
+                signal.name,
+                -math.inf if signal.minimum is None else signal.minimum,
+                math.inf if signal.maximum is None else signal.maximum,
+            )
+            for signal in signals
+        )
+        return _Checks(message.name, message.length, ~_used_bits(message), ranges)
 
 
 class FrameSet:
@@ -95,7 +145,7 @@ class FrameSet:
         if cycles_ms or not cycle_ms:
             raise InputError(f"dbc_file {path}: GenMsgCycleTime must be set, the same for all frames")
         self.cycle_ns = cycle_ms * 1_000_000
-        self.unused = {name: ~_used_bits(message) for name, message in self.by_name.items()}
+        self.checks = {message.frame_id: _Checks.of(message) for message in self.by_name.values()}
 
     def encode(self, name: str, values: Mapping[str, float], alive_counter: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame.
@@ -118,26 +168,27 @@ class FrameDecoder:
 
     def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> Frame | Rejection:
         """One received frame; a rejection has been counted and has changed nothing else."""
-        message = self._frames.by_id.get(arbitration_id)
-        if message is None:
+        checks = self._frames.checks.get(arbitration_id)
+        if checks is None:
             is_error = bool(arbitration_id & ERROR_FLAG)
             return self._reject(BUS, Rejection.ERROR_FRAME if is_error else Rejection.UNKNOWN_ID)
-        if len(data) != message.length:
-            return self._reject(message.name, Rejection.WRONG_LENGTH)
+        name = checks.name
+        if len(data) != checks.length:
+            return self._reject(name, Rejection.WRONG_LENGTH)
         if data != sealed(arbitration_id, data):
-            return self._reject(message.name, Rejection.CHECKSUM)
-        if int.from_bytes(data, "little") & self._frames.unused[message.name]:
-            return self._reject(message.name, Rejection.UNUSED_BITS)
-        signals = message.decode_simple(data, decode_choices=False)
-        values = {name: float(signals[name]) for name in SIGNALS[message.name]}  # type: ignore[arg-type]
-        if not _in_range(message, values):
-            return self._reject(message.name, Rejection.OUT_OF_RANGE)
-        cycles = self._alive[message.name].advance(data[-2] & (_MODULUS - 1), stamp_ns)
+            return self._reject(name, Rejection.CHECKSUM)
+        if int.from_bytes(data, "little") & checks.unused_bits:
+            return self._reject(name, Rejection.UNUSED_BITS)
+        signals = self._frames.by_id[arbitration_id].decode_simple(data, decode_choices=False)
+        values = {signal: float(signals[signal]) for signal in SIGNALS[name]}  # type: ignore[arg-type]
+        if any(not low <= values[signal] <= high for signal, low, high in checks.ranges):
+            return self._reject(name, Rejection.OUT_OF_RANGE)
+        cycles = self._alive[name].advance(data[-2] & (_MODULUS - 1), stamp_ns)
         if cycles is None:
-            return self._reject(message.name, Rejection.ALIVE_REPEATED)
+            return self._reject(name, Rejection.ALIVE_REPEATED)
         if cycles > 1:
-            self._tally.add(message.name, Rejection.LOST, cycles - 1)
-        return Frame(message.name, stamp_ns, cycles, values)
+            self._tally.add(name, Rejection.LOST, cycles - 1)
+        return Frame(name, stamp_ns, cycles, values)
 
     def _reject(self, source: str, reason: Rejection) -> Rejection:
         self._tally.add(source, reason)
@@ -194,13 +245,3 @@ def _used_bits(message: Message) -> int:
     """The bits of a payload, read as a little-endian number, that belong to a signal."""
     full = {s.name: -1 if s.is_signed else (1 << s.length) - 1 for s in message.signals}
     return int.from_bytes(message.encode(full, scaling=False, strict=False), "little")
-
-
-def _in_range(message: Message, values: Mapping[str, float]) -> bool:
-    """Whether each value lies in the DBC's range (cantools checks it only when encoding)."""
-    for name, value in values.items():
-        signal = message.get_signal_by_name(name)
-        low, high = signal.minimum, signal.maximum
-        if (low is not None and value < low) or (high is not None and value > high):
-            return False
-    return True

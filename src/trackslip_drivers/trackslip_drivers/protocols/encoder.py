@@ -15,8 +15,8 @@ the stamp. Distance is conserved: the velocities summed over a run give it.
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 COUNTS = 1 << 12  # per turn of the encoder
 
@@ -29,8 +29,7 @@ class EncoderEvent(Enum):
     JUMP = "jump"  # further than the sprocket can have turned
 
 
-@dataclass(frozen=True)
-class Motion:
+class Motion(NamedTuple):
     """One sprocket; positive drives forward."""
 
     position: float  # rad, continuous
@@ -61,7 +60,7 @@ class SprocketEncoder:
         """One reading, ``cycles`` of the sender after the previous one given here.
 
         After a silence that could hide half a turn of the encoder the position goes on from where it was:
-        what was turned meanwhile is unknown, and the event says so.
+        what was turned meanwhile is unknown, and the event reports it.
         """
         self._now += cycles
         self._silent += cycles
@@ -91,7 +90,12 @@ class SprocketEncoder:
     def _velocity(self) -> float:
         """Slope of the least-squares line through the window, rad/s."""
         n = len(self._history)
-        mean_cycle = sum(cycle for cycle, _ in self._history) / n
-        products = sum((cycle - mean_cycle) * unwrapped for cycle, unwrapped in self._history)
-        squares = sum((cycle - mean_cycle) ** 2 for cycle, _ in self._history)
-        return products / squares * self._rad_per_count / self._cycle_s
+        x_sum = y_sum = xx_sum = xy_sum = 0  # of whole numbers, from the newest reading: exact
+        for cycle, unwrapped in self._history:
+            x, y = cycle - self._now, unwrapped - self._unwrapped
+            x_sum += x
+            y_sum += y
+            xx_sum += x * x
+            xy_sum += x * y
+        slope = (n * xy_sum - x_sum * y_sum) / (n * xx_sum - x_sum * x_sum)
+        return slope * self._rad_per_count / self._cycle_s

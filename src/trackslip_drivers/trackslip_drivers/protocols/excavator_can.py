@@ -66,7 +66,7 @@ class ExcavatorCan:
         return (self._sprockets if frame.name == ENCODERS else self._hydraulics)(frame, stamp_ns)
 
     def _sprockets(self, frame: Frame, stamp_ns: int) -> SprocketSample | None:
-        """Both sprockets, or None while either has no motion to tell."""
+        """Both sprockets, or None while either has no motion."""
         left = self._left.update(int(frame.values["left_count"]), frame.cycles)
         right = self._right.update(int(frame.values["right_count"]), frame.cycles)
         for side, motion in (("left_encoder", left), ("right_encoder", right)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the host may say to a SICK scanner, and what the scanner's short replies mean.
+"""What the host may send to a SICK scanner, and what the scanner's short replies mean.
 
 Payloads only; ``sick_telegram.frame`` wraps them. A reply's code is its command's plus 0x80, and its
 last byte is the scanner's status. Scans (B0) are decoded in ``sick_scan``.

@@ -2,7 +2,7 @@
 """Scans of SICK scanners: ``B0 | count LE16 | count values LE16 | status``, and what they measure.
 
     count   bits 0-8 number of values, 11-12 quarter of a degree that an interlaced scan starts at,
-            14-15 unit (LMS: 0 cm, 1 mm, 2 or 3 dm; the PLS measures in cm whatever they say)
+            14-15 unit (LMS: 0 cm, 1 mm, 2 or 3 dm; the PLS measures in cm whatever the field holds)
     value   bits 0-12 distance, 13 glare, 14 warning field, 15 safety field
     status  bits 0-2 severity, 5 restart, 6 implausible, 7 pollution (the listing is the LMS')
 
@@ -34,7 +34,7 @@ _GLARE = 0x2000
 _LMS_UNITS = (0.01, 0.001, 0.1, 0.1)  # m
 _PLS_UNIT = 0.01  # m
 
-# The LMS keeps its highest distances to say why there is none; all but one mean 'invalid'.
+# The LMS reserves its highest distances for reasons why there is none; all but one mean 'invalid'.
 _LMS_FIRST_RESERVED = 8183
 _LMS_BEYOND_RANGE = 8183
 _LMS_DAZZLED = 8190
@@ -54,7 +54,7 @@ class ScanFault(Enum):
 
 @dataclass(frozen=True)
 class DeviceStatus:
-    """The status byte, taken apart."""
+    """The status byte, decoded."""
 
     severity: int  # as ``sick_commands.Severity``
     restart: bool
@@ -104,7 +104,7 @@ class Scan:
 
 
 def parse_scan(payload: bytes) -> RawScan | ScanFault:
-    """Take a B0 payload apart."""
+    """Decode a B0 payload."""
     if len(payload) < 4 or payload[0] != ReplyCode.SCAN:
         return ScanFault.BAD_STRUCTURE
     word = int.from_bytes(payload[1:3], "little")

@@ -6,7 +6,7 @@
     a while after it refused the password.
 
 The owner has the port and the clock. It gives what it read to ``receive``, then calls ``step`` and does
-what that says, at least every 20 ms. No bytes are received only where a read has waited in vain:
+what that requests, at least every 20 ms. No bytes are received only where a read has waited in vain:
 
     scans = session.receive(port.read(), now_ns)
     action = session.step(now_ns)
@@ -92,7 +92,7 @@ class Action:
 
 
 def scan_period(parameters: SickParameters) -> float:
-    """Between scans of all values, s: whole turns of the mirror, as many as a telegram takes."""
+    """Between scans of all values, s: whole turns of the mirror, as many as a telegram occupies."""
     transfer = _ALL_VALUES * parameters.bits_per_char / parameters.serial_baud
     return math.ceil(transfer / parameters.scan_time) * parameters.scan_time
 
@@ -124,7 +124,7 @@ class SickSession:
         self._script: Script[None] = self._run()
 
     def receive(self, data: bytes, arrival_ns: int) -> list[Scan]:
-        """Take what one read returned (also nothing) and when; gives the scans that are now complete."""
+        """Process what one read returned (also nothing) and when; gives the scans that are now complete."""
         if data:
             self._last_byte_ns = arrival_ns
         scans: list[Scan] = []
@@ -186,7 +186,7 @@ class SickSession:
         return None
 
     def _find_baud(self) -> Script[bool]:
-        """Say stop at each rate until one is answered.
+        """Send stop at each rate until one is answered.
 
         First the present one, then by turns another and that of power-on, so that a scanner that has just
         started is found soon.

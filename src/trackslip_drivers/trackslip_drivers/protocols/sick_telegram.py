@@ -68,7 +68,7 @@ class TelegramParser:
     """Cuts a stream of bytes into telegrams, ACKs and NAKs; holds less than one telegram's bytes.
 
     A telegram that turns out to be none costs its first byte only: the search goes on behind it, so no
-    whole telegram is lost to the garbage before it. Within garbage an ACK or NAK is not believed: it
+    whole telegram is lost to the garbage before it. Within garbage an ACK or NAK is not accepted: it
     counts behind a telegram, behind another ACK or NAK, or after a silence.
 
     Args:
@@ -103,9 +103,9 @@ class TelegramParser:
         self._hunting = False
 
     def feed(self, data: bytes, arrival_ns: int) -> list[Telegram | Control]:
-        """Take the bytes that one read returned, and the time at which it returned.
+        """Parse the bytes that one read returned, and the time at which it returned.
 
-        Feeding no bytes says that a poll found none: that ends a telegram whose rest does not come.
+        Feeding no bytes means that a poll found none: that ends a telegram whose rest does not come.
         """
         events: list[Telegram | Control] = []
         silent = self._last_arrival_ns is None or arrival_ns - self._last_arrival_ns >= SILENCE_NS
@@ -175,7 +175,7 @@ class TelegramParser:
         return round(min(bounds))
 
     def _drop(self, count: int) -> None:
-        """Forget bytes at the front of the buffer, and the reads that ended within them."""
+        """Drop bytes at the front of the buffer, and the reads that ended within them."""
         del self._buffer[:count]
         self._consumed += count
         while self._reads and self._reads[0][0] <= self._consumed:

@@ -23,6 +23,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
 from trackslip_common.errors import InputError
 from trackslip_drivers.records import ImuSample, Vector
@@ -79,12 +80,12 @@ class Channel:
         if not re.fullmatch(r"\+?0+(\.0+)?", self.format):
             raise InputError(f"formats: '{self.format}' is not a field of zeros such as +00.0 or 000.0")
 
-    @property
+    @cached_property
     def decimals(self) -> int:
         """Digits behind the point."""
         return len(self.format.partition(".")[2])
 
-    @property
+    @cached_property
     def largest(self) -> float:
         """The largest magnitude that can be sent: full scale, or all digits 9 if that is less."""
         return min(self.full_scale, float(re.sub("0", "9", self.format)))
@@ -97,8 +98,12 @@ class Channel:
 
     def matches(self, field: str) -> bool:
         """Whether the field has a digit wherever the format has one, and nothing else."""
-        pattern = re.sub("0", r"\\d", re.escape(self.format)).replace(r"\+", "[+-]")
-        return re.fullmatch(pattern, field, re.ASCII) is not None
+        return self._pattern.fullmatch(field) is not None
+
+    @cached_property
+    def _pattern(self) -> re.Pattern[str]:
+        digits = re.sub("0", r"\\d", re.escape(self.format))
+        return re.compile(digits.replace(r"\+", "[+-]"), re.ASCII)
 
 
 class Layout:

@@ -23,7 +23,7 @@ FIELD = "imu/mag"
 _NS_PER_S = 1_000_000_000
 _BIT_7 = 0x80
 _LINE_PERIOD_NS = 6 * _NS_PER_S / 71.11  # of decimal lines: every sixth tick of the unit
-_CLOCK_TOLERANCE = 0.01  # its manuals say "about"
+_CLOCK_TOLERANCE = 0.01  # its manuals state "about"
 _PATIENCE = 24  # lines
 
 
@@ -35,7 +35,7 @@ class WatsonStream:
     Args:
         layout: channels of the unit.
         baud: line rate; a line was measured when its first character left, so the transfer time of what
-            has come is taken off its arrival.
+            has come is subtracted from its arrival.
         time_offset_ns: added to each stamp.
         tally: counts what was rejected.
     """
@@ -78,7 +78,7 @@ class WatsonStream:
         return samples
 
     def reset(self) -> None:
-        """Forget a half-received line: the port was reopened."""
+        """Drop a half-received line: the port was reopened."""
         self._clear()
         self._stamps.restart()
 

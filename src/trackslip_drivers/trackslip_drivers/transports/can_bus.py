@@ -42,7 +42,7 @@ class CanBus:
         """The frames that are there, once there is one, each with its time of reception.
 
         Raises:
-            can.CanError, OSError: the bus failed, or an error frame of the read before said that it is off.
+            can.CanError, OSError: the bus failed, or an error frame of the read before reported it off.
         """
         if self._is_off:
             raise can.CanOperationError("bus off")
@@ -52,7 +52,7 @@ class CanBus:
         """Send one frame with a 29-bit id; an error frame where ``ERROR_FLAG`` is set.
 
         Raises:
-            can.CanError: the bus did not take it.
+            can.CanError: the bus did not accept it.
         """
         name, payload = data
         is_error = bool(name & ERROR_FLAG)
@@ -62,7 +62,7 @@ class CanBus:
         self._bus.send(message, timeout=_SEND_TIMEOUT_S)
 
     def _frames(self) -> Iterator[tuple[CanFrame, int]]:
-        """One by one: a frame is handed on before the next is looked for."""
+        """One by one: a frame is returned before the next is looked for."""
         message = self._bus.recv(READ_TIMEOUT_S)
         while message is not None:
             frame = (_flagged_id(message), bytes(message.data))

@@ -6,7 +6,7 @@ import time
 
 from trackslip_drivers.stamping import HostTime
 
-_TOGETHER_NS = 1_000_000  # two readings further apart were interrupted, and say nothing
+_TOGETHER_NS = 1_000_000  # two readings further apart were interrupted, and prove nothing
 
 
 class HostClock:
@@ -22,18 +22,14 @@ class HostClock:
         """How far stamps are ahead of the host's clock, since that was set back."""
         return self._time.lead_ns
 
-    def look(self) -> bool:
-        """Compare the clocks; whether the host's has jumped since the last look."""
+    def arrival(self, host_ns: int) -> tuple[int, bool]:
+        """Steady time of an arrival just now, and whether the host's clock has jumped since the last one."""
+        has_jumped = False
         with self._lock:
-            before_ns, host_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-            if after_ns - before_ns > _TOGETHER_NS or before_ns < self._time.looked_ns:
-                return False
-            return self._time.look(host_ns, before_ns)
-
-    def steady(self, host_ns: int) -> int:
-        """Steady time of an arrival; call ``look`` first."""
-        with self._lock:
-            return self._time.steady(host_ns)
+            before_ns, now_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+            if after_ns - before_ns <= _TOGETHER_NS and before_ns >= self._time.looked_ns:
+                has_jumped = self._time.look(now_ns, before_ns)
+            return self._time.steady(host_ns), has_jumped
 
     def stamp(self, steady_ns: int) -> int:
         """Time on the host's clock, as it goes into a message."""

@@ -5,17 +5,18 @@ Whatever goes wrong with a sensor ends here: the port is closed, the error is co
 diagnostics, and the port is opened again after a pause. The process goes on.
 """
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 T = TypeVar("T")
 
 READ_TIMEOUT_S = 0.1  # longest wait of a port: how soon ``stop`` is noticed
 FIRST_PAUSE_S = 0.1
-LONGEST_PAUSE_S = 0.5  # a sensor that is back is to be heard within a second
+LONGEST_PAUSE_S = 0.5  # a sensor that is back is read again within a second
 _STOP_S = 0.4
 
 
@@ -49,35 +50,40 @@ class LinkState:
     note: str
 
 
+class Handlers(NamedTuple):
+    """What a link calls, in its own thread.
+
+    on_data: with what arrived and its arrival in ns. on_open: after each opening, before any data, the moment
+    to drop half-received messages and to start a dialogue. on_silence: after a read that found nothing for
+    READ_TIMEOUT_S; only such a read proves that nothing is there: on a busy host, bytes wait in the kernel.
+    """
+
+    on_data: Callable[[Any, int], None]
+    on_open: Callable[[], None]
+    on_silence: Callable[[], None] = lambda: None
+
+
 class Link(Generic[T]):
-    """Keeps one port open and hands on what it receives.
+    """Keeps one port open and passes on what it receives.
 
     Args:
         name: of the thread.
         open_port: opens the port, or raises.
-        on_data: called in the link's thread with what arrived and its arrival in ns.
-        on_open: called in the link's thread after each opening, before any data: the moment to forget
-            half-received messages and to start a dialogue.
+        handlers: what to call.
         silence_s: a port that stays silent for longer is closed and opened again, as a line that hangs
             half-open reports no error; infinite to wait for ever.
-        on_silence: called in the link's thread after a read that found nothing for READ_TIMEOUT_S. Only such
-            a read proves that nothing is there: on a busy host, bytes wait in the kernel.
     """
 
     def __init__(
         self,
         name: str,
         open_port: Callable[[], Port[T]],
-        on_data: Callable[[T, int], None],
-        on_open: Callable[[], None],
-        silence_s: float,
-        on_silence: Callable[[], None] = lambda: None,
+        handlers: Handlers,
+        silence_s: float = math.inf,
     ) -> None:
         self._open_port = open_port
-        self._on_data = on_data
-        self._on_open = on_open
+        self._handlers = handlers
         self._silence_s = silence_s
-        self._on_silence = on_silence
         self._lock = threading.Lock()  # guards what follows
         self._port: Port[T] | None = None
         self._changed_s = time.monotonic()
@@ -139,16 +145,16 @@ class Link(Generic[T]):
                 port = self._open_port()
                 try:
                     self._set_port(port)
-                    self._on_open()
+                    self._handlers.on_open()
                     for data, arrival_ns in self._arrivals(port):
                         received = True
-                        self._on_data(data, arrival_ns)
+                        self._handlers.on_data(data, arrival_ns)
                 finally:
                     self._set_port(None)
                     port.close()
             except Exception as error:  # noqa: BLE001 (whatever a library raises, the sensor is what failed)
                 self._note_error(error)
-            if received:  # a port that opens but never delivers is no reason to hurry
+            if received:  # a port that opens but never delivers is not tried more often
                 pause_s = FIRST_PAUSE_S
             self._stopping.wait(pause_s)
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
@@ -159,7 +165,7 @@ class Link(Generic[T]):
         Raises:
             TimeoutError: nothing came for too long.
         """
-        heard_s = time.monotonic()
+        received_s = time.monotonic()
         while not self._stopping.is_set():
             is_silent = True
             for arrival in port.read():
@@ -168,10 +174,10 @@ class Link(Generic[T]):
                 if self._stopping.is_set():
                     return
             if not is_silent:
-                heard_s = time.monotonic()
+                received_s = time.monotonic()
                 continue
-            self._on_silence()
-            if time.monotonic() - heard_s > self._silence_s:
+            self._handlers.on_silence()
+            if time.monotonic() - received_s > self._silence_s:
                 raise TimeoutError(f"nothing received for {self._silence_s:g} s")
 
     def _set_port(self, port: Port[T] | None) -> None:

@@ -17,7 +17,7 @@ class Background:
     def __init__(self) -> None:
         self._ranges: FloatArray = np.zeros(0)
 
-    def learn(self, ranges: FloatArray, box: Beams) -> None:
+    def update(self, ranges: FloatArray, box: Beams) -> None:
         """Remember a scan (N,) in which the box is known; m."""
         if self._ranges.shape != ranges.shape:
             self._ranges = np.full(ranges.shape, np.nan)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scan cut into objects, and what each object's ends say about its outline.
+"""A scan cut into objects, and what is known from each object's ends about its outline.
 
     β_i, ρ_i  angle and range of beam i in the laser frame  rad, m
     δ         angle between beams                           rad
@@ -83,7 +83,7 @@ def beams_on(
     """One object's beams with the intervals of its ends.
 
     A beam passes by when it goes further than any part of an object of this ``extent`` (m) could reach,
-    ``margin`` (m) for noise. Beams that stop before it say nothing: the object may go on behind.
+    ``margin`` (m) for noise. Beams that stop before it prove nothing: the object may go on behind.
     """
     first, last = int(indices[0]), int(indices[-1])
     nearest = float(ranges[indices].min())

@@ -9,7 +9,7 @@
     s              standard deviation of an end            rad
 
 The measurement model is the ray cast itself: of the sides that face the laser a beam meets the last entered,
-so ρ_i is the larger of the distances to their lines. What the ends say stands beside the ranges: the last
+so ρ_i is the larger of the distances to their lines. The ends are measurements beside the ranges: the last
 beam on the box hits and the next one passes, so θ_L is uniform between their angles (s = width/√12).
 
 The most likely q is found by Gauss–Newton with Huber's weights. Near the view onto one side the outline has
@@ -19,6 +19,7 @@ set of points spread about the optimum (importance sampling without chance: the 
 There the ends are uniform as they are; for the optimum alone they stand in as Gaussian of the same variance.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 
@@ -40,7 +41,8 @@ TAILS = 5.0  # degrees of freedom of the Student distribution the points are spr
 COOLING = (16.0, 4.0, 1.0, 1.0)  # temperature of each round
 WIDENING = 1.3  # of the spread found in the round before
 BLUR = 0.2  # of the beam spacing: least first spread
-FEWEST_POINTS = 4.0  # effective number below which a round says nothing
+FEWEST_POINTS = 4.0  # effective number below which a round is without effect
+LEAST_LOG, TINY = -1e300, 1e-300  # for weights that are all zero
 
 
 @dataclass(frozen=True)
@@ -173,17 +175,21 @@ def posterior(
     pose, covariance = optimum.pose, 4.0 * np.linalg.inv(optimum.information)
     blur = BLUR * beams.spacing * float(beams.ranges.mean())
     covariance = covariance + blur**2 * np.diag([1.0, 1.0, 4.0 / (box.length * box.width)])
+    root = np.linalg.cholesky(covariance)
     for temperature in COOLING:
-        poses = pose + WIDENING * points @ np.linalg.cholesky(covariance).T
+        poses = pose + WIDENING * points @ root.T
         log_weight = _log_likelihood(poses, box, beams, range_stddev) / temperature - log_density
         log_weight[np.abs(poses[:, 2] - optimum.pose[2]) > np.pi / 4.0] = -np.inf
-        weight = np.exp(log_weight - log_weight.max())
-        weight /= weight.sum()
-        if weight @ weight > 1.0 / FEWEST_POINTS:
+        weight = np.exp(log_weight - max(log_weight.max(), LEAST_LOG))
+        weight /= max(weight.sum(), TINY)
+        if not TINY < weight @ weight <= 1.0 / FEWEST_POINTS:
             continue
-        pose = weight @ poses
-        offset = poses - pose
-        covariance = (weight[:, np.newaxis] * offset).T @ offset
+        mean = weight @ poses
+        offset = poses - mean
+        spread = (weight[:, np.newaxis] * offset).T @ offset
+        with suppress(np.linalg.LinAlgError):  # points on a line: as good as none
+            root = np.linalg.cholesky(spread)
+            pose, covariance = mean, spread
     return pose, covariance
 
 

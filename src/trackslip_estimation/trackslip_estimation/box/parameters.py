@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the box localizer must be told (values: ``config/site.yaml``, ``config/box_localizer.yaml``)."""
+"""What the box localizer needs to know (values: ``config/site.yaml``, ``config/box_localizer.yaml``)."""
 
 from dataclasses import dataclass
 
@@ -32,8 +32,10 @@ class BoxLocalizerParameters(Parameters):
     gate_yaw: float = parameter("heading difference allowed at once", unit="rad", gt=0.0, lt=0.785)
     top_speed: float = parameter("widens gate_distance while no fix comes", unit="m/s", gt=0.0)
     top_yaw_rate: float = parameter("widens gate_yaw while no fix comes", unit="rad/s", gt=0.0)
-    velocity_gain: float = parameter("share of a fix's surprise that corrects the velocity", gt=0.0, le=1.0)
+    velocity_gain: float = parameter("share of a fix's innovation that corrects the velocity", gt=0.0, le=1.0)
     coast_time: float = parameter("longest extrapolation at constant velocity", unit="s", gt=0.0)
+    max_gap: float = parameter("scans stamped further ahead must be confirmed", unit="s", gt=0.0, le=600.0)
+    jump_confirmations: int = parameter("scans in a row that confirm a stamp far ahead, or back", ge=2)
 
 
 @dataclass(frozen=True, kw_only=True)

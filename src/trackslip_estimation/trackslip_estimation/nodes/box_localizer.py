@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.make import stamp_ns_of
-from trackslip_common.nodes.base import OK, WARN, Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
+from trackslip_estimation.box.scan import Scan
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import PoseFix
 
@@ -28,14 +30,15 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._fixes = 0
         self._scans = 0
         self._news = (0, 0)
-        self._poses = self.announce(topic_class("box_pose"), "box_pose")
-        self.listen(topic_class("scan"), "scan", self._on_scan)
+        self._poses = self.advertise(topic_class("box_pose"), "box_pose")
+        self.subscribe(topic_class("scan"), "scan", self._on_scan)
 
     def health(self) -> list[Health]:
         """Fixes per scan, and why scans gave none."""
         (fixes, scans), self._news = self._news, (self._fixes, self._scans)
         refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
-        values = {"scans": self._scans, "fixes": self._fixes, **refused}
+        restarts = self._localizer.restarts
+        values = {"scans": self._scans, "fixes": self._fixes, "restarts": restarts, **refused}
         if self._scans == scans:
             return [Health(WARN, "no scans", values)]
         if self._fixes == fixes:
@@ -46,7 +49,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._scans += 1
         ranges = np.asarray(message.ranges, dtype=np.float64)
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
-        fix = self._localizer.locate(stamp_ns_of(message), ranges, *geometry)
+        fix = self._localizer.locate(Scan(stamp_ns_of(message), ranges, *geometry))
         if isinstance(fix, BoxFix):
             self._fixes += 1
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)

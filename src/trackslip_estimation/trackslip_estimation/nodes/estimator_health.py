@@ -4,7 +4,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from trackslip_common.nodes.base import ERROR, OK, WARN, Health
+from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import named

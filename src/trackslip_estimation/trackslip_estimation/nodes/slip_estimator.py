@@ -6,15 +6,12 @@ import time
 from functools import partial
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import SetBool, Trigger
 
-from trackslip_common.config_files import parameters_text
-from trackslip_common.errors import InputError
-from trackslip_common.nodes.base import Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
-from trackslip_common.parameters import to_flat
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
@@ -29,8 +26,7 @@ from trackslip_estimation.slip.measurements import (
     Outcome,
     Reload,
 )
-from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters, reloadable
-from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
+from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import named
 
@@ -39,10 +35,10 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     """Converts, calls the estimator, publishes; all else is in ``SlipEstimator``."""
 
     realtime_priority = 10  # somebody steers by it
+    parameters_topic = RELOAD
 
     def __init__(self) -> None:
         super().__init__(NODE, SlipEstimatorParameters, *DEFAULT_FILES)
-        self.add_on_set_parameters_callback(self._on_parameters)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/freeze", self._on_freeze)
 
@@ -53,24 +49,27 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._watch = SourceWatch(p.timeouts_ns())
         self._taken = self._estimates = 0
         self._heard: float | None = None  # s, steady: when the last sprocket sample came
-        self._odometry = self.announce(topic_class("odometry"), "odometry")
+        self._odometry = self.advertise(topic_class("odometry"), "odometry")
         self._pose_and_twist = conversions.blank_odometry(make, p.odom_frame, p.base_frame)
-        self._track_slip = self.announce(topic_class("track_slip"), "track_slip")
-        self._reports = self.announce(topic_class("measurement_reports"), "measurement_reports")
-        self._parameters_used = self.announce(topic_class(RELOAD), RELOAD)
-        self._tf = self._announce_tf() if p.publish_tf else None
-        self.listen(topic_class("sprockets"), "sprockets", self._on_sprockets)
-        self.listen(topic_class(SET_POSE), SET_POSE, partial(self._on_pose, source=SET_POSE))
+        self._track_slip = self.advertise(topic_class("track_slip"), "track_slip")
+        self._reports = self.advertise(topic_class("measurement_reports"), "measurement_reports")
+        self._tf = self._advertise_tf() if p.publish_tf else None
+        self.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
+        self.subscribe(topic_class(SET_POSE), SET_POSE, partial(self._on_pose, source=SET_POSE))
         for source in named(p.yaw_rate_sources):
-            self.listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
+            self.subscribe(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
         for source in named(p.pose_sources):
-            self.listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
+            self.subscribe(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source in named(p.slip_sources):
-            self.listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
+            self.subscribe(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
-    def activate(self) -> None:
-        """Say with which parameters the estimates of this run were made: a bag carries them along."""
-        self._tell_parameters()
+    def reload(self, values: dict[str, Any]) -> None:
+        """Before its first run, the estimator is made anew; later it goes on with other values."""
+        if self.has_run:
+            self._take(Reload(values))
+        else:
+            self._estimator = SlipEstimator(self.settings)
+        self._watch.expect(self.settings.timeouts_ns())
 
     def health(self) -> list[Health]:
         """Waiting, running, or what is missing; what was not accepted, by source and reason; innovations."""
@@ -106,26 +105,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         response.success, response.message = self.active, text if self.active else "the node is not active"
         return response
 
-    def _on_parameters(self, parameters: list[Any]) -> SetParametersResult:
-        """Those that may change while it runs; ROS itself refuses the others."""
-        values = {p.name: p.value for p in parameters if p.name in reloadable()}
+    def _advertise_tf(self) -> Any:
         try:
-            self.settings = self.settings.changed(values)
-        except InputError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        if values and self.active:
-            self._tell_parameters()
-            self._take(Reload(values))
-            self._watch.expect(self.settings.timeouts_ns())
-        return SetParametersResult(successful=True)
-
-    def _tell_parameters(self) -> None:
-        text = parameters_text(to_flat(self.settings), SLIP_NODE)
-        self._parameters_used.publish(make("std_msgs/msg/String", data=text))
-
-    def _announce_tf(self) -> Any:
-        try:
-            return self.announce(topic_class("tf"), "/tf")
+            return self.advertise(topic_class("tf"), "/tf")
         except ModuleNotFoundError:
             self.get_logger().info("tf2_msgs is not installed: no tf")
             return None

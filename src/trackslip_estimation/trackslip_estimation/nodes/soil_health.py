@@ -4,7 +4,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from trackslip_common.nodes.base import ERROR, OK, WARN, Health
+from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 
 _PATIENCE = 1.0  # s of silence

@@ -2,7 +2,7 @@
 """What a bad sensor measures: nothing new, with more noise, or what stands in its way."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -57,8 +57,7 @@ class FaultyReadings:
         """Pressures with more noise."""
         sample = self._fresh("hydraulics", f.CAN, stamp_ns, self._sensors.hydraulics)
         left, right, supply = self._noise(f.CAN, stamp_ns, 3) * self._full.pressure
-        return replace(
-            sample,
+        return sample._replace(
             left_pressure=sample.left_pressure + float(left),
             right_pressure=sample.right_pressure + float(right),
             supply_pressure=sample.supply_pressure + float(supply),
@@ -69,8 +68,7 @@ class FaultyReadings:
         sample = self._fresh("imu", f.WATSON, stamp_ns, self._sensors.imu)
         noise = self._noise(f.WATSON, stamp_ns, 9)
         field = sample.magnetic_field
-        return replace(
-            sample,
+        return sample._replace(
             acceleration=_added(sample.acceleration, noise[0:3] * self._full.acceleration),
             angular_velocity=_added(sample.angular_velocity, noise[3:6] * self._full.rate),
             magnetic_field=None if field is None else _added(field, noise[6:9] * self._full.field),

@@ -29,6 +29,7 @@ from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_estimation.box import parameters as box_parameters
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import BoxNodeParameters
+from trackslip_estimation.box.scan import Scan
 from trackslip_estimation.slip import conversions as of_estimates
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
@@ -116,7 +117,7 @@ class _Host:
         self._write("scan", message, now_ns)
         ranges = np.asarray(message.ranges, dtype=np.float64)  # as rounded on the way to the localizer
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
-        fix = self._localizer.locate(scan.stamp_ns, ranges, *geometry)
+        fix = self._localizer.locate(Scan(scan.stamp_ns, ranges, *geometry))
         if isinstance(fix, BoxFix):
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
             self._write("box_pose", of_estimates.pose_with_covariance(make, pose, _SITE_FRAME), now_ns)

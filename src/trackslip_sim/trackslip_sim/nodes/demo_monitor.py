@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.nodes.messages import topic_class
-from trackslip_common.nodes.qos import offered
+from trackslip_common.nodes.qos import publisher_qos
 from trackslip_common.topics import SENSOR_TOPICS, TOPICS, Flow
 from trackslip_estimation.slip.conversions import planar_pose
 
@@ -65,7 +65,7 @@ class DemoMonitor(Node):
         for topic in WATCHED:
             handler = {"odometry": self._on_odometry, "track_slip": self._on_slip}.get(topic)
             self.create_subscription(
-                topic_class(topic), topic, self._counting(topic, handler), offered(topic)
+                topic_class(topic), topic, self._counting(topic, handler), publisher_qos(topic)
             )
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 

@@ -8,7 +8,9 @@ import time
 from typing import Any
 
 from trackslip_common.errors import InputError
-from trackslip_common.nodes.base import ERROR, OK, Health, TrackslipNode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.failures import cause
+from trackslip_common.nodes.health import ERROR, OK, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation.slip import conversions
@@ -38,14 +40,14 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         p = self.settings
         self._truth = drive(p)
         self._excavator: EmulatedExcavator | None = None
-        self._odometry = self.announce(topic_class("truth/odometry"), "truth/odometry")
-        self._track_slip = self.announce(topic_class("truth/track_slip"), "truth/track_slip")
-        self._track_forces = self.announce(topic_class("truth/track_forces"), "truth/track_forces")
-        self._soil = self.announce(topic_class("truth/soil"), "truth/soil")
+        self._odometry = self.advertise(topic_class("truth/odometry"), "truth/odometry")
+        self._track_slip = self.advertise(topic_class("truth/track_slip"), "truth/track_slip")
+        self._track_forces = self.advertise(topic_class("truth/track_forces"), "truth/track_forces")
+        self._soil = self.advertise(topic_class("truth/soil"), "truth/soil")
         self._cables = Cables(p)
         self._ordered: queue.SimpleQueue[Fault] = queue.SimpleQueue()
         self._faults_refused = 0
-        self.listen(topic_class("emulator/fault"), "emulator/fault", self._on_fault)
+        self.subscribe(topic_class("emulator/fault"), "emulator/fault", self._on_fault)
 
     def activate(self) -> None:
         """Power on."""
@@ -120,8 +122,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
                 self._finished = now_ns > excavator.end_ns + _DRAIN_NS
                 tick_ns += _TICK_NS * max(1, (time.monotonic_ns() - tick_ns) // _TICK_NS)
                 self._stopping.wait(max(tick_ns - time.monotonic_ns(), 0) * 1e-9)
-        except OSError as error:
-            self._trouble = f"stopped: {error}"
+        except Exception as error:  # noqa: BLE001 (the thread ends, which /diagnostics must show)
+            self._trouble = f"stopped: {cause(error)}"
             self.get_logger().error(self._trouble)
 
     def _tell_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node survives: exceptions of its callbacks, and messages that the middleware does not send.
+
+A callback that fails is a defect of ours, or of a message that we did not think of. It is counted, logged
+with its cause (the same cause again after half a minute), and shown on /diagnostics as an error for ten
+seconds; the node goes on. It ends, with exit code 1, when nothing else happens any more: ten failures and
+more in ten seconds, no two of them three seconds apart, and no message handled well among them.
+"""
+
+import threading
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
+from trackslip_common.nodes.health import ERROR, OK, WARN, Health
+
+FEWEST = 10  # failures of a streak that ends the node
+LASTING_S = 10.0  # s, how long such a streak lasts
+PAUSE_S = 3.0  # s without a failure, which ends a streak
+RECENT_S = 10.0  # s for which a failure shows as an error
+LOG_PERIOD_S = 30.0  # s between lines in the log about the same cause
+
+Log = Callable[[str], None]
+
+
+def cause(error: BaseException) -> str:
+    """An exception in one line: its type, its text, and where it was raised."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename != __file__]
+    ours = [f for f in frames if "trackslip_" in f.filename or "site-packages" not in f.filename]
+    place = "".join(f" ({Path(f.filename).name}:{f.lineno})" for f in (ours or frames)[-1:])
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"
+
+
+class CallbackFailures:
+    """Counts exceptions of callbacks, from any thread."""
+
+    def __init__(self, log: Log, clock: Callable[[], float] = time.monotonic) -> None:
+        self._log, self._clock = log, clock
+        self._lock = threading.Lock()
+        self._counts: Counter[str] = Counter()  # by callback
+        self._logged_s: dict[str, float] = {}  # when each cause was logged last
+        self._streak, self._began_s, self._last_s = 0, 0.0, 0.0
+        self.last = ""
+
+    def guard(
+        self,
+        callback: Callable[..., Any],
+        name: str,
+        *,
+        handles_data: bool = False,
+        recover: Callable[[], None] = lambda: None,
+    ) -> Callable[..., Any]:
+        """The callback, whose exceptions are counted under this name; then it recovers, and returns None.
+
+        ``handles_data``: where it succeeds, the node is of use, and a streak of failures ends.
+        """
+
+        @wraps(callback)
+        def guarded(*args: Any) -> Any:
+            try:
+                result = callback(*args)
+            except Exception as error:  # noqa: BLE001 (whatever it is, the node goes on)
+                self.add(name, error)
+                return recover()
+            if handles_data and self._streak:
+                self._streak = 0
+            return result
+
+        return guarded
+
+    def add(self, name: str, error: Exception) -> None:
+        """Count one failure."""
+        now_s, text = self._clock(), f"{name}: {cause(error)}"
+        with self._lock:
+            if not self._streak or now_s - self._last_s > PAUSE_S:
+                self._streak, self._began_s = 0, now_s
+            self._streak += 1
+            self._counts[name] += 1
+            self._last_s, self.last = now_s, text
+            is_news = now_s - self._logged_s.get(text, -LOG_PERIOD_S) >= LOG_PERIOD_S
+            if is_news:
+                self._logged_s[text] = now_s
+        if is_news:
+            self._log(f"callback failed: {text}")
+
+    @property
+    def are_hopeless(self) -> bool:
+        """Whether a streak has lasted so long that the node should end."""
+        with self._lock:
+            return self._streak >= FEWEST and self._last_s - self._began_s >= LASTING_S
+
+    def health(self) -> list[Health]:
+        """What failed, and how long ago; nothing where that never happened."""
+        with self._lock:
+            counts, ago_s, last = dict(self._counts), self._clock() - self._last_s, self.last
+        if not counts:
+            return []
+        values: dict[str, Any] = {f"failed: {name}": n for name, n in sorted(counts.items())}
+        values |= {"last failure": last, "age of it (s)": f"{ago_s:.1f}"}
+        failed = f"{sum(counts.values())} callbacks failed; the last: {last}"
+        level, message = (ERROR, failed) if ago_s < RECENT_S else (OK, "running")
+        return [Health(level, message, values, "callbacks")]
+
+
+class SendFailures:
+    """Counts what publishers could not send: one stalled subscriber is no reason to end."""
+
+    def __init__(self, log: Log, clock: Callable[[], float] = time.monotonic) -> None:
+        self._log, self._clock = log, clock
+        self._reported = 0
+        self._logged_s = -LOG_PERIOD_S
+        self.counts: Counter[str] = Counter()  # by topic
+
+    def tolerate(self, publisher: Any) -> Any:
+        """The publisher, whose failures to send are counted instead of raised."""
+        send = publisher.publish
+
+        def publish(message: Any) -> None:
+            try:
+                send(message)
+            except rclpy_implementation.RCLError as error:
+                self.counts[publisher.topic_name] += 1
+                if (now_s := self._clock()) - self._logged_s >= LOG_PERIOD_S:
+                    self._logged_s = now_s
+                    self._log(f"{publisher.topic_name}: not sent: {' '.join(str(error).split())}")
+
+        publisher.publish = publish
+        return publisher
+
+    def health(self) -> list[Health]:
+        """What could not be sent, by topic; nothing where that never happened."""
+        counts = dict(self.counts)
+        news, self._reported = sum(counts.values()) - self._reported, sum(counts.values())
+        if not counts:
+            return []
+        level, message = (WARN, f"{news} messages could not be sent") if news else (OK, "running")
+        return [Health(level, message, {f"not sent: {topic}": n for topic, n in counts.items()}, "outputs")]

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node's parameters: from ``config/`` and what the user gave to a frozen record, and on to ROS."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, parameter, to_flat
+
+P = TypeVar("P", bound=Parameters)
+
+_ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonParameters(Parameters):
+    """What every node has beside its own."""
+
+    autostart: bool = parameter("configure and activate without being asked")
+    realtime_priority: int = parameter("of SCHED_FIFO, where the host allows it; 0: as others", ge=0, le=99)
+
+
+def read_overrides(
+    node: Node, common: CommonParameters, kind: type[P], default_files: tuple[str, ...]
+) -> tuple[CommonParameters, P]:
+    """``common`` and the defaults of ``config/`` with what the user gave on top, which is undeclared.
+
+    Raises:
+        InputError: a parameter is unknown, of a wrong type or out of range.
+    """
+    name = node.get_name()
+    given = {
+        key: entry.value
+        for key, entry in node.get_parameters_by_prefix("").items()
+        if not key.startswith(_ROS_OWN)
+    }
+    for key in given:
+        node.undeclare_parameter(key)
+    shared = to_flat(common)
+    shared |= {key: given.pop(key) for key in shared.keys() & given.keys()}
+    return from_flat(CommonParameters, shared, name), from_flat(
+        kind, node_defaults(name, *default_files) | given, name
+    )
+
+
+def declare(node: Node, record: Parameters) -> None:
+    """Declare each parameter to ROS with its value, unit and range."""
+    values = to_flat(record)
+    for key, kind, spec in flat_fields(type(record)):
+        node.declare_parameter(key, values[key], _descriptor(kind, spec), ignore_override=True)
+
+
+def reloadable(kind: type[Parameters]) -> frozenset[str]:
+    """Dotted names of the parameters that may change after the start."""
+    return frozenset(name for name, _, spec in flat_fields(kind) if not spec.read_only)
+
+
+def changed(record: P, values: Mapping[str, Any], where: str) -> P:
+    """The record with other values by dotted name.
+
+    Raises:
+        InputError: a value is refused.
+    """
+    return from_flat(type(record), to_flat(record) | dict(values), where)
+
+
+def differences(before: Parameters, after: Parameters) -> dict[str, Any]:
+    """Dotted name → value in ``after`` of what differs between two records of a kind."""
+    old = to_flat(before)
+    return {name: value for name, value in to_flat(after).items() if value != old[name]}
+
+
+def _descriptor(kind: Any, spec: Spec) -> ParameterDescriptor:
+    """What ``ros2 param describe`` shows."""
+    unit = f" [{spec.unit}]" if spec.unit else ""
+    descriptor = ParameterDescriptor(description=spec.description + unit, read_only=spec.read_only)
+    descriptor.additional_constraints = spec.accepted()
+    low = spec.ge if spec.ge is not None else spec.gt
+    high = spec.le if spec.le is not None else spec.lt
+    if kind is float and (low is not None or high is not None):
+        low, high = (-1e300 if low is None else low), (1e300 if high is None else high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+    if kind is int and (low is not None or high is not None):
+        first, last = (-(2**62) if low is None else int(low)), (2**62 if high is None else int(high))
+        descriptor.integer_range = [IntegerRange(from_value=first, to_value=last)]
+    return descriptor

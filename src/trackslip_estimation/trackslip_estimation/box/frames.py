@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the box in the laser frame to base_link in odom, and back."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.box.parameters import BoxLocalizerParameters
+
+FloatArray = NDArray[np.float64]
+
+
+class Frames:
+    """Constant transforms; poses are (x, y, yaw), m and rad."""
+
+    def __init__(self, p: BoxLocalizerParameters, vehicle: Vehicle) -> None:
+        self._box_in_base: FloatArray = np.array([vehicle.box_x, vehicle.box_y])
+        self._laser_in_odom: FloatArray = np.array([p.laser_x, p.laser_y])
+        self._laser_yaw = p.laser_yaw
+        self._odom_from_laser = _rotation(p.laser_yaw)
+
+    def laser_from_odom(self, base: FloatArray) -> FloatArray:
+        """Pose (3,) of the box in the laser frame from that of base_link in odom."""
+        centre = base[:2] + _rotation(base[2]) @ self._box_in_base
+        x, y = self._odom_from_laser.T @ (centre - self._laser_in_odom)
+        return np.array([x, y, base[2] - self._laser_yaw])
+
+    def odom_from_laser(self, box: FloatArray) -> FloatArray:
+        """Pose (3,) of base_link in odom from that of the box in the laser frame."""
+        yaw = box[2] + self._laser_yaw
+        x, y = self._laser_in_odom + self._odom_from_laser @ box[:2] - _rotation(yaw) @ self._box_in_base
+        return np.array([x, y, yaw])
+
+    def covariance_in_odom(self, yaw: float, covariance: FloatArray) -> FloatArray:
+        """(3, 3) of base_link in odom at this ``yaw``, from that of the box in the laser frame."""
+        jacobian = np.eye(3)
+        jacobian[:2, :2] = self._odom_from_laser
+        jacobian[:2, 2] = -_rotation(yaw + np.pi / 2.0) @ self._box_in_base
+        return jacobian @ covariance @ jacobian.T
+
+
+def _rotation(angle: float) -> FloatArray:
+    """(2, 2) matrix that turns by ``angle``, rad."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin], [sin, cos]])

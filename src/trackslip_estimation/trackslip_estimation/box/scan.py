@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One sweep of the laser as the localizer takes it, and what a usable one is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+MOST_BEAMS = 20_000  # three times those of the finest scanners
+FULL_TURN = 2.0 * np.pi + 1e-3  # rad, rounded as float32 may have it
+SMALLEST_INCREMENT = 1e-5  # rad
+LONGEST_SWEEP = 2.0  # s
+LATEST_NS = (2**31 - 4) * 1_000_000_000  # the seconds of a ROS stamp end with the next sweeps
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Ranges (N,) in m, counter-clockwise from ``angle_min`` in the laser frame, rad.
+
+    stamp_ns: of the first beam; time_increment: from one beam to the next, s. A range is +∞ where nothing
+    returned, NaN or −∞ where nothing is known (REP-117).
+    """
+
+    stamp_ns: int
+    ranges: FloatArray
+    angle_min: float
+    angle_increment: float
+    time_increment: float
+
+    def is_usable(self) -> bool:
+        """Whether shape, geometry and times are such as a scanner can have; ranges may be anything."""
+        if self.ranges.ndim != 1 or not 2 <= self.ranges.size <= MOST_BEAMS:
+            return False
+        steps = self.ranges.size - 1
+        return (  # all false for NaN
+            abs(self.angle_min) <= FULL_TURN
+            and SMALLEST_INCREMENT <= self.angle_increment <= FULL_TURN / steps
+            and abs(self.time_increment) <= LONGEST_SWEEP / steps
+            and 0 <= self.stamp_ns < LATEST_NS
+        )
+
+    def angles(self) -> FloatArray:
+        """(N,), rad."""
+        return self.angle_min + self.angle_increment * np.arange(self.ranges.size, dtype=np.float64)
+
+    def time_ns(self, beam: float) -> int:
+        """When the beam of this index, or a mean of indices, was measured."""
+        return self.stamp_ns + round(self.time_increment * 1e9 * beam)

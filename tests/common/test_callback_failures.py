@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exceptions of callbacks are counted and reported, logged without a flood, and end a node only at last."""
+
+import functools
+import inspect
+
+import pytest
+
+from trackslip_common.nodes.failures import (
+    FEWEST,
+    LASTING_S,
+    LOG_PERIOD_S,
+    PAUSE_S,
+    RECENT_S,
+    CallbackFailures,
+    cause,
+)
+from trackslip_common.nodes.health import ERROR, OK
+
+
+class Clock:
+    """Seconds that the test sets."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def log():
+    return []
+
+
+@pytest.fixture
+def failures(clock, log):
+    return CallbackFailures(log.append, clock)
+
+
+def fail(number=0):
+    if number >= 0:
+        raise ValueError(f"bad\nvalue {number}")
+    return "done"
+
+
+def test_exception_in_a_callback_is_counted_and_reported(failures, clock):
+    guarded = failures.guard(fail, "scan")
+    assert failures.health() == []
+    assert guarded(-1) == "done"
+    assert failures.health() == []
+    for _ in range(3):
+        assert guarded(7) is None
+    clock.now += 2.0
+    (entry,) = failures.health()
+    assert (entry.level, entry.part) == (ERROR, "callbacks")
+    assert entry.message.startswith("3 callbacks failed; the last: scan: ValueError: bad value 7 (")
+    assert entry.values["failed: scan"] == 3
+    assert entry.values["age of it (s)"] == "2.0"
+    clock.now += RECENT_S
+    (entry,) = failures.health()
+    assert (entry.level, entry.values["failed: scan"]) == (OK, 3)
+
+
+def test_the_same_cause_is_logged_again_only_after_a_while(failures, clock, log):
+    guarded = failures.guard(fail, "scan")
+    for _ in range(100):
+        guarded()
+    assert len(log) == 1
+    assert "scan: ValueError: bad value 0 (test_callback_failures.py:" in log[0]
+    guarded(5)
+    assert len(log) == 2
+    clock.now += LOG_PERIOD_S
+    guarded()
+    assert len(log) == 3
+
+
+def repeat(guarded, clock, seconds, step=0.5):
+    for _ in range(round(seconds / step)):
+        guarded()
+        clock.now += step
+
+
+def test_failures_without_pause_are_hopeless_at_last(failures, clock):
+    guarded = failures.guard(fail, "scan", handles_data=True)
+    repeat(guarded, clock, LASTING_S)
+    assert not failures.are_hopeless
+    guarded()
+    assert failures.are_hopeless
+
+
+def test_a_message_handled_well_ends_the_streak(failures, clock):
+    guarded = failures.guard(fail, "scan", handles_data=True)
+    other = failures.guard(lambda: None, "imu/data_raw", handles_data=True)
+    for _ in range(5):
+        repeat(guarded, clock, LASTING_S - 1.0)
+        other()
+    assert not failures.are_hopeless
+
+
+def test_a_timer_that_succeeds_does_not_end_the_streak(failures, clock):
+    guarded = failures.guard(fail, "scan", handles_data=True)
+    timer = failures.guard(lambda: None, "timer")
+    for _ in range(FEWEST + 1):
+        repeat(guarded, clock, 1.0)
+        timer()
+    assert failures.are_hopeless
+
+
+def test_failures_now_and_then_are_not_hopeless(failures, clock):
+    guarded = failures.guard(fail, "timer")
+    repeat(guarded, clock, 10.0 * LASTING_S, step=PAUSE_S + 0.1)
+    assert not failures.are_hopeless
+
+
+def test_few_failures_are_not_hopeless(failures, clock):
+    guarded = failures.guard(fail, "timer")
+    repeat(guarded, clock, LASTING_S + PAUSE_S, step=PAUSE_S)
+    assert not failures.are_hopeless
+
+
+def test_rclpy_still_sees_what_a_guarded_callback_accepts(failures):
+    def with_info(topic, data, info):
+        return topic, data, info
+
+    guarded = failures.guard(functools.partial(with_info, "scan"), "scan")
+    assert list(inspect.signature(guarded).parameters) == ["data", "info"]
+    assert guarded(b"", {}) == ("scan", b"", {})
+
+
+def test_what_ends_a_program_is_not_caught(failures):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        failures.guard(interrupt, "timer")()
+
+
+def test_cause_without_a_traceback():
+    assert cause(OSError("gone")) == "OSError: gone"

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a scan's stamp or geometry does to the localizer: refused where it is bad, and never for good."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from fixtures.box_site import (
+    BARE,
+    PARAMETERS,
+    PERIOD,
+    SITE,
+    VEHICLE,
+    assert_near,
+    drive,
+    locate,
+    scan_of,
+    standing,
+    turning,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer, Rejection
+from trackslip_estimation.box.search import Reason
+from trackslip_sim.machine.scan_model import SiteScanner
+
+HOUR = 3600.0
+SCANS = 60
+CONFIRMATIONS = PARAMETERS.jump_confirmations
+ORIGIN = standing(0.0, 0.0, 0.0)
+
+
+def reasons(outcomes):
+    return [outcome.reason for outcome in outcomes if isinstance(outcome, Rejection)]
+
+
+def scan(stamp, pose_at=ORIGIN, seed=12, **changes):
+    """One scan of the bare site, with some of its fields replaced."""
+    ranges = SiteScanner(BARE, VEHICLE, seed).scan(stamp, pose_at)
+    return dataclasses.replace(scan_of(stamp, ranges), **changes)
+
+
+@pytest.mark.parametrize("stamps", [(1.0, 1.0), (1.0, 0.5)])
+def test_scan_not_later_than_the_one_before_is_refused(stamps):
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    outcomes = [localizer.locate(scan(stamp)) for stamp in stamps]
+    assert isinstance(outcomes[0], BoxFix)
+    assert outcomes[1] == Rejection(Reason.NOT_LATER)
+    localizer.reset()
+    assert isinstance(localizer.locate(scan(0.5)), BoxFix)
+
+
+def test_stamps_that_go_back_begin_another_run():
+    """As a bag in a loop: the same scans again, with the same stamps."""
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    for _ in range(3):
+        outcomes = drive(localizer, SiteScanner(SITE, VEHICLE, seed=1), turning, SCANS)
+        for outcome in outcomes[CONFIRMATIONS:]:
+            assert_near(outcome, turning)
+    assert localizer.restarts == 2
+    assert localizer.tally.by_source()["scan"] == {Reason.NOT_LATER.value: 2 * (CONFIRMATIONS - 1)}
+
+
+def test_box_that_ended_elsewhere_is_found_at_the_initial_pose_in_another_run():
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=0.5), VEHICLE)
+    drive(localizer, SiteScanner(SITE, VEHICLE, seed=1), turning, SCANS)
+    outcomes = drive(localizer, SiteScanner(SITE, VEHICLE, seed=2), turning, CONFIRMATIONS)
+    assert_near(outcomes[-1], turning)
+
+
+def test_clock_set_back_during_a_run_leaves_the_box_where_it_was():
+    """The initial pose is far by then, and the heading another."""
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=0.5), VEHICLE)
+    scanner = SiteScanner(SITE, VEHICLE, seed=1)
+    drive(localizer, scanner, turning, SCANS)
+    at = turning(np.array([1.0 + SCANS * PERIOD]))
+    there = standing(*(float(value[0]) for value in at))
+    back = [locate(localizer, 8.0 + k * PERIOD, scanner.scan(8.0 + k * PERIOD, there)) for k in range(6)]
+    assert reasons(back) == [Reason.NOT_LATER] * (CONFIRMATIONS - 1)
+    for fix in back[CONFIRMATIONS:]:
+        assert_near(fix, there)
+    assert localizer.restarts == 1
+
+
+def test_one_scan_stamped_an_hour_ahead_is_refused_and_harms_nothing():
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    scanner = SiteScanner(SITE, VEHICLE, seed=1)
+    drive(localizer, scanner, turning, 20)
+    stamp = 1.0 + 20 * PERIOD
+    assert locate(localizer, stamp + HOUR, scanner.scan(stamp, turning)) == Rejection(Reason.AHEAD)
+    for outcome in drive(localizer, scanner, turning, 20, first=20):
+        assert_near(outcome, turning)
+
+
+def test_first_scan_stamped_an_hour_ahead_is_outlived():
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    scanner = SiteScanner(SITE, VEHICLE, seed=1)
+    locate(localizer, 1.0 + HOUR, scanner.scan(1.0, turning))
+    outcomes = drive(localizer, scanner, turning, 20)
+    assert reasons(outcomes) == [Reason.NOT_LATER] * (CONFIRMATIONS - 1)
+    for outcome in outcomes[CONFIRMATIONS:]:
+        assert_near(outcome, turning)
+
+
+def test_stamps_ahead_that_confirm_each_other_are_another_time():
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    drive(localizer, SiteScanner(BARE, VEHICLE, seed=1), ORIGIN, 5)
+    late = [localizer.locate(scan(HOUR + k * PERIOD, seed=20 + k)) for k in range(CONFIRMATIONS + 2)]
+    assert reasons(late) == [Reason.AHEAD] * (CONFIRMATIONS - 1)
+    assert all(isinstance(outcome, BoxFix) for outcome in late[CONFIRMATIONS:])
+
+
+@pytest.mark.parametrize("ranges", [np.zeros(0), np.zeros(1), np.zeros((2, 2)), np.full(20_001, 5.0)])
+def test_malformed_scan_is_refused(ranges):
+    assert locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, ranges) == Rejection(Reason.MALFORMED)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *({"angle_min": value} for value in (np.nan, np.inf, -np.inf, 7.0)),
+        *({"angle_increment": value} for value in (np.nan, np.inf, 0.0, -0.01, 1e-30, 1.0)),
+        *({"time_increment": value} for value in (np.nan, np.inf, -np.inf, 1e20, -1e20, 0.1)),
+        *({"stamp_ns": value} for value in (-1, 2**31 * 1_000_000_000, 2**31 * 1_000_000_000 - 1)),
+    ],
+    ids=str,
+)
+def test_scan_of_impossible_geometry_is_refused_and_the_next_gives_a_fix(changes):
+    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    for stamp in (1.0, 2.0):
+        assert localizer.locate(scan(stamp, **changes)) == Rejection(Reason.MALFORMED)
+        assert_near(localizer.locate(scan(stamp + 0.5)), ORIGIN)
+    assert localizer.tally.by_source()["scan"] == {Reason.MALFORMED.value: 2}
+
+
+@pytest.mark.parametrize(
+    "ranges",
+    [[0.0, 0.0, 0.0, 0.0078125, 0.0078125, 0.0, 0.0078125, 2.0], [0.0, 1.0, *[0.001953125] * 4]],
+    ids=len,
+)
+def test_object_that_touches_the_laser_is_not_the_box(ranges):
+    """The laser would be within the box: such a fix was NaN, or the end of the node."""
+    parameters = dataclasses.replace(PARAMETERS, initial_x=8.0, initial_reach=50.0)
+    outcome = locate(BoxLocalizer(parameters, VEHICLE), 1.0, np.array(ranges))
+    assert outcome == Rejection(Reason.TOO_NEAR)
+
+
+anything = st.one_of(st.floats(width=32), st.floats(-0.125, 0.125), st.sampled_from([-np.pi / 2, 0.0]))
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(
+        st.tuples(st.integers(-(2**31), 2**32), anything, anything, anything, st.integers(0, 400)), max_size=8
+    )
+)
+def test_whatever_scans_come_the_localizer_recovers(given_scans):
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=20.0), VEHICLE)
+    for stamp, angle_min, angle_increment, time_increment, beams in given_scans:
+        geometry = {"angle_min": angle_min, "angle_increment": angle_increment}
+        ranges = SiteScanner(BARE, VEHICLE, seed=3).scan(1.0, ORIGIN)[:beams]
+        bad = scan(stamp, ranges=ranges, time_increment=time_increment, **geometry)
+        outcome = localizer.locate(bad)
+        if isinstance(outcome, BoxFix):
+            assert np.all(np.isfinite([outcome.x, outcome.y, outcome.yaw]))
+            assert np.all(np.linalg.eigvalsh(outcome.covariance) > 0.0)
+    stamps = 1e6 + PERIOD * np.arange(3 * CONFIRMATIONS)
+    outcomes = [localizer.locate(scan(stamp, seed=k)) for k, stamp in enumerate(stamps)]
+    assert isinstance(outcomes[-1], BoxFix)

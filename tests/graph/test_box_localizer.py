@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The localizer live: a bag in a loop, and scans that no scanner sends."""
+
+import itertools
+import math
+from pathlib import Path
+
+import pytest
+
+from trackslip_common.nodes.messages import topic_class
+from trackslip_sim.machine.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.scenarios.scenario import parse_scenario
+from trackslip_sim.truth.simulate import simulate
+
+SEGMENTS = ((1.0, 0.0, 0.0), (4.0, 2.2, 2.2))
+SCENARIO = {
+    "name": "short",
+    "soil": "sandy_loam",
+    "segments": [dict(zip(("duration", "left", "right"), row, strict=True)) for row in SEGMENTS],
+}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """5 s of driving straight on."""
+    made = tmp_path_factory.mktemp("loop") / "bag"
+    record_drive(load_emulator_parameters({"seed": 1}), simulate(parse_scenario(SCENARIO)), made)
+    return made
+
+
+def stamps_s(messages):
+    return [m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in messages]
+
+
+def test_bag_in_a_loop_gives_fixes_in_every_round(programs, observer, path):
+    poses = observer.subscribe("box_pose")
+    programs.node("box_localizer")
+    observer.wait(lambda: observer.state("box_localizer") == "active", "the localizer")
+    options = ("--publish", "--loop", "--withhold", "box_pose", "--rate", "4")
+    player = programs.tool("trackslip", "replay", str(path), *options)
+
+    def rounds():
+        stamps = stamps_s(poses)
+        return 1 + sum(after < before for before, after in itertools.pairwise(stamps))
+
+    observer.wait(lambda: rounds() == 3 and stamps_s(poses)[-1] > stamps_s(poses)[0] + 3.0, "the third round")
+    assert player.end()[0] == 130
+    fixes = len(poses) / 3
+    assert fixes > 12  # of some 20 scans a round
+
+
+def test_scan_of_impossible_geometry_is_counted_and_the_node_goes_on(programs, observer):
+    healths, scans = observer.healths(), observer.publisher("scan")
+    program = programs.node("box_localizer")
+    observer.wait_for_ends("scan", "observer", "box_localizer")
+    observer.wait(lambda: observer.state("box_localizer") == "active", "the localizer")
+    bad = [(math.nan, 0.0), (0.0, math.nan), (0.0, math.inf), (0.0, 1e20)]
+    for number, (angle_min, time_increment) in enumerate(bad, start=1):
+        message = topic_class("scan")(angle_min=angle_min, time_increment=time_increment)
+        message.angle_increment, message.ranges = 0.01, [5.0] * 100
+        message.header.stamp.sec = number
+        scans.publish(message)
+
+    def values():
+        reports = [health for health in healths if health.name == "box_localizer"]
+        return {pair.key: pair.value for pair in reports[-1].values} if reports else {}
+
+    observer.wait(lambda: values().get("scan: malformed") == str(len(bad)), "all to be counted")
+    assert program.end()[0] == 130
+    assert "failed" not in program.stderr

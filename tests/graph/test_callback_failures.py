@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An exception in a callback does not end a node; what is set while it is inactive reaches its core."""
+
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from std_srvs.srv import Trigger
+
+from trackslip_common.nodes.messages import topic_class
+
+SCRIPT = str(Path(__file__).with_name("fragile.py"))
+CAUSE = "RuntimeError: as the test wants it (fragile.py:"
+NEVER = 1000.0  # s
+
+
+class Machine:
+    """The fragile node, and the test's end of it."""
+
+    def __init__(self, programs, observer, lasting=NEVER, fails=False, autostart=True):
+        values = {"fails": fails, "lasting": lasting, "autostart": autostart}
+        options = [part for name, value in values.items() for part in ("-p", f"{name}:={str(value).lower()}")]
+        self.healths = observer.healths()
+        self._observer = observer
+        self.program = programs.python(SCRIPT, "--ros-args", *options)
+        self.scans = observer.publisher("scan")
+        if autostart and not fails:
+            observer.wait_for_ends("scan", "observer", "fragile")
+            observer.wait(self.running, "the node to run")
+
+    def entries(self, name):
+        """All reports of a part of the node: (level, message, values)."""
+        reports = [h for h in self.healths if h.name == name]
+        return [(h.level, h.message, {pair.key: pair.value for pair in h.values}) for h in reports]
+
+    def running(self):
+        """The values of its reports."""
+        return [values for _, message, values in self.entries("fragile") if message == "running"]
+
+    def set(self, **values):
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParameters.Request(parameters=parameters)
+        (found,) = self._observer._ask(SetParameters, "fragile/set_parameters", request).results
+        assert found.successful, found.reason
+
+    def scan_until(self, condition, what):
+        def publish_and_look():
+            self.scans.publish(topic_class("scan")())
+            return condition()
+
+        self._observer.wait(publish_and_look, what)
+
+
+def test_exceptions_in_callbacks_are_reported_and_the_node_goes_on(programs, observer):
+    machine = Machine(programs, observer)
+    machine.set(fails=True)
+    answer = observer._ask(Trigger, "fragile/reset", Trigger.Request())
+    assert not answer.success
+    assert CAUSE in answer.message
+    names = {f"failed: {name}" for name in ("scan", "timer on_timer", "~/reset", "health")}
+    machine.scan_until(
+        lambda: any(names <= values.keys() for *_, values in machine.entries("fragile: callbacks")), "all"
+    )
+    level, message, values = machine.entries("fragile: callbacks")[-1]
+    assert level == DiagnosticStatus.ERROR
+    assert CAUSE in message
+    assert CAUSE in values["last failure"]
+    assert "age of it (s)" in values
+    machine.set(fails=False)
+    machine.healths.clear()
+    machine.scan_until(
+        lambda: any(int(v["scans"]) > 0 for v in machine.running()), "scans to be handled again"
+    )
+    assert machine.program.end()[0] == 130
+    lines = machine.program.stderr.splitlines()
+    assert len([line for line in lines if CAUSE in line]) == 4  # each cause once
+    assert "Traceback" not in machine.program.stderr
+
+
+def test_nothing_but_exceptions_end_the_node_with_one_line(programs, observer):
+    machine = Machine(programs, observer, lasting=1.0, fails=True)
+    assert machine.program.wait() == 1
+    last = machine.program.stderr.splitlines()[-1]
+    assert last.startswith("fragile: nothing but failures; ")
+    assert CAUSE in last
+    assert "Traceback" not in machine.program.stderr
+
+
+def test_message_that_cannot_be_decoded_does_not_end_the_node(programs, observer):
+    machine = Machine(programs, observer)
+    message = topic_class("scan")()
+    message.header.frame_id = "XXXX"
+    machine.scans.publish(serialize_message(message).replace(b"XXXX", b"\xff\xfe\xff\xfe"))
+    machine.scan_until(lambda: any(int(v["scans"]) > 0 for v in machine.running()), "the scans after it")
+    assert machine.program.end()[0] == 130
+
+
+@pytest.mark.parametrize("before", [(), ("activate", "deactivate")], ids=["configured", "deactivated"])
+def test_parameters_set_while_inactive_reach_the_core(programs, observer, before):
+    machine = Machine(programs, observer, autostart=False)
+    for transition in ("configure", *before):
+        assert observer.change("fragile", transition)
+    machine.set(fails=True)
+    machine.set(fails=False)  # as it was: nothing to hand over
+    machine.set(fails=True)
+    assert observer.change("fragile", "activate")
+    observer.wait(lambda: machine.entries("fragile: callbacks"), "the failures that the parameter asks for")
+    machine.set(fails=False)
+    machine.healths.clear()
+    observer.wait(machine.running, "the node to run")
+    assert machine.running()[-1]["reloads"] == "[{'fails': True}, {'fails': False}]"

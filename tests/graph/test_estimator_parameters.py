@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters set while the estimator is configured but inactive: it works with them, and so does a replay."""
+
+import json
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+BEGIN_S = 1_700_000_000
+WIDE, NARROW = 0.9999, 0.5
+
+
+def gate_probability(observer, value):
+    request = SetParameters.Request(
+        parameters=[Parameter("gate_probability", value=value).to_parameter_msg()]
+    )
+    (found,) = observer._ask(SetParameters, "slip_estimator/set_parameters", request).results
+    assert found.successful, found.reason
+
+
+def at(kind, at_ms):
+    message = kind()
+    message.header.stamp.sec, message.header.stamp.nanosec = BEGIN_S + at_ms // 1000, at_ms % 1000 * 1_000_000
+    return message
+
+
+def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
+    sprockets, poses = observer.publisher("sprockets"), observer.publisher("box_pose")
+    reports, texts = (
+        observer.subscribe("measurement_reports"),
+        observer.subscribe("slip_estimator/parameters"),
+    )
+    healths = observer.healths()
+    recorder = programs.node("record", output="bag")
+    estimator = programs.node("slip_estimator", autostart=False)
+    assert observer.change("slip_estimator", "configure")
+    gate_probability(observer, NARROW)
+    for topic in ("sprockets", "box_pose"):
+        observer.wait_for_ends(topic, "observer", "record", "slip_estimator")
+    observer.wait_for_recorder(
+        healths, "sprockets", "box_pose", "measurement_reports", "slip_estimator/parameters"
+    )
+
+    def gate_after(begin_ms):
+        """The gate of the last of ten poses, as its report has it."""
+        for at_ms in range(begin_ms, begin_ms + 200, 20):
+            message = at(JointState, at_ms)
+            message.name = ["left_sprocket", "right_sprocket"]
+            message.position, message.velocity = [0.0, 0.0], [0.0, 0.0]
+            feed(sprockets, message)
+            pose = at(PoseWithCovarianceStamped, at_ms)
+            pose.pose.pose.orientation.w = 1.0
+            pose.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
+            feed(poses, pose)
+        return reports[-1].gate
+
+    def feed(publisher, message):
+        expected = sum(report.source != "slip_estimator/parameters" for report in reports) + 1
+        publisher.publish(message)
+        observer.wait(
+            lambda: sum(r.source != "slip_estimator/parameters" for r in reports) >= expected, "a report"
+        )
+
+    assert observer.change("slip_estimator", "activate")
+    observer.wait(lambda: texts and f"gate_probability: {NARROW}" in texts[-1].data, "the parameters in use")
+    assert gate_after(0) < 3.0
+
+    assert observer.change("slip_estimator", "deactivate")
+    gate_probability(observer, WIDE)
+    assert observer.change("slip_estimator", "activate")
+    observer.wait(lambda: f"gate_probability: {WIDE}" in texts[-1].data, "the parameters in use")
+    assert gate_after(200) > 10.0
+
+    assert recorder.end()[0] == 130
+    assert estimator.end()[0] == 130
+    program = programs.tool("trackslip", "replay", "bag", "--json", "found.json")
+    assert program.wait() == 0, program.stderr
+    found = json.loads((programs.folder / "found.json").read_text(encoding="utf-8"))
+    assert found["replay_matches"] is True
