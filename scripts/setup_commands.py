@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How set-up runs commands and talks: a line per step on the terminal, all output in a log."""
+"""How set-up runs commands, reports progress and remembers how far it came."""
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 import time
@@ -17,7 +19,7 @@ class SetupError(Exception):
 
 
 class Step:
-    """Says on the terminal what is going on, and how long it took."""
+    """Reports on the terminal what is going on, and how long it took."""
 
     def __init__(self, what: str) -> None:
         self.what = what
@@ -31,25 +33,84 @@ class Step:
             print(f"setup: {self.what}: {time.monotonic() - self.started:.0f} s", flush=True)
 
 
-def run(command: list[str], environment: dict[str, str] | None = None, directory: Path = ROOT) -> None:
-    """Runs a command with its output in the log.
+class Job:
+    """A command that runs beside others, with its output in the log."""
 
-    Raises:
-        SetupError: it failed; the end of its output has been shown.
-    """
-    begin = LOG.stat().st_size
-    with LOG.open("a") as log:
-        log.write(f"$ {' '.join(command)}\n")
-        log.flush()
-        status = subprocess.run(
-            command, env=environment, cwd=directory, stdin=subprocess.DEVNULL, stdout=log, stderr=log
-        ).returncode
-    if status:
-        output = LOG.read_bytes()[begin:].decode(errors="replace").splitlines()
-        print("\n".join(output[-25:]), file=sys.stderr)
-        raise SetupError(f"'{' '.join(command[:4])} ...' failed; the whole output is in {LOG}")
+    def __init__(self, command: list[str], environment: dict[str, str] | None, directory: Path = ROOT) -> None:
+        self.command = command
+        self.began = LOG.stat().st_size
+        with LOG.open("a") as log:
+            log.write(f"$ {' '.join(command)}\n")
+            log.flush()
+            self.process = subprocess.Popen(
+                command, env=environment, cwd=directory, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+            )
+
+    def finish(self) -> None:
+        """Waits for the end.
+
+        Raises:
+            SetupError: it failed; the end of the output since its start has been shown.
+        """
+        if self.process.wait():
+            output = LOG.read_bytes()[self.began :].decode(errors="replace").splitlines()
+            print("\n".join(output[-25:]), file=sys.stderr)
+            raise SetupError(f"'{' '.join(self.command[:4])} ...' failed; the whole output is in {LOG}")
+
+    def stop(self) -> None:
+        """Ends what still runs of it."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            self.process.wait()
+
+
+def run(command: list[str], environment: dict[str, str] | None = None, directory: Path = ROOT) -> None:
+    """Runs one command to its end, or until the user interrupts; raises as ``Job.finish`` does."""
+    job = Job(command, environment, directory)
+    try:
+        job.finish()
+    finally:
+        job.stop()
+
+
+def run_all(commands: dict[str, list[str]]) -> None:
+    """Runs named commands side by side; where one fails or the user interrupts, ends the others too."""
+    started = time.monotonic()
+    jobs: dict[str, Job] = {}
+    try:
+        for name, command in commands.items():
+            jobs[name] = Job(command, None)
+        waiting = dict(jobs)
+        while waiting:
+            for name in [name for name, job in waiting.items() if job.process.poll() is not None]:
+                waiting.pop(name).finish()
+                print(f"setup:   {name}: {time.monotonic() - started:.0f} s", flush=True)
+            time.sleep(0.1)
+    finally:
+        for job in jobs.values():
+            job.stop()
 
 
 def succeeds(command: list[str]) -> bool:
     """Whether the command ends with success; its output goes nowhere."""
     return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True).returncode == 0
+
+
+def read_stamp(stamp: Path) -> dict[str, str]:
+    """What a stamp holds; nothing where set-up never came that far, or where the file is damaged."""
+    try:
+        found = json.loads(stamp.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def write_file(path: Path, text: str, mode: int = 0o644) -> None:
+    """Writes a file whole or not at all: whoever reads meanwhile finds the old one or the new one."""
+    part = path.with_name(f"{path.name}.part")
+    with part.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    part.chmod(mode)
+    part.replace(path)

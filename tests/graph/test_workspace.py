@@ -18,8 +18,10 @@ INSTALL = ROOT / "ros2_ws" / "install"
 PACKAGES = sorted(path.parent for path in ROOT.glob("src/*/package.xml"))
 PYTHON_PACKAGES = [package.name for package in PACKAGES if (package / "setup.py").is_file()]
 EXECUTABLES = {
+    "trackslip_bags": {"record"},
     "trackslip_drivers": {"can_driver", "watson_imu", "sick_pls"},
-    "trackslip_estimation": {"box_localizer", "slip_estimator", "soil_estimator", "record", "trackslip"},
+    "trackslip_estimation": {"box_localizer", "slip_estimator", "soil_estimator", "record"},
+    "trackslip_tools": {"trackslip"},
     "trackslip_sim": {"emulator", "demo"},
 }
 MESSAGES = ["MeasurementReport", "SoilEstimate", "TrackForces", "TrackHydraulics", "TrackSlip"]
