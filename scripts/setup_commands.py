@@ -36,7 +36,9 @@ class Step:
 class Job:
     """A command that runs beside others, with its output in the log."""
 
-    def __init__(self, command: list[str], environment: dict[str, str] | None, directory: Path = ROOT) -> None:
+    def __init__(
+        self, command: list[str], environment: dict[str, str] | None, directory: Path = ROOT
+    ) -> None:
         self.command = command
         self.began = LOG.stat().st_size
         with LOG.open("a") as log:

@@ -59,7 +59,7 @@ def bare_environment(keep_ros: bool = False) -> dict[str, str]:
 
 
 def build_command(ros: str, command: list[str]) -> tuple[list[str], dict[str, str]]:
-    """The command in an environment of ROS and ``.venv``, but nothing of the workspace that is to be built."""
+    """The command, and its environment: ROS and ``.venv``, but nothing of the workspace to be built."""
     if ros != SYSTEM:
         command = ["sh", "-c", f". {shlex.quote(str(VENV / 'local_setup.sh'))}; exec {shlex.join(command)}"]
         return command, bare_environment()
@@ -112,7 +112,9 @@ def _sourced() -> dict[str, str]:
     """What sourcing the workspace's setup file adds to an empty environment; of PATH, only what is new."""
     before = {"PATH": os.defpath}
     script = f". {shlex.quote(str(WORKSPACE / 'install' / 'setup.sh'))} && exec env -0"
-    output = subprocess.run(["sh", "-c", script], env=before, capture_output=True, text=True, check=True).stdout
+    output = subprocess.run(
+        ["sh", "-c", script], env=before, capture_output=True, text=True, check=True
+    ).stdout
     found = dict(entry.split("=", 1) for entry in output.split("\0") if entry)
     found["PATH"] = found["PATH"].removesuffix(os.defpath).rstrip(os.pathsep)
     unwanted = ("PWD", "OLDPWD", "SHLVL", "_")

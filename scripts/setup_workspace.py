@@ -206,7 +206,14 @@ def create_venv(ros: str) -> None:
 
 def pip_install(ros: str, files: list[str]) -> None:
     """Installs into ``.venv``; python compiles modules when they are first imported, which is sooner."""
-    command = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
+    command = [
+        str(VENV / "bin" / "python"),
+        "-m",
+        "pip",
+        "install",
+        "--disable-pip-version-check",
+        "--no-input",
+    ]
     command += ["--no-compile", "--prefer-binary"]
     command += [f"--requirement={name}" for name in files]
     command += [f"--constraint={name}" for name in constraints(ros)]

@@ -50,9 +50,8 @@ _DOMAINS = range(1, 102)
 _ANSWER = 10.0  # s after which a service is asked again
 
 
-
 def _enter() -> None:
-    """Set what ``make test`` sets, for a plain ``python -m pytest``; where ROS is sourced, nothing changes."""
+    """Set what ``make test`` sets, for a plain ``python -m pytest``."""
     script = '. "$0" && exec env -0'
     environment = ROOT / ".venv" / "trackslip.sh"
     if environment.is_file():
