@@ -26,10 +26,11 @@ demo: setup ## drive the emulated excavator, record, replay, score; results in o
 bars: setup ## errors on drives like the demo's on four soils, with and without laser and gyro, beside their limits
 	@$(ENTER) exec $(VENV)/python -m trackslip_sim.demo.bars
 
-# The graph's tests run one by one and may be tried twice, which is told: a busy machine can stall a process for seconds.
+# The graph's tests run one by one, beside the others; a failed one is tried again and reported: a busy machine can
+# stall a process for seconds.
 test: checks ## all tests but the slow ones
-	@$(ENTER) timeout --foreground --kill-after=10 600 $(VENV)/python -m pytest -n 2 -m 'not slow and not soak' --ignore tests/graph
-	@$(ENTER) timeout --foreground --kill-after=10 900 $(VENV)/python -m pytest -m 'not slow and not soak' --reruns 1 -rR tests/graph
+	@$(ENTER) exec timeout --foreground --kill-after=10 1500 \
+		$(VENV)/python -m pytest -n 2 --dist loadgroup -m 'not slow and not soak' -rR
 
 lint: checks ## ruff and mypy
 	$(VENV)/python -m ruff check .

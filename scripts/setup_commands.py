@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -34,7 +35,7 @@ class Step:
 
 
 class Job:
-    """A command that runs beside others, with its output in the log."""
+    """A command that runs beside others, with its output in the log, and all that it starts in a group."""
 
     def __init__(
         self, command: list[str], environment: dict[str, str] | None, directory: Path = ROOT
@@ -45,7 +46,13 @@ class Job:
             log.write(f"$ {' '.join(command)}\n")
             log.flush()
             self.process = subprocess.Popen(
-                command, env=environment, cwd=directory, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+                command,
+                env=environment,
+                cwd=directory,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=command[0] != "sudo",  # which asks for a password at this terminal
             )
 
     def finish(self) -> None:
@@ -61,9 +68,13 @@ class Job:
 
     def stop(self) -> None:
         """Ends what still runs of it."""
-        if self.process.poll() is None:
+        if self.process.poll() is not None:
+            return
+        if self.command[0] == "sudo":
             self.process.terminate()
-            self.process.wait()
+        else:
+            os.killpg(self.process.pid, signal.SIGTERM)
+        self.process.wait()
 
 
 def run(command: list[str], environment: dict[str, str] | None = None, directory: Path = ROOT) -> None:

@@ -63,6 +63,14 @@ def _enter() -> None:
 _enter()
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """``make test``, which runs other tests beside these, tries a failed one again and reports it."""
+    if hasattr(config, "workerinput"):
+        for item in items:
+            if item.path.is_relative_to(Path(__file__).parent):
+                item.add_marker(pytest.mark.flaky(reruns=1))
+
+
 class Program:
     """One process, leader of its own group, and what it writes."""
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -59,16 +60,33 @@ def test_failed_command_shows_the_end_of_its_output(capsys: pytest.CaptureFixtur
     assert "this went wrong" in capsys.readouterr().err
 
 
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Until it holds."""
+    give_up = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+
+
+def runs(pid: Path) -> bool:
+    """Whether the process whose number a file holds is there, and not merely its exit code."""
+    try:
+        state = Path("/proc", pid.read_text().strip(), "stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
 def test_failed_command_ends_those_beside_it(tmp_path: Path) -> None:
     pid = tmp_path / "pid"
     sleeps = ["sh", "-c", f"echo $$ > {pid}; exec sleep 60"]
     fails = ["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"]
     with pytest.raises(SetupError):
         run_all({"sleeps": sleeps, "fails": fails})
-    assert not Path("/proc", pid.read_text().strip()).exists()
+    assert not runs(pid)
 
 
-def test_interrupted_set_up_ends_its_command(tmp_path: Path) -> None:
+def test_interrupted_set_up_ends_all_it_started(tmp_path: Path) -> None:
     """SIGTERM, say of a CI job that is cancelled: no pip goes on writing behind the next run's back."""
     program = f"""
 import sys
@@ -76,16 +94,14 @@ sys.path.insert(0, {str(Path(setup_commands.__file__).parent)!r})
 import signal, pathlib, setup_commands
 signal.signal(signal.SIGTERM, signal.default_int_handler)
 setup_commands.LOG = pathlib.Path({str(tmp_path / "setup.log")!r})
-setup_commands.run(["sh", "-c", "echo $$ > {tmp_path / "pid"}; exec sleep 60"])
+setup_commands.run(["sh", "-c", "sleep 60 & echo $! > {tmp_path / "pid"}; wait"])
 """
     process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
-    give_up = time.monotonic() + 30.0
-    while not ((tmp_path / "pid").is_file() and (tmp_path / "pid").read_text().strip()):
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
+    pid = tmp_path / "pid"
+    wait_for(lambda: pid.is_file() and runs(pid))
     process.send_signal(signal.SIGTERM)
     process.wait(30.0)
-    assert not Path("/proc", (tmp_path / "pid").read_text().strip()).exists()
+    wait_for(lambda: not runs(pid))
 
 
 def choose(requested: str, before: str, monkeypatch: pytest.MonkeyPatch, **environment: str) -> str:
