@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 LOG = ROOT / "ros2_ws" / "setup.log"
@@ -34,25 +35,32 @@ class Step:
             print(f"setup: {self.what}: {time.monotonic() - self.started:.0f} s", flush=True)
 
 
+class Command(NamedTuple):
+    """What to run, in which environment (None: this process's) and where."""
+
+    arguments: list[str]
+    environment: dict[str, str] | None = None
+    directory: Path = ROOT
+
+
 class Job:
     """A command that runs beside others, with its output in the log, and all that it starts in a group."""
 
-    def __init__(
-        self, command: list[str], environment: dict[str, str] | None, directory: Path = ROOT
-    ) -> None:
+    def __init__(self, command: Command) -> None:
         self.command = command
         self.began = LOG.stat().st_size
         with LOG.open("a") as log:
-            log.write(f"$ {' '.join(command)}\n")
+            log.write(f"$ {' '.join(command.arguments)}\n")
             log.flush()
             self.process = subprocess.Popen(
-                command,
-                env=environment,
-                cwd=directory,
+                command.arguments,
+                env=command.environment,
+                cwd=command.directory,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                start_new_session=command[0] != "sudo",  # which asks for a password at this terminal
+                start_new_session=command.arguments[0]
+                != "sudo",  # which asks for a password at this terminal
             )
 
     def finish(self) -> None:
@@ -64,35 +72,37 @@ class Job:
         if self.process.wait():
             output = LOG.read_bytes()[self.began :].decode(errors="replace").splitlines()
             print("\n".join(output[-25:]), file=sys.stderr)
-            raise SetupError(f"'{' '.join(self.command[:4])} ...' failed; the whole output is in {LOG}")
+            raise SetupError(
+                f"'{' '.join(self.command.arguments[:4])} ...' failed; the whole output is in {LOG}"
+            )
 
     def stop(self) -> None:
         """Ends what still runs of it."""
         if self.process.poll() is not None:
             return
-        if self.command[0] == "sudo":
+        if self.command.arguments[0] == "sudo":
             self.process.terminate()
         else:
             os.killpg(self.process.pid, signal.SIGTERM)
         self.process.wait()
 
 
-def run(command: list[str], environment: dict[str, str] | None = None, directory: Path = ROOT) -> None:
+def run(arguments: list[str], environment: dict[str, str] | None = None) -> None:
     """Runs one command to its end, or until the user interrupts; raises as ``Job.finish`` does."""
-    job = Job(command, environment, directory)
+    job = Job(Command(arguments, environment))
     try:
         job.finish()
     finally:
         job.stop()
 
 
-def run_all(commands: dict[str, list[str]]) -> None:
+def run_all(commands: dict[str, Command]) -> None:
     """Runs named commands side by side; where one fails or the user interrupts, ends the others too."""
     started = time.monotonic()
     jobs: dict[str, Job] = {}
     try:
         for name, command in commands.items():
-            jobs[name] = Job(command, None)
+            jobs[name] = Job(command)
         waiting = dict(jobs)
         while waiting:
             for name in [name for name, job in waiting.items() if job.process.poll() is not None]:

@@ -22,7 +22,18 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from setup_commands import LOG, ROOT, SetupError, Step, read_stamp, run, run_all, succeeds, write_file
+from setup_commands import (
+    LOG,
+    ROOT,
+    Command,
+    SetupError,
+    Step,
+    read_stamp,
+    run,
+    run_all,
+    succeeds,
+    write_file,
+)
 from setup_environment import (
     PYTHON,
     SITE,
@@ -85,7 +96,6 @@ def set_up(requested: str, checks: bool) -> None:
         WORKSPACE_STAMP.unlink(missing_ok=True)
         build_workspace(ros)
         install_environment(ros)
-        compile_kernels()
         write_stamp(WORKSPACE_STAMP, workspace_digest, ros)
     checks_digest = digest([venv_digest, *pins(check_requirements(ros))])
     if checks and read_stamp(CHECKS_STAMP).get("digest") != checks_digest:
@@ -231,31 +241,45 @@ def correct_cmake_files() -> None:
 
 
 def build_workspace(ros: str) -> None:
-    """Builds all packages. Python packages start anew, so that no link to a removed file stays."""
+    """Builds all packages; Python packages anew, so that no link to a removed file stays.
+
+    Beside that compiles what estimators and simulator call, straight from their sources: each of the two
+    takes one processor, longer than the build does, and no kernel is in both.
+    """
     for package in ROOT.glob("src/*/setup.py"):
         for made in ("build", "install"):
             shutil.rmtree(WORKSPACE / made / package.parent.name, ignore_errors=True)
-    with Step("ros2_ws built"):
-        python = str(VENV / "bin" / "python")
-        colcon = [python, "-m", "colcon", "build", "--symlink-install"]
-        colcon += ["--event-handlers", "console_cohesion+"]
-        colcon += ["--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"]
-        command, environment = build_command(ros, colcon)
-        # Given, or colcon has make wait for a load below the number of processors.
-        run(command, environment | {"MAKEFLAGS": f"-j{os.cpu_count()}"}, WORKSPACE)
-
-
-def compile_kernels() -> None:
-    """Compiles what the estimators and the simulator call, in two processes that share no kernel."""
-    replay = ["replay", "bags/slalom_sand", "--stop", "3", "--withhold", "hydraulics"]
     python = str(VENV / "bin" / "python")
-    with Step("kernels compiled"):
+    sources = os.pathsep.join(str(path.parent) for path in sorted(ROOT.glob("src/*/setup.py")))
+    environment = bare_environment() | {"PYTHONPATH": sources}
+    replay = [
+        "trackslip_tools.cli.main",
+        "replay",
+        "bags/slalom_sand",
+        "--stop",
+        "3",
+        "--withhold",
+        "hydraulics",
+    ]
+    with Step("ros2_ws built, kernels compiled"):
         run_all(
             {
-                "slip estimator": [str(VENV / "bin" / "trackslip"), *replay],
-                "soil estimator and simulator": [python, "-m", "trackslip_sim.demo.warm_up"],
+                "kernels of the slip estimator": Command([python, "-m", *replay], environment),
+                "kernels of soil estimator and simulator": Command(
+                    [python, "-m", "trackslip_sim.demo.warm_up"], environment
+                ),
+                "packages": colcon_build(ros, python),
             }
         )
+
+
+def colcon_build(ros: str, python: str) -> Command:
+    """The command that builds the workspace."""
+    colcon = [python, "-m", "colcon", "build", "--symlink-install", "--event-handlers", "console_cohesion+"]
+    colcon += ["--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"]
+    arguments, environment = build_command(ros, colcon)
+    # Given, or colcon has make wait for a load below the number of processors.
+    return Command(arguments, environment | {"MAKEFLAGS": f"-j{os.cpu_count()}"}, WORKSPACE)
 
 
 if __name__ == "__main__":

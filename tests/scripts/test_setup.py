@@ -15,7 +15,7 @@ import pytest
 import setup_commands
 import setup_environment
 import setup_workspace
-from setup_commands import SetupError, read_stamp, run, run_all, write_file
+from setup_commands import Command, SetupError, read_stamp, run, run_all, write_file
 
 
 @pytest.fixture(autouse=True)
@@ -82,7 +82,7 @@ def test_failed_command_ends_those_beside_it(tmp_path: Path) -> None:
     sleeps = ["sh", "-c", f"echo $$ > {pid}; exec sleep 60"]
     fails = ["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"]
     with pytest.raises(SetupError):
-        run_all({"sleeps": sleeps, "fails": fails})
+        run_all({"sleeps": Command(sleeps), "fails": Command(fails)})
     assert not runs(pid)
 
 
@@ -94,7 +94,7 @@ sys.path.insert(0, {str(Path(setup_commands.__file__).parent)!r})
 import signal, pathlib, setup_commands
 signal.signal(signal.SIGTERM, signal.default_int_handler)
 setup_commands.LOG = pathlib.Path({str(tmp_path / "setup.log")!r})
-setup_commands.run(["sh", "-c", "sleep 60 & echo $! > {tmp_path / "pid"}; wait"])
+setup_commands.run(["sh", "-c", "sleep 60 & echo $! > {tmp_path / "new"}; mv {tmp_path / "new"} {tmp_path / "pid"}; wait"])
 """
     process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
     pid = tmp_path / "pid"
