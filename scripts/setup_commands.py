@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 LOG = ROOT / "ros2_ws" / "setup.log"
+_POLL = 0.05  # s
+_asked: list[int] = []  # signals that came
 
 
 class SetupError(Exception):
@@ -35,6 +37,18 @@ class Step:
             print(f"setup: {self.what}: {time.monotonic() - self.started:.0f} s", flush=True)
 
 
+def note_interrupts() -> None:
+    """Has Ctrl-C and SIGTERM raised only where set-up waits; a command just being started could get lost."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: _asked.append(number))
+
+
+def check_interrupts() -> None:
+    """Raises KeyboardInterrupt where the user has asked for the end."""
+    if _asked:
+        raise KeyboardInterrupt
+
+
 class Command(NamedTuple):
     """What to run, in which environment (None: this process's) and where."""
 
@@ -47,8 +61,10 @@ class Job:
     """A command that runs beside others, with its output in the log, and all that it starts in a group."""
 
     def __init__(self, command: Command) -> None:
+        check_interrupts()
         self.command = command
         self.began = LOG.stat().st_size
+        asks_here = command.arguments[0] == "sudo"  # for a password, at this terminal
         with LOG.open("a") as log:
             log.write(f"$ {' '.join(command.arguments)}\n")
             log.flush()
@@ -59,8 +75,7 @@ class Job:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                start_new_session=command.arguments[0]
-                != "sudo",  # which asks for a password at this terminal
+                start_new_session=not asks_here,
             )
 
     def finish(self) -> None:
@@ -69,12 +84,14 @@ class Job:
         Raises:
             SetupError: it failed; the end of the output since its start has been shown.
         """
-        if self.process.wait():
+        while self.process.poll() is None:
+            check_interrupts()
+            time.sleep(_POLL)
+        if self.process.returncode:
             output = LOG.read_bytes()[self.began :].decode(errors="replace").splitlines()
             print("\n".join(output[-25:]), file=sys.stderr)
-            raise SetupError(
-                f"'{' '.join(self.command.arguments[:4])} ...' failed; the whole output is in {LOG}"
-            )
+            command = " ".join(self.command.arguments[:4])
+            raise SetupError(f"'{command} ...' failed; the whole output is in {LOG}")
 
     def stop(self) -> None:
         """Ends what still runs of it."""
@@ -108,7 +125,8 @@ def run_all(commands: dict[str, Command]) -> None:
             for name in [name for name, job in waiting.items() if job.process.poll() is not None]:
                 waiting.pop(name).finish()
                 print(f"setup:   {name}: {time.monotonic() - started:.0f} s", flush=True)
-            time.sleep(0.1)
+            check_interrupts()
+            time.sleep(_POLL)
     finally:
         for job in jobs.values():
             job.stop()

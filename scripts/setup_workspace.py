@@ -16,7 +16,6 @@ import json
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import sysconfig
@@ -28,6 +27,7 @@ from setup_commands import (
     Command,
     SetupError,
     Step,
+    note_interrupts,
     read_stamp,
     run,
     run_all,
@@ -60,11 +60,11 @@ def main() -> int:
     parser.add_argument("--ros", default="", help="jazzy or kilted; default: what is sourced, else as before")
     parser.add_argument("--checks", action="store_true", help="also what lint and tests take")
     options = parser.parse_args()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         LOG.touch()
         with LOG.open() as lock:  # one at a time, should make demo and make test start together
             fcntl.flock(lock, fcntl.LOCK_EX)
+            note_interrupts()
             set_up(options.ros, options.checks)
     except SetupError as error:
         print(f"setup: {error}", file=sys.stderr)
@@ -252,15 +252,8 @@ def build_workspace(ros: str) -> None:
     python = str(VENV / "bin" / "python")
     sources = os.pathsep.join(str(path.parent) for path in sorted(ROOT.glob("src/*/setup.py")))
     environment = bare_environment() | {"PYTHONPATH": sources}
-    replay = [
-        "trackslip_tools.cli.main",
-        "replay",
-        "bags/slalom_sand",
-        "--stop",
-        "3",
-        "--withhold",
-        "hydraulics",
-    ]
+    replay = ["trackslip_tools.cli.main", "replay", "bags/slalom_sand"]
+    replay += ["--stop", "3", "--withhold", "hydraulics"]
     with Step("ros2_ws built, kernels compiled"):
         run_all(
             {

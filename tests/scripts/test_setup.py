@@ -91,10 +91,10 @@ def test_interrupted_set_up_ends_all_it_started(tmp_path: Path) -> None:
     program = f"""
 import sys
 sys.path.insert(0, {str(Path(setup_commands.__file__).parent)!r})
-import signal, pathlib, setup_commands
-signal.signal(signal.SIGTERM, signal.default_int_handler)
+import pathlib, setup_commands
+setup_commands.note_interrupts()
 setup_commands.LOG = pathlib.Path({str(tmp_path / "setup.log")!r})
-setup_commands.run(["sh", "-c", "sleep 60 & echo $! > {tmp_path / "new"}; mv {tmp_path / "new"} {tmp_path / "pid"}; wait"])
+setup_commands.run(["sh", "-c", "sleep 60 & cd {tmp_path}; echo $! > new; mv new pid; wait"])
 """
     process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
     pid = tmp_path / "pid"
