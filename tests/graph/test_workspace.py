@@ -9,6 +9,7 @@ import xml.etree.ElementTree as ElementTree
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +19,9 @@ INSTALL = ROOT / "ros2_ws" / "install"
 PACKAGES = sorted(path.parent for path in ROOT.glob("src/*/package.xml"))
 PYTHON_PACKAGES = [package.name for package in PACKAGES if (package / "setup.py").is_file()]
 EXECUTABLES = {
+    "trackslip_bags": {"record"},
     "trackslip_drivers": {"can_driver", "watson_imu", "sick_pls"},
     "trackslip_estimation": {"box_localizer", "slip_estimator", "soil_estimator", "record"},
-    "trackslip_bags": {"record"},
     "trackslip_tools": {"trackslip"},
     "trackslip_sim": {"emulator", "demo"},
 }
@@ -85,16 +86,76 @@ def test_all_configuration_and_launch_files_are_installed() -> None:
         assert (INSTALL / package / "share" / package / "launch" / launch.name).is_file()
 
 
+made_by_setup = pytest.mark.skipif(Path(sys.prefix) != ROOT / ".venv", reason="not the python of make setup")
+
+
+def from_nothing(*command: str, **environment: str) -> str:
+    """Output of a command started in an otherwise empty environment; nothing may be on stderr."""
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, cwd=ROOT)
+    assert (result.returncode, result.stderr) == (0, "")
+    return result.stdout
+
+
+@made_by_setup
 def test_python_needs_nothing_sourced() -> None:
     """A python of ``.venv`` started from an empty environment finds ROS, the messages and our packages."""
-    if Path(sys.prefix) != ROOT / ".venv":
-        pytest.skip("not the python of make setup")
     program = f"import sys, rclpy, trackslip_msgs.msg, {', '.join(PYTHON_PACKAGES)}; print(sys.argv[1:])"
-    result = subprocess.run(
-        [sys.executable, "-c", program, "one", "two words"],
-        env={},
-        capture_output=True,
-        text=True,
-        timeout=60,
+    assert from_nothing(sys.executable, "-c", program, "one", "two words") == "['one', 'two words']\n"
+
+
+@made_by_setup
+def test_plain_python_makes_a_publisher_of_our_messages(domain: int, tmp_path: Path) -> None:
+    """Only now are their libraries loaded, by name, from where the wheels look."""
+    if os.environ.get("_ROS_WHEELS_BOOTSTRAP_COMPLETE") is None:
+        pytest.skip("ROS is not from wheels")
+    program = """
+import rclpy
+from trackslip_msgs.msg import TrackSlip
+rclpy.init()
+rclpy.create_node("plain").create_publisher(TrackSlip, "slip", 1).publish(TrackSlip())
+rclpy.shutdown()
+"""
+    environment = {"HOME": str(tmp_path), "ROS_DOMAIN_ID": str(domain)}
+    assert from_nothing(sys.executable, "-c", program, **environment) == ""
+
+
+@made_by_setup
+def test_no_code_of_ours_runs_at_the_start_of_python() -> None:
+    site = Path(np.__file__).parents[1]
+    lines = (site / "trackslip.pth").read_text(encoding="utf-8").splitlines()
+    assert all(Path(line).is_dir() for line in lines)
+    assert [path.name for path in site.glob("*trackslip*")] == ["trackslip.pth"]
+
+
+@pytest.mark.parametrize("script", ["ros2_ws/install/setup.bash", ".venv/bin/activate"])
+def test_sourcing_finds_all_packages(script: str) -> None:
+    """Every package is on AMENT_PREFIX_PATH, where ros2 run, launch and interface look for it."""
+    if Path(sys.prefix) != ROOT / ".venv" and script.startswith(".venv"):
+        pytest.skip("not the python of make setup")
+    output = from_nothing("bash", "-c", f'PATH=/usr/bin:/bin; . {script}; echo "$AMENT_PREFIX_PATH"')
+    assert {str(INSTALL / package.name) for package in PACKAGES} <= set(output.strip().split(":"))
+
+
+@made_by_setup
+def test_sourcing_twice_adds_nothing_and_keeps_the_settings_of_the_user() -> None:
+    once = "export RMW_IMPLEMENTATION=mine; . .venv/trackslip.sh"
+    first, second = (from_nothing("sh", "-c", f"{lines}; exec env") for lines in (once, f"{once}; {once}"))
+    assert "RMW_IMPLEMENTATION=mine" in first.splitlines()
+    assert sorted(second.splitlines()) == sorted(first.splitlines())
+
+
+@made_by_setup
+def test_command_needs_nothing_sourced() -> None:
+    assert "example: trackslip info" in from_nothing(str(ROOT / ".venv" / "bin" / "trackslip"), "--help")
+
+
+@pytest.mark.parametrize("name", ["trackslip_bags", "trackslip_estimation"])
+def test_recorder_answers_by_both_names(name: str, programs: Any) -> None:
+    """``ros2 run trackslip_estimation record`` goes on working since the recorder moved."""
+    recorder = programs.start(
+        str(INSTALL / name / "lib" / name / "record"), "--ros-args", "-p", "output:=bag"
     )
-    assert (result.returncode, result.stdout, result.stderr) == (0, "['one', 'two words']\n", "")
+    recorder.until(
+        lambda: (recorder_bag := programs.folder / "bag").is_dir() and any(recorder_bag.iterdir()), "a bag"
+    )
+    assert recorder.end()[0] in (0, 130)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``make setup`` remembers and how it runs commands: damage and interruption leave nothing half done."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import setup_commands
+import setup_environment
+import setup_workspace
+from setup_commands import Command, SetupError, read_stamp, run, run_all, write_file
+
+
+@pytest.fixture(autouse=True)
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A log of the test's own."""
+    path = tmp_path / "setup.log"
+    path.touch()
+    monkeypatch.setattr(setup_commands, "LOG", path)
+    return path
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"digest": "12', "[1, 2]", "\0\0\0"])
+def test_damaged_stamp_reads_as_none(text: str, tmp_path: Path) -> None:
+    stamp = tmp_path / "stamp.json"
+    stamp.write_text(text)
+    assert read_stamp(stamp) == {}
+
+
+def test_stamp_that_is_not_text_reads_as_none(tmp_path: Path) -> None:
+    stamp = tmp_path / "stamp.json"
+    stamp.write_bytes(b"\xff\xfe\x00")
+    assert read_stamp(stamp) == {}
+    assert read_stamp(tmp_path / "absent.json") == {}
+
+
+def test_stamp_reads_as_written(tmp_path: Path) -> None:
+    setup_workspace.write_stamp(tmp_path / "stamp.json", "12ab", "kilted")
+    assert read_stamp(tmp_path / "stamp.json") == {"digest": "12ab", "ros": "kilted"}
+
+
+def test_write_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "stamp.json"
+    write_file(path, json.dumps({"digest": "old"}))
+    with pytest.raises(UnicodeEncodeError):
+        write_file(path, '{"digest": "\ud800"}')
+    assert read_stamp(path) == {"digest": "old"}
+
+
+def test_failed_command_shows_the_end_of_its_output(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SetupError, match="failed; the whole output is in"):
+        run([sys.executable, "-c", "import sys; sys.exit('this went wrong')"])
+    assert "this went wrong" in capsys.readouterr().err
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Until it holds."""
+    give_up = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+
+
+def runs(pid: Path) -> bool:
+    """Whether the process whose number a file holds is there, and not merely its exit code."""
+    try:
+        state = Path("/proc", pid.read_text().strip(), "stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def test_failed_command_ends_those_beside_it(tmp_path: Path) -> None:
+    pid = tmp_path / "pid"
+    sleeps = ["sh", "-c", f"echo $$ > {pid}; exec sleep 60"]
+    fails = ["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"]
+    with pytest.raises(SetupError):
+        run_all({"sleeps": Command(sleeps), "fails": Command(fails)})
+    assert not runs(pid)
+
+
+def test_interrupted_set_up_ends_all_it_started(tmp_path: Path) -> None:
+    """SIGTERM, say of a CI job that is cancelled: no pip goes on writing behind the next run's back."""
+    program = f"""
+import sys
+sys.path.insert(0, {str(Path(setup_commands.__file__).parent)!r})
+import pathlib, setup_commands
+setup_commands.note_interrupts()
+setup_commands.LOG = pathlib.Path({str(tmp_path / "setup.log")!r})
+setup_commands.run(["sh", "-c", "sleep 60 & cd {tmp_path}; echo $! > new; mv new pid; wait"])
+"""
+    process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
+    pid = tmp_path / "pid"
+    wait_for(lambda: pid.is_file() and runs(pid))
+    process.send_signal(signal.SIGTERM)
+    process.wait(30.0)
+    wait_for(lambda: not runs(pid))
+
+
+def choose(requested: str, before: str, monkeypatch: pytest.MonkeyPatch, **environment: str) -> str:
+    """What ``choose_ros`` takes, with a stamp from before and variables of the shell."""
+    for name in ("ROS_DISTRO", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(setup_workspace, "read_stamp", lambda _: {"ros": before} if before else {})
+    return setup_workspace.choose_ros(requested)
+
+
+def test_jazzy_is_the_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert choose("", "", monkeypatch) == "jazzy"
+    assert choose("", "kilted", monkeypatch) == "kilted"
+    assert choose("kilted", "jazzy", monkeypatch) == "kilted"
+
+
+def test_own_environment_is_not_taken_for_a_ros_from_apt(monkeypatch: pytest.MonkeyPatch) -> None:
+    prefixes = os.pathsep.join(["/some/package", str(setup_environment.VENV)])
+    chosen = choose("kilted", "jazzy", monkeypatch, ROS_DISTRO="jazzy", AMENT_PREFIX_PATH=prefixes)
+    assert chosen == "kilted"
+
+
+@pytest.mark.parametrize(("requested", "before"), [("lyrical", ""), ("", "system")])
+def test_ros_that_cannot_be_had_is_refused(
+    requested: str, before: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SetupError):
+        choose(requested, before, monkeypatch)
