@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trackslip_bags.input_filters import Arrival
 from trackslip_common.tally import Tally
 from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.measurements import Outcome, PoseFix, Report
+from trackslip_estimation.slip.measurements import Input, Outcome, PoseFix, Report
 from trackslip_estimation.slip.models.model import Outputs
 from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.inputs import Inputs
-from trackslip_tools.replay.run import LiveComparison, Replay
+from trackslip_tools.replay.run import Replay
 from trackslip_tools.report.innovations import innovation_panels, innovations_of, whitened_fixes
 from trackslip_tools.report.panel import GREEN, Form
 from trackslip_tools.report.recording import Timing
@@ -50,7 +50,7 @@ def honest_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
     own, theirs = np.diag((0.02, 0.03, 0.01)), np.diag((0.05, 0.04, 0.02))
     outputs = Outputs(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
     steps: list[tuple[Report, Estimate | None]] = []
-    arrivals = []
+    arrivals: list[Input] = []
     for k in range(size):
         stamp_ns = k * 100 * MS
         pose = factor * own @ rng.normal(size=3) + np.array((1.0, 2.0, np.pi))
@@ -59,11 +59,11 @@ def honest_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
         steps.append((Report("sprockets", stamp_ns, Outcome.ACCEPTED), estimate))
         fix_pose = np.array((1.0, 2.0, -np.pi)) + factor * theirs @ rng.normal(size=3)
         fix = PoseFix("box_pose", stamp_ns, fix_pose, theirs @ theirs)
-        arrivals.append(Arrival(stamp_ns, fix))
+        arrivals.append(fix)
         nis = float(rng.chisquare(3)) * factor**2
         steps.append((Report("box_pose", stamp_ns, Outcome.ACCEPTED, nis, 21.1, 3), None))
         steps.append((Report("box_pose", stamp_ns + 1, Outcome.GATED, 500.0, 21.1, 3), None))
-    inputs = Inputs(run.recording.start_ns, arrivals)
+    inputs = Inputs(run.recording.start_ns, inputs=arrivals)
     return dataclasses.replace(run, replay=Replay(1.0, 1.0, inputs, steps, Tally()))
 
 

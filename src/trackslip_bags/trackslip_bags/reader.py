@@ -14,10 +14,12 @@ from typing import Any, NamedTuple, Protocol
 
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.reader import DirectoryReader
+from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.typesys.store import Typestore
 
 from trackslip_bags.metadata import METADATA
-from trackslip_bags.recovery.salvage import Salvage, is_mcap, salvage
+from trackslip_bags.recovery.salvage import Salvage, salvage
 from trackslip_bags.types import decode, store_for
 from trackslip_common.errors import InputError
 
@@ -60,16 +62,16 @@ class _Source(Protocol):
 class Bag:
     """An open bag.
 
-    ``damage`` says in a few words what is wrong with it, and is empty where nothing is. ``file`` is the one
-    MCAP file of which it consists, if it does and rosbags takes it as it is.
+    ``damage`` describes in a few words what is wrong with it, and is empty where nothing is. ``files`` are
+    the MCAP files of which it consists, if it does and rosbags takes them as they are.
     """
 
     def __init__(
-        self, path: Path, sources: list[_Source], damage: str = "", file: Path | None = None
+        self, path: Path, sources: list[_Source], damage: str = "", files: tuple[Path, ...] = ()
     ) -> None:
         self.path = path
         self.damage = damage
-        self.file = file
+        self.files = files
         self._sources = sources
         self._stores: dict[str, Typestore] = {}
         self.topics: dict[str, TopicInfo] = _merged(source.topics() for source in sources)
@@ -171,7 +173,7 @@ def open_bag(path: Path | str) -> Bag:
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     try:
         whole = _Whole(path)
-        return Bag(path, [whole], file=whole.file)
+        return Bag(path, [whole], files=whole.files)
     except Exception as error:  # noqa: BLE001 (foreign bytes can raise anything in the parsers)
         indexed = path.is_file() or (path / METADATA).exists()
         reason = _line(error) if indexed else "no metadata.yaml"
@@ -208,9 +210,7 @@ class _Whole:
         self._reader.open()
         self.start_ns = self._reader.start_time
         self.end_ns = self._reader.end_time - 1
-        files = bag_files(path)
-        plain = len(files) == 1 and is_mcap(files[0]) and not self._reader.compression_mode
-        self.file = files[0] if plain else None  # as ``Bag`` has it
+        self.files = _mcap_files(self._reader)
 
     def topics(self) -> dict[str, TopicInfo]:
         return _merged(
@@ -226,6 +226,15 @@ class _Whole:
 
     def close(self) -> None:
         self._reader.close()
+
+
+def _mcap_files(reader: Reader) -> tuple[Path, ...]:
+    """The files of an open bag, as ``Bag.files`` has them."""
+    storage = reader.storage
+    storages = storage.storages if isinstance(storage, DirectoryReader) else [storage]
+    files = [Path(str(s.path)) for s in storages if isinstance(s, McapReader)]
+    is_plain = len(files) == len(storages) and reader.compression_mode != "message"
+    return tuple(files) if is_plain else ()
 
 
 class _Salvaged:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_bags.input_filters import InputFilters, apply
+from trackslip_bags.input_filters import InputFilters
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.measurements import Input
 from trackslip_estimation.slip.motion import Motion
@@ -59,11 +59,10 @@ class Run:
         """None where the smoother was not asked, or had nothing to start from."""
         return _states(self.smoothed) if self.smoothed else None
 
-    @cached_property
+    @property
     def inputs(self) -> list[Input]:
-        """The measurements as the estimator saw them, thinned and withheld ones left out."""
-        arrivals = apply(self.filters, self.replay.inputs.arrivals, self.replay.inputs.origin_ns)
-        return [arrival.measurement for arrival in arrivals]
+        """The measurements as the estimator processed them, thinned and withheld ones left out."""
+        return self.replay.inputs.inputs
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
