@@ -75,12 +75,12 @@ def written(recorded: Recorded) -> Iterator[Path]:
         yield path
 
 
-def at_once(bag: Bag, topics: set[str]) -> Found | str:
+def at_once(bag: Bag, topics: set[str], *span: int) -> Found | str:
     """As the stretches give them, in log order."""
     wanted = [topic for topic in bag.topics if topic in {f"/{t.removeprefix('/')}" for t in topics}]
     found: Found = []
     try:
-        for stretch in read_stretches(bag, topics):
+        for stretch in read_stretches(bag, topics, *span):
             content = stretch.buffer.tobytes()
             ends = (stretch.starts + stretch.lengths).tolist()
             assert (stretch.log_times_ns < stretch.until_ns).all()
@@ -92,9 +92,9 @@ def at_once(bag: Bag, topics: set[str]) -> Found | str:
     return found
 
 
-def one_by_one(bag: Bag, topics: set[str]) -> Found | str:
+def one_by_one(bag: Bag, topics: set[str], *span: int) -> Found | str:
     try:
-        return [(m.topic, m.log_time_ns, m.raw) for m in bag.messages(topics)]
+        return [(m.topic, m.log_time_ns, m.raw) for m in bag.messages(topics, *span)]
     except InputError as error:
         return str(error)
 
@@ -121,8 +121,8 @@ def test_whole_files(recorded: Recorded, topics: set[str], stretch_ns: int) -> N
 @given(recordings, st.integers(0, 20), st.integers(0, 20), st.integers(1, 30))
 def test_a_part_of_a_file(recorded: Recorded, start: int, stop: int, stretch_ns: int) -> None:
     with written(recorded) as path, open_bag(path) as bag, stretches_of(stretch_ns):
-        found = [t for s in read_stretches(bag, TOPICS, start, stop) for t in s.log_times_ns.tolist()]
-        assert found == [m.log_time_ns for m in bag.messages(TOPICS, start, stop)]
+        span = (start, stop)
+        assert at_once(bag, set(TOPICS), *span) == one_by_one(bag, set(TOPICS), *span)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)

@@ -128,7 +128,7 @@ def test_every_record_class_fits_its_message(type_name: str, tmp_path: Path) -> 
         serialize(joints(1))[:-30],  # cut short
         serialize(joints(0)) + bytes(100),
         b"\0",
-        serialize(joints(0))[:20] + b"\xff" * 4 + serialize(joints(0))[24:],  # four thousand million names
+        serialize(joints(0))[:28] + b"\xff" * 4 + serialize(joints(0))[32:],  # four thousand million names
     ],
 )
 def test_a_message_that_is_not_of_its_type_is_refused(raw: bytes, tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import yaml
 from mcap.well_known import SchemaEncoding
 from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from trackslip_bags.metadata import METADATA, Schema
-from trackslip_bags.qos import present_qos
 from trackslip_bags.reader import ACCEPTED, Bag, TopicInfo, bag_files, open_bag
 from trackslip_bags.recovery.salvage import DamagedFile, SalvagedTopic, is_mcap
 from trackslip_bags.writer import BagWriter, own_schema
@@ -136,7 +136,7 @@ def _copy(part: Part, bag: BagWriter, recovery: Recovery) -> None:
         topic = item.topic if isinstance(item, _Found) else item
         try:
             if topic.topic not in bag.topics:
-                bag.add_topic(topic.topic, topic.type_name, present_qos(topic.qos_yaml), topic.schema)
+                bag.add_topic(topic.topic, topic.type_name, _present_qos(topic.qos_yaml), topic.schema)
             if isinstance(item, _Found):
                 _write(item, bag, recovery)
         except InputError:  # the topic is there with another type
@@ -160,3 +160,12 @@ def _stated_count(path: Path) -> int | None:
     except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
         return None
     return count if isinstance(count, int) else None
+
+
+def _present_qos(text: str) -> str:
+    """The profiles of a bag of any version, in the form of the present one; none where they are garbage."""
+    try:
+        profiles = dump_qos_v9(parse_qos(text))
+    except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
+        profiles = []
+    return yaml.safe_dump(profiles, sort_keys=False, default_flow_style=False)
