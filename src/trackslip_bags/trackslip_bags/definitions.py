@@ -8,7 +8,6 @@ checkout.
 import json
 import os
 import re
-from functools import cache
 from pathlib import Path
 
 from mcap.well_known import SchemaEncoding
@@ -40,7 +39,6 @@ def msg_file(type_name: str, suffix: str = ".msg") -> Path | None:
     return next((path for path in candidates if path.is_file()), None)
 
 
-@cache
 def installed_schema(type_name: str) -> Schema | None:
     """The type and all those inside it; None where a definition or the hash is not installed."""
     description = msg_file(type_name, ".json")

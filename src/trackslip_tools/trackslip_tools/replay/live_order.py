@@ -7,7 +7,6 @@ by then was not processed live and is left out. A source that the journal does n
 remapped one) is merged in by log time; without a journal, log time orders all.
 """
 
-from collections import defaultdict, deque
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -15,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_tools.replay.arrivals import ARRIVAL, Kind, Rows
+
+IntArray = NDArray[np.int64]
 
 HORIZON_NS = 60_000_000_000  # of log time between an input and its line; a repair by DDS takes 5 s at most
 
@@ -46,7 +47,8 @@ class LiveOrder:
     def __init__(self, journaled: Collection[int], commands: Collection[int], sprockets: int) -> None:
         self.counts = JournalCounts()
         self._journaled = np.array(sorted(journaled), dtype=np.int64)
-        self._commands, self._sprockets = frozenset(commands), sprockets
+        self._commands = np.array(sorted(commands), dtype=np.int64)
+        self._sprockets = sprockets
         self._rows, self._lines = np.empty(0, ARRIVAL), np.empty(0, LINE)
         self._expected = 0  # sequence number of the next line
 
@@ -76,51 +78,53 @@ class LiveOrder:
 
     def _follow(self, limit_ns: int) -> Rows:
         """The lines logged before ``limit_ns``, and of unknown sources what was."""
-        rows = self._rows
-        is_known = np.isin(rows["source"], self._journaled)
-        others = deque(np.flatnonzero(~is_known & (rows["log_time_ns"] < limit_ns)).tolist())
-        log_times_ns = rows["log_time_ns"].tolist()
-        shelf = _by_key(rows, is_known)
-        following = self._lines["log_time_ns"] < limit_ns
-        order: list[int] = []  # rows; a command is −1 less the number of its line
-        for k, line in enumerate(self._lines[following].tolist()):
-            logged_ns, _, source, stamp_ns = line
-            while others and log_times_ns[others[0]] <= logged_ns:
-                order.append(others.popleft())
-            if source in self._commands:
-                order.append(-1 - k)
-            elif waiting := shelf.get((source, stamp_ns)):
-                order.append(waiting.popleft())
-            else:
-                self.counts.lost_inputs += 1
-        order += others
-        found = self._chosen(np.array(order, dtype=np.int64))
-        kept = np.ones(len(rows), np.bool_)
-        kept[[k for k in order if k >= 0]] = False
+        rows, following = self._rows, self._lines["log_time_ns"] < limit_ns
+        lines = self._lines[following]
+        named = _named(rows, lines)
+        is_command = np.isin(lines["source"], self._commands)
+        self.counts.lost_inputs += int(((named < 0) & ~is_command).sum())
+        is_other = ~np.isin(rows["source"], self._journaled) & (rows["log_time_ns"] < limit_ns)
+        others = np.flatnonzero(is_other)
+        before = np.searchsorted(lines["log_time_ns"], rows["log_time_ns"][others])  # the line they precede
+        there = np.flatnonzero((named >= 0) | is_command)
+        found = np.concatenate((rows[others], _processed(rows, lines[there], named[there])))
+        order = np.lexsort((np.repeat((0, 1), (others.size, there.size)), np.concatenate((before, there))))
+        left = ~is_other
+        left[named[named >= 0]] = False
         oldest_ns = limit_ns - HORIZON_NS if limit_ns > 0 else limit_ns
-        self._rows = rows[kept & (rows["log_time_ns"] >= oldest_ns)]
+        self._rows = rows[left & (rows["log_time_ns"] >= oldest_ns)]
         self._lines = self._lines[~following]
-        return found
-
-    def _chosen(self, order: NDArray[np.int64]) -> Rows:
-        """Rows, and commands made of their lines."""
-        found = np.zeros(len(order), ARRIVAL)
-        is_row = order >= 0
-        found[is_row] = self._rows[order[is_row]]
-        lines = self._lines[-1 - order[~is_row]]
-        commands = np.zeros(len(lines), ARRIVAL)
-        commands["kind"] = Kind.COMMAND
-        for name in ("source", "stamp_ns", "log_time_ns"):
-            commands[name] = lines[name]
-        found[~is_row] = commands
-        return found
+        return found[order]
 
 
-def _by_key(rows: Rows, chosen: NDArray[np.bool_]) -> dict[tuple[int, int], deque[int]]:
-    """(source, stamp) → rows that have it, in order."""
-    shelf: dict[tuple[int, int], deque[int]] = defaultdict(deque)
-    numbers = np.flatnonzero(chosen).tolist()
-    keys = zip(rows["source"][chosen].tolist(), rows["stamp_ns"][chosen].tolist(), strict=True)
-    for number, key in zip(numbers, keys, strict=True):
-        shelf[key].append(number)
-    return shelf
+def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
+    """The rows that the lines name, and commands made of the lines that name none."""
+    found = np.zeros(len(lines), ARRIVAL)
+    is_row = named >= 0
+    found[is_row] = rows[named[is_row]]
+    commands = np.zeros(int((~is_row).sum()), ARRIVAL)
+    commands["kind"] = Kind.COMMAND
+    for name in ("source", "stamp_ns", "log_time_ns"):
+        commands[name] = lines[name][~is_row]
+    found[~is_row] = commands
+    return found
+
+
+def _named(rows: Rows, lines: Rows) -> IntArray:
+    """(n,) the row that each line names, −1 where there is none: of several with one source and stamp the
+    first line names the first row, and so on.
+    """
+    sources, stamps_ns = (np.concatenate((rows[n], lines[n])) for n in ("source", "stamp_ns"))
+    order = np.lexsort((stamps_ns, sources))  # within a key: rows, then lines, both in order
+    sources, stamps_ns = sources[order], stamps_ns[order]
+    begins = np.ones(order.size, np.bool_)
+    begins[1:] = (np.diff(sources) != 0) | (np.diff(stamps_ns) != 0)
+    key, first = np.cumsum(begins) - 1, np.flatnonzero(begins)
+    is_line = order >= len(rows)
+    count = np.bincount(key[~is_line], minlength=first.size)  # rows of each key
+    at = np.flatnonzero(is_line)
+    number = at - first[key[at]] - count[key[at]]  # of the line within its key
+    matched = number < count[key[at]]
+    found = np.full(len(lines), -1)
+    found[order[at[matched]] - len(rows)] = order[first[key[at[matched]]] + number[matched]]
+    return found
