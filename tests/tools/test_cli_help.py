@@ -17,7 +17,7 @@ COMMANDS = tuple(commands())
 ROOT = Path(__file__).parents[2]
 
 
-def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def help_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     with pytest.raises(SystemExit) as ended:
         cli.main([*arguments, "--help"])
     assert ended.value.code == 0
@@ -25,7 +25,7 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 
 def test_all_commands_are_listed_with_what_they_do(capsys: pytest.CaptureFixture[str]) -> None:
-    text = told(capsys)
+    text = help_of(capsys)
     assert [name for name in COMMANDS if f" {name} " not in text] == []
     assert "95 % intervals" in text
     assert "example: trackslip info" in text
@@ -33,7 +33,7 @@ def test_all_commands_are_listed_with_what_they_do(capsys: pytest.CaptureFixture
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_each_ends_with_an_example_that_parses(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    example = told(capsys, command).rpartition("example: ")[2]
+    example = help_of(capsys, command).rpartition("example: ")[2]
     program, *arguments = shlex.split(example)
     assert (program, arguments[0]) == ("trackslip", command)
     assert callable(cli.parse(arguments).run)

@@ -144,7 +144,7 @@ def _copy(part: Part, bag: BagWriter, recovery: Recovery) -> None:
 
 
 def _write(found: _Found, bag: BagWriter, recovery: Recovery) -> None:
-    if not found.data.startswith(_CDR):  # ros2 bag compresses message by message if it is told to
+    if not found.data.startswith(_CDR):  # ros2 bag compresses message by message where asked to
         recovery.refused += 1
         return
     topic = found.topic
