@@ -18,7 +18,8 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.layout import Layout
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import bag_parameters
-from trackslip_bags.reader import Bag, BagMessage, open_bag
+from trackslip_bags.reader import Bag, open_bag
+from trackslip_bags.sources import BagMessage
 from trackslip_bags.writer import BagWriter
 from trackslip_common.message_fields import (
     RECORDS,

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_bags.chunks import Bytes, IntArray, read_stretches
+from trackslip_bags.chunks import read_stretches
 from trackslip_bags.layout import IrregularError, Layout
+from trackslip_bags.mcap_index import Bytes, IntArray
 from trackslip_bags.reader import Bag, absolute
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import RecordClass, dtype_of, places_of, read

@@ -14,8 +14,9 @@ from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from trackslip_bags.metadata import METADATA, Schema
-from trackslip_bags.reader import ACCEPTED, Bag, TopicInfo, bag_files, open_bag
+from trackslip_bags.reader import ACCEPTED, Bag, open_bag
 from trackslip_bags.recovery.salvage import DamagedFile, SalvagedTopic, is_mcap
+from trackslip_bags.sources import TopicInfo, bag_files
 from trackslip_bags.writer import BagWriter, own_schema
 from trackslip_common.errors import InputError
 

@@ -2,9 +2,11 @@
 """The live estimates of a bag against the replayed ones, while both come: every number of the same stamp.
 
 Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance, twist_covariance;
-rows of ``track_slip`` have left_slip, right_slip, slip_angle, covariance.
+rows of ``track_slip`` have left_slip, right_slip, slip_angle, covariance. Replayed headings are to go through
+``carried_headings`` first.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -125,7 +127,16 @@ def odometry_rows(estimates: Sequence[Estimate]) -> Rows:
     rows = np.zeros(len(estimates), _dtype(_ODOMETRY))
     for k, e in enumerate(estimates):
         rows[k] = (e.stamp_ns, *e.pose, *e.outputs.twist, e.pose_covariance, e.outputs.twist_covariance)
+    rows["heading"] = carried_headings(rows["heading"])
     return rows
+
+
+def carried_headings(headings: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) as a message carries them, by a quaternion: equal to live ones to the last bit."""
+    halves = (headings / 2.0).tolist()
+    quaternions = np.zeros(len(halves), [(name, np.float64) for name in ("qx", "qy", "qz", "qw")])
+    quaternions["qz"], quaternions["qw"] = list(map(math.sin, halves)), list(map(math.cos, halves))
+    return headings_of(quaternions)
 
 
 def slip_rows(estimates: Sequence[Estimate]) -> Rows:
