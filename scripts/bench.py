@@ -23,7 +23,6 @@ from trackslip_bags.reader import Bag, open_bag
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_sim.truth.bench import drive_seconds
-from trackslip_tools.replay.inputs import in_live_order
 from trackslip_tools.replay.run import replay
 
 RUNS = 3
@@ -81,7 +80,7 @@ def _graph(directory: Path) -> None:
 def _estimator_us(bag: Bag, p: SlipEstimatorParameters) -> float:
     """µs a measurement takes, late ones and what is done again for them included."""
     inputs = replay(bag, p, InputFilters(), None).inputs
-    measurements = list(in_live_order(inputs.arrivals, inputs.journal))
+    measurements = inputs.inputs
     estimator = SlipEstimator(p)
     seconds = _seconds(lambda: [estimator.advance(measurement) for measurement in measurements])
     return 1e6 * seconds / len(measurements)

@@ -88,7 +88,8 @@ def contents(path: Path) -> dict[str, Any]:
 def expected(path: Path) -> dict[str, Any]:
     """What a replay gives, as its JSON names it."""
     with open_bag(path) as bag:
-        found = summary(replay(bag, load_slip_parameters(), InputFilters(), None))
+        result = replay(bag, load_slip_parameters(), InputFilters(), None)
+        found = summary(result, result.elapsed_s)
     rmse = {name: round(value, 5) for name, value in found["rmse"].items() if value is not None}
     final = {name: round(value, 5) for name, value in found["final"].items()}
     return {"final": final, "rmse": rmse, "nees": round(found["nees"], 3), "rejected": found["rejected"]}

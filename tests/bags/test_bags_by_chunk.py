@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics read chunk by chunk are what they are message by message: of whole files, cut and spoilt ones."""
+"""Topics read chunk by chunk are what they are message by message: of whole files, cut and damaged ones."""
 
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from trackslip_bags import chunks
-from trackslip_bags.chunks import by_topic
+from trackslip_bags.chunks import read_stretches
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.types import schema_text
@@ -21,8 +22,8 @@ from trackslip_common.errors import InputError
 TEXT = "std_msgs/msg/String"
 TOPICS = ("/a", "/b", "/c")
 
-Found = dict[str, list[tuple[int, int, bytes]]]
-"""Topic → place among all, log time, CDR."""
+Found = list[tuple[str, int, bytes]]
+"""Topic, log time, CDR."""
 
 
 class Recorded(NamedTuple):
@@ -74,51 +75,65 @@ def written(recorded: Recorded) -> Iterator[Path]:
         yield path
 
 
-def at_once(bag: Bag, topics: set[str]) -> Found | str:
+def at_once(bag: Bag, topics: set[str], *span: int) -> Found | str:
+    """As the stretches give them, in log order."""
+    wanted = [topic for topic in bag.topics if topic in {f"/{t.removeprefix('/')}" for t in topics}]
+    found: Found = []
     try:
-        found = by_topic(bag, topics)
-    except InputError as error:
-        return str(error)
-    return {
-        topic: list(zip(m.order.tolist(), m.log_times_ns.tolist(), m.raws, strict=True))
-        for topic, m in found.items()
-    }
-
-
-def one_by_one(bag: Bag, topics: set[str]) -> Found | str:
-    found: Found = {}
-    try:
-        for place, m in enumerate(bag.messages(topics)):
-            found.setdefault(m.topic, []).append((place, m.log_time_ns, m.raw))
+        for stretch in read_stretches(bag, topics, *span):
+            content = stretch.buffer.tobytes()
+            ends = (stretch.starts + stretch.lengths).tolist()
+            assert (stretch.log_times_ns < stretch.until_ns).all()
+            columns = (stretch.topics, stretch.log_times_ns, stretch.starts)
+            for topic, time_ns, start, end in zip(*(c.tolist() for c in columns), ends, strict=True):
+                found.append((wanted[topic], time_ns, content[start:end]))
     except InputError as error:
         return str(error)
     return found
 
 
+def one_by_one(bag: Bag, topics: set[str], *span: int) -> Found | str:
+    try:
+        return [(m.topic, m.log_time_ns, m.raw) for m in bag.messages(topics, *span)]
+    except InputError as error:
+        return str(error)
+
+
+@contextmanager
+def stretches_of(ns: int) -> Iterator[None]:
+    """Stretches of so many ns: several to a file."""
+    with mock.patch.object(chunks, "STRETCH_NS", ns):
+        yield
+
+
 @settings(max_examples=150, deadline=None, derandomize=True)
-@given(recordings, wishes)
-def test_whole_files(recorded: Recorded, topics: set[str]) -> None:
-    with written(recorded) as path, open_bag(path) as bag:
-        found = at_once(bag, topics)
-        assert found == one_by_one(bag, topics)
-        assert list(found) == list(one_by_one(bag, topics))  # in the same order
+@given(recordings, wishes, st.integers(1, 30))
+def test_whole_files(recorded: Recorded, topics: set[str], stretch_ns: int) -> None:
+    with written(recorded) as path, open_bag(path) as bag, stretches_of(stretch_ns):
+        assert at_once(bag, topics) == one_by_one(bag, topics)
         if recorded.index_types is IndexType.ALL and recorded.messages:
             types = dict.fromkeys(TOPICS, TEXT)
-            raws = [raw for _, _, raw in sorted(recorded.messages, key=lambda m: m[1])]
-            by_chunk = chunks._by_chunk(bag, types)
-            assert by_chunk is not None
-            assert by_chunk.raws == raws
+            by_chunk = chunks._by_chunk(bag.files, types, bag.start_ns, bag.end_ns + 1)
+            assert sum(len(stretch.topics) for stretch in by_chunk) == len(recorded.messages)
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(recordings, st.integers(0, 20), st.integers(0, 20), st.integers(1, 30))
+def test_a_part_of_a_file(recorded: Recorded, start: int, stop: int, stretch_ns: int) -> None:
+    with written(recorded) as path, open_bag(path) as bag, stretches_of(stretch_ns):
+        span = (start, stop)
+        assert at_once(bag, set(TOPICS), *span) == one_by_one(bag, set(TOPICS), *span)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(recordings, wishes, st.floats(0.0, 1.0), st.integers(0, 255))
-def test_cut_and_spoilt_files(recorded: Recorded, topics: set[str], at: float, value: int) -> None:
+def test_cut_and_damaged_files(recorded: Recorded, topics: set[str], at: float, value: int) -> None:
     """Cut at a place, or with another value there; what is refused is refused in the same words."""
-    with written(recorded) as path:
+    with written(recorded) as path, stretches_of(5):
         data = path.read_bytes()
         place = round(at * (len(data) - 1))
-        for spoilt in (data[:place], data[:place] + bytes((value,)) + data[place + 1 :]):
-            path.write_bytes(spoilt)
+        for damaged in (data[:place], data[:place] + bytes((value,)) + data[place + 1 :]):
+            path.write_bytes(damaged)
             try:
                 bag = open_bag(path)
             except InputError:

@@ -13,8 +13,10 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys import get_types_from_msg
 
 from trackslip_bags import messages, types
+from trackslip_bags.definitions import installed_schema
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
+from trackslip_common.topics import TOPICS
 
 STANDARD = (
     "sensor_msgs/msg/JointState",
@@ -62,6 +64,15 @@ def test_a_schema_defines_the_type_and_all_inside_it(type_name: str) -> None:
     assert type_name in defined
     for name, definition in defined.items():
         assert definition[1] == types.typestore().fielddefs[name][1]
+
+
+@pytest.mark.parametrize("type_name", sorted({topic.type_name for topic in TOPICS.values()}))
+def test_the_installed_definition_is_that_of_rosbags(type_name: str) -> None:
+    """The recorder's schemas are those of bags written at the desk."""
+    installed = installed_schema(type_name)
+    if installed is None:
+        pytest.skip(f"{type_name} is not installed here")
+    assert installed == types.known_schema(type_name)
 
 
 def test_project_messages_are_known() -> None:

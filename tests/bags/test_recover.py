@@ -57,7 +57,7 @@ def cut(path: Path, kept: float) -> None:
     (path / "metadata.yaml").unlink()
 
 
-def spoil_chunk(path: Path, number: int) -> None:
+def damage_chunk(path: Path, number: int) -> None:
     file = path / "bag_0.mcap"
     with file.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -116,10 +116,10 @@ def test_topics_types_times_and_quality_of_service_come_along(damaged: Path, tmp
     assert channels["/imu"].metadata["topic_type_hash"].startswith("RIHS01_")
 
 
-def test_a_spoilt_chunk_costs_no_more_than_itself(
+def test_a_damaged_chunk_costs_no_more_than_itself(
     damaged: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    spoil_chunk(damaged, 3)
+    damage_chunk(damaged, 3)
     assert main(["recover", str(damaged), "--output", str(tmp_path / "out")]) == ExitCode.DONE
     shown = capsys.readouterr().out
     assert "bag_0.mcap: 1 damaged chunks\n" in shown
@@ -127,8 +127,8 @@ def test_a_spoilt_chunk_costs_no_more_than_itself(
     assert contents(tmp_path / "out") == [imu(i) for i in range(COUNT) if not 150 <= i < 200]
 
 
-def test_a_spoilt_first_chunk_which_names_the_topics_costs_no_more(damaged: Path, tmp_path: Path) -> None:
-    spoil_chunk(damaged, 0)
+def test_a_damaged_first_chunk_which_names_the_topics_costs_no_more(damaged: Path, tmp_path: Path) -> None:
+    damage_chunk(damaged, 0)
     recover(damaged, tmp_path / "out")
     assert contents(tmp_path / "out") == [imu(i) for i in range(50, COUNT)]
 

@@ -2,6 +2,7 @@
 """Imports between the packages run one way, and ``package.xml`` declares all others."""
 
 import ast
+import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -57,3 +58,43 @@ def test_package_declares_what_it_imports(package: str) -> None:
     declared = {element.text for tag in ("depend", "exec_depend") for element in description.iter(tag)}
     used = set.union(*imported(package).values()) - sys.stdlib_module_names - PIP_ONLY
     assert {ROSDEP_KEYS.get(name, name) for name in used} - declared == set()
+
+
+VEHICLE = ("trackslip_common", "trackslip_drivers", "trackslip_estimation", "trackslip_bags")
+DESK = {"rosbags", "bokeh", "matplotlib", "joblib", "distributed", "dask", "rich", "jinja2", "ruamel"}
+# The definitions of its topics are what a recorder needs beyond its imports.
+RECORDS = """
+from trackslip_bags.writer import own_schema
+from trackslip_common.topics import TOPICS
+for name, topic in TOPICS.items():
+    if name != "tf":  # its package is optional
+        own_schema(topic.type_name)
+"""
+
+
+def _executables() -> dict[str, str]:
+    """Module → package of each program that runs on the vehicle."""
+    found = {}
+    for package in VEHICLE:
+        for file in (SOURCES / package / package).glob("executables.py"):
+            calls = (
+                n for n in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(n, ast.Call)
+            )
+            starts = [c for c in calls if isinstance(c.func, ast.Name) and c.func.id == "start"]
+            found |= {c.args[0].value: package for c in starts if isinstance(c.args[0], ast.Constant)}
+    return found
+
+
+def test_there_are_programs_to_look_at() -> None:
+    assert len(_executables()) >= 6
+    assert "trackslip_bags.nodes.record" in _executables()
+
+
+@pytest.mark.parametrize("module", [*_executables(), "trackslip_common.nodes.base"])
+def test_what_runs_on_the_vehicle_loads_no_desk_library(module: str) -> None:
+    work = RECORDS if module.endswith(".record") else ""
+    code = f"import sys, {module}\n{work}\nprint(*sorted({{n.partition('.')[0] for n in sys.modules}}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "rclpy" in loaded
+    assert loaded & DESK == set()

@@ -11,7 +11,7 @@ from std_srvs.srv import SetBool
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
-from trackslip_estimation.slip.conversions import planar_pose
+from trackslip_estimation.slip.conversions import pose_fix
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
@@ -69,7 +69,7 @@ def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
     assert {topic: int(count) for topic, count in published.items()} == sent
     last = expected.stamp_ns * 1e-9
     observer.wait(lambda: odometry and seconds(odometry[-1].header.stamp) >= last, "the last estimate")
-    live = planar_pose(odometry[-1].pose.pose)
+    live = pose_fix(odometry[-1], "odometry").pose
     offset = live - expected.pose
     print(f"\nlive - offline: {offset}")
     assert np.abs(offset).max() < TOLERANCE

@@ -2,15 +2,22 @@
 """``trackslip --help`` lists every command; the help of each ends with an example that it would take."""
 
 import shlex
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+from trackslip_common.errors import ExitCode
 from trackslip_tools.cli import main as cli
+from trackslip_tools.cli.commands import commands
 
-COMMANDS = tuple(cli._COMMANDS)
+COMMANDS = tuple(commands())
+
+ROOT = Path(__file__).parents[2]
 
 
-def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def help_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     with pytest.raises(SystemExit) as ended:
         cli.main([*arguments, "--help"])
     assert ended.value.code == 0
@@ -18,7 +25,7 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 
 def test_all_commands_are_listed_with_what_they_do(capsys: pytest.CaptureFixture[str]) -> None:
-    text = told(capsys)
+    text = help_of(capsys)
     assert [name for name in COMMANDS if f" {name} " not in text] == []
     assert "95 % intervals" in text
     assert "example: trackslip info" in text
@@ -26,7 +33,47 @@ def test_all_commands_are_listed_with_what_they_do(capsys: pytest.CaptureFixture
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_each_ends_with_an_example_that_parses(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    example = told(capsys, command).rpartition("example: ")[2]
+    example = help_of(capsys, command).rpartition("example: ")[2]
     program, *arguments = shlex.split(example)
     assert (program, arguments[0]) == ("trackslip", command)
-    assert callable(cli._parser().parse_args(arguments).run)
+    assert callable(cli.parse(arguments).run)
+
+
+@pytest.mark.parametrize(
+    ("asked", "hint"),
+    [("repaly", ", did you mean 'replay'?"), ("xyzzy", ""), ("inf", ", did you mean 'info'?")],
+)
+def test_an_unknown_command_is_refused_in_one_line(
+    asked: str, hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([asked, "bag"]) == ExitCode.BAD_INPUT
+    assert capsys.readouterr().err == f"trackslip: no command '{asked}'{hint} (see trackslip --help)\n"
+
+
+HEAVY = {"numba", "scipy", "rich", "bokeh", "matplotlib", "joblib", "dask"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "barred"),
+    [
+        (["--help"], HEAVY | {"numpy", "yaml", "rosbags", "mcap"}),
+        (["replay", "--help"], {"bokeh", "matplotlib", "joblib", "dask", "rclpy"}),
+        (["info", "bags/slalom_sand"], HEAVY | {"rclpy"}),
+        (["recover", "--help"], HEAVY),
+        (["record", "--help"], HEAVY | {"rosbags", "numpy"}),
+    ],
+)
+def test_a_command_loads_what_it_needs(arguments: list[str], barred: set[str]) -> None:
+    """Each in a process of its own."""
+    code = f"""
+import sys
+from trackslip_tools.cli.main import main
+try:
+    main({arguments!r})
+except SystemExit:
+    pass
+print(*({barred!r} & set(sys.modules)))
+"""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.splitlines()[-1] == ""

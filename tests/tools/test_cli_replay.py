@@ -157,7 +157,7 @@ def test_info_lists_the_topics(bag: Path, capsys: pytest.CaptureFixture[str]) ->
 def test_json_holds_null_for_what_is_no_number(
     bag: Path, summary: Summary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(_: object) -> dict[str, Any]:
+    def broken(*_: object) -> dict[str, Any]:
         return {"final": {"x": float("nan")}, "K_interval": [0.1, float("inf")], "nees": None, "n": 3}
 
     monkeypatch.setattr("trackslip_tools.cli.replay_command.summary", broken)

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.arrival_rows import rows_of
+from numpy.typing import NDArray
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.measurements import Sprockets, YawRate
-from trackslip_tools.replay.dead_reckoning import Path, dead_reckon
+from trackslip_tools.replay.dead_reckoning import DrivenCollector, Path, dead_reckon
 
 MS = 1_000_000
 EPOCH_NS = 1_700_000_000_000_000_000  # where float seconds are 240 ns apart
@@ -35,11 +37,23 @@ def samples(
     return found
 
 
+def reckoned(
+    sprockets: list[Sprockets], start_ns: int, start: NDArray[np.float64], gyro: list[YawRate] | None = None
+) -> Path:
+    """From measurements that come in two batches, those of the gyro last."""
+    collector = DrivenCollector()
+    for batch in (sprockets[: len(sprockets) // 2], [*sprockets[len(sprockets) // 2 :], *(gyro or ())]):
+        collector.add(rows_of([(0, m) for m in batch], ("sprockets", "imu")))
+    driven = collector.sprockets()
+    assert driven is not None
+    return dead_reckon(vehicle(), driven, start_ns, start, collector.gyro())
+
+
 @pytest.mark.parametrize("positions", [True, False])
 @pytest.mark.parametrize("speed", [2.0, -2.0])
 def test_a_straight_line(positions: bool, speed: float) -> None:
     start = np.array((1.0, 2.0, math.pi / 3))
-    path = dead_reckon(vehicle(), samples(speed, speed, 5.0, positions), EPOCH_NS, start)
+    path = reckoned(samples(speed, speed, 5.0, positions), EPOCH_NS, start)
     expected = (1.0 + speed * math.cos(math.pi / 3), 2.0 + speed * math.sin(math.pi / 3), math.pi / 3)
     np.testing.assert_allclose(path.poses[-1], expected, atol=1e-9)
     np.testing.assert_array_equal(path.poses[0], start)
@@ -51,7 +65,7 @@ def test_a_straight_line(positions: bool, speed: float) -> None:
 def test_a_full_circle_ends_where_it_began(positions: bool, turn: float) -> None:
     """v = 0.3 m/s, φ̇ = ±0.25 rad/s: a circle of 1.2 m radius in 8π s, its far side 2.4 m to the side."""
     left, right = (1.0, 2.0) if turn > 0.0 else (2.0, 1.0)
-    path = dead_reckon(vehicle(), samples(left, right, 8.0 * math.pi, positions, 5), EPOCH_NS, ORIGIN)
+    path = reckoned(samples(left, right, 8.0 * math.pi, positions, 5), EPOCH_NS, ORIGIN)
     assert path.poses[-1, 2] == pytest.approx(turn * 2.0 * math.pi, abs=2e-3)  # continuous, not wrapped
     np.testing.assert_allclose(path.poses[-1, :2], 0.0, atol=2e-3)
     far = path.poses[np.argmax(np.abs(path.poses[:, 1]))]
@@ -59,7 +73,7 @@ def test_a_full_circle_ends_where_it_began(positions: bool, turn: float) -> None
 
 
 def test_a_turn_on_the_spot() -> None:
-    path = dead_reckon(vehicle(), samples(-1.0, 1.0, 2.0), EPOCH_NS, ORIGIN)
+    path = reckoned(samples(-1.0, 1.0, 2.0), EPOCH_NS, ORIGIN)
     np.testing.assert_allclose(path.poses[-1], (0.0, 0.0, 1.0), atol=1e-9)
 
 
@@ -67,44 +81,44 @@ def test_the_gyro_turns_the_heading_where_it_is_given() -> None:
     """Sprockets say straight on, the gyro says a quarter circle."""
     rate = math.pi / 2.0 / 5.0
     gyro = [YawRate("imu", EPOCH_NS + k * 100 * MS + 3 * MS, rate, 1e-4) for k in range(-5, 60)]
-    path = dead_reckon(vehicle(), samples(2.0, 2.0, 5.0), EPOCH_NS, ORIGIN, gyro)
+    path = reckoned(samples(2.0, 2.0, 5.0), EPOCH_NS, ORIGIN, gyro)
     radius = 2.0 * 0.2 / rate
     np.testing.assert_allclose(path.poses[-1], (radius, radius, math.pi / 2.0), atol=1e-4)
 
 
 def test_a_changing_rate_is_integrated_by_the_trapezoidal_rule() -> None:
     gyro = [YawRate("imu", EPOCH_NS + k * 100 * MS, 0.1 * k, 1e-4) for k in range(11)]  # φ = t²/2
-    path = dead_reckon(vehicle(), samples(0.0, 0.0, 1.0), EPOCH_NS, ORIGIN, gyro)
+    path = reckoned(samples(0.0, 0.0, 1.0), EPOCH_NS, ORIGIN, gyro)
     np.testing.assert_allclose(path.poses[[50, 100], 2], (0.125, 0.5), atol=1e-9)
 
 
 def test_the_gyro_is_held_where_it_is_silent() -> None:
     gyro = [YawRate("imu", EPOCH_NS + 500 * MS, 0.3, 1e-4)]
-    path = dead_reckon(vehicle(), samples(0.0, 0.0, 1.0), EPOCH_NS, ORIGIN, gyro)
+    path = reckoned(samples(0.0, 0.0, 1.0), EPOCH_NS, ORIGIN, gyro)
     assert path.poses[-1, 2] == pytest.approx(0.3)
 
 
 def test_a_start_between_samples_counts_from_there() -> None:
     start_ns = EPOCH_NS + 2_003 * MS
-    path = dead_reckon(vehicle(), samples(1.0, 1.0, 5.0), start_ns, np.array((10.0, 0.0, 0.0)))
+    path = reckoned(samples(1.0, 1.0, 5.0), start_ns, np.array((10.0, 0.0, 0.0)))
     assert path.stamps_ns[0] == start_ns
     np.testing.assert_allclose(path.poses[[0, -1], 0], (10.0, 10.0 + 0.2 * 2.997), atol=1e-9)
 
 
 def test_a_start_between_samples_keeps_its_heading() -> None:
-    path = dead_reckon(vehicle(), samples(1.0, 2.0, 5.0), EPOCH_NS + 2_003 * MS, np.array((0.0, 0.0, 0.5)))
+    path = reckoned(samples(1.0, 2.0, 5.0), EPOCH_NS + 2_003 * MS, np.array((0.0, 0.0, 0.5)))
     np.testing.assert_allclose(path.poses[[0, -1], 2], (0.5, 0.5 + 0.25 * 2.997), atol=1e-9)
 
 
 def test_a_measured_speed_is_that_of_the_time_before_it() -> None:
     fast, *others = samples(1.0, 1.0, 0.02, positions=False)
-    path = dead_reckon(vehicle(), [replace(fast, left_speed=9.0), *others], EPOCH_NS, ORIGIN)
+    path = reckoned([replace(fast, left_speed=9.0), *others], EPOCH_NS, ORIGIN)
     np.testing.assert_allclose(path.poses[-1], (0.2 * 0.02, 0.0, 0.0), atol=1e-12)
 
 
 def test_positions_count_not_the_speeds_beside_them() -> None:
     lying = [replace(s, left_speed=9.0, right_speed=-9.0) for s in samples(1.0, 1.0, 1.0)]
-    path = dead_reckon(vehicle(), lying, EPOCH_NS, ORIGIN)
+    path = reckoned(lying, EPOCH_NS, ORIGIN)
     np.testing.assert_allclose(path.poses[-1], (0.2, 0.0, 0.0), atol=1e-9)
 
 
@@ -115,3 +129,16 @@ def test_a_path_between_samples_is_linear_and_unknown_outside() -> None:
     found = path.at(asked)
     np.testing.assert_allclose(found[1:4], ((0.0, 0.0, 0.0), (0.25, 0.5, 0.75), (1.0, 2.0, 3.0)), atol=1e-9)
     assert np.isnan(found[[0, 4]]).all()
+
+
+def test_what_is_not_finite_is_left_out() -> None:
+    bad = replace(samples(1.0, 1.0, 0.0)[0], stamp_ns=EPOCH_NS + 5 * MS, left_speed=math.nan)
+    gyro = [YawRate("imu", EPOCH_NS + 500 * MS, 0.3, 1e-4), YawRate("imu", EPOCH_NS, math.inf, 1e-4)]
+    path = reckoned([*samples(0.0, 0.0, 1.0), bad], EPOCH_NS, ORIGIN, gyro)
+    assert len(path.stamps_ns) == 101
+    assert path.poses[-1, 2] == pytest.approx(0.3)
+
+
+def test_without_sprockets_or_gyro_there_is_nothing_to_drive_by() -> None:
+    assert DrivenCollector().sprockets() is None
+    assert DrivenCollector().gyro() is None

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trackslip_bags.columns import IrregularError
+from trackslip_bags import tables
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import RESET, Command, Input, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_tools.replay import inputs as reading
 from trackslip_tools.replay.inputs import Inputs, read_inputs
 from trackslip_tools.replay.quick import Steps, quick_steps
 
@@ -99,17 +98,14 @@ def test_columns_give_what_messages_give(emulated_bag: Path, monkeypatch: pytest
         with open_bag(emulated_bag) as bag:
             return read_inputs(bag, load_slip_parameters(), filters, SERIES)
 
-    def irregular(*_: Any) -> Any:
-        raise IrregularError
-
     for filters in (InputFilters(), InputFilters(start_s=10.0, stop_s=20.0)):
         by_column = read(filters)
         with monkeypatch.context() as patch:
-            patch.setattr(reading, "_from_columns", irregular)
+            patch.setattr(tables, "_LAYOUTS", 0)
             by_message = read(filters)
-        assert bits(by_column.arrivals) == bits(by_message.arrivals)
+        assert bits(by_column.inputs) == bits(by_message.inputs)
         assert by_column.messages == by_message.messages
-        assert bits([by_column.series[name] for name in SERIES]) == bits(
-            [by_message.series[name] for name in SERIES]
+        assert bits([by_column.series[name].rows for name in SERIES]) == bits(
+            [by_message.series[name].rows for name in SERIES]
         )
-        assert len(by_column.arrivals) > 1000
+        assert len(by_column.inputs) > 1000

@@ -1,31 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live order: by the journal where there is one, by log time for what it does not know."""
 
-from trackslip_bags.input_filters import Arrival
-from trackslip_estimation.slip.measurements import Measurement, YawRate
-from trackslip_tools.replay.inputs import Taken, in_live_order, journal_gaps
+import numpy as np
+import pytest
+from fixtures.arrival_rows import rows_of
+
+from trackslip_estimation.slip.measurements import YawRate
+from trackslip_tools.replay.arrivals import Kind, Rows
+from trackslip_tools.replay.live_order import HORIZON_NS, LINE, JournalCounts, LiveOrder
+
+SOURCES = ("a", "b", "gnss", "reset", "sprockets")
 
 
-def arrival(source: str, stamp: int, log: int, rate: float = 0.0) -> Arrival:
-    return Arrival(log, YawRate(source, stamp, rate, 1.0))
+def arrival(source: str, stamp: int, log: int, rate: float = 0.0) -> tuple[int, YawRate]:
+    return log, YawRate(source, stamp, rate, 1.0)
 
 
-def order(arrivals: list[Arrival], journal: list[Taken]) -> list[tuple[str, int]]:
-    arrivals = sorted(arrivals, key=lambda a: a.log_time_ns)  # as a bag gives them
-    return [(m.source, m.stamp_ns) for m in in_live_order(arrivals, journal)]
-
-
-def journal(*lines: tuple[int, str, int]) -> list[Taken]:
+def journal(*lines: tuple[int, str, int]) -> Rows:
     """(log time, source, stamp) of each line, numbered."""
-    return [Taken(log, k, source, stamp) for k, (log, source, stamp) in enumerate(lines)]
+    numbered = [(log, k, SOURCES.index(source), stamp) for k, (log, source, stamp) in enumerate(lines)]
+    return np.array(numbered, dtype=LINE)
+
+
+def ordered(
+    arrivals: list[tuple[int, YawRate]], lines: Rows, cuts: tuple[int, ...] = ()
+) -> tuple[Rows, JournalCounts]:
+    """Rows in live order, read in stretches that end at the ``cuts``."""
+    rows = rows_of(sorted(arrivals, key=lambda a: a[0]), SOURCES)  # as a bag gives them
+    order = LiveOrder({*lines["source"].tolist()}, [SOURCES.index("reset")], SOURCES.index("sprockets"))
+    found, begin = [], 0
+    for end in (*cuts, 10**15):
+        parts = [part[(part["log_time_ns"] >= begin) & (part["log_time_ns"] < end)] for part in (rows, lines)]
+        found.append(order.push(*parts, end))
+        begin = end
+    return np.concatenate((*found, order.finish())), order.counts
+
+
+def order(arrivals: list[tuple[int, YawRate]], lines: Rows) -> list[tuple[str, int]]:
+    rows, _ = ordered(arrivals, lines)
+    return [(SOURCES[row["source"]], int(row["stamp_ns"])) for row in rows]
 
 
 def test_without_a_journal_log_time_orders() -> None:
     arrivals = [arrival("a", 5, 30), arrival("b", 9, 10), arrival("a", 1, 20)]
-    assert order(arrivals, []) == [("b", 9), ("a", 1), ("a", 5)]
+    assert order(arrivals, journal()) == [("b", 9), ("a", 1), ("a", 5)]
 
 
-def test_the_journal_orders_whatever_the_log_says() -> None:
+def test_the_journal_orders_whatever_the_log_has() -> None:
     arrivals = [arrival("a", 1, 10), arrival("b", 1, 11), arrival("a", 2, 12), arrival("b", 2, 13)]
     lines = journal((20, "b", 1), (21, "b", 2), (22, "a", 2), (23, "a", 1))
     assert order(arrivals, lines) == [("b", 1), ("b", 2), ("a", 2), ("a", 1)]
@@ -47,31 +68,68 @@ def test_a_source_that_the_journal_does_not_know_is_merged_by_log_time() -> None
     ]
 
 
-def test_what_live_never_took_is_not_taken() -> None:
-    """The recorder heard stamp 2, the estimator did not: its journal is complete."""
+def test_what_live_never_processed_is_left_out() -> None:
+    """The recorder received stamp 2, the estimator did not: its journal is complete."""
     arrivals = [arrival("a", k, k) for k in (1, 2, 3)]
     assert order(arrivals, journal((5, "a", 1), (6, "a", 3))) == [("a", 1), ("a", 3)]
 
 
-def test_a_line_whose_message_the_bag_lacks_is_passed_over() -> None:
+def test_a_line_whose_message_the_bag_lacks_is_passed_over_and_counted() -> None:
     arrivals = [arrival("a", k, k) for k in (1, 3)]
-    assert order(arrivals, journal((5, "a", 1), (6, "a", 2), (7, "b", 2), (8, "a", 3))) == [
-        ("a", 1),
-        ("a", 3),
-    ]
+    lines = journal((5, "a", 1), (6, "a", 2), (7, "b", 2), (8, "a", 3))
+    assert order(arrivals, lines) == [("a", 1), ("a", 3)]
+    assert ordered(arrivals, lines)[1].lost_inputs == 2
 
 
-def test_repeats_are_taken_as_often_and_in_the_order_in_which_they_came() -> None:
+def test_repeats_are_processed_as_often_and_in_the_order_in_which_they_came() -> None:
     arrivals = [arrival("a", 1, 10, rate=0.1), arrival("a", 1, 11, rate=0.2), arrival("a", 2, 12)]
-    lines = journal((20, "a", 1), (21, "a", 2), (22, "a", 1), (23, "a", 1))
-    found: list[Measurement] = list(in_live_order(arrivals, lines))
-    assert [(m.stamp_ns, m.rate) for m in found if isinstance(m, YawRate)] == [(1, 0.1), (2, 0.0), (1, 0.2)]
+    rows, _ = ordered(arrivals, journal((20, "a", 1), (21, "a", 2), (22, "a", 1), (23, "a", 1)))
+    found = [(int(row["stamp_ns"]), float(row["z"][0])) for row in rows]
+    assert found == [(1, 0.1), (2, 0.0), (1, 0.2)]
+
+
+def test_commands_come_from_their_lines() -> None:
+    rows, counts = ordered([arrival("a", 1, 10)], journal((20, "reset", 7), (21, "a", 1)))
+    assert [Kind(row["kind"]) for row in rows] == [Kind.COMMAND, Kind.YAW_RATE]
+    assert (rows[0]["stamp_ns"], rows[0]["log_time_ns"]) == (7, 20)
+    assert counts.lost_inputs == 0
 
 
 def test_lost_lines_are_counted() -> None:
     lines = journal(*[(k, "a", k) for k in range(10)])
-    assert journal_gaps([]) == 0
-    assert journal_gaps(lines) == 0
-    assert journal_gaps(lines[:-2]) == 0  # the end of a recording is no loss
-    assert journal_gaps(lines[3:]) == 3
-    assert journal_gaps([lines[0], *lines[4:7], lines[9]]) == 5
+
+    def lost(kept: Rows) -> int:
+        return ordered([], kept)[1].lost_lines
+
+    assert lost(journal()) == 0
+    assert lost(lines) == 0
+    assert lost(lines[:-2]) == 0  # the end of a recording is no loss
+    assert lost(lines[3:]) == 3
+    assert lost(lines[[0, 4, 5, 6, 9]]) == 5
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_stretches_are_ordered_as_the_whole_is(seed: int) -> None:
+    """Lines up to a quarter of the horizon after their message or before it, in another order."""
+    rng = np.random.default_rng(seed)
+    step = HORIZON_NS // 10
+    arrivals = [arrival("ab"[k % 2], k, k * step) for k in range(200) if rng.random() < 0.95]
+    arrivals += [arrival("gnss", k, k * step + 7) for k in range(0, 200, 9)]
+    late = rng.integers(-HORIZON_NS // 4, HORIZON_NS // 4, 200)
+    logged = sorted((k * step + int(late[k]), k) for k in range(200))
+    lines = journal(*((max(t, 0), "ab"[k % 2], k) for t, k in logged))
+    whole, counts = ordered(arrivals, lines)
+    cuts = tuple(np.sort(rng.integers(0, 200 * step, 40)).tolist())
+    found, counts_of_cuts = ordered(arrivals, lines, cuts)
+    np.testing.assert_array_equal(found, whole)
+    assert counts_of_cuts == counts
+    assert counts.lost_inputs > 0
+
+
+def test_memory_is_bounded_where_nothing_is_ever_named() -> None:
+    known = LiveOrder({0}, [], 4)
+    for k in range(100):
+        now = k * HORIZON_NS
+        rows = rows_of([arrival("a", now + i, now + i) for i in range(10)], SOURCES)
+        assert not len(known.push(rows, journal(), now + HORIZON_NS))
+    assert len(known._rows) <= 30

@@ -12,13 +12,15 @@ import pytest
 
 from trackslip_bags.messages import header, make
 from trackslip_common.errors import ExitCode
+from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_tools.cli.main import main
 from trackslip_tools.report.ground_panels import ground_panels
 from trackslip_tools.report.motion_panels import error_panels, errors_of, motion_panels
+from trackslip_tools.report.numbers import numbers_of
 from trackslip_tools.report.outlines import boxes, ellipses
 from trackslip_tools.report.page import render
 from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
-from trackslip_tools.report.recording import FORCES, SOIL, TRUE_SOIL, Timing, numbers_of
+from trackslip_tools.report.recording import FORCES, SOIL, TRUE_SOIL, Timing
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.tables import differing, parameter_rows, topic_rows
 
@@ -137,7 +139,8 @@ def soil_messages(count: int) -> dict[str, list[Any]]:
 
 def test_forces_and_soil_of_a_bag_are_shown_with_their_intervals(run: Run) -> None:
     assert [panel.title for panel in ground_panels([run])] == []
-    numbers = {topic: numbers_of(found, 0) for topic, found in soil_messages(10).items()}
+    kinds = {FORCES: ForceFields, SOIL: SoilFields}
+    numbers = {topic: numbers_of(found, kinds[topic], 0) for topic, found in soil_messages(10).items()}
     numbers[TRUE_SOIL] = numbers[SOIL]
     recording = dataclasses.replace(run.recording, numbers=numbers)
     panels = ground_panels([dataclasses.replace(run, recording=recording)])

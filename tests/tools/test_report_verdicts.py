@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip report``: whether its innovations and verdicts tell an honest run from one that is not."""
+"""``trackslip report``: whether innovations and verdicts separate a consistent run from one that is not."""
 
 import dataclasses
 import re
@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trackslip_bags.input_filters import Arrival
 from trackslip_common.tally import Tally
 from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.measurements import Outcome, PoseFix, Report
+from trackslip_estimation.slip.measurements import Input, Outcome, PoseFix, Report
 from trackslip_estimation.slip.models.model import Outputs
 from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.inputs import Inputs
-from trackslip_tools.replay.run import LiveComparison, Replay
+from trackslip_tools.replay.run import Replay
 from trackslip_tools.report.innovations import innovation_panels, innovations_of, whitened_fixes
 from trackslip_tools.report.panel import GREEN, Form
 from trackslip_tools.report.recording import Timing
@@ -44,13 +44,13 @@ def changed(run: Run, recording: dict[str, Any] | None = None, **replayed: Any) 
 # Innovations
 
 
-def honest_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
+def consistent_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
     """Fixes about a machine at rest whose pose is known with an error as claimed, times ``factor``."""
     rng = np.random.default_rng(3)
     own, theirs = np.diag((0.02, 0.03, 0.01)), np.diag((0.05, 0.04, 0.02))
     outputs = Outputs(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
     steps: list[tuple[Report, Estimate | None]] = []
-    arrivals = []
+    arrivals: list[Input] = []
     for k in range(size):
         stamp_ns = k * 100 * MS
         pose = factor * own @ rng.normal(size=3) + np.array((1.0, 2.0, np.pi))
@@ -59,28 +59,28 @@ def honest_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
         steps.append((Report("sprockets", stamp_ns, Outcome.ACCEPTED), estimate))
         fix_pose = np.array((1.0, 2.0, -np.pi)) + factor * theirs @ rng.normal(size=3)
         fix = PoseFix("box_pose", stamp_ns, fix_pose, theirs @ theirs)
-        arrivals.append(Arrival(stamp_ns, fix))
+        arrivals.append(fix)
         nis = float(rng.chisquare(3)) * factor**2
         steps.append((Report("box_pose", stamp_ns, Outcome.ACCEPTED, nis, 21.1, 3), None))
         steps.append((Report("box_pose", stamp_ns + 1, Outcome.GATED, 500.0, 21.1, 3), None))
-    inputs = Inputs(run.recording.start_ns, arrivals)
+    inputs = Inputs(run.recording.start_ns, inputs=arrivals)
     return dataclasses.replace(run, replay=Replay(1.0, 1.0, inputs, steps, Tally()))
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.0])
-def test_whitened_fixes_of_an_honest_estimate_have_variance_one(run: Run, factor: float) -> None:
-    times, whitened = whitened_fixes(honest_run(run, factor))["box_pose"]
+def test_whitened_fixes_of_a_consistent_estimate_have_variance_one(run: Run, factor: float) -> None:
+    times, whitened = whitened_fixes(consistent_run(run, factor))["box_pose"]
     assert len(times) == 600
     np.testing.assert_allclose(whitened.std(axis=0), factor, rtol=0.1)
     np.testing.assert_allclose(whitened.mean(axis=0), 0.0, atol=0.15 * factor)
 
 
 def test_nis_counts_what_was_taken_and_shows_what_was_not(run: Run) -> None:
-    honest = honest_run(run)
-    found = innovations_of(honest)["box_pose"]
+    consistent = consistent_run(run)
+    found = innovations_of(consistent)["box_pose"]
     assert found.mean_ratio == pytest.approx(1.0, abs=0.1)
     assert found.refused.sum() == 600
-    (panel,) = (p for p in innovation_panels([honest]) if p.title.startswith("box_pose: squared"))
+    (panel,) = (p for p in innovation_panels([consistent]) if p.title.startswith("box_pose: squared"))
     by_label = {curve.label: curve for curve in panel.curves}
     refused = by_label["refused"]
     assert refused.form is Form.CROSSES
@@ -113,10 +113,10 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
     ("name", "change", "words"),
     [
         ("Bag", lambda r: changed(r, recording={"damage": "cut short"}), "cut short"),
-        ("Position", lambda r: dataclasses.replace(r, replay=honest_run(r, size=0).replay), "no fix"),
-        ("Honesty of the pose", lambda r: changed(r, nees=30.0), "3.16 times .* too sure"),
-        ("Honesty of the pose", lambda r: changed(r, nees=0.3), "0.32 times .* too modest"),
-        ("Honesty of the innovations", lambda r: honest_run(r, 2.0), "box_pose .* too sure"),
+        ("Position", lambda r: dataclasses.replace(r, replay=consistent_run(r, size=0).replay), "no fix"),
+        ("Consistency of the pose", lambda r: changed(r, nees=30.0), "3.16 times .* too sure"),
+        ("Consistency of the pose", lambda r: changed(r, nees=0.3), "0.32 times .* too modest"),
+        ("Consistency of the innovations", lambda r: consistent_run(r, 2.0), "box_pose .* too sure"),
         ("Slip", lambda r: changed(r, slip_rmse=0.06), "at most 0.05"),
         (
             "Replay = live",

@@ -12,13 +12,13 @@ from trackslip_estimation.slip.estimator import Estimate
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.scoring import (
     Score,
-    Series,
     mean_nees,
     moving_slips,
     path_of,
     score,
     slip_rmse,
 )
+from trackslip_tools.replay.series import Series, series_of
 
 FloatArray = NDArray[np.float64]
 
@@ -109,20 +109,24 @@ def test_nees_is_none_where_nothing_is_covered() -> None:
     assert mean_nees([estimate(0, (0, 0, 0))], path((0,), (0, 0, 0))) == 0.0
 
 
+def slips(stamps_ns: Any, left: Any, right: Any) -> Series:
+    return series_of(stamp_ns=stamps_ns, left_slip=left, right_slip=right)
+
+
 def test_slips_are_compared_between_samples_left_and_right_together() -> None:
-    own = Series(stamps(0, 100), np.array(((0.0, 0.0, 9.0), (0.2, 0.1, 9.0))))
-    true = Series(stamps(-50, 50, 100), np.array(((9.0, 9.0, 0.0), (0.1, 0.05, 0.0), (0.5, 0.5, 0.0))))
+    own = slips(stamps(0, 100), (0.0, 0.2), (0.0, 0.1))
+    true = slips(stamps(-50, 50, 100), (9.0, 0.1, 0.5), (9.0, 0.05, 0.5))
     assert slip_rmse(own, true) == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 4.0))
-    assert slip_rmse(own, Series(stamps(200), np.zeros((1, 3)))) is None
+    assert slip_rmse(own, slips(stamps(200), (0.0,), (0.0,))) is None
 
 
 def test_slips_are_scored_only_where_a_track_moves() -> None:
     """At 0.73 m of tread: standing, creeping at 0.04 m/s, driving, reversing, turning on the spot."""
     times = (0, 100, 200, 300, 400)
     twists = ((0.0, 0.0), (0.04, 0.0), (0.3, 0.0), (-0.3, 0.0), (0.0, -0.2))
-    rows = [(0.0, 0.0, 0.0, v, 0.0, rate) for v, rate in twists]
-    odometry = Series(stamps(*times), np.array(rows))
-    slips = Series(stamps(*times, 500), np.arange(18, dtype=np.float64).reshape(6, 3))
-    kept = moving_slips(odometry, slips, 0.73)
+    v_x, rates = zip(*twists, strict=True)
+    odometry = series_of(stamp_ns=stamps(*times), v_x=v_x, yaw_rate=rates)
+    true = slips(stamps(*times, 500), np.arange(6.0), np.arange(6.0))
+    kept = moving_slips(odometry, true, 0.73)
     np.testing.assert_array_equal(kept.stamps_ns, stamps(200, 300, 400))
-    np.testing.assert_array_equal(kept.values, slips.values[2:5])
+    np.testing.assert_array_equal(kept.rows, true.rows[2:5])

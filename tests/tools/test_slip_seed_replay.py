@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trackslip_bags.columns import IrregularError
+from trackslip_bags import tables
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
@@ -22,7 +22,6 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.conversions import message_of
 from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_tools.replay import inputs as reading
 from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.output import write_estimates
 from trackslip_tools.replay.run import Replay, replay
@@ -73,7 +72,7 @@ def test_replay_takes_seeds_as_the_estimator_does(seeded: Path, model: str) -> N
     assert result.rejected.total["slip_seed", "invalid"] == 1
     p = load_slip_parameters(SOURCE | {"model": model})
     with open_bag(seeded) as bag:
-        given = [arrival.measurement for arrival in read_inputs(bag, p, InputFilters(), ()).arrivals]
+        given = read_inputs(bag, p, InputFilters(), ()).inputs
     assert sum(isinstance(m, SlipFix) for m in given) == 2
     estimator = SlipEstimator(p)
     estimates = [estimate for _, estimate in map(estimator.advance, given) if estimate is not None]
@@ -116,14 +115,11 @@ def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pyt
     def seeds() -> list[bytes]:
         with open_bag(seeded) as bag:
             inputs = read_inputs(bag, load_slip_parameters(SOURCE), InputFilters(), ())
-        fixes = [a.measurement for a in inputs.arrivals if isinstance(a.measurement, SlipFix)]
+        fixes = [m for m in inputs.inputs if isinstance(m, SlipFix)]
         return [np.array((m.stamp_ns, *m.slips, *m.covariance.ravel())).tobytes() for m in fixes]
 
-    def none(*_: Any) -> None:
-        raise IrregularError("not here")
-
     by_column = seeds()
-    monkeypatch.setattr(reading, "read_columns", none)
+    monkeypatch.setattr(tables, "_LAYOUTS", 0)
     assert seeds() == by_column
     assert len(by_column) == 2
 

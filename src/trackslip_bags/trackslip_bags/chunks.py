@@ -1,146 +1,153 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All messages of some topics at once, which is several times as fast as one by one.
+"""Messages of some topics in log order, a stretch of some seconds at a time, as bytes in one buffer.
 
-A common MCAP file (whole chunks that an index names) is read chunk by chunk. Of any other, a damaged one
-among them, nothing is taken here: it goes message by message, and what is wrong with it is told there.
+Common MCAP files (whole chunks that an index names, and an index of the messages behind each) are read chunk
+by chunk: several are unpacked into one buffer, in which the index says where each message is, so that nothing
+is done message by message. Memory holds one stretch, and what overlaps the next. Everything else, a damaged
+file from the first bad chunk on among them, is read message by message.
 """
 
-from collections.abc import Collection, Mapping
-from io import BytesIO
-from struct import Struct
-from typing import IO, NamedTuple
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Chunk, ChunkIndex
-from mcap.stream_reader import get_chunk_data_stream
-from mcap.summary import Summary
-from mcap.well_known import MessageEncoding
-from numpy.typing import NDArray
 
+from trackslip_bags.mcap_index import (
+    Bytes,
+    Indexed,
+    IntArray,
+    Located,
+    Part,
+    chosen,
+    content_of,
+    indexed_in,
+    joined,
+    messages_in,
+    parts_of,
+)
 from trackslip_bags.reader import Bag, absolute
 
-IntArray = NDArray[np.int64]
-
-_HEAD = Struct("<BQ")  # of a record: what it is, bytes that follow
-_MESSAGE = Struct("<HIQQ")  # channel, sequence, log time, publish time; then the message
-_COMPRESSIONS = ("", "lz4", "zstd")
+STRETCH_NS = 10_000_000_000  # of log time that is read at once
+_STRETCH_BYTES = 32_000_000  # or so many, if that is less
+_STRETCH_MESSAGES = 5000  # or so many, where they are read one by one
 
 
-class TopicMessages(NamedTuple):
-    """All messages of one topic, in log order."""
+class Stretch(NamedTuple):
+    """All messages logged before ``until_ns`` that no earlier stretch had, in log order."""
 
-    order: IntArray  # (n,) their places among the messages of all topics that were asked for
+    until_ns: int
+    buffer: Bytes
+    topics: IntArray  # (n,) numbers of the topics, in the order asked for
     log_times_ns: IntArray  # (n,)
-    raws: list[bytes]  # n, CDR
+    starts: IntArray  # (n,) of the content, in the buffer
+    lengths: IntArray  # (n,) of the content, bytes
 
 
-class _Messages(NamedTuple):
-    """Messages of several topics, one row each."""
+def read_stretches(
+    bag: Bag, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
+) -> Iterator[Stretch]:
+    """The messages of the topics (names as in the bag), logged from ``start_ns`` on and before ``stop_ns``.
 
-    topics: list[int]  # their numbers
-    log_times_ns: list[int]
-    raws: list[bytes]
-
-
-def by_topic(bag: Bag, topics: Collection[str]) -> dict[str, TopicMessages]:
-    """All messages of each topic that has some, by its name in the bag; the first to begin comes first.
+    Those logged at the same time come in the order written.
 
     Raises:
         InputError: the bag turns out to be damaged inside.
     """
+    first = bag.start_ns if start_ns is None else start_ns
+    stop = bag.end_ns + 1 if stop_ns is None else stop_ns
     names = {absolute(topic) for topic in topics}
     types = {topic: info.type_name for topic, info in bag.topics.items() if absolute(topic) in names}
-    found = _by_chunk(bag, types) or _one_by_one(bag, types)
-    numbers, times_ns = (np.array(column, dtype=np.int64) for column in found[:2])
-    places = {topic: np.flatnonzero(numbers == number) for number, topic in enumerate(types)}
-    begun = sorted((topic for topic in types if places[topic].size), key=lambda topic: places[topic][0])
-    return {topic: _part(found, places[topic], times_ns) for topic in begun}
-
-
-def _part(found: _Messages, order: IntArray, times_ns: IntArray) -> TopicMessages:
-    return TopicMessages(order, times_ns[order], [found.raws[k] for k in order.tolist()])
-
-
-def _one_by_one(bag: Bag, types: Mapping[str, str]) -> _Messages:
-    numbers = {topic: number for number, topic in enumerate(types)}
-    found = _Messages([], [], [])
-    for message in bag.messages(types):
-        found.topics.append(numbers[message.topic])
-        found.log_times_ns.append(message.log_time_ns)
-        found.raws.append(message.raw)
-    return found
-
-
-def _by_chunk(bag: Bag, types: Mapping[str, str]) -> _Messages | None:
-    """The same from a common file; None of any other."""
-    if bag.file is None:
-        return None
-    found = _Messages([], [], [])
+    reached_ns = first
     try:
-        with bag.file.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-            if summary is None or not summary.chunk_indexes:
-                return None
-            numbers = _numbers(summary, types)
-            for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
-                if not numbers.keys().isdisjoint(index.message_index_offsets):
-                    _add(index, _content(stream, index), numbers, found)
-        times_ns = np.array(found.log_times_ns, dtype=np.int64)
+        for stretch in _by_chunk(bag.files, types, first, stop):
+            yield stretch
+            reached_ns = stretch.until_ns
     except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
-        return None
-    order = np.argsort(times_ns, kind="stable")  # ties stay as written
-    first, last = np.searchsorted(times_ns, (bag.start_ns, bag.end_ns + 1), sorter=order)
-    wanted = order[first:last].tolist()
-    return _Messages(*([column[k] for k in wanted] for column in found))
+        yield from _one_by_one(bag, types, reached_ns, stop)
 
 
-def _numbers(summary: Summary, types: Mapping[str, str]) -> dict[int, int]:
-    """Channel → number of its topic."""
-    places = {topic: number for number, topic in enumerate(types)}
-    channels = [channel for channel in summary.channels.values() if channel.topic in places]
-    for channel in channels:
-        known = summary.schemas[channel.schema_id].name == types[channel.topic]
-        if not known or channel.message_encoding != MessageEncoding.CDR:
-            raise ValueError(f"{channel.topic} of another type")
-    numbers = {channel.id: places[channel.topic] for channel in channels}
-    if len(set(numbers.values())) < len(places):
-        raise ValueError("topics without a channel")
-    return numbers
+def _one_by_one(bag: Bag, types: Mapping[str, str], start_ns: int, stop_ns: int) -> Iterator[Stretch]:
+    numbers = {topic: number for number, topic in enumerate(types)}
+    topics: list[int] = []
+    times: list[int] = []
+    raws: list[bytes] = []
+
+    def stretch(until_ns: int) -> Stretch:
+        lengths = np.array([len(raw) for raw in raws], dtype=np.int64)
+        starts = np.cumsum(lengths) - lengths
+        buffer = np.frombuffer(b"".join(raws), np.uint8)
+        columns = [np.array(column, dtype=np.int64) for column in (topics, times)]
+        return Stretch(until_ns, buffer, columns[0], columns[1], starts, lengths)
+
+    for message in bag.messages(types, start_ns, stop_ns):
+        if len(raws) >= _STRETCH_MESSAGES and message.log_time_ns > times[-1]:
+            yield stretch(message.log_time_ns)
+            topics, times, raws = [], [], []
+        topics.append(numbers[message.topic])
+        times.append(message.log_time_ns)
+        raws.append(message.raw)
+    yield stretch(stop_ns)
 
 
-def _content(stream: IO[bytes], index: ChunkIndex) -> bytes:
-    """The records of a chunk that passes its checks."""
-    stream.seek(index.chunk_start_offset + _HEAD.size)
-    chunk = Chunk.read(ReadDataStream(BytesIO(stream.read(index.chunk_length - _HEAD.size))))
-    records, size = get_chunk_data_stream(chunk, validate_crc=True)
-    stated = index.compression, index.compressed_size, index.uncompressed_size
-    if stated != (chunk.compression, len(chunk.data), size) or chunk.compression not in _COMPRESSIONS:
-        raise ValueError("a chunk of another form")
-    return records.read(size)
+def _by_chunk(
+    files: Collection[Path], types: Mapping[str, str], start_ns: int, stop_ns: int
+) -> Iterator[Stretch]:
+    """The same from common files.
+
+    Raises:
+        Exception: a file is of another form, or damaged; what was read until then is whole.
+    """
+    if not files:
+        raise ValueError("no common file")
+    with ExitStack() as stack:
+        parts: list[Part] = []
+        for path in files:
+            stream = stack.enter_context(path.open("rb"))
+            summary = make_reader(stream).get_summary()
+            parts += parts_of(stream, summary, types, len(parts))
+        inside = [
+            part
+            for part in parts
+            if part.chunk.message_end_time >= start_ns
+            and part.chunk.message_start_time < stop_ns
+            and not part.file.numbers.keys().isdisjoint(part.chunk.message_index_offsets)
+        ]
+        inside.sort(key=lambda part: part.chunk.message_start_time)
+        yield from _stretches(inside, start_ns, stop_ns)
 
 
-def _add(index: ChunkIndex, records: bytes, numbers: Mapping[int, int], found: _Messages) -> None:
-    """Add a chunk's messages of the channels in ``numbers``."""
-    topics, log_times_ns, raws = found
-    known = len(log_times_ns)
-    head, message, shortest = _HEAD.unpack_from, _MESSAGE.unpack_from, _MESSAGE.size
-    at, size = 0, len(records)
-    is_message = int(Opcode.MESSAGE)  # a member of an enum compares slowly
-    while at < size:
-        opcode, length = head(records, at)
-        begin = at + _HEAD.size
-        at = begin + length
-        if opcode == is_message:
-            channel, _, log_time_ns, _ = message(records, begin)
-            if length < shortest:
-                raise ValueError("a message without a head")
-            if channel in numbers:
-                topics.append(numbers[channel])
-                log_times_ns.append(log_time_ns)
-                raws.append(records[begin + shortest : at])
-    times_ns = log_times_ns[known:] or [index.message_start_time]
-    if at != size or min(times_ns) < index.message_start_time or max(times_ns) > index.message_end_time:
-        raise ValueError("records beyond their chunk")
+def _stretches(parts: list[Part], start_ns: int, stop_ns: int) -> Iterator[Stretch]:
+    """The chunks are in the order of their first message: what comes before the next one's can go."""
+    buffer, waiting = np.empty(0, np.uint8), joined([])
+    k = 0
+    while k < len(parts):
+        pieces, size = [buffer], buffer.size
+        indexed: list[Indexed] = []
+        limit_ns, most = parts[k].chunk.message_start_time + STRETCH_NS, size + _STRETCH_BYTES
+        while k < len(parts) and parts[k].chunk.message_start_time < limit_ns and size < most:
+            content = content_of(parts[k])
+            indexed += indexed_in(parts[k], size, size + content.size)
+            pieces.append(content)
+            size += content.size
+            k += 1
+        until_ns = min(parts[k].chunk.message_start_time, stop_ns) if k < len(parts) else stop_ns
+        whole = np.concatenate(pieces)
+        rows = joined([waiting, messages_in(whole, indexed)])
+        wanted = rows.log_times_ns >= start_ns
+        now = chosen(rows, wanted & (rows.log_times_ns < until_ns))
+        ready = chosen(now, np.lexsort((now.written[:, 1], now.written[:, 0], now.log_times_ns)))
+        if until_ns > start_ns:
+            yield Stretch(until_ns, whole, ready.topics, ready.log_times_ns, ready.starts, ready.lengths)
+        buffer, waiting = _carried(whole, chosen(rows, wanted & (rows.log_times_ns >= until_ns)))
+
+
+def _carried(buffer: Bytes, rows: Located) -> tuple[Bytes, Located]:
+    """A buffer with these messages alone."""
+    ends = np.cumsum(rows.lengths)
+    pairs = zip(rows.starts.tolist(), (rows.starts + rows.lengths).tolist(), strict=True)
+    pieces = [buffer[start:end] for start, end in pairs]
+    kept = np.concatenate(pieces) if pieces else np.empty(0, np.uint8)
+    return kept, rows._replace(starts=ends - rows.lengths)

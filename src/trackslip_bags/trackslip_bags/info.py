@@ -18,7 +18,7 @@ def describe(bag: Bag) -> str:
         f"messages  {bag.message_count}",
     ]
     if bag.damage:
-        lines.append(f"damage    {bag.damage} (trackslip recover makes it whole)")
+        lines.append(f"damage    {bag.damage} (trackslip recover rewrites what can be read)")
     rows = [
         (topic, info.type_name, str(info.count), _rate(info.count, bag.duration_s))
         for topic, info in sorted(bag.topics.items())

@@ -5,24 +5,12 @@ Times are seconds from the bag's first message.
 """
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.measurements import Input, PoseFix
 
 _RATES = (1e-6, 1e6)  # Hz; beyond them a period is no whole number of ns, or longer than any log
 _LARGEST_SIGMA = 1e6  # m
-
-
-class Arrival(NamedTuple):
-    """A measurement, or what a user asked, and the log time of its message."""
-
-    log_time_ns: int
-    measurement: Input
 
 
 @dataclass(frozen=True)
@@ -112,45 +100,6 @@ def parse_remap(text: str) -> tuple[str, str]:
 def relative(topic: str) -> str:
     """A topic's name as nodes give it."""
     return topic.removeprefix("/")
-
-
-def apply(filters: InputFilters, arrivals: Iterable[Arrival], origin_ns: int) -> list[Arrival]:
-    """The arrivals as the estimator shall see them; ``origin_ns`` is the bag's first log time."""
-    kept = [
-        arrival
-        for arrival in arrivals
-        if not filters.hides(arrival.measurement.source, (arrival.log_time_ns - origin_ns) * 1e-9)
-    ]
-    for thin in filters.thin:
-        kept = list(_thinned(thin, kept, np.random.default_rng(filters.seed)))
-    return kept
-
-
-def _thinned(thin: Thin, arrivals: Iterable[Arrival], rng: np.random.Generator) -> Iterator[Arrival]:
-    """The first message at or after each tick of the wanted rate."""
-    period_ns = round(1e9 / thin.rate_hz)
-    due_ns: int | None = None
-    for arrival in arrivals:
-        measurement = arrival.measurement
-        if measurement.source != thin.topic:
-            yield arrival
-            continue
-        if due_ns is not None and measurement.stamp_ns < due_ns:
-            continue
-        due_ns = measurement.stamp_ns if due_ns is None else due_ns
-        due_ns += period_ns * ((measurement.stamp_ns - due_ns) // period_ns + 1)
-        yield arrival._replace(measurement=_noisy(measurement, thin.sigma, rng))
-
-
-def _noisy(measurement: Input, sigma: float | None, rng: np.random.Generator) -> Input:
-    """Position noise of ``sigma`` added, and said so in the covariance."""
-    if sigma is None or not isinstance(measurement, PoseFix):
-        return measurement
-    pose, covariance = measurement.pose.copy(), measurement.covariance.copy()
-    pose[:2] += rng.normal(0.0, sigma, 2)
-    covariance[:2, :] = covariance[:, :2] = 0.0
-    covariance[0, 0] = covariance[1, 1] = sigma**2
-    return replace(measurement, pose=pose, covariance=covariance)
 
 
 def _numbers(text: str, parts: list[str], option: str, form: str, least: int, most: int) -> list[float]:

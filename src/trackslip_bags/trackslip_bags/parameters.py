@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from trackslip_bags.reader import Bag, BagMessage
+from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
 
@@ -20,23 +20,22 @@ _NODE = "slip_estimator"
 def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
     """Dotted name → value of the parameters that a bag begins with; empty where it holds none.
 
-    Later messages tell what was changed while the estimator ran.
+    Later messages state what was changed while the estimator ran.
 
     Raises:
         InputError: what is on the topic is no parameter file.
     """
     for message in bag.messages([f"{node}/parameters"]):
-        return read_parameters(bag, message, node)
+        return read_parameters(bag, bag.deserialize(message.raw, message.type_name), node)
     return {}
 
 
-def read_parameters(bag: Bag, message: BagMessage, node: str = _NODE) -> dict[str, Any]:
-    """Dotted name → value of one such message.
+def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]:
+    """Dotted name → value of one such message (std_msgs/String).
 
     Raises:
         InputError: it is no parameter file.
     """
-    content = bag.deserialize(message.raw, message.type_name)
     try:
         return flatten(yaml.safe_load(content.data)[node]["ros__parameters"])
     except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:

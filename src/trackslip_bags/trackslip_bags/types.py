@@ -5,31 +5,23 @@ The standard types are those of rosbags for the ROS distribution in use. Every o
 own among them, comes from its ``.msg`` file: installed (``AMENT_PREFIX_PATH``), or in the checkout.
 """
 
-import os
-import re
 from contextlib import suppress
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
+from mcap.well_known import SchemaEncoding
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodetype
 from rosbags.interfaces.typing import FieldDesc, Typesdict
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from trackslip_bags.definitions import DEFAULT_DISTRO, msg_file, ros_distro
+from trackslip_bags.metadata import Schema
 from trackslip_common.errors import InputError
 
-DEFAULT_DISTRO = "kilted"
-
-_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*")
 CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
 CDR_SLACK = 64  # bytes accepted behind a message
 _IDL_SEPARATOR = "=" * 80 + "\n"
-
-
-def ros_distro() -> str:
-    """The ROS distribution whose messages are in use: the sourced one, or ``DEFAULT_DISTRO``."""
-    return os.environ.get("ROS_DISTRO") or DEFAULT_DISTRO
 
 
 @lru_cache(maxsize=1)
@@ -71,6 +63,15 @@ def type_hash(type_name: str) -> str:
         InputError: the type is unknown.
     """
     return ensure(type_name).hash_rihs01(type_name)
+
+
+def known_schema(type_name: str) -> Schema:
+    """The definition by the store.
+
+    Raises:
+        InputError: the type is unknown.
+    """
+    return Schema(SchemaEncoding.ROS2, schema_text(type_name).encode(), type_hash(type_name))
 
 
 def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
@@ -133,7 +134,12 @@ def _fields(types: Typesdict, name: str) -> object:
 
 def _collect(type_name: str, store: Typestore, found: Typesdict) -> None:
     """Add to ``found`` the type and those inside it that ``store`` does not know."""
-    path = _msg_file(type_name)
+    path = msg_file(type_name)
+    if path is None:
+        raise InputError(
+            f"unknown message type '{type_name}'; accepted: package/msg/Name "
+            "with share/package/msg/Name.msg on AMENT_PREFIX_PATH"
+        )
     try:
         found |= get_types_from_msg(path.read_text(encoding="utf-8"), type_name)
     except (OSError, UnicodeDecodeError, TypesysError) as error:
@@ -161,24 +167,3 @@ def field_parts(description: FieldDesc) -> tuple[Nodetype, Any]:
     It exists for the type checker, to which rosbags' union of these tuples is opaque.
     """
     return Nodetype(description[0]), description[1]
-
-
-def _msg_file(type_name: str) -> Path:
-    """Where the type is defined.
-
-    Raises:
-        InputError: nowhere.
-    """
-    if _TYPE_NAME.fullmatch(type_name):
-        package, _, name = type_name.split("/")
-        prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-        installed = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
-        checkout = [parent / "src" / package for parent in Path(__file__).resolve().parents]
-        for directory in installed + checkout:
-            path = directory / "msg" / f"{name}.msg"
-            if path.is_file():
-                return path
-    raise InputError(
-        f"unknown message type '{type_name}'; accepted: package/msg/Name "
-        "with share/package/msg/Name.msg on AMENT_PREFIX_PATH"
-    )

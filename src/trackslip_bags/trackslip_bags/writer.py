@@ -13,11 +13,11 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType, Writer
 
+from trackslip_bags.definitions import installed_schema, ros_distro
 from trackslip_bags.metadata import METADATA, Extent, Schema, Topic, metadata_text
-from trackslip_bags.types import ros_distro, schema_text, type_hash
 from trackslip_common.errors import InputError
 
 CHUNK_SPAN_NS = 500_000_000
@@ -228,9 +228,14 @@ class _File:
 
 
 def own_schema(type_name: str) -> Schema:
-    """The definition known here.
+    """The definition installed here, or that of rosbags where no ROS is installed.
 
     Raises:
         InputError: there is none.
     """
-    return Schema(SchemaEncoding.ROS2, schema_text(type_name).encode(), type_hash(type_name))
+    found = installed_schema(type_name)
+    if found is None:
+        from trackslip_bags.types import known_schema  # rosbags, which a vehicle does not have
+
+        found = known_schema(type_name)
+    return found

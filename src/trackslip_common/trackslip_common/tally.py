@@ -3,24 +3,37 @@
 
 from collections import Counter
 from enum import Enum
+from threading import Lock
 
 
 class Tally:
-    """How often each (source, reason) has occurred, since the start and since the last look."""
+    """How often each (source, reason) has occurred, since the start and since the last look.
+
+    One thread may count while another reads.
+    """
 
     def __init__(self) -> None:
-        self.total: Counter[tuple[str, str]] = Counter()
+        self._total: Counter[tuple[str, str]] = Counter()
         self._seen: Counter[tuple[str, str]] = Counter()
+        self._lock = Lock()
 
     def add(self, source: str, reason: Enum, count: int = 1) -> None:
         """Count one or more occurrences; a reason reads as its text, or as its name where it is a number."""
         text = reason.value if isinstance(reason.value, str) else reason.name.lower()
-        self.total[source, text] += count
+        with self._lock:
+            self._total[source, text] += count
+
+    @property
+    def total(self) -> Counter[tuple[str, str]]:
+        """Since the start; a copy."""
+        with self._lock:
+            return self._total.copy()
 
     def since_last_look(self) -> dict[tuple[str, str], int]:
         """What has come since the previous call; for diagnostics that report news."""
-        news = dict(self.total - self._seen)
-        self._seen = self.total.copy()
+        total = self.total
+        news = dict(total - self._seen)
+        self._seen = total
         return news
 
     def by_source(self) -> dict[str, dict[str, int]]:
@@ -29,3 +42,10 @@ class Tally:
         for (source, reason), count in sorted(self.total.items()):
             nested.setdefault(source, {})[reason] = count
         return nested
+
+    def __getstate__(self) -> dict[str, Counter[tuple[str, str]]]:
+        """Without the lock: tallies travel to other processes."""
+        return {"_total": self.total, "_seen": self._seen}
+
+    def __setstate__(self, state: dict[str, Counter[tuple[str, str]]]) -> None:
+        self._total, self._seen, self._lock = state["_total"], state["_seen"], Lock()

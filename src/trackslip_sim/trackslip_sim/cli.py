@@ -14,7 +14,6 @@ from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import MODES, simulate
 from trackslip_tools.cli.json_file import write_json
 
-DESCRIPTION = "Drive a scenario on the truth model, and tell where it ends."
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
 
 _FINAL = (

@@ -42,7 +42,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
         playback: what is due when.
         topics: name → type of what may come.
         keys: what was typed since it was last asked.
-        show: told, now and then, how far it is.
+        show: called now and then with how far it is.
     """
 
     def __init__(

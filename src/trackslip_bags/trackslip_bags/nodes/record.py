@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         super().__init__("record", RecordParameters, "record.yaml")
         self._disk = ThreadPoolExecutor(1)
         self._saving: Future[None] | None = None
+        self._used: set[Path] = set()  # names of bags, numbers left out
 
     def configure(self) -> None:
         """Compile the expression, so that a bad one is refused at the start.
@@ -80,7 +82,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
     def activate(self) -> None:
         """Open the bag and subscribe."""
         self._bag = BagWriter(
-            self.settings.output or time.strftime("trackslip_%Y%m%d_%H%M%S"),
+            self._next_path(),
             split_size=self.settings.split_size or math.inf,
             split_duration=self.settings.split_duration or math.inf,
         )
@@ -91,14 +93,26 @@ class RecordNode(TrackslipNode[RecordParameters]):
     def deactivate(self) -> None:
         """Finish the bag; the next activation begins another."""
         self.drop_subscriptions()
-        for known in (self._subscribed, self._taps, self._reliable, self._not_recorded):
+        for known in (self._subscribed, self._taps, self._reliable, self._alone, self._not_recorded):
             known.clear()
         if self._bag is not None:
+            if self._saving is not None:
+                self._try_on_disk(self._saving.result)
             self._try_on_disk(self._bag.close)
             self.get_logger().info(f"{sum(self._bag.counts.values())} messages in {self._bag.path}")
             if self._losses.total:
                 self.get_logger().error(f"{self._losses.total.total()} messages were lost")
-        self._bag, self._disk_error, self._losses, self._order = None, "", Losses(), DeliveryOrder()
+        self._bag, self._saving, self._disk_error = None, None, ""
+        self._losses, self._order = Losses(), DeliveryOrder()
+
+    def _next_path(self) -> Path:
+        """Of the bag to begin: the one asked for; with _2, _3, … where this node has used that name."""
+        path = Path(self.settings.output or time.strftime("trackslip_%Y%m%d_%H%M%S"))
+        if path not in self._used:
+            self._used.add(path)
+            return path
+        numbered = (path.with_name(f"{path.name}_{number}") for number in count(2))
+        return next(candidate for candidate in numbered if not candidate.exists())
 
     def drain(self, spin_once: Callable[[], None]) -> None:
         """What was received is written, also what came just before the end."""
@@ -175,7 +189,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
             self._losses.add(topic, 1)
 
     def _save(self) -> None:
-        """Twice a second: all that was received goes to the disk; new topics are found; losses are told."""
+        """Twice a second: what was received goes to the disk; new topics are found; losses are reported."""
         if not self.active or self._bag is None:
             return
         self._discover()

@@ -11,11 +11,12 @@ from typing import NamedTuple
 import yaml
 from mcap.well_known import SchemaEncoding
 from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from trackslip_bags.metadata import METADATA, Schema
-from trackslip_bags.qos import present_qos
-from trackslip_bags.reader import ACCEPTED, Bag, TopicInfo, bag_files, open_bag
+from trackslip_bags.reader import ACCEPTED, Bag, open_bag
 from trackslip_bags.recovery.salvage import DamagedFile, SalvagedTopic, is_mcap
+from trackslip_bags.sources import TopicInfo, bag_files
 from trackslip_bags.writer import BagWriter, own_schema
 from trackslip_common.errors import InputError
 
@@ -136,7 +137,7 @@ def _copy(part: Part, bag: BagWriter, recovery: Recovery) -> None:
         topic = item.topic if isinstance(item, _Found) else item
         try:
             if topic.topic not in bag.topics:
-                bag.add_topic(topic.topic, topic.type_name, present_qos(topic.qos_yaml), topic.schema)
+                bag.add_topic(topic.topic, topic.type_name, _present_qos(topic.qos_yaml), topic.schema)
             if isinstance(item, _Found):
                 _write(item, bag, recovery)
         except InputError:  # the topic is there with another type
@@ -144,7 +145,7 @@ def _copy(part: Part, bag: BagWriter, recovery: Recovery) -> None:
 
 
 def _write(found: _Found, bag: BagWriter, recovery: Recovery) -> None:
-    if not found.data.startswith(_CDR):  # ros2 bag compresses message by message if it is told to
+    if not found.data.startswith(_CDR):  # ros2 bag compresses message by message where asked to
         recovery.refused += 1
         return
     topic = found.topic
@@ -160,3 +161,12 @@ def _stated_count(path: Path) -> int | None:
     except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
         return None
     return count if isinstance(count, int) else None
+
+
+def _present_qos(text: str) -> str:
+    """The profiles of a bag of any version, in the form of the present one; none where they are garbage."""
+    try:
+        profiles = dump_qos_v9(parse_qos(text))
+    except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
+        profiles = []
+    return yaml.safe_dump(profiles, sort_keys=False, default_flow_style=False)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Between messages and the estimator's records. Knows both sides; holds no logic.
 
-Reading works on any object with the fields of the message, rclpy's or a bag's. Writing goes through
-``make``, which builds a message from its type name and fields, so that live node and replay share it.
+What is read of each message stands in ``trackslip_common.message_fields``, for rclpy's messages and a bag's
+alike. Writing goes through ``make``, which builds a message from its type name and fields, so that live node
+and replay share it.
 """
 
 import math
@@ -11,61 +12,49 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.make import Make, header, set_stamp, stamp_ns_of
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+from trackslip_common.make import Make, header, set_stamp
+from trackslip_common.message_fields import (
+    PLANE_IN_6,
+    ImuFields,
+    PoseFields,
+    SlipFields,
+    SprocketFields,
+    heading_of,
+    read,
+)
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.measurements import PoseFix, Report, SlipFix, Sprockets, YawRate
 
 FloatArray = NDArray[np.float64]
 
-PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
-UNOBSERVED = 1e6  # variance of what a planar estimate says nothing of
+UNOBSERVED = 1e6  # variance of what a planar estimate does not contain
 _BLANK_36 = np.diag(np.full(6, UNOBSERVED)).ravel()
 _PLANE_IN_36 = np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel()
 
 
 def sprockets(message: Any, source: str) -> Sprockets:
     """From sensor_msgs/JointState. A joint or a speed that is missing reads nan, and is refused."""
-    names = list(message.name)
-
-    def value(of: Any, joint: str) -> float:
-        at = names.index(joint) if joint in names else len(of)
-        return float(of[at]) if at < len(of) else math.nan
-
-    left, right = (value(message.velocity, joint) for joint in (LEFT_SPROCKET, RIGHT_SPROCKET))
-    positions = None
-    if len(message.position) > 0:
-        positions = (value(message.position, LEFT_SPROCKET), value(message.position, RIGHT_SPROCKET))
-    return Sprockets(source, stamp_ns_of(message), left, right, positions)
+    m = read(SprocketFields, message)
+    positions = (m.left_position, m.right_position) if m.has_positions else None
+    return Sprockets(source, m.stamp_ns, m.left_speed, m.right_speed, positions)
 
 
 def yaw_rate(message: Any, source: str, default_variance: float) -> YawRate:
     """From sensor_msgs/Imu; a variance of zero means unknown (REP-145)."""
-    variance = float(message.angular_velocity_covariance[8])
-    if variance == 0.0:
-        variance = default_variance
-    return YawRate(source, stamp_ns_of(message), float(message.angular_velocity.z), variance)
+    m = read(ImuFields, message)
+    return YawRate(source, m.stamp_ns, m.rate_z, m.variance_z if m.variance_z != 0.0 else default_variance)
 
 
 def pose_fix(message: Any, source: str) -> PoseFix:
     """From geometry_msgs/PoseWithCovarianceStamped, the planar part."""
-    pose = planar_pose(message.pose.pose)
-    covariance = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[PLANE_IN_6]
-    return PoseFix(source, stamp_ns_of(message), pose, covariance)
+    m = read(PoseFields, message)
+    return PoseFix(source, m.stamp_ns, np.array((m.x, m.y, heading_of(m))), m.covariance)
 
 
 def slip_fix(message: Any, source: str) -> SlipFix:
     """From trackslip_msgs/TrackSlip, but for the slip angle."""
-    covariance = np.asarray(message.covariance, dtype=np.float64).reshape(3, 3)[:2, :2]
-    slips = np.array((message.left_slip, message.right_slip))
-    return SlipFix(source, stamp_ns_of(message), slips, covariance)
-
-
-def planar_pose(pose: Any) -> FloatArray:
-    """(3,) x, y, heading of a geometry_msgs/Pose."""
-    q = pose.orientation
-    heading = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    return np.array((pose.position.x, pose.position.y, heading))
+    m = read(SlipFields, message)
+    return SlipFix(source, m.stamp_ns, np.array((m.left_slip, m.right_slip)), m.slips_covariance)
 
 
 def odometry(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:

@@ -5,8 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_common.make import Make, header, stamp_ns_of
-from trackslip_estimation.slip.conversions import PLANE_IN_6, UNOBSERVED, planar_pose
+from trackslip_common.make import Make, header
+from trackslip_common.message_fields import (
+    HydraulicsFields,
+    OdometryFields,
+    SlipFields,
+    heading_of,
+    read,
+)
+from trackslip_estimation.slip.conversions import UNOBSERVED
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SlipSeed, TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
@@ -16,34 +23,22 @@ FORCES, SOIL, SEED = "track_forces", "soil", "slip_seed"  # topics of the output
 
 def hydraulics(message: Any) -> Hydraulics:
     """From trackslip_msgs/TrackHydraulics."""
-    return Hydraulics(
-        stamp_ns_of(message),
-        float(message.left_pressure),
-        float(message.right_pressure),
-        float(message.left_spool),
-        float(message.right_spool),
-    )
+    return Hydraulics(*read(HydraulicsFields, message))
 
 
 def odometry(message: Any) -> Odometry:
     """From nav_msgs/Odometry, the planar part."""
-    linear, angular = message.twist.twist.linear, message.twist.twist.angular
-    twist_covariance, covariance = (
-        np.asarray(of.covariance, dtype=np.float64).reshape(6, 6)[PLANE_IN_6]
-        for of in (message.twist, message.pose)
-    )
-    twist, place = (
-        np.array((linear.x, linear.y, angular.z)),
-        Place(planar_pose(message.pose.pose), covariance),
-    )
-    return Odometry(stamp_ns_of(message), twist, twist_covariance, place)
+    m = read(OdometryFields, message)
+    place = Place(np.array((m.x, m.y, heading_of(m))), m.covariance)
+    return Odometry(m.stamp_ns, np.array((m.v_x, m.v_y, m.yaw_rate)), m.twist_covariance, place)
 
 
 def slips(message: Any) -> Slips:
     """From trackslip_msgs/TrackSlip; a state of motion that is none of its constants is unknown."""
-    mean = np.array((message.left_slip, message.right_slip, message.slip_angle))
+    m = read(SlipFields, message)
     known = {int(state): state for state in Motion}
-    return Slips(stamp_ns_of(message), mean, known.get(int(message.motion_state), Motion.UNKNOWN))
+    motion = known.get(m.motion_state, Motion.UNKNOWN)
+    return Slips(m.stamp_ns, np.array((m.left_slip, m.right_slip, m.slip_angle)), motion)
 
 
 def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:

@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.errors import ExitCode
-from trackslip_estimation.slip.measurements import Sprockets
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.truth.record import Truth
-from trackslip_tools.replay.dead_reckoning import dead_reckon
+from trackslip_tools.replay.dead_reckoning import DrivenCollector, dead_reckon
 from trackslip_tools.replay.run import Replay, replay
 from trackslip_tools.replay.scoring import MOVING, in_order
 
@@ -144,7 +143,10 @@ class _Comparison:
 
     def _dead_reckoning_error(self, result: Replay, begin: float, end: float) -> float:
         """m, of driving by the sprockets alone from the true pose at ``begin`` to ``end``, s of the drive."""
-        sprockets = [a.measurement for a in result.inputs.arrivals if isinstance(a.measurement, Sprockets)]
+        driven = DrivenCollector()
+        driven.add(result.inputs.rows)
+        sprockets = driven.sprockets()
+        assert sprockets is not None
         stamps = [START_NS + round((self._lead_in + t) * 1e9) for t in (begin, end)]
         start, goal = (self._truth.at(t) for t in (begin, end))
         pose = np.array((start.x[0], start.y[0], start.yaw[0]))

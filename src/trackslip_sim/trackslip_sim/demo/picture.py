@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from trackslip_sim.demo.results import DemoResult
 from trackslip_sim.demo.soil_picture import draw_soil
-from trackslip_tools.replay.scoring import Series
+from trackslip_tools.replay.series import Series
 
 FloatArray = NDArray[np.float64]
 
 _TRUTH, _FILTER, _ENCODERS = "#222222", "#0072b2", "#d55e00"
-_COVARIANCE = slice(6, 42)  # of the pose, 6×6 row-major, in the numbers of an odometry message
 _ELLIPSE_EVERY = 2.0  # s
 _ELLIPSE_SCALE = 2.0  # σ
 
@@ -71,12 +70,13 @@ def _ellipses(odometry: Series) -> list[Ellipse]:
     t = (odometry.stamps_ns - odometry.stamps_ns[0]) * 1e-9
     ellipses = []
     for when in np.arange(0.0, t[-1], _ELLIPSE_EVERY):
-        row = odometry.values[int(np.searchsorted(t, when))]
-        covariance = row[_COVARIANCE].reshape(6, 6)[:2, :2]
+        row = odometry.rows[int(np.searchsorted(t, when))]
+        covariance = row["covariance"][:2, :2]
         variances, axes = np.linalg.eigh(covariance)
         width, height = 2.0 * _ELLIPSE_SCALE * np.sqrt(variances[::-1])
         angle = np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))
-        ellipses.append(Ellipse(row[:2], width, height, angle=angle, fc=_FILTER, alpha=0.25, ec=_FILTER))
+        look = {"angle": angle, "fc": _FILTER, "alpha": 0.25, "ec": _FILTER}
+        ellipses.append(Ellipse((row["x"], row["y"]), width, height, **look))
     return ellipses
 
 
@@ -84,8 +84,8 @@ def _draw_error(axes: Axes, result: DemoResult) -> None:
     """Distance from the truth, below the 2σ that the estimate claims."""
     odometry = result.odometry
     t = (odometry.stamps_ns - result.truth.stamps_ns[0]) * 1e-9
-    error = odometry.values[:, :2] - result.truth.at(odometry.stamps_ns)[:, :2]
-    covariances = odometry.values[:, _COVARIANCE].reshape(-1, 6, 6)[:, :2, :2]
+    error = odometry.columns("x", "y") - result.truth.at(odometry.stamps_ns)[:, :2]
+    covariances = odometry["covariance"][:, :2, :2]
     claimed = _ELLIPSE_SCALE * np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     axes.fill_between(t, 0.0, 1e3 * claimed, color=_FILTER, alpha=0.2, lw=0.0, label="2σ claimed")
     axes.plot(t, 1e3 * np.hypot(error[:, 0], error[:, 1]), color=_FILTER, lw=1.0, label="error")
@@ -97,16 +97,17 @@ def _draw_error(axes: Axes, result: DemoResult) -> None:
 def _draw_slip(axes: Axes, result: DemoResult, side: int, name: str) -> None:
     start_ns = result.truth.stamps_ns[0]
     t = (result.slips.stamps_ns - start_ns) * 1e-9
-    slip = result.slips.values[:, side]
-    sigma = np.sqrt(result.slips.values[:, 3 + 4 * side])
+    column = ("left_slip", "right_slip")[side]
+    slip = result.slips[column]
+    sigma = np.sqrt(result.slips["covariance"][:, side, side])
     true = result.true_slips
     axes.fill_between(
         t, slip - 2.0 * sigma, slip + 2.0 * sigma, color=_FILTER, alpha=0.2, lw=0.0, label="±2σ"
     )
-    axes.plot((true.stamps_ns - start_ns) * 1e-9, true.values[:, side], color=_TRUTH, lw=1.5, label="truth")
+    axes.plot((true.stamps_ns - start_ns) * 1e-9, true[column], color=_TRUTH, lw=1.5, label="truth")
     axes.plot(t, slip, color=_FILTER, lw=1.2, label="estimate")
     axes.axhline(0.0, color="0.6", lw=0.6)
-    low, high = np.percentile(np.concatenate((true.values[:, side], slip)), (0.5, 99.5))
+    low, high = np.percentile(np.concatenate((true[column], slip)), (0.5, 99.5))
     room = 0.25 * max(high - low, 0.05)
     axes.set(ylabel=f"{name} slip", ylim=(low - room, high + room))
     axes.grid(alpha=0.3)

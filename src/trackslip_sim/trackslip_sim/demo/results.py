@@ -17,10 +17,12 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.demo.soil_results import SoilResult, soil_result
+from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP
-from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, LiveComparison, replay
-from trackslip_tools.replay.scoring import Score, Series, moving_slips, score, slip_rmse
+from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, replay
+from trackslip_tools.replay.scoring import Score, moving_slips, score, slip_rmse
+from trackslip_tools.replay.series import Series
 from trackslip_tools.replay.soil import replay_soil
 
 FloatArray = NDArray[np.float64]
@@ -111,7 +113,7 @@ def evaluate(
         of_filter,
         of_encoders,
         slip_error,
-        float(np.sqrt(np.mean(moving.values[:, :2] ** 2))),
+        float(np.sqrt(np.mean(moving.columns("left_slip", "right_slip") ** 2))),
         topics,
         result.live,
         truth,
@@ -124,6 +126,6 @@ def evaluate(
 
 
 def _path(series: Series) -> Path:
-    poses = series.values[:, :3].copy()
+    poses = series.columns("x", "y", "heading")
     poses[:, 2] = np.unwrap(poses[:, 2])
     return Path(series.stamps_ns, poses)

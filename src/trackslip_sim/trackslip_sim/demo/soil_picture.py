@@ -9,15 +9,9 @@ from numpy.typing import NDArray
 from trackslip_sim.demo.soil_results import (
     LIMIT,
     MODULUS,
-    MU_L,
-    MU_L_VARIANCE,
-    MU_R,
-    MU_R_VARIANCE,
-    RESISTANCES,
-    THRUSTS,
     SoilResult,
 )
-from trackslip_tools.replay.scoring import Series
+from trackslip_tools.replay.series import Series
 
 FloatArray = NDArray[np.float64]
 
@@ -27,22 +21,16 @@ _TRUTH, _LEFT, _RIGHT = "#222222", "#0072b2", "#009e73"
 def draw_soil(axes: list[Axes], result: SoilResult, start_ns: int) -> None:
     """Five pictures, one below the other, over the time of the drive."""
     thrust, resistance, mu, modulus, limit = axes
-    for panel, columns, label in (
-        (thrust, THRUSTS, "thrust, kN"),
-        (resistance, RESISTANCES, "resistance, kN"),
-    ):
-        for k, (name, colour) in enumerate((("left", _LEFT), ("right", _RIGHT))):
-            column = columns.start + k
+    for panel, field in ((thrust, "thrust"), (resistance, "resistance")):
+        for name, colour in (("left", _LEFT), ("right", _RIGHT)):
+            column = f"{name}_{field}"
             panel.plot(*_line(result.true_forces, column, start_ns, 1e-3), color=_TRUTH, lw=1.5)
             panel.plot(*_line(result.forces, column, start_ns, 1e-3), color=colour, lw=1.0, label=name)
-        panel.set(ylabel=label)
+        panel.set(ylabel=f"{field}, kN")
     thrust.legend(loc="upper left", fontsize="small", ncols=2)
-    for name, column, variance, colour in (
-        ("μ_r", MU_R, MU_R_VARIANCE, _LEFT),
-        ("mobilised μ_l", MU_L, MU_L_VARIANCE, _RIGHT),
-    ):
+    for name, column, colour in (("μ_r", "mu_r", _LEFT), ("mobilised μ_l", "mu_l", _RIGHT)):
         t, values = _line(result.soil, column, start_ns)
-        spread = 2.0 * np.sqrt(result.soil.values[:, variance])
+        spread = 2.0 * np.sqrt(result.soil[f"{column}_variance"])
         mu.fill_between(t, values - spread, values + spread, color=colour, alpha=0.2, lw=0.0)
         mu.plot(*_line(result.true_soil, column, start_ns), color=_TRUTH, lw=1.5)
         mu.plot(t, values, color=colour, lw=1.2, label=name)
@@ -55,14 +43,13 @@ def draw_soil(axes: list[Axes], result: SoilResult, start_ns: int) -> None:
 
 
 def _draw_interval(
-    axes: Axes, result: SoilResult, columns: slice, start_ns: int, label: str, scale: float
+    axes: Axes, result: SoilResult, column: str, start_ns: int, label: str, scale: float
 ) -> None:
     """Median and 5 to 95 %, logarithmic."""
-    first = columns.start
-    t, values = _line(result.soil, first, start_ns, scale)
-    low, high = (scale * result.soil.values[:, first + k] for k in (1, 2))
+    t, values = _line(result.soil, column, start_ns, scale)
+    low, high = (scale * result.soil[f"{column}_{end}"] for end in ("lower", "upper"))
     axes.fill_between(t, low, high, color=_LEFT, alpha=0.2, lw=0.0)
-    axes.plot(*_line(result.true_soil, first, start_ns, scale), color=_TRUTH, lw=1.5)
+    axes.plot(*_line(result.true_soil, column, start_ns, scale), color=_TRUTH, lw=1.5)
     axes.plot(t, values, color=_LEFT, lw=1.2)
     axes.set(ylabel=label, yscale="log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -70,5 +57,5 @@ def _draw_interval(
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _line(series: Series, column: int, start_ns: int, scale: float = 1.0) -> tuple[FloatArray, FloatArray]:
-    return np.asarray((series.stamps_ns - start_ns) * 1e-9), scale * series.values[:, column]
+def _line(series: Series, column: str, start_ns: int, scale: float = 1.0) -> tuple[FloatArray, FloatArray]:
+    return np.asarray((series.stamps_ns - start_ns) * 1e-9), scale * series[column]

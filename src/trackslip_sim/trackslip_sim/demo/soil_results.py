@@ -8,16 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.soil.conversions import FORCES, SOIL
-from trackslip_tools.replay.scoring import Series
+from trackslip_tools.replay.series import Series
 from trackslip_tools.replay.soil import TRUE_FORCES, TRUE_SOIL, SoilComparison, SoilReplay
 
 FloatArray = NDArray[np.float64]
 
-# Numbers of a TrackForces and of a SoilEstimate, in the order of their fields
-THRUSTS, RESISTANCES, THRUST_VARIANCES, RESISTANCE_VARIANCES = (slice(k, k + 2) for k in range(0, 8, 2))
-MU_R, MU_R_VARIANCE, MU_L, MU_L_VARIANCE = range(4)
-MODULUS, LIMIT = slice(4, 7), slice(7, 10)  # value, 5 % point, 95 % point
-IDENTIFIABLE = 10
+MODULUS, LIMIT = "shear_modulus", "max_tractive_effort"  # their 5 and 95 % points: _lower, _upper
 
 
 class Finding(NamedTuple):
@@ -44,13 +40,13 @@ class SoilResult:
     @property
     def findings(self) -> list[Finding]:
         """μ_r, K and F_max at the end; the mobilised μ_l is in the picture."""
-        last, true = self.soil.values[-1], self.true_soil.values[-1]
-        spread = 1.645 * float(np.sqrt(last[MU_R_VARIANCE]))
-        mu_r = float(last[MU_R])
-        found = [Finding("μ_r", mu_r, (mu_r - spread, mu_r + spread), float(true[MU_R]))]
-        for name, columns in (("K, m", MODULUS), ("F_max, N", LIMIT)):
-            value, low, high = (float(v) for v in last[columns])
-            found.append(Finding(name, value, (low, high), float(true[columns][0])))
+        last, true = self.soil.rows[-1], self.true_soil.rows[-1]
+        spread = 1.645 * float(np.sqrt(last["mu_r_variance"]))
+        mu_r = float(last["mu_r"])
+        found = [Finding("μ_r", mu_r, (mu_r - spread, mu_r + spread), float(true["mu_r"]))]
+        for name, field in (("K, m", MODULUS), ("F_max, N", LIMIT)):
+            value, low, high = (float(last[f"{field}{end}"]) for end in ("", "_lower", "_upper"))
+            found.append(Finding(name, value, (low, high), float(true[field])))
         return found
 
     def numbers(self) -> dict[str, Any]:
@@ -63,7 +59,7 @@ class SoilResult:
             "K_interval": modulus.interval,
             "F_max": limit.found,
             "F_max_interval": limit.interval,
-            "identifiable": bool(self.soil.values[-1, IDENTIFIABLE]),
+            "identifiable": bool(self.soil["identifiable"][-1]),
             "class": self.likely[0],
             "replay_matches": self.live.matches,
         }
@@ -94,6 +90,7 @@ def soil_result(replayed: SoilReplay, from_ns: int) -> SoilResult | None:
 def _rmse(found: Series, true: Series) -> float:
     """Of both thrusts, at the stamps of what was found."""
     errors = [
-        found.values[:, k] - np.interp(found.stamps_ns, true.stamps_ns, true.values[:, k]) for k in (0, 1)
+        found[thrust] - np.interp(found.stamps_ns, true.stamps_ns, true[thrust])
+        for thrust in ("left_thrust", "right_thrust")
     ]
     return float(np.sqrt(np.mean(np.square(errors))))

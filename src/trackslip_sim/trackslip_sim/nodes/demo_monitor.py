@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import publisher_qos
 from trackslip_common.topics import SENSOR_TOPICS, TOPICS, Flow
-from trackslip_estimation.slip.conversions import planar_pose
+from trackslip_estimation.slip.conversions import pose_fix
 
 WATCHED = (*SENSOR_TOPICS, "box_pose", "odometry", "track_slip")
 _ENDS = {  # topic → nodes that must have found each other on it
@@ -119,7 +119,7 @@ class DemoMonitor(Node):
         return count
 
     def _on_odometry(self, message: Any) -> None:
-        x, y, heading = planar_pose(message.pose.pose)
+        x, y, heading = pose_fix(message, "odometry").pose
         self.pose = (float(x), float(y), float(heading))
 
     def _on_slip(self, message: Any) -> None:

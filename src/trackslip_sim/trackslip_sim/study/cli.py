@@ -16,10 +16,6 @@ from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import shown
 
-DESCRIPTION = (
-    "Estimate many simulated drives, and hold the errors against the least possible, or against the errors "
-    "that the estimator expects (config/study.yaml)."
-)
 EXAMPLE = (
     "trackslip study --soil sand dry_clay --filter ekf --sigma-xy 0.01 0.05 --seeds 100 --json study.json"
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that drives tell of the machine and its sensors, and what of it the nodes are to be told."""
+"""Everything that drives show of the machine and its sensors, and the node parameters that follow."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -116,15 +116,15 @@ def _turning(gain: Finding, scale: Finding, radius: float, tread: float) -> dict
 def _parameters(
     findings: Mapping[str, Finding], spread: float, p: SlipEstimatorParameters, sources: tuple[str, str]
 ) -> dict[str, dict[str, Any]]:
-    """Node → dotted name → value, of all that was found and that a node can be told."""
-    told: dict[str, dict[str, Any]] = {}
+    """Node → dotted name → value, of all that was found and that is a parameter of a node."""
+    parameters: dict[str, dict[str, Any]] = {}
 
-    def tell(node: str, name: str, value: Any) -> None:
-        told.setdefault(node, {})[name] = value
+    def add(node: str, name: str, value: Any) -> None:
+        parameters.setdefault(node, {})[name] = value
 
     if findings["rolling_radius"].value is not None:
         for node in _VEHICLE_NODES:
-            tell(node, "vehicle.rolling_radius", findings["rolling_radius"].value)
+            add(node, "vehicle.rolling_radius", findings["rolling_radius"].value)
     gyros = named(p.yaw_rate_sources)
     for name, key in (("yaw_rate_signs", "gyro_sign"), ("yaw_rate_scales", "gyro_scale")):
         value = findings[key].value
@@ -135,15 +135,15 @@ def _parameters(
                 else list(getattr(p, name)) * len(gyros)
             )
             own[gyros.index(sources[0])] = round(value) if key == "gyro_sign" else abs(value)
-            tell(NODE, name, own)
+            add(NODE, name, own)
     efficiency = findings["turning_efficiency"]
     if efficiency.value is not None and efficiency.interval is not None and 0.0 < efficiency.value <= 1.0:
-        tell(NODE, "turning.initial_efficiency", efficiency.value)
+        add(NODE, "turning.initial_efficiency", efficiency.value)
         uncertain = max(spread, efficiency.interval[1] - efficiency.value, _LEAST_SPREAD)
-        tell(NODE, "turning.initial_efficiency_stddev", uncertain)
+        add(NODE, "turning.initial_efficiency_stddev", uncertain)
     for node, offset in _time_offsets(findings, sources).items():
-        tell(node, "time_offset", offset)
-    return told
+        add(node, "time_offset", offset)
+    return parameters
 
 
 def _time_offsets(findings: Mapping[str, Finding], sources: tuple[str, str]) -> dict[str, float]:

@@ -29,7 +29,7 @@ from trackslip_tools.calibration.spans import blocks, spans, unbroken
 
 FloatArray = NDArray[np.float64]
 
-LEAST_TURN = 1.0  # rad in all, below which nothing is said of turns
+LEAST_TURN = 1.0  # rad in all, below which turns determine nothing
 _LARGEST_DELAY = 1.0  # s
 _WIDEST_DELAY = 0.1  # s, half of an interval that is worth nothing
 _DOUBTFUL = 0.3  # rad, claimed of a heading that is none

@@ -1,26 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag as arrays: what calibration needs of it, by stamp, in seconds from the bag's first message."""
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.reader import Bag, require_topics
+from trackslip_bags.tables import read_tables
 from trackslip_common.errors import InputError
-from trackslip_common.make import stamp_ns_of
-from trackslip_estimation.slip import conversions
+from trackslip_common.message_fields import (
+    RECORDS,
+    HydraulicsFields,
+    ImuFields,
+    OdometryFields,
+    PoseFields,
+    RecordClass,
+    SprocketFields,
+    dtype_of,
+    poses_of,
+)
 from trackslip_estimation.slip.motion import Motion, MotionParameters, MotionState, Speeds, classify
 from trackslip_tools.replay.inputs import SPROCKETS
 
 FloatArray = NDArray[np.float64]
+Rows = NDArray[np.void]
 
 HYDRAULICS = "hydraulics"
-_DIAGONAL = (0, 7, 35)  # x, y and yaw in a 6×6 covariance, row by row
 
 
 class Series(NamedTuple):
@@ -60,15 +68,15 @@ def read_recording(bag: Bag, gyro: str, poses: str, limits: MotionParameters) ->
         InputError: the bag lacks the sprockets, or a topic is of a type that does not serve.
     """
     require_topics(bag, [SPROCKETS])
-    driven = _integrated(_series(bag, SPROCKETS, _sprockets, 4))
-    fixes = _series(bag, poses, _pose, 6)
+    driven = _integrated(_series(bag, SPROCKETS, SprocketFields, _sprockets))
+    fixes = _series(bag, poses, PoseFields, _poses)
     fixes.values[:, 2] = np.unwrap(fixes.values[:, 2])
     return Recording(
         bag.path.name,
         driven,
-        _series(bag, gyro, _rates, 3),
+        _series(bag, gyro, ImuFields, _rates),
         fixes,
-        _series(bag, HYDRAULICS, _hydraulics, 4),
+        _series(bag, HYDRAULICS, HydraulicsFields, _hydraulics),
         motions(driven, limits),
     )
 
@@ -83,42 +91,43 @@ def motions(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
     return np.array(found[: len(t)], dtype=np.int64)
 
 
-def _series(bag: Bag, topic: str, read: Callable[[Any], tuple[float, ...]], columns: int) -> Series:
+def _series(bag: Bag, topic: str, kind: RecordClass, values_of: Callable[[Rows], FloatArray]) -> Series:
     """One topic by stamp, the first of each stamp; readings that are no numbers are left out."""
-    rows: dict[int, tuple[float, ...]] = {}
-    for message in bag.messages([topic] if topic else []):
-        content = bag.deserialize(message.raw, message.type_name)
-        try:
-            values = read(content)
-        except AttributeError as error:
-            kind = f"bag '{bag.path}': {topic} is a {message.type_name}"
-            raise InputError(f"{kind}; accepted: {_ACCEPTED[read]}") from error
-        if all(map(math.isfinite, values[:2])):
-            rows.setdefault(stamp_ns_of(content), values)
-    stamps = sorted(rows)
-    t = np.array([(stamp - bag.start_ns) * 1e-9 for stamp in stamps])
-    return Series(t, np.array([rows[stamp] for stamp in stamps]).reshape(-1, columns))
+    parts = [np.empty(0, dtype_of(kind))]
+    for stretch in read_tables(bag, [topic] if topic else []):
+        for table in stretch.values():
+            if RECORDS.get(table.type_name) not in _ACCEPTED[kind]:
+                accepted = " or ".join(name for name, known in RECORDS.items() if known in _ACCEPTED[kind])
+                raise InputError(f"bag '{bag.path}': {topic} is a {table.type_name}; accepted: {accepted}")
+            parts.append(table.rows(kind))
+    rows = np.concatenate(parts)
+    values = values_of(rows)
+    sound = np.isfinite(values[:, :2]).all(axis=1)
+    stamps_ns, first = np.unique(rows["stamp_ns"][sound], return_index=True)
+    return Series((stamps_ns - bag.start_ns) * 1e-9, values[sound][first])
 
 
-def _sprockets(message: Any) -> tuple[float, ...]:
-    """Left and right speed, left and right position."""
-    found = conversions.sprockets(message, SPROCKETS)
-    return (found.left_speed, found.right_speed, *(found.positions or (math.nan, math.nan)))
+def _sprockets(rows: Rows) -> FloatArray:
+    """(n, 4) left and right speed, left and right position."""
+    positions = np.column_stack((rows["left_position"], rows["right_position"]))
+    positions[~rows["has_positions"]] = np.nan
+    return np.column_stack((rows["left_speed"], rows["right_speed"], positions))
 
 
-def _rates(message: Any) -> tuple[float, ...]:
-    rates = message.angular_velocity
-    return rates.x, rates.y, rates.z
+def _rates(rows: Rows) -> FloatArray:
+    """(n, 3) about x, y, z."""
+    return np.column_stack((rows["rate_x"], rows["rate_y"], rows["rate_z"]))
 
 
-def _pose(message: Any) -> tuple[float, ...]:
-    """Of PoseWithCovarianceStamped or Odometry."""
-    variances = (float(message.pose.covariance[k]) for k in _DIAGONAL)
-    return (*conversions.planar_pose(message.pose.pose).tolist(), *variances)
+def _poses(rows: Rows) -> FloatArray:
+    """(n, 6) x, y, heading and their variances."""
+    return np.column_stack((poses_of(rows), np.diagonal(rows["covariance"], axis1=1, axis2=2)))
 
 
-def _hydraulics(message: Any) -> tuple[float, ...]:
-    return message.left_pressure, message.right_pressure, message.left_spool, message.right_spool
+def _hydraulics(rows: Rows) -> FloatArray:
+    """(n, 4) left and right pressure, left and right spool."""
+    names = ("left_pressure", "right_pressure", "left_spool", "right_spool")
+    return np.column_stack([rows[name] for name in names])
 
 
 def _integrated(readings: Series) -> Series:
@@ -130,11 +139,9 @@ def _integrated(readings: Series) -> Series:
     return Series(t, np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0))))
 
 
-_ACCEPTED: Mapping[Callable[[Any], tuple[float, ...]], str] = MappingProxyType(
-    {
-        _sprockets: "sensor_msgs/msg/JointState",
-        _rates: "sensor_msgs/msg/Imu",
-        _pose: "geometry_msgs/msg/PoseWithCovarianceStamped or nav_msgs/msg/Odometry",
-        _hydraulics: "trackslip_msgs/msg/TrackHydraulics",
-    }
-)
+_ACCEPTED: dict[RecordClass, tuple[RecordClass, ...]] = {
+    SprocketFields: (SprocketFields,),
+    ImuFields: (ImuFields,),
+    PoseFields: (PoseFields, OdometryFields),  # which have the same pose
+    HydraulicsFields: (HydraulicsFields,),
+}

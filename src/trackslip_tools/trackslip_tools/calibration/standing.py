@@ -28,7 +28,7 @@ def pressure_offsets(recordings: Sequence[Recording]) -> dict[str, Finding]:
     """What the transducers show while the machine stands with closed spools.
 
     A stop may trap oil in the lines: seconds that differ from most are left out. What all of the standing has
-    in common, as on a slope, cannot be told from an offset.
+    in common, as on a slope, cannot be distinguished from an offset.
     """
     closed = [(recording, _closed(recording.hydraulics)) for recording in recordings]
     return {

@@ -7,7 +7,7 @@ z, Δ     rate that the gyro shows, difference of the sprocket angles, right les
     z(t) = a Δ̇(t − δ) + b
 
 The best fit lies at the top of the cross-correlation of z and Δ̇, between samples too. Where the ground is
-weak the yaw rate does not follow the tracks, and nothing can be said.
+weak the yaw rate does not follow the tracks, and the delay cannot be found.
 """
 
 from collections.abc import Sequence

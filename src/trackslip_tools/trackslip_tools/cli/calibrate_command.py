@@ -16,9 +16,6 @@ from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import shown
 
-DESCRIPTION = (
-    "Find rolling radius, gyro scale and mounting, delays and offsets from bags, with 95 % intervals."
-)
 EXAMPLE = "trackslip calibrate bags/slalom_sand out/demo/bag --output calibration.yaml"
 
 _REFERENCE = "reference_pose"  # of an imported log

@@ -11,7 +11,6 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode
 
-DESCRIPTION = "Turn a CSV log into a bag, by a mapping of its columns."
 EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --output out/field_log"
 
 

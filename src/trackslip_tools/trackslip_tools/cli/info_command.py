@@ -8,7 +8,6 @@ from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
 
-DESCRIPTION = "List a bag's topics, types, counts, rates and duration."
 EXAMPLE = "trackslip info out/demo/bag"
 
 

@@ -1,28 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip``: the workbench around bags."""
+"""``trackslip``: the workbench around bags. Only the module of the command that is asked for is loaded."""
 
 import argparse
 import importlib
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from trackslip_common.errors import ExitCode, InputError
-
-# name → module with DESCRIPTION, EXAMPLE, add_arguments and run; those of the simulator where it is installed
-_COMMANDS = {
-    "calibrate": "trackslip_tools.cli.calibrate_command",
-    "import": "trackslip_tools.cli.import_command",
-    "info": "trackslip_tools.cli.info_command",
-    "record": "trackslip_tools.cli.record_command",
-    "recover": "trackslip_tools.cli.recover_command",
-    "replay": "trackslip_tools.cli.replay_command",
-    "report": "trackslip_tools.cli.report_command",
-    "simulate": "trackslip_sim.cli",
-    "smooth": "trackslip_tools.cli.smooth_command",
-    "study": "trackslip_sim.study.cli",
-    "tune": "trackslip_tools.cli.tune_command",
-}
+from trackslip_tools.cli.commands import Command, commands
 
 
 class _Parser(argparse.ArgumentParser):
@@ -36,7 +22,7 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     try:
-        args = _parser().parse_args(argv)
+        args = parse(sys.argv[1:] if argv is None else argv)
         code: int = args.run(args)
         return code
     except InputError as error:
@@ -49,29 +35,43 @@ def main(argv: Sequence[str] | None = None) -> int:
         return ExitCode.DONE
 
 
-def _parser() -> argparse.ArgumentParser:
+def parse(argv: Sequence[str]) -> argparse.Namespace:
+    """The arguments of a command, and ``run``, which takes them.
+
+    Raises:
+        InputError: the command or an argument is unknown.
+    """
+    known = commands()
+    asked = next((word for word in argv if not word.startswith("-")), None)
+    if asked is not None and asked not in known:
+        raise InputError(f"trackslip: no command '{asked}'{_like(asked, known)} (see trackslip --help)")
     parser = _Parser(
         prog="trackslip",
         description="The workbench around bags.",
         epilog="example: trackslip info out/demo/bag; 'trackslip COMMAND --help' has one for each",
     )
-    commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for name, module_name in _COMMANDS.items():
-        try:
-            module = importlib.import_module(module_name)
-        except ModuleNotFoundError as error:
-            if error.name is None or error.name not in module_name:
-                raise
-            continue
-        command = commands.add_parser(
-            name,
-            help=module.DESCRIPTION.replace("%", "%%"),  # argparse puts values into this one
-            description=module.DESCRIPTION,
-            epilog=f"example: {module.EXAMPLE}",
-        )
-        module.add_arguments(command)
-        command.set_defaults(run=module.run)
-    return parser
+    added = parser.add_subparsers(metavar="COMMAND", required=True)
+    for name, command in known.items():
+        _add(added, name, command, whole=name == asked)
+    return parser.parse_args(argv)
+
+
+def _add(added: Any, name: str, command: Command, *, whole: bool) -> None:
+    """List a command; ``whole``: with its arguments, for which its module is loaded."""
+    text = command.description.replace("%", "%%")  # argparse puts values into this one
+    parser = added.add_parser(name, help=text, description=command.description)
+    if whole:
+        module = importlib.import_module(command.module)
+        parser.epilog = f"example: {module.EXAMPLE}"
+        module.add_arguments(parser)
+        parser.set_defaults(run=module.run)
+
+
+def _like(asked: str, known: dict[str, Command]) -> str:
+    from difflib import get_close_matches  # only here
+
+    found = get_close_matches(asked, known, n=1)
+    return f", did you mean '{found[0]}'?" if found else ""
 
 
 if __name__ == "__main__":

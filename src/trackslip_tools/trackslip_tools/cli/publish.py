@@ -7,9 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.playback import Playback, played, played_topics
 from trackslip_bags.reader import Bag, require_topics
@@ -91,11 +88,15 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], why: str) -> None:
 @contextmanager
 def _progress(bag: Bag) -> Iterator[Callable[[Playback], None]]:
     """A function that shows how far the playback is: a bar on a terminal, nothing in a pipe."""
-    console = Console(stderr=True)
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} s of the bag"))
-    with Progress(
-        *columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    console = Console(stderr=True)
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
         task = bar.add_task("playing", total=bag.duration_s)
 
         def show(playback: Playback) -> None:

@@ -6,9 +6,6 @@ import json
 
 from trackslip_tools.cli.nodes import node_module
 
-DESCRIPTION = (
-    "Record all topics of the project, and more if wanted, until Ctrl-C; the node 'record' (needs ROS)."
-)
 EXAMPLE = "trackslip record --output runs/field_3 --more-topics '/gnss.*' --split-duration 600"
 
 

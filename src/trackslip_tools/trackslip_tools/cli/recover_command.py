@@ -12,7 +12,6 @@ from trackslip_bags.writer import CHUNK_SPAN_NS
 from trackslip_common.errors import ExitCode
 from trackslip_tools.cli.progress import shown
 
-DESCRIPTION = "Rewrite a damaged bag: what can be read of it, with a new index; the damaged one stays."
 EXAMPLE = "trackslip recover bags/power_cut --output out/recovered"
 
 

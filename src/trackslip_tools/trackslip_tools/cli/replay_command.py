@@ -8,12 +8,12 @@ from pathlib import Path
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
 from trackslip_tools.cli import publish, replay_options
+from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.replay.output import summary, text, write_estimates
 from trackslip_tools.replay.run import replay
 from trackslip_tools.replay.soil import replay_soil
 
-DESCRIPTION = "Run the slip estimator over a bag, in process, in the order in which it ran live."
 EXAMPLE = "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.pose_timeouts=[3.0]"
 
 
@@ -46,10 +46,11 @@ def run(args: argparse.Namespace) -> int:
         of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
         result = replay(bag, p, filters, reference)
         result.soil = replay_soil(bag, result.inputs, result.estimates, filters, of_soil)
-    print(text(result))
     if args.output is not None:
         write_estimates(args.output, result, p)
+    print(text(result, waited_s()))
+    if args.output is not None:
         print(f"estimates: {args.output}")
     if args.json is not None:
-        write_json(args.json, summary(result))
+        write_json(args.json, summary(result, waited_s()))
     return ExitCode.DONE if result.estimates else ExitCode.FAILED

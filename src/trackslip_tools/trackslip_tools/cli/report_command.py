@@ -17,7 +17,6 @@ from trackslip_tools.report.recording import Recording, read_recording
 from trackslip_tools.report.run import Run
 from trackslip_tools.smoothing.smoothing import smooth
 
-DESCRIPTION = "Replay one bag, or several, and show what came of it on one page of HTML."
 EXAMPLE = "trackslip report out/demo/bag --params own --params tuned.yaml --output report.html"
 
 _OWN = "own"

@@ -13,7 +13,6 @@ from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import shown
 from trackslip_tools.smoothing.smooth_bag import smooth_bag, write_smoothed
 
-DESCRIPTION = "Smooth a bag: pose and slips at each moment from what came before and after it."
 EXAMPLE = "trackslip smooth out/demo/bag --withhold box_pose:20:30 --output out/smoothed"
 
 

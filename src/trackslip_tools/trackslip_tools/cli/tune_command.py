@@ -20,7 +20,6 @@ from trackslip_tools.tuning.task import Task
 from trackslip_tools.tuning.tuner import Tuner
 from trackslip_tools.tuning.workers import cluster, cores
 
-DESCRIPTION = "Find the parameters of the slip estimator that explain bags best, on all cores or a cluster."
 EXAMPLE = "trackslip tune bags/slalom_sand bags/outage_sandy_loam --plan tune.yaml --output out/tuned"
 
 

@@ -6,16 +6,18 @@ r, B       rolling radius, tread  m
 V          r (ω_L + ω_R)/2        m/s, no slip
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.slip.measurements import Sprockets, YawRate
+from trackslip_tools.replay.arrivals import Kind, Rows
 
 FloatArray = NDArray[np.float64]
+
+_LARGEST = 1e9  # rad, rad/s: beyond it is no measurement
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,19 +35,79 @@ class Path:
         return np.stack(columns, axis=-1)
 
 
+class Sprocketed(NamedTuple):
+    """Sprocket samples by stamp."""
+
+    stamps_ns: NDArray[np.int64]  # (n,)
+    speeds: FloatArray  # (n, 2) left, right, rad/s
+    positions: FloatArray | None  # (n, 2) rad; None where any sample lacks them
+
+
+class Gyro(NamedTuple):
+    """Yaw rates by stamp."""
+
+    stamps_ns: NDArray[np.int64]  # (n,)
+    rates: FloatArray  # (n,) rad/s
+
+
+class DrivenCollector:
+    """What dead reckoning needs of arrivals that come piece by piece; what is not finite is left out."""
+
+    def __init__(self) -> None:
+        self._sprockets: list[Rows] = []
+        self._gyro: list[Rows] = []
+
+    def add(self, rows: Rows) -> None:
+        """More rows of ``ARRIVAL``."""
+        of_sprockets, of_gyro = (rows[rows["kind"] == kind] for kind in (Kind.SPROCKETS, Kind.YAW_RATE))
+        numbers = np.column_stack((of_sprockets["speeds"], of_sprockets["positions"]))
+        of_sprockets = of_sprockets[(np.abs(numbers) < _LARGEST).all(axis=1)]
+        rates, variances = of_gyro["z"][:, 0], of_gyro["R"][:, 0, 0]
+        sound = (np.abs(rates) < _LARGEST) & (variances > 0.0) & (variances < _LARGEST**2)
+        self._sprockets.append(_only(of_sprockets, "stamp_ns", "speeds", "positions", "has_positions"))
+        self._gyro.append(_only(of_gyro[sound], "stamp_ns", "z"))
+
+    def sprockets(self) -> Sprocketed | None:
+        """None where there are none."""
+        rows = _by_stamp(self._sprockets)
+        if not len(rows):
+            return None
+        positions = rows["positions"] if rows["has_positions"].all() else None
+        return Sprocketed(rows["stamp_ns"], rows["speeds"], positions)
+
+    def gyro(self) -> Gyro | None:
+        """None where there is none."""
+        rows = _by_stamp(self._gyro)
+        return Gyro(rows["stamp_ns"], rows["z"][:, 0]) if len(rows) else None
+
+
+def _only(rows: Rows, *names: str) -> Rows:
+    found = np.empty(len(rows), [(name, rows.dtype[name]) for name in names])
+    for name in names:
+        found[name] = rows[name]
+    return found
+
+
+def _by_stamp(parts: list[Rows]) -> Rows:
+    if not parts:
+        return np.empty(0, [("stamp_ns", np.int64)])
+    rows = np.concatenate(parts)
+    return rows[np.argsort(rows["stamp_ns"], kind="stable")]
+
+
 def dead_reckon(
     vehicle: Vehicle,
-    sprockets: Sequence[Sprockets],
+    sprockets: Sprocketed,
     start_ns: int,
     start_pose: FloatArray,
-    gyro: Sequence[YawRate] = (),
+    gyro: Gyro | None = None,
 ) -> Path:
     """Path from ``start_pose`` (3,) at ``start_ns``, with no slip.
 
     The heading is the integral of the gyro's rate where it is given (bias and all), else that of the
     difference of the tracks' speeds.
     """
-    stamps = np.array([s.stamp_ns for s in sprockets], dtype=np.int64)
+    stamps = sprockets.stamps_ns
     after = stamps > start_ns
     grid = np.concatenate(([start_ns], stamps[after]))
 
@@ -53,8 +115,8 @@ def dead_reckon(
         at_start = np.interp(start_ns - stamps[0], stamps - stamps[0], travel)
         return np.asarray(np.concatenate(([at_start], travel[after])) - at_start, dtype=np.float64)
 
-    left, right = (since_start(vehicle.rolling_radius * turned) for turned in _turned(sprockets, stamps))
-    turned = _integral(gyro, grid) if gyro else (right - left) / vehicle.tread
+    left, right = (since_start(vehicle.rolling_radius * turned) for turned in _turned(sprockets))
+    turned = (right - left) / vehicle.tread if gyro is None else _integral(gyro, grid)
     heading = start_pose[2] + turned
     steps = np.diff((left + right) / 2.0)
     halfway = (heading[1:] + heading[:-1]) / 2.0
@@ -63,20 +125,17 @@ def dead_reckon(
     return Path(grid, np.stack((x, y, heading), axis=-1))
 
 
-def _turned(sprockets: Sequence[Sprockets], stamps: NDArray[np.int64]) -> FloatArray:
+def _turned(sprockets: Sprocketed) -> FloatArray:
     """(2, n) rad turned by the left and right sprocket: their positions, or the integral of their speeds."""
-    positions = [s.positions for s in sprockets if s.positions is not None]
-    if len(positions) == len(sprockets):
-        return np.array(positions, dtype=np.float64).T
-    speeds = np.array([(s.left_speed, s.right_speed) for s in sprockets], dtype=np.float64)
-    steps = speeds[1:] * (np.diff(stamps) * 1e-9)[:, np.newaxis]
+    if sprockets.positions is not None:
+        return sprockets.positions.T
+    steps = sprockets.speeds[1:] * (np.diff(sprockets.stamps_ns) * 1e-9)[:, np.newaxis]
     return np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0))).T
 
 
-def _integral(gyro: Sequence[YawRate], grid: NDArray[np.int64]) -> FloatArray:
+def _integral(gyro: Gyro, grid: NDArray[np.int64]) -> FloatArray:
     """(n,) rad turned since grid[0] by the trapezoidal rule, the rate held before and after the log."""
-    stamps = np.array([g.stamp_ns for g in gyro], dtype=np.int64)
-    rates = np.array([g.rate for g in gyro], dtype=np.float64)
+    stamps, rates = gyro
     edges = np.unique(np.concatenate((stamps, grid)))
     rate = np.interp(edges - edges[0], stamps - edges[0], rates)
     turned = np.concatenate(([0.0], np.cumsum((rate[1:] + rate[:-1]) / 2.0 * np.diff(edges) * 1e-9)))

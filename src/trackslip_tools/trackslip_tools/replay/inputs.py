@@ -1,265 +1,260 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads from a bag what the estimator takes, and the order in which it took it live."""
+"""Reads the estimator's inputs from a bag, in the order in which it processed them live.
 
-from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Iterator
+    stream = InputStream(bag, p, filters, tables=("truth/odometry",))
+    for batch in stream:                      # some seconds of the bag, in bounded memory
+        batch.rows                            # (n,) ARRIVAL in live order, filters applied: see arrivals
+        batch.tables["truth/odometry"].rows   # (m,) named columns of message_fields, in log order
+    stream.counts, stream.messages, stream.duration_s     # known by then
+
+``inputs_of(batch.rows, stream.sources, stream.reloads)`` makes the estimator's own measurements of the rows.
+``read_inputs`` reads a whole bag of moderate length at once.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_bags.column_cache import read_columns
-from trackslip_bags.columns import Columns, IrregularError
-from trackslip_bags.input_filters import Arrival, InputFilters, relative
+from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.parameters import bag_parameters, read_parameters
 from trackslip_bags.reader import Bag, require_topics
+from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
-from trackslip_common.make import stamp_ns_of
+from trackslip_common.message_fields import RECORDS, ReportFields
 from trackslip_common.topics import TOPICS
-from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import (
     FREEZE,
     RELOAD,
     RESET,
     SET_POSE,
     UNFREEZE,
-    Command,
     Input,
-    Measurement,
     Reload,
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, reloadable
-from trackslip_tools.replay import columns as by_column
-from trackslip_tools.replay.scoring import Series
-
-FloatArray = NDArray[np.float64]
+from trackslip_tools.replay.arrivals import (
+    ARRIVAL,
+    POSE_READER,
+    SLIP_READER,
+    SPROCKET_READER,
+    Kind,
+    Rows,
+    SourceReader,
+    inputs_of,
+    yaw_rate_reader,
+)
+from trackslip_tools.replay.filtering import Filtering
+from trackslip_tools.replay.live_order import LINE, JournalCounts, LiveOrder
+from trackslip_tools.replay.series import Series, SeriesCollector
 
 SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
 
 _COMMANDS = (RESET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
 
 
-class Taken(NamedTuple):
-    """One line of the live estimator's journal: which measurement it took next."""
+class Logged(NamedTuple):
+    """Messages of a topic in log order."""
 
-    log_time_ns: int
-    sequence: int
-    source: str
-    stamp_ns: int
+    log_times_ns: NDArray[np.int64]  # (n,)
+    rows: Rows  # (n,) of the record class that ``message_fields`` has for the type
 
 
-class _Reader(NamedTuple):
-    """How a source's measurements are read."""
+class Batch(NamedTuple):
+    """What some seconds of a bag give."""
 
-    message: Callable[[Any], Measurement]
-    columns: Callable[[Columns], list[Measurement]]
+    rows: Rows  # (n,) ARRIVAL in live order
+    tables: dict[str, Logged]  # by topic, of those asked for; never later than the rows of the same time
 
 
-class _Span(NamedTuple):
-    """Log times; None for no limit."""
+class InputStream:
+    """The inputs of one bag; iterating reads it once.
 
-    start_ns: int | None
-    stop_ns: int | None
+    ``tables`` names further topics to read beside. Topics have the names that the filters give them.
+
+    Raises:
+        InputError: the bag lacks the sprockets, or a topic is of a type that does not serve; while
+            iterating: the bag is damaged inside.
+    """
+
+    def __init__(
+        self, bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, tables: Collection[str] = ()
+    ) -> None:
+        backwards = {after: before for before, after in filters.remap.items()}
+        require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
+        self._bag, self._filters, self._tables = bag, filters, tables
+        self._readers = _readers(p)
+        self.sources = (*self._readers, RELOAD, *_COMMANDS)
+        wanted = {*self._readers, REPORTS, RELOAD, *tables}
+        names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+        self._names = {topic: name for topic, name in names.items() if name in wanted}
+        _require_types(bag, self._names, p, tables)
+        self._span = tuple(absolute_time(bag, t) for t in (filters.start_s, filters.stop_s))
+        self.reloads: list[Reload] = []
+        self.messages: Counter[str] = Counter()  # by topic, all that was read
+        self.counts = JournalCounts()
+        self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
+
+    @property
+    def duration_s(self) -> float:
+        """From the first stamp of a measurement to the last, of what was read so far."""
+        return max(self._last_ns - self._first_ns, 0) * 1e-9
+
+    def __iter__(self) -> Iterator[Batch]:
+        filtering = Filtering(self._filters, self.sources, self._bag.start_ns)
+        commands = [self.sources.index(name) for name in _COMMANDS]
+        order = LiveOrder(self._journaled(), commands, self.sources.index(SPROCKETS))
+        self.counts = order.counts
+        parameters = _ParameterChanges(self._bag, self.reloads)
+        for stretch in read_tables(self._bag, self._names, *self._span):
+            rows, lines = self._arrivals(stretch, parameters), self._lines(stretch)
+            ready = order.push(filtering(rows), lines, stretch.until_ns)
+            yield Batch(ready, self._logged(stretch))
+        rest = order.finish()
+        if len(rest):
+            yield Batch(rest, {})
+
+    def _journaled(self) -> set[int]:
+        """Sources that the journal knows; read only as far as there are others to be found."""
+        counts = {name: self._bag.topics[topic].count for topic, name in self._names.items()}
+        missing = {name for name in self._readers if counts.get(name, 0)}
+        missing |= {RELOAD} if counts.get(RELOAD, 0) > 1 else set()  # the first one changes nothing
+        found: set[int] = set()
+        reports = [topic for topic in self._names if self._names[topic] == REPORTS]
+        for stretch in read_tables(self._bag, reports, *self._span) if reports else ():
+            sources = {int(source) for source in self._lines(stretch)["source"]}
+            found |= sources
+            missing -= {self.sources[source] for source in sources if source >= 0}
+            if not missing:
+                break
+        return found
+
+    def _lines(self, stretch: Stretch) -> Rows:
+        """(n,) LINE: those of the journal; a source that is no input has the number −1."""
+        parts = [np.empty(0, LINE)]
+        for topic, table in stretch.items():
+            if self._names[topic] == REPORTS:
+                rows = table.rows(ReportFields)
+                numbers = [self.sources.index(t) if t in self.sources else -1 for t in table.texts]
+                lines = np.empty(len(rows), LINE)
+                lines["log_time_ns"], lines["sequence"] = table.log_times_ns, rows["sequence"]
+                lines["source"], lines["stamp_ns"] = np.array(numbers)[rows["source"]], rows["stamp_ns"]
+                parts.append(lines)
+        return np.concatenate(parts)
+
+    def _arrivals(self, stretch: Stretch, parameters: "_ParameterChanges") -> Rows:
+        """(n,) ARRIVAL in log order; changes of parameters after what was logged at the same time."""
+        parts, places = [np.empty(0, ARRIVAL)], [np.empty(0, np.int64)]
+        changes = [np.empty(0, ARRIVAL)]
+        for topic, table in stretch.items():
+            name = self._names[topic]
+            if name == RELOAD:
+                changes.append(parameters.rows(table, self.sources.index(RELOAD)))
+                continue
+            self.messages[name] += len(table)
+            reader = self._readers.get(name)
+            if reader is not None:
+                rows = reader.rows(table.rows(reader.fields))
+                rows["source"], rows["log_time_ns"] = self.sources.index(name), table.log_times_ns
+                self._extend(rows["stamp_ns"], name)
+                parts.append(rows)
+                places.append(table.order)
+        rows = np.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
+        rows = np.concatenate((rows, *changes))
+        return rows[np.argsort(rows["log_time_ns"], kind="stable")]
+
+    def _extend(self, stamps_ns: NDArray[np.int64], name: str) -> None:
+        if name != SET_POSE:  # it may have none
+            self._first_ns = min(self._first_ns, int(stamps_ns.min()))
+            self._last_ns = max(self._last_ns, int(stamps_ns.max()))
+
+    def _logged(self, stretch: Stretch) -> dict[str, Logged]:
+        return {
+            self._names[topic]: Logged(table.log_times_ns, table.rows(RECORDS[table.type_name]))
+            for topic, table in stretch.items()
+            if self._names[topic] in self._tables
+        }
+
+
+class _ParameterChanges:
+    """What was changed of the parameters while the estimator ran, by the bag's later messages."""
+
+    def __init__(self, bag: Bag, reloads: list[Reload]) -> None:
+        self._bag, self._reloads = bag, reloads
+        self._before: dict[str, Any] | None = None
+
+    def rows(self, table: TopicTable, source: int) -> Rows:
+        """(n,) ARRIVAL of the messages that change something; what they change is added to the reloads."""
+        rows = np.zeros(len(table), ARRIVAL)
+        rows["kind"], rows["source"], rows["log_time_ns"] = Kind.RELOAD, source, table.log_times_ns
+        changes = np.zeros(len(table), np.bool_)
+        for k in range(len(table)):
+            before = bag_parameters(self._bag) if self._before is None else self._before
+            now = read_parameters(self._bag, table.message(k))
+            changed = {n: now[n] for n in reloadable() & now.keys() if now[n] != before.get(n)}
+            if changed:
+                changes[k], rows["reload"][k] = True, len(self._reloads)
+                self._reloads.append(Reload(changed))
+            self._before = now
+        return rows[changes]
 
 
 @dataclass
 class Inputs:
-    """What one replay needs of a bag."""
+    """A whole bag's inputs."""
 
-    origin_ns: int  # log time of the bag's first message
-    arrivals: list[Arrival] = field(default_factory=list)  # in log order
-    journal: list[Taken] = field(default_factory=list)
+    origin_ns: int = 0  # log time of the bag's first message
+    rows: Rows = field(default_factory=lambda: np.empty(0, ARRIVAL))  # in live order
+    inputs: list[Input] = field(default_factory=list)  # the same as measurements and commands
     series: dict[str, Series] = field(default_factory=dict)  # by topic
     messages: Counter[str] = field(default_factory=Counter)  # by topic, all that was read
+    counts: JournalCounts = field(default_factory=JournalCounts)
+    duration_s: float = 0.0  # of the stamps
 
 
 def read_inputs(
     bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, series: tuple[str, ...]
 ) -> Inputs:
-    """Read the estimator's topics, its journal, and the numbers of the topics named in ``series``.
+    """All inputs in live order, the filters applied, and the series of the topics named.
 
     Raises:
-        InputError: the bag lacks the sprockets or is damaged.
+        InputError: as ``InputStream``.
     """
-    backwards = {after: before for before, after in filters.remap.items()}
-    require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
-    readers = _readers(p)
-    names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
-    names = {topic: name for topic, name in names.items() if name in readers or name in (REPORTS, *series)}
-    _require_types(bag, names, p)
-    span = _Span(*(absolute_time(bag, t) for t in (filters.start_s, filters.stop_s)))
-    try:
-        inputs = _from_columns(bag, names, readers, series, span)
-    except IrregularError:
-        inputs = _from_messages(bag, names, readers, series, span)
-    inputs.arrivals = sorted((*inputs.arrivals, *_reloads(bag, *span)), key=lambda a: a.log_time_ns)
-    return inputs
+    stream = InputStream(bag, p, filters, series)
+    collector = SeriesCollector(frozenset((ODOMETRY, TRACK_SLIP)))
+    parts = [np.empty(0, ARRIVAL)]
+    for batch in stream:
+        parts.append(batch.rows)
+        for topic, logged in batch.tables.items():
+            collector.add(topic, logged.rows)
+    rows = np.concatenate(parts)
+    inputs = inputs_of(rows, stream.sources, stream.reloads)
+    found = (collector.series(), stream.messages, stream.counts, stream.duration_s)
+    return Inputs(bag.start_ns, rows, inputs, *found)
 
 
-def _from_columns(
-    bag: Bag, names: dict[str, str], readers: dict[str, _Reader], series: tuple[str, ...], span: _Span
-) -> Inputs:
-    """All messages of a topic at once.
-
-    Raises:
-        IrregularError: a topic makes no columns.
-    """
-    inputs = Inputs(bag.start_ns)
-    arrivals: list[tuple[int, Arrival]] = []
-    for topic, whole in read_columns(bag, names).items():
-        name, (order, log_times_ns, columns) = names[topic], whole.between(*span)
-        if not len(log_times_ns):
-            continue
-        times = log_times_ns.tolist()
-        inputs.messages[name] += len(times)
-        if name in readers:
-            given = map(Arrival, times, readers[name].columns(columns))
-            arrivals += zip(order.tolist(), given, strict=True)
-        stamps_ns = by_column.stamps_ns(columns)
-        if name == REPORTS:
-            rows = (times, columns["sequence"].tolist(), columns["source"].tolist(), stamps_ns.tolist())
-            inputs.journal += map(Taken, *rows)
-        if name in series:
-            inputs.series[name] = _series(stamps_ns, by_column.numbers(columns))
-    inputs.arrivals = [arrival for _, arrival in sorted(arrivals, key=itemgetter(0))]
-    return inputs
+def _readers(p: SlipEstimatorParameters) -> dict[str, SourceReader]:
+    readers = {SPROCKETS: SPROCKET_READER}
+    readers |= dict.fromkeys(filter(None, p.yaw_rate_sources), yaw_rate_reader(p.yaw_rate_stddev**2))
+    readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
+    return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
 
 
-def _from_messages(
-    bag: Bag, names: dict[str, str], readers: dict[str, _Reader], series: tuple[str, ...], span: _Span
-) -> Inputs:
-    """One message after the other."""
-    inputs = Inputs(bag.start_ns)
-    collected: dict[str, list[tuple[int, FloatArray]]] = defaultdict(list)
-    for message in bag.messages(names, *span):
-        name = names[message.topic]
-        content = bag.deserialize(message.raw, message.type_name)
-        inputs.messages[name] += 1
-        if name in readers:
-            inputs.arrivals.append(Arrival(message.log_time_ns, readers[name].message(content)))
-        if name == REPORTS:
-            stamp_ns = stamp_ns_of(content)
-            inputs.journal.append(Taken(message.log_time_ns, content.sequence, content.source, stamp_ns))
-        if name in series:
-            collected[name].append((stamp_ns_of(content), numbers_of(content)))
-    for name, rows in collected.items():
-        stamps, numbers = zip(*rows, strict=True)
-        inputs.series[name] = _series(np.array(stamps, dtype=np.int64), np.array(numbers))
-    return inputs
-
-
-def in_live_order(arrivals: list[Arrival], journal: list[Taken]) -> Iterator[Input]:
-    """The order in which the live estimator took its measurements.
-
-    Its journal tells it exactly, what a user asked meanwhile included. A source that the journal does not
-    know (another bag's, a remapped one) is merged in by log time; without a journal, log time orders all.
-    """
-    journaled = {taken.source for taken in journal}
-    shelf: dict[tuple[str, int], deque[Input]] = defaultdict(deque)
-    others: deque[Arrival] = deque()
-    for arrival in arrivals:
-        m = arrival.measurement
-        if m.source in journaled:
-            shelf[m.source, m.stamp_ns].append(m)
-        else:
-            others.append(arrival)
-    for taken in journal:
-        while others and others[0].log_time_ns <= taken.log_time_ns:
-            yield others.popleft().measurement
-        if taken.source in _COMMANDS:
-            yield Command(taken.source, taken.stamp_ns)
-        waiting = shelf[taken.source, taken.stamp_ns]
-        if waiting:
-            yield waiting.popleft()
-    yield from (arrival.measurement for arrival in others)
-
-
-def missing_inputs(arrivals: list[Arrival], journal: list[Taken]) -> int:
-    """How many measurements the journal names that the bag lacks."""
-    there = Counter((arrival.measurement.source, arrival.measurement.stamp_ns) for arrival in arrivals)
-    named = Counter((taken.source, taken.stamp_ns) for taken in journal if taken.source not in _COMMANDS)
-    return sum((named - there).values())
-
-
-def journal_gaps(journal: list[Taken]) -> int:
-    """How many lines of the journal the bag lacks, those before its first line included."""
-    lost = 0
-    expected = 0
-    for taken in journal:
-        lost += max(taken.sequence - expected, 0)
-        expected = taken.sequence + 1
-    return lost
-
-
-def numbers_of(message: Any) -> FloatArray:
-    """The numbers to compare or to score of an odometry, pose or slip message.
-
-    Pose: x, y, heading. Odometry: also v_x, v_y, yaw rate, then both covariances. Slip: left, right,
-    angle, then the covariance.
-    """
-    if hasattr(message, "left_slip"):
-        slips = (message.left_slip, message.right_slip, message.slip_angle)
-        return np.concatenate((slips, message.covariance))
-    pose = conversions.planar_pose(message.pose.pose)
-    if not hasattr(message, "twist"):
-        return pose
-    twist = message.twist.twist
-    velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
-    return np.concatenate((pose, velocity, message.pose.covariance, message.twist.covariance))
-
-
-def _readers(p: SlipEstimatorParameters) -> dict[str, _Reader]:
-    def of(
-        source: str, message: Callable[..., Measurement], columns: Callable[..., Any], *told: float
-    ) -> None:
-        def from_message(content: Any) -> Measurement:
-            return message(content, source, *told)
-
-        def from_columns(content: Columns) -> list[Measurement]:
-            found: list[Measurement] = columns(content, source, *told)
-            return found
-
-        readers[source] = _Reader(from_message, from_columns)
-
-    readers: dict[str, _Reader] = {}
-    of(SPROCKETS, conversions.sprockets, by_column.sprockets)
-    for source in filter(None, p.yaw_rate_sources):
-        of(source, conversions.yaw_rate, by_column.yaw_rates, p.yaw_rate_stddev**2)
-    for source in (SET_POSE, *filter(None, p.pose_sources)):
-        of(source, conversions.pose_fix, by_column.pose_fixes)
-    for source in filter(None, p.slip_sources):
-        of(source, conversions.slip_fix, by_column.slip_fixes)
-    return readers
-
-
-def _reloads(bag: Bag, start_ns: int | None, stop_ns: int | None) -> Iterator[Arrival]:
-    """What was changed of the parameters while the estimator ran, as the bag's later messages tell it."""
-    before = bag_parameters(bag)
-    for message in bag.messages([RELOAD], start_ns, stop_ns):
-        now = read_parameters(bag, message)
-        changed = {name: now[name] for name in reloadable() & now.keys() if now[name] != before.get(name)}
-        if changed:
-            yield Arrival(message.log_time_ns, Reload(changed))
-        before = now
-
-
-def _require_types(bag: Bag, names: dict[str, str], p: SlipEstimatorParameters) -> None:
+def _require_types(
+    bag: Bag, names: dict[str, str], p: SlipEstimatorParameters, tables: Collection[str]
+) -> None:
     """What is read must be of the type that its reader knows."""
     expected = dict.fromkeys(p.yaw_rate_sources, "imu/data_raw")
     expected |= dict.fromkeys(("reference_pose", *p.pose_sources), "box_pose")
     expected |= dict.fromkeys(p.slip_sources, TRACK_SLIP)
     for topic, name in names.items():
         known, found = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name
-        if known is not None and found != known.type_name:
-            raise InputError(f"bag '{bag.path}': {topic} is a {found}; accepted: {known.type_name}")
-
-
-def _series(stamps_ns: NDArray[np.int64], numbers: FloatArray) -> Series:
-    """Rows in the order of their stamps; of several with the same stamp the last."""
-    stamps, from_the_end = np.unique(stamps_ns[::-1], return_index=True)
-    return Series(stamps, numbers[::-1][from_the_end])
+        accepted = [known.type_name] if known is not None else sorted(RECORDS)
+        if found not in accepted and (known is not None or name in tables):
+            raise InputError(f"bag '{bag.path}': {topic} is a {found}; accepted: {' or '.join(accepted)}")
 
 
 def absolute_time(bag: Bag, seconds: float) -> int | None:

@@ -47,8 +47,11 @@ def write_estimates(path: Path, result: Replay, p: SlipEstimatorParameters) -> N
                 write(topic, message, stamp_ns)
 
 
-def summary(result: Replay) -> dict[str, Any]:
-    """The contents of ``--json``; null where something could not be computed."""
+def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
+    """The contents of ``--json``; null where something could not be computed.
+
+    ``elapsed_s`` is what the user waited for.
+    """
     rmse: dict[str, float | None] = {}
     for name in _NAMES:
         found = result.scores.get(name)
@@ -64,7 +67,7 @@ def summary(result: Replay) -> dict[str, Any]:
         "reference": result.reference,
         "rmse": rmse,
         "nees": result.nees,
-        "real_time_factor": result.duration_s / result.elapsed_s,
+        "real_time_factor": result.duration_s / elapsed_s,
     }
     if result.live is not None:
         content["replay_matches"] = result.live.matches
@@ -73,10 +76,10 @@ def summary(result: Replay) -> dict[str, Any]:
     return content
 
 
-def text(result: Replay) -> str:
-    """The summary as lines for a terminal."""
-    speed = result.duration_s / result.elapsed_s
-    lines = [f"{result.duration_s:.1f} s replayed in {result.elapsed_s:.1f} s ({speed:.0f} × real time)"]
+def text(result: Replay, elapsed_s: float) -> str:
+    """The summary as lines for a terminal; ``elapsed_s`` is what the user waited for."""
+    speed = result.duration_s / elapsed_s
+    lines = [f"{result.duration_s:.1f} s replayed in {elapsed_s:.1f} s ({speed:.0f} × real time)"]
     lines += [f"  {topic:<24}{n:>8} messages" for topic, n in sorted(result.inputs.messages.items())]
     for source, reasons in result.rejected.by_source().items():
         lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]
@@ -112,7 +115,7 @@ def _scores(result: Replay) -> list[str]:
     if result.slip_rmse is not None:
         lines.append(f"  slip RMSE {result.slip_rmse:.4f}")
     if result.nees is not None:
-        lines.append(f"  mean NEES of pose {result.nees:.2f} (3 if honest)")
+        lines.append(f"  mean NEES of pose {result.nees:.2f} (3 if consistent)")
     return lines
 
 

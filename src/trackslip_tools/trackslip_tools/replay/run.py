@@ -10,31 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_bags import input_filters
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
-from trackslip_estimation.slip.measurements import KINDS, Input, Outcome, Report, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import Outcome, Report
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.dead_reckoning import Path, dead_reckon
-from trackslip_tools.replay.inputs import (
-    ODOMETRY,
-    SPROCKETS,
-    TRACK_SLIP,
-    Inputs,
-    in_live_order,
-    journal_gaps,
-    missing_inputs,
-    numbers_of,
-    read_inputs,
-)
+from trackslip_tools.replay.comparison import LiveComparer, LiveComparison, odometry_rows, slip_rows
+from trackslip_tools.replay.dead_reckoning import DrivenCollector, Path, dead_reckon
+from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, Inputs, read_inputs
 from trackslip_tools.replay.quick import quick_steps
 from trackslip_tools.replay.scoring import (
     Score,
-    Series,
     in_order,
     mean_nees,
     moving_slips,
@@ -42,32 +31,11 @@ from trackslip_tools.replay.scoring import (
     score,
     slip_rmse,
 )
+from trackslip_tools.replay.series import Series, series_of
 from trackslip_tools.replay.soil import SoilReplay
 
 TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
-TOLERANCE = 1e-9  # between a live and a replayed number
-
-
-@dataclass(frozen=True)
-class LiveComparison:
-    """The live estimates in the bag against the replayed ones."""
-
-    compared: int  # live estimates
-    unmatched: int  # messages of one side at a stamp that the other does not have
-    largest_difference: float
-    lost_reports: int  # lines of the live journal that the bag lacks
-    lost_inputs: int  # measurements that the journal names and the bag lacks
-
-    @property
-    def matches(self) -> bool:
-        """Same stamps, same numbers."""
-        return self.compared > 0 and self.unmatched == 0 and self.largest_difference <= TOLERANCE
-
-    def __str__(self) -> str:
-        verdict = "yes" if self.matches else "NO"
-        numbers = f"{self.compared} estimates, {self.unmatched} unmatched"
-        return f"replay = live: {verdict} ({numbers}, largest difference {self.largest_difference:.1e})"
 
 
 @dataclass
@@ -116,18 +84,16 @@ def replay(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, referenc
     reference = reference or own_reference(bag)
     wanted = (ODOMETRY, TRACK_SLIP, TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
     inputs = read_inputs(bag, p, filters, wanted)
-    arrivals = input_filters.apply(filters, inputs.arrivals, inputs.origin_ns)
-    measurements = list(in_live_order(arrivals, inputs.journal))
+    measurements = inputs.inputs
     steps = quick_steps(measurements, p) or list(map(SlipEstimator(p).advance, measurements))
     rejected = Tally()
     for report, _ in steps:
         if report.outcome is not Outcome.ACCEPTED:
             rejected.add(report.source, report.outcome)
-    duration = _duration(inputs)
-    result = Replay(duration, time.monotonic() - began, inputs, steps, rejected, reference)
-    _score(result, p, measurements)
+    result = Replay(inputs.duration_s, time.monotonic() - began, inputs, steps, rejected, reference)
+    _score(result, p)
     if ODOMETRY in inputs.series and not filters.changes_inputs:
-        result.live = _compare(result, p)
+        result.live = _compare(result)
     return result
 
 
@@ -136,7 +102,7 @@ def own_reference(bag: Bag) -> str | None:
     return next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
 
 
-def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Input]) -> None:
+def _score(result: Replay, p: SlipEstimatorParameters) -> None:
     """Paths of filter and dead reckoning, and their errors against the reference."""
     estimates = in_order(result.estimates)
     if estimates:
@@ -145,14 +111,14 @@ def _score(result: Replay, p: SlipEstimatorParameters, measurements: list[Input]
     series = result.inputs.series.get(result.reference or "")
     if series is None:
         return
-    by_stamp = sorted(measurements, key=lambda m: m.stamp_ns)
-    sprockets = [m for m in by_stamp if isinstance(m, Sprockets) and m.is_finite()]
-    gyro = [m for m in by_stamp if isinstance(m, YawRate) and m.is_finite()]
-    reference = reference_path(series, sprockets[0].stamp_ns if sprockets else 0)
-    if sprockets and len(reference.stamps_ns):
+    driven = DrivenCollector()
+    driven.add(result.inputs.rows)
+    sprockets, gyro = driven.sprockets(), driven.gyro()
+    reference = reference_path(series, 0 if sprockets is None else int(sprockets.stamps_ns[0]))
+    if sprockets is not None and len(reference.stamps_ns):
         start = (reference.stamps_ns[0], reference.poses[0])
         result.paths["dead_reckoning"] = dead_reckon(p.vehicle, sprockets, *start)
-        if gyro:
+        if gyro is not None:
             result.paths["encoder_gyro"] = dead_reckon(p.vehicle, sprockets, *start, gyro)
     result.paths["reference"] = reference
     for name in ("dead_reckoning", "encoder_gyro", "filter"):
@@ -166,43 +132,28 @@ def slip_error(inputs: Inputs, estimates: list[Estimate], tread: float) -> float
     slips, odometry = (inputs.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
     if slips is None or odometry is None or not estimates:
         return None
+    found = np.array([e.outputs.slips for e in estimates])
     stamps = np.array([e.stamp_ns for e in estimates], dtype=np.int64)
-    own = Series(stamps, np.array([e.outputs.slips for e in estimates]))
+    own = series_of(stamp_ns=stamps, left_slip=found[:, 0], right_slip=found[:, 1])
     return slip_rmse(own, moving_slips(odometry, slips, tread))
 
 
 def reference_path(series: Series, from_ns: int) -> Path:
     """The reference from the first sprocket sample on, its heading continuous."""
     covered = series.since(from_ns)
-    poses = covered.values[:, :3].copy()
+    poses = covered.columns("x", "y", "heading")
     poses[:, 2] = np.unwrap(poses[:, 2])
     return Path(covered.stamps_ns, poses)
 
 
-def _compare(result: Replay, p: SlipEstimatorParameters) -> LiveComparison:
-    """Every live number against the replayed one of the same stamp, as messages carry them.
-
-    A recording ends in the middle of things: what it holds beyond its last journal line is left out.
-    """
-    journal = result.inputs.journal
-    end_ns = max((taken.stamp_ns for taken in journal if taken.source == SPROCKETS), default=None)
-    estimates = in_order(result.estimates)
-    compared = unmatched = 0
-    largest = 0.0
-    for topic in (ODOMETRY, TRACK_SLIP):
-        recorded = result.inputs.series.get(topic)
-        if recorded is None:
-            continue
-        live = dict(zip(recorded.stamps_ns.tolist(), recorded.values, strict=True))
-        live = {stamp: row for stamp, row in live.items() if end_ns is None or stamp <= end_ns}
-        mine = {e.stamp_ns: e for e in estimates if live and min(live) <= e.stamp_ns <= max(live)}
-        unmatched += len(live.keys() ^ mine.keys())
-        for stamp in live.keys() & mine.keys():
-            difference = np.abs(live[stamp] - numbers_of(message_of(topic, mine[stamp], p)))
-            largest = max(largest, float(np.max(difference)))
-        compared = max(compared, len(live))
-    missing = missing_inputs(result.inputs.arrivals, journal)
-    return LiveComparison(compared, unmatched, largest, journal_gaps(journal), missing)
+def _compare(result: Replay) -> LiveComparison:
+    """Every live number against the replayed one of the same stamp."""
+    comparer, estimates = LiveComparer(), in_order(result.estimates)
+    series = result.inputs.series
+    comparer.add_odometry(series[ODOMETRY].rows, odometry_rows(estimates))
+    if TRACK_SLIP in series:
+        comparer.add_slips(series[TRACK_SLIP].rows, slip_rows(estimates))
+    return comparer.result(result.inputs.counts)
 
 
 def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:
@@ -210,9 +161,3 @@ def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> An
     if topic == ODOMETRY:
         return conversions.odometry(make, estimate, p.odom_frame, p.base_frame)
     return conversions.track_slip(make, estimate, p.base_frame)
-
-
-def _duration(inputs: Inputs) -> float:
-    """Seconds from the first to the last measurement, by stamp."""
-    stamps = [a.measurement.stamp_ns for a in inputs.arrivals if isinstance(a.measurement, KINDS)]
-    return (max(stamps) - min(stamps)) * 1e-9 if stamps else 0.0

@@ -3,34 +3,23 @@
 
 e      error of x, y, heading        m, m, rad
 P      covariance that was claimed   (3, 3)
-NEES   eᵀ P⁻¹ e, on average 3 if P is honest
+NEES   eᵀ P⁻¹ e, on average 3 if P is consistent
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.series import Series
 
 FloatArray = NDArray[np.float64]
 
+_BLOCK = 100_000  # samples
 MOVING = 0.05  # m/s of the faster track's frame, below which slip is not scored
-
-
-class Series(NamedTuple):
-    """Numbers over time, from one topic."""
-
-    stamps_ns: NDArray[np.int64]  # (n,) increasing
-    values: FloatArray  # (n, k)
-
-    def since(self, start_ns: int) -> "Series":
-        """What is not before a stamp."""
-        kept = self.stamps_ns >= start_ns
-        return Series(self.stamps_ns[kept], self.values[kept])
 
 
 @dataclass(frozen=True)
@@ -79,20 +68,24 @@ def nees_of_each(path: Path, covariances: FloatArray, reference: Path) -> tuple[
     """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |P| there."""
     errors = _errors(path, reference)
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
-    nearest = covariances[np.searchsorted(midpoints, reference.stamps_ns[_inside(path, reference)])]
-    weighed = np.linalg.solve(nearest, errors[:, :, np.newaxis])[:, :, 0]
-    return np.sum(errors * weighed, axis=1), np.linalg.slogdet(nearest)[1]
+    nearest = np.searchsorted(midpoints, reference.stamps_ns[_inside(path, reference)])
+    found, log_dets = np.empty(len(errors)), np.empty(len(errors))
+    for first in range(0, len(errors), _BLOCK):  # copies of all covariances would not fit into memory
+        part = slice(first, first + _BLOCK)
+        P = covariances[nearest[part]]
+        weighed = np.linalg.solve(P, errors[part, :, np.newaxis])[:, :, 0]
+        found[part], log_dets[part] = np.sum(errors[part] * weighed, axis=1), np.linalg.slogdet(P)[1]
+    return found, log_dets
 
 
 def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:
     """The samples of the true slips at which a track's frame moves: elsewhere a slip means nothing.
 
-    ``odometry`` is the truth at the same stamps: x, y, heading, v_x, v_y, yaw rate, ….
+    ``odometry`` is the truth at the same stamps.
     """
     _, at, of = np.intersect1d(slips.stamps_ns, odometry.stamps_ns, return_indices=True)
-    v_x, rate = odometry.values[of, 3], odometry.values[of, 5]
-    kept = at[np.abs(v_x) + np.abs(rate) * tread / 2.0 > MOVING]
-    return Series(slips.stamps_ns[kept], slips.values[kept])
+    v_x, rate = odometry["v_x"][of], odometry["yaw_rate"][of]
+    return Series(slips.rows[at[np.abs(v_x) + np.abs(rate) * tread / 2.0 > MOVING]])
 
 
 def slip_rmse(estimated: Series, true: Series) -> float | None:
@@ -102,8 +95,10 @@ def slip_rmse(estimated: Series, true: Series) -> float | None:
     if not inside.any():
         return None
     t, wanted = (own - own[0]) * 1e-9, (true.stamps_ns[inside] - own[0]) * 1e-9
-    columns = [np.interp(wanted, t, estimated.values[:, side]) for side in (0, 1)]
-    return _rms(np.stack(columns, axis=-1) - true.values[inside, :2])
+    errors = [
+        np.interp(wanted, t, estimated[side]) - true[side][inside] for side in ("left_slip", "right_slip")
+    ]
+    return _rms(np.stack(errors, axis=-1))
 
 
 def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 
 from collections import Counter, defaultdict, deque
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.messages import make
 from trackslip_bags.reader import Bag
-from trackslip_common.make import stamp_ns_of
+from trackslip_bags.tables import TopicTable, read_tables
+from trackslip_common.message_fields import RECORDS, ForceFields, SoilFields, read
 from trackslip_common.tally import Tally
+from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.measurements import Sprockets
 from trackslip_estimation.soil import conversions
 from trackslip_estimation.soil.conversions import FORCES, SOIL
 from trackslip_estimation.soil.records import HYDRAULICS, Hydraulics, TrackForces, inputs_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_tools.replay.arrivals import Kind
 from trackslip_tools.replay.inputs import Inputs, absolute_time
-from trackslip_tools.replay.scoring import Series
+from trackslip_tools.replay.series import Series, SeriesCollector
 
 FloatArray = NDArray[np.float64]
 
@@ -57,6 +59,7 @@ class SoilReplay:
     rejected: Tally = field(default_factory=Tally)
     messages: Counter[str] = field(default_factory=Counter)
     series: dict[str, Series] = field(default_factory=dict)  # by topic, what the bag holds of live and truth
+    live_classes: dict[int, FloatArray] = field(default_factory=dict)  # stamp → probabilities, live
     live: SoilComparison | None = None
 
     @property
@@ -103,38 +106,40 @@ def _read(
 ) -> deque[tuple[int, Hydraulics]]:
     """Log time and reading of the hydraulics; the live and true outputs go into the result."""
     names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
-    wanted = {topic for topic, name in names.items() if name in _READ}
+    wanted = [topic for topic, name in names.items() if name in _READ]
     readings: deque[tuple[int, Hydraulics]] = deque()
-    rows: dict[str, dict[int, FloatArray]] = defaultdict(dict)
+    collector = SeriesCollector()
     limits = [absolute_time(bag, t) for t in (filters.start_s, filters.stop_s)]
-    for message in bag.messages(wanted, *limits):
-        name, content = names[message.topic], bag.deserialize(message.raw, message.type_name)
-        result.messages[name] += 1
-        if name != HYDRAULICS:
-            rows[name][stamp_ns_of(content)] = numbers_of(content)
-        elif not filters.hides(name, (message.log_time_ns - inputs.origin_ns) * 1e-9):
-            readings.append((message.log_time_ns, conversions.hydraulics(content)))
-    for name, by_stamp in rows.items():
-        stamps = sorted(by_stamp)
-        values = np.array([by_stamp[stamp] for stamp in stamps])
-        result.series[name] = Series(np.array(stamps, dtype=np.int64), values)
+    for stretch in read_tables(bag, wanted, *limits):
+        for topic, table in stretch.items():
+            name = names[topic]
+            result.messages[name] += len(table)
+            rows = table.rows(RECORDS[TOPICS[name].type_name])
+            if name == HYDRAULICS:
+                for logged_ns, row in zip(table.log_times_ns.tolist(), rows.tolist(), strict=True):
+                    if not filters.hides(name, (logged_ns - inputs.origin_ns) * 1e-9):
+                        readings.append((logged_ns, Hydraulics(*row)))
+            else:
+                collector.add(name, rows)
+            if name == SOIL:
+                result.live_classes |= _classes(table)
+    result.series = collector.series()
     return readings
+
+
+def _classes(table: TopicTable) -> dict[int, FloatArray]:
+    messages = map(table.message, range(len(table)))
+    stamps_ns = table.rows(SoilFields)["stamp_ns"].tolist()
+    return {t: np.asarray(m.class_probabilities) for t, m in zip(stamps_ns, messages, strict=True)}
 
 
 def _log_times(inputs: Inputs) -> dict[int, list[int]]:
     """Log times of the sprocket samples at each stamp: an estimate is published as its sample comes."""
     times: dict[int, list[int]] = defaultdict(list)
-    for arrival in inputs.arrivals:
-        if isinstance(arrival.measurement, Sprockets):
-            times[arrival.measurement.stamp_ns].append(arrival.log_time_ns)
+    rows = inputs.rows[inputs.rows["kind"] == Kind.SPROCKETS]
+    for stamp_ns, logged_ns in zip(rows["stamp_ns"].tolist(), rows["log_time_ns"].tolist(), strict=True):
+        times[stamp_ns].append(logged_ns)
     return times
-
-
-def numbers_of(message: Any) -> FloatArray:
-    """All numbers of a TrackForces or SoilEstimate but its stamp."""
-    fields = {name: getattr(message, name) for name in message.__dataclass_fields__}
-    numbers = [v for v in fields.values() if isinstance(v, (bool, int, float, np.ndarray))]
-    return np.concatenate([np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in numbers])
 
 
 def _compare(result: SoilReplay) -> SoilComparison:
@@ -147,14 +152,18 @@ def _compare(result: SoilReplay) -> SoilComparison:
             continue
         first = max(int(recorded.stamps_ns[0]), outputs[0].stamp_ns)
         last = min(int(recorded.stamps_ns[-1]), outputs[-1].stamp_ns)
-        live = dict(zip(recorded.stamps_ns.tolist(), recorded.values, strict=True))
+        live = {int(row["stamp_ns"]): row for row in recorded.rows}
         theirs = {stamp for stamp in live if first <= stamp <= last}
         mine = {output.stamp_ns: output for output in outputs if first <= output.stamp_ns <= last}
         unmatched += len(theirs ^ mine.keys())
         compared += len(theirs)
         for stamp in theirs & mine.keys():
             message = conversions.message_of(make, mine[stamp], result.parameters.base_frame)
-            largest = max(largest, _difference(live[stamp], numbers_of(message)))
+            own = np.array(read(ForceFields if topic == FORCES else SoilFields, message), dtype=np.float64)
+            largest = max(largest, _difference(np.array(live[stamp].tolist(), dtype=np.float64), own))
+            if topic == SOIL:
+                classes = np.asarray(message.class_probabilities)
+                largest = max(largest, _difference(result.live_classes[stamp], classes))
     return SoilComparison(compared, unmatched, largest)
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_tools.report.numbers import Numbers
 from trackslip_tools.report.panel import (
     BLUE,
     COLOURS,
@@ -18,7 +19,7 @@ from trackslip_tools.report.panel import (
     colour_in,
     within,
 )
-from trackslip_tools.report.recording import FORCES, SOIL, TRUE_SOIL, Numbers
+from trackslip_tools.report.recording import FORCES, SOIL, TRUE_SOIL
 from trackslip_tools.report.run import Run, recordings
 
 FloatArray = NDArray[np.float64]
@@ -89,13 +90,13 @@ def _curves(runs: Sequence[Run], shape: _Shape) -> Iterator[Curve]:
 
 
 def _curve(numbers: Numbers, shown: _Shown, scale: float, label: str, colour: str, form: Form) -> Curve:
-    values = scale * numbers.fields[shown.field]
+    values = scale * numbers.rows[shown.field]
     band = None
     if shown.interval:
-        lower, upper = (scale * numbers.fields[f"{shown.field}_{end}"] for end in ("lower", "upper"))
+        lower, upper = (scale * numbers.rows[f"{shown.field}_{end}"] for end in ("lower", "upper"))
         band = (lower, upper)
-    elif f"{shown.field}_variance" in numbers.fields:
-        band = within(values, scale * np.sqrt(numbers.fields[f"{shown.field}_variance"]))
+    elif f"{shown.field}_variance" in (numbers.rows.dtype.names or ()):
+        band = within(values, scale * np.sqrt(numbers.rows[f"{shown.field}_variance"]))
     return Curve(label, colour, numbers.times, values, form, band)
 
 
@@ -107,7 +108,7 @@ def _truths(runs: Sequence[Run], shape: _Shape) -> Iterator[Curve]:
         colour = INK if len(bags) == 1 else colour_in(runs, run, INK)
         for shown in shape.fields:
             label = f"true {shown.label}" if len(bags) == 1 else f"{run.label}, true {shown.label}"
-            yield Curve(label, colour, numbers.times, shape.scale * numbers.fields[shown.field], Form.DOTTED)
+            yield Curve(label, colour, numbers.times, shape.scale * numbers.rows[shown.field], Form.DOTTED)
 
 
 def _class_panels(runs: Sequence[Run]) -> list[Panel]:
@@ -115,10 +116,10 @@ def _class_panels(runs: Sequence[Run]) -> list[Panel]:
     panels = []
     for run in (run for run in runs if SOIL in run.numbers):
         numbers = run.numbers[SOIL]
-        rows = [dict(zip(m.class_names, m.class_probabilities, strict=True)) for m in numbers.messages]
-        likely = sorted(rows[-1], key=lambda name: -rows[-1][name])
+        at_end = {name: p[-1] for name, p in numbers.classes.items() if np.isfinite(p[-1])}
+        likely = sorted(at_end, key=lambda name: -at_end[name])
         curves = [
-            Curve(name, colour, numbers.times, np.array([row.get(name, np.nan) for row in rows]))
+            Curve(name, colour, numbers.times, numbers.classes[name])
             for name, colour in zip(likely, COLOURS, strict=False)
         ]
         if not curves:

@@ -2,10 +2,10 @@
 """How measurements met the estimate: normalised innovations against their gates and their expectation.
 
 ν, S     innovation, its covariance      of the measurement
-NIS      νᵀ S⁻¹ ν, χ² with dof degrees of freedom if the filter is honest
+NIS      νᵀ S⁻¹ ν, χ² with dof degrees of freedom if the filter is consistent
 d        pose fix less the estimate published for its stamp, before the fix arrived   m, m, rad
 D        covariance of d: the estimate's and the fix's                                 (3, 3)
-w        L⁻¹ d with L Lᵀ = D: of variance 1 each if both are honest
+w        L⁻¹ d with L Lᵀ = D: of variance 1 each if both are consistent
 """
 
 from bisect import bisect_right
@@ -51,7 +51,7 @@ class Innovations(NamedTuple):
 
     @property
     def mean_ratio(self) -> float:
-        """Mean of NIS over degrees of freedom of what was taken: 1 if the filter is honest."""
+        """Mean of NIS over degrees of freedom of what was accepted: 1 if the filter is consistent."""
         taken = ~self.refused
         return float(self.nis[taken].sum() / self.freedoms[taken].sum()) if taken.any() else float("nan")
 
@@ -103,7 +103,7 @@ def _points(innovations: Innovations) -> Iterator[Curve]:
 
 
 def _expected(innovations: Innovations) -> Curve:
-    """1, and where 95 % of the moving means of an honest filter lie."""
+    """1, and where 95 % of the moving means of a consistent filter lie."""
     ends = np.array((innovations.times.min(), innovations.times.max()))
     freedom = WINDOW * float(np.median(innovations.freedoms))
     low, high = (np.full(2, chdtri(freedom, tail) / freedom) for tail in (1.0 - _TAIL, _TAIL))

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP
-from trackslip_tools.replay.scoring import Series, moving_slips
+from trackslip_tools.replay.scoring import moving_slips
+from trackslip_tools.replay.series import Series
 from trackslip_tools.report.panel import (
     INK,
     SIGMAS,
@@ -35,17 +36,17 @@ class _Quantity(NamedTuple):
     covariance: str
     column: int
     truth: str  # topic
-    true_column: int
+    true_column: str
     scale: float = 1.0
 
 
 _DEGREES = 180.0 / np.pi
 _QUANTITIES = (
-    _Quantity("Slip of the left track", "slip, 1", "slips", "slip_covariances", 0, TRUE_SLIP, 0),
-    _Quantity("Slip of the right track", "slip, 1", "slips", "slip_covariances", 1, TRUE_SLIP, 1),
-    _Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, 2, _DEGREES),
-    _Quantity("Speed", "v_x, m/s", "twists", "twist_covariances", 0, TRUE_ODOMETRY, 3),
-    _Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, 5, _DEGREES),
+    _Quantity("Slip of the left track", "slip, 1", "slips", "slip_covariances", 0, TRUE_SLIP, "left_slip"),
+    _Quantity("Slip of the right track", "slip, 1", "slips", "slip_covariances", 1, TRUE_SLIP, "right_slip"),
+    _Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, "slip_angle", _DEGREES),
+    _Quantity("Speed", "v_x, m/s", "twists", "twist_covariances", 0, TRUE_ODOMETRY, "v_x"),
+    _Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, "yaw_rate", _DEGREES),
 )
 
 
@@ -119,22 +120,15 @@ def _truths(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:
     bags = recordings(runs)
     for run in bags:
         series = run.replay.inputs.series.get(quantity.truth)
-        if quantity.truth == TRUE_SLIP and series is not None:
-            series = _broken_at_rest(series, true_slips(run))
         if series is not None:
             label = "truth" if len(bags) == 1 else f"truth, {run.label}"
             colour = INK if len(bags) == 1 else colour_in(runs, run, INK)
             form = Form.LINE if len(bags) == 1 else Form.DOTTED
-            values = quantity.scale * series.values[:, quantity.true_column]
+            values = quantity.scale * series[quantity.true_column]
+            moving = true_slips(run) if quantity.truth == TRUE_SLIP else None
+            if moving is not None:  # at rest slips mean nothing
+                values = np.where(np.isin(series.stamps_ns, moving.stamps_ns), values, np.nan)
             yield Curve(label, colour, run.recording.seconds(series.stamps_ns), values, form)
-
-
-def _broken_at_rest(slips: Series, moving: Series | None) -> Series:
-    """The slips with nan where they mean nothing."""
-    if moving is None:
-        return slips
-    at_rest = ~np.isin(slips.stamps_ns, moving.stamps_ns)
-    return Series(slips.stamps_ns, np.where(at_rest[:, np.newaxis], np.nan, slips.values))
 
 
 def _estimates(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a report takes from the bag itself, beside the replay: times of all messages, soil, forces, laser."""
 
-from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,15 +11,17 @@ from numpy.typing import NDArray
 from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
+from trackslip_bags.tables import TopicTable, read_tables
 from trackslip_common.config_files import node_defaults
-from trackslip_common.make import stamp_ns_of
+from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.parameters import from_flat
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
+from trackslip_tools.report.numbers import Numbers, NumbersCollector
 
 FloatArray = NDArray[np.float64]
 
 FORCES, SOIL, TRUE_SOIL, SCAN = "track_forces", "soil", "truth/soil", "scan"
-_NUMBERS = (FORCES, SOIL, TRUE_SOIL)
+_NUMBERS = {FORCES: ForceFields, SOIL: SoilFields, TRUE_SOIL: SoilFields}
 _SCANS = 60  # of a bag, evenly spread: enough to see walls and the way of the box
 _CELL = 0.04  # m; of points closer together one is shown
 _FEW = 5  # messages that make no rate
@@ -53,7 +54,7 @@ class Timing:
 
     @property
     def regular(self) -> bool:
-        """Whether messages come at a steady rate: then a missing one can be told."""
+        """Whether messages come at a steady rate: then a missing one shows."""
         if len(self.times) < _FEW:
             return False
         early, late = np.percentile(np.diff(self.times), (25.0, 75.0))
@@ -77,15 +78,6 @@ class Timing:
     def longest(self) -> float:
         """The longest time between two messages, s; nan where there are fewer than two."""
         return float(np.max(np.diff(self.times))) if len(self.times) > 1 else float("nan")
-
-
-@dataclass(frozen=True, eq=False)
-class Numbers:
-    """All scalar fields of a topic over time, by their names in the message."""
-
-    times: FloatArray  # (n,) s from the bag's first message, by stamp
-    fields: dict[str, FloatArray]  # (n,) each
-    messages: Sequence[Any]  # (n,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,19 +108,21 @@ def read_recording(bag: Bag, filters: InputFilters) -> Recording:
     """
     names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
     start_s, stop_s = max(filters.start_s, 0.0), min(filters.stop_s, bag.duration_s)
-    logged: dict[str, list[int]] = {name: [] for name in names.values()}
-    kept: dict[str, list[Any]] = defaultdict(list)
-    scans = sum(info.count for topic, info in bag.topics.items() if names[topic] == SCAN)
-    stride = -(-scans // _SCANS) or 1
+    logged: dict[str, list[NDArray[np.int64]]] = {name: [] for name in names.values()}
+    numbers = {name: NumbersCollector(kind, bag.start_ns) for name, kind in _NUMBERS.items()}
+    scans = _Scans(sum(info.count for topic, info in bag.topics.items() if names[topic] == SCAN))
     window = (bag.start_ns + round(start_s * 1e9), bag.start_ns + round(stop_s * 1e9) + 1)
-    for message in bag.messages(None, *window):
-        name = names[message.topic]
-        logged[name].append(message.log_time_ns)
-        if name in _NUMBERS or (name == SCAN and len(logged[name]) % stride == 0):
-            kept[name].append(bag.deserialize(message.raw, message.type_name))
-    timings = {name: Timing(_seconds(times, bag.start_ns)) for name, times in sorted(logged.items())}
-    numbers = {name: numbers_of(kept[name], bag.start_ns) for name in _NUMBERS if kept[name]}
-    laser, points = _laser_view(kept[SCAN])
+    for stretch in read_tables(bag, bag.topics, *window):
+        for topic, table in stretch.items():
+            name = names[topic]
+            logged[name].append(table.log_times_ns)
+            if name in numbers:
+                numbers[name].add_table(table)
+            elif name == SCAN:
+                scans.add(table)
+    none = [np.empty(0, np.int64)]
+    times = {name: np.concatenate(none + logged.pop(name)) for name in sorted(logged)}
+    laser, points = _laser_view(scans.chosen)
     return Recording(
         path=str(bag.path),
         start_ns=bag.start_ns,
@@ -136,20 +130,26 @@ def read_recording(bag: Bag, filters: InputFilters) -> Recording:
         stop_s=stop_s,
         damage=bag.damage,
         parameters=bag_parameters(bag),
-        timings=timings,
-        numbers=numbers,
+        timings={name: Timing(_seconds(found, bag.start_ns)) for name, found in times.items()},
+        numbers={name: collector.numbers() for name, collector in numbers.items() if len(collector)},
         laser=laser,
         points=points,
     )
 
 
-def numbers_of(messages: Sequence[Any], start_ns: int) -> Numbers:
-    """All scalar fields of messages of one type, at least one of them."""
-    times = _seconds([stamp_ns_of(message) for message in messages], start_ns)
-    names = [f.name for f in fields(messages[0])]
-    scalars = [name for name in names if isinstance(getattr(messages[0], name), (bool, int, float))]
-    columns = {name: np.array([getattr(m, name) for m in messages], dtype=np.float64) for name in scalars}
-    return Numbers(times, columns, messages)
+class _Scans:
+    """Some of so many scans, evenly spread."""
+
+    def __init__(self, count: int) -> None:
+        self.chosen: list[Any] = []
+        self._stride = -(-count // _SCANS) or 1
+        self._seen = 0
+
+    def add(self, table: TopicTable) -> None:
+        """More of them."""
+        first = (-self._seen - 1) % self._stride
+        self.chosen += map(table.message, range(first, len(table), self._stride))
+        self._seen += len(table)
 
 
 def _seconds(stamps_ns: Sequence[int] | NDArray[np.int64], start_ns: int) -> FloatArray:

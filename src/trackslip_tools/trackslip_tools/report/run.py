@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of a report: a bag, the parameters it was replayed with, and what came of it."""
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_bags.input_filters import InputFilters, apply
+from trackslip_bags.input_filters import InputFilters
+from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.measurements import Input
 from trackslip_estimation.slip.motion import Motion
@@ -19,7 +18,8 @@ from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.run import Replay
 from trackslip_tools.replay.scoring import in_order, path_of
 from trackslip_tools.replay.soil_output import soil_messages
-from trackslip_tools.report.recording import FORCES, SOIL, Numbers, Recording, numbers_of
+from trackslip_tools.report.numbers import Numbers, NumbersCollector
+from trackslip_tools.report.recording import FORCES, SOIL, Recording
 
 FloatArray = NDArray[np.float64]
 
@@ -59,26 +59,25 @@ class Run:
         """None where the smoother was not asked, or had nothing to start from."""
         return _states(self.smoothed) if self.smoothed else None
 
-    @cached_property
+    @property
     def inputs(self) -> list[Input]:
-        """The measurements as the estimator saw them, thinned and withheld ones left out."""
-        arrivals = apply(self.filters, self.replay.inputs.arrivals, self.replay.inputs.origin_ns)
-        return [arrival.measurement for arrival in arrivals]
+        """The measurements as the estimator processed them, thinned and withheld ones left out."""
+        return self.replay.inputs.inputs
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
         """Forces and soil by topic: of the replay where it computed them, else as the bag has them."""
-        computed: dict[str, list[Any]] = defaultdict(list)
+        kinds = {FORCES: ForceFields, SOIL: SoilFields}
+        found = {topic: NumbersCollector(kind, self.recording.start_ns) for topic, kind in kinds.items()}
         for topic, message, _ in soil_messages(self.replay.soil) if self.replay.soil is not None else ():
-            if topic in (FORCES, SOIL):
-                computed[topic].append(message)
-        start_ns = self.recording.start_ns
-        replayed = {topic: numbers_of(messages, start_ns) for topic, messages in computed.items()}
+            if topic in found:
+                found[topic].add(message)
+        replayed = {topic: collector.numbers() for topic, collector in found.items() if len(collector)}
         return self.recording.numbers | replayed
 
 
 def recordings(runs: Sequence[Run]) -> list[Run]:
-    """Of the runs over the same bag, the first one: what the bag alone tells is told once."""
+    """Of the runs over the same bag, the first one: what depends on the bag alone is shown once."""
     first: dict[str, Run] = {}
     for run in runs:
         first.setdefault(run.recording.path, run)

@@ -17,7 +17,7 @@ from trackslip_tools.report.run import Run
 _POSITION = 0.15  # m, RMSE
 _GAIN = 0.2  # of the error of encoders alone
 _SLIP = 0.05  # RMSE
-_HONEST = (0.5, 1.5)  # errors over what was claimed of them; 1 is honest
+_CONSISTENT = (0.5, 1.5)  # errors over what was claimed of them; 1 is consistent
 _SHARE = 0.01  # of messages lost, of measurements refused
 
 
@@ -44,8 +44,8 @@ def verdicts(run: Run) -> dict[str, Verdict]:
         "Bag": _intact,
         "Replay = live": _same_as_live,
         "Position": _position,
-        "Honesty of the pose": _honest_pose,
-        "Honesty of the innovations": _honest_innovations,
+        "Consistency of the pose": _pose_consistency,
+        "Consistency of the innovations": _innovation_consistency,
         "Slip": _slip,
         "Soil": _soil,
         "Rates": _rates,
@@ -55,7 +55,7 @@ def verdicts(run: Run) -> dict[str, Verdict]:
     return {name: check(run) for name, check in checks.items()}
 
 
-def _judged(good: bool, value: str, words: str) -> Verdict:
+def _checked(good: bool, value: str, words: str) -> Verdict:
     return Verdict(State.OK if good else State.ATTENTION, value, words)
 
 
@@ -65,8 +65,8 @@ def _unknown(words: str) -> Verdict:
 
 def _intact(run: Run) -> Verdict:
     if run.recording.damage:
-        return _judged(False, "damaged", f"Only what was whole could be read ({run.recording.damage}).")
-    return _judged(True, "whole", "The recording was closed properly.")
+        return _checked(False, "damaged", f"Only what was whole could be read ({run.recording.damage}).")
+    return _checked(True, "whole", "The recording was closed properly.")
 
 
 def _same_as_live(run: Run) -> Verdict:
@@ -79,83 +79,83 @@ def _same_as_live(run: Run) -> Verdict:
         return _unknown("Replayed with other parameters than live.")
     soil = run.replay.soil.live if run.replay.soil is not None else None
     if soil is not None and live.matches and not soil.matches:
-        return _judged(False, f"{soil.compared} soil messages", "The soil estimator differed live.")
+        return _checked(False, f"{soil.compared} soil messages", "The soil estimator differed live.")
     value = f"{live.compared} estimates, largest difference {live.largest_difference:.0e}"
     if live.matches:
-        return _judged(True, value, "The replay repeats what the machine computed.")
+        return _checked(True, value, "The replay repeats what the machine computed.")
     lost = f"{live.unmatched} unmatched, {live.lost_inputs} measurements and {live.lost_reports} reports lost"
-    return _judged(False, value, f"The machine computed something else ({lost}).")
+    return _checked(False, value, f"The machine computed something else ({lost}).")
 
 
 def _position(run: Run) -> Verdict:
     if run.states is None:
-        return _judged(False, "no estimate", "Nothing to start from: no fix, no initial pose.")
+        return _checked(False, "no estimate", "Nothing to start from: no fix, no initial pose.")
     own, encoders = (run.replay.scores.get(name) for name in ("filter", "dead_reckoning"))
     if own is None:
         return _unknown("No reference in the bag (--reference names one).")
     value = f"{100.0 * own.position:.1f} cm, {math.degrees(own.heading):.2f}° RMSE"
     if encoders is None:
-        return _judged(own.position <= _POSITION, value, f"Against {run.replay.reference}.")
+        return _checked(own.position <= _POSITION, value, f"Against {run.replay.reference}.")
     words = f"Encoders alone: {100.0 * encoders.position:.1f} cm. Wanted: {100.0 * _POSITION:g} cm, "
     good = own.position <= _POSITION and own.position <= _GAIN * encoders.position
-    return _judged(good, value, f"{words}and at most {_GAIN:g} of the encoders' error.")
+    return _checked(good, value, f"{words}and at most {_GAIN:g} of the encoders' error.")
 
 
-def _honest_pose(run: Run) -> Verdict:
+def _pose_consistency(run: Run) -> Verdict:
     if run.replay.nees is None:
         return _unknown("No reference in the bag.")
     value = f"NEES {run.replay.nees:.2f}, 3 expected"
-    return _honest(run.replay.nees / 3.0, value, "Errors of the pose")
+    return _consistency(run.replay.nees / 3.0, value, "Errors of the pose")
 
 
-def _honest_innovations(run: Run) -> Verdict:
+def _innovation_consistency(run: Run) -> Verdict:
     ratios = {source: found.mean_ratio for source, found in innovations_of(run).items()}
     ratios = {source: ratio for source, ratio in ratios.items() if math.isfinite(ratio)}
     if not ratios:
         return _unknown("No measurement was compared with the estimate.")
     worst = max(ratios, key=lambda source: abs(math.log(max(ratios[source], 1e-9))))
     value = ", ".join(f"{source} {ratio:.2f}" for source, ratio in ratios.items())
-    return _honest(ratios[worst], f"NIS / dof: {value}", f"Innovations of {worst}")
+    return _consistency(ratios[worst], f"NIS / dof: {value}", f"Innovations of {worst}")
 
 
-def _honest(ratio: float, value: str, what: str) -> Verdict:
+def _consistency(ratio: float, value: str, what: str) -> Verdict:
     """``ratio``: squared errors over what was claimed."""
     times = math.sqrt(ratio)
     words = f"{what} are {times:.2f} times what the estimate claims"
-    if times > _HONEST[1]:
-        return _judged(False, value, f"{words}: it is too sure.")
-    if times < _HONEST[0]:
-        return _judged(False, value, f"{words}: it is too modest.")
-    return _judged(True, value, f"{words}.")
+    if times > _CONSISTENT[1]:
+        return _checked(False, value, f"{words}: it is too sure.")
+    if times < _CONSISTENT[0]:
+        return _checked(False, value, f"{words}: it is too modest.")
+    return _checked(True, value, f"{words}.")
 
 
 def _slip(run: Run) -> Verdict:
     if run.replay.slip_rmse is None:
         return _unknown("The bag holds no true slips.")
     words = f"Wanted: at most {_SLIP:g}, left and right together, while the machine moves."
-    return _judged(run.replay.slip_rmse <= _SLIP, f"{run.replay.slip_rmse:.4f} RMSE", words)
+    return _checked(run.replay.slip_rmse <= _SLIP, f"{run.replay.slip_rmse:.4f} RMSE", words)
 
 
 def _soil(run: Run) -> Verdict:
     numbers = run.numbers.get(SOIL)
     if numbers is None:
         return _unknown("Neither hydraulics nor soil estimates in the bag.")
-    last = numbers.messages[-1]
-    value = f"K {100.0 * last.shear_modulus:.2f} cm, F_max {1e-3 * last.max_tractive_effort:.1f} kN"
-    if last.identifiable:
-        return _judged(True, value, "The driving tells K and F_max apart.")
-    return _judged(False, value, f"Not told apart yet: {last.reason or 'no reason given'}.")
+    last = numbers.rows[-1]
+    value = f"K {100.0 * last['shear_modulus']:.2f} cm, F_max {1e-3 * last['max_tractive_effort']:.1f} kN"
+    if last["identifiable"]:
+        return _checked(True, value, "The driving determines K and F_max separately.")
+    return _checked(False, value, f"Not separated yet: {numbers.reason or 'no reason given'}.")
 
 
 def _rates(run: Run) -> Verdict:
     timings = {name: run.recording.timings[name] for name in _sensors(run)}
     lost = {name: timing.lost for name, timing in timings.items() if timing.regular}
     if not lost:
-        return _judged(False, "no sensor", "No sensor topic holds messages.")
+        return _checked(False, "no sensor", "No sensor topic holds messages.")
     value = f"{len(lost)} sensors, at worst {100.0 * max(lost.values()):.1f} % lost"
     bad = [f"{name} {100.0 * share:.1f} %" for name, share in lost.items() if share > _SHARE]
     words = f"Lost: {', '.join(bad)}." if bad else "Every sensor came at its usual rate."
-    return _judged(not bad, value, words)
+    return _checked(not bad, value, words)
 
 
 def _gaps(run: Run) -> Verdict:
@@ -165,11 +165,11 @@ def _gaps(run: Run) -> Verdict:
     allowed[SPROCKETS] = p.sprocket_timeout
     longest = {name: timings[name].longest for name in allowed if name in timings and timings[name].gaps}
     if not longest:
-        return _judged(True, "none", "No source of the estimator was silent.")
+        return _checked(True, "none", "No source of the estimator was silent.")
     worst = max(longest, key=lambda name: longest[name] / allowed[name])
     bad = [name for name in longest if longest[name] > allowed[name]]
     words = f"Longer than its timeout: {', '.join(bad)}." if bad else "None longer than its source's timeout."
-    return _judged(not bad, f"{worst} {longest[worst]:.2f} s", words)
+    return _checked(not bad, f"{worst} {longest[worst]:.2f} s", words)
 
 
 def _rejections(run: Run) -> Verdict:
@@ -185,10 +185,10 @@ def _rejections(run: Run) -> Verdict:
         if count
     }
     if not shares:
-        return _judged(True, "none", "Every measurement was used.")
+        return _checked(True, "none", "Every measurement was used.")
     value = ", ".join(f"{source} {100.0 * share:.2f} %" for source, share in shares.items())
     good = max(shares.values()) <= _SHARE
-    return _judged(good, value, f"Share not used; {100.0 * _SHARE:g} % of a source is normal.")
+    return _checked(good, value, f"Share not used; {100.0 * _SHARE:g} % of a source is normal.")
 
 
 def _sensors(run: Run) -> list[str]:

@@ -3,12 +3,12 @@
 
 import time
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from trackslip_bags import input_filters
-from trackslip_bags.input_filters import Arrival, InputFilters
+import numpy as np
+
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
 from trackslip_bags.reader import Bag, absolute
@@ -18,9 +18,9 @@ from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.measurements import Sprockets
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_tools.replay.arrivals import Kind
 from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, Inputs, read_inputs
 from trackslip_tools.replay.run import (
     TRUE_ODOMETRY,
@@ -96,9 +96,8 @@ def smooth_bag(
     began = time.monotonic()
     reference = reference or own_reference(bag)
     inputs = read_inputs(bag, p, filters, (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ())))
-    arrivals = input_filters.apply(filters, inputs.arrivals, inputs.origin_ns)
-    _require_one_time(bag, arrivals, p.history_window)
-    found = smooth((arrival.measurement for arrival in arrivals), p, shown)
+    _require_one_time(bag, inputs, p.history_window)
+    found = smooth(inputs.inputs, p, shown)
     of_filter, of_smoother = (_errors(estimates, inputs, reference, p.vehicle.tread) for estimates in found)
     return SmoothedBag(found, reference, of_filter, of_smoother, time.monotonic() - began)
 
@@ -120,17 +119,16 @@ def write_smoothed(path: Path, result: SmoothedBag, p: SlipEstimatorParameters) 
                 bag.write(absolute(SMOOTHED + topic), TOPICS[topic].type_name, data, estimate.stamp_ns)
 
 
-def _require_one_time(bag: Bag, arrivals: list[Arrival], window_s: float) -> None:
+def _require_one_time(bag: Bag, inputs: Inputs, window_s: float) -> None:
     """A clock that was set back makes two times of one: their stamps cannot be told apart."""
-    sprockets = [a for a in arrivals if isinstance(a.measurement, Sprockets)]
-    for before, after in pairwise(sprockets):
-        back_s = (before.measurement.stamp_ns - after.measurement.stamp_ns) * 1e-9
-        if back_s > window_s:
-            at_s = (after.log_time_ns - bag.start_ns) * 1e-9
-            accepted = "accepted: a part with one time (--start, --stop)"
-            raise InputError(
-                f"bag '{bag.path}': the clock goes back by {back_s:.1f} s at {at_s:.2f} s; {accepted}"
-            )
+    rows = inputs.rows[inputs.rows["kind"] == Kind.SPROCKETS]
+    back_s = -np.diff(rows["stamp_ns"]) * 1e-9
+    for k in np.flatnonzero(back_s > window_s)[:1].tolist():
+        at_s = (int(rows["log_time_ns"][k + 1]) - bag.start_ns) * 1e-9
+        accepted = "accepted: a part with one time (--start, --stop)"
+        raise InputError(
+            f"bag '{bag.path}': the clock goes back by {back_s[k]:.1f} s at {at_s:.2f} s; {accepted}"
+        )
 
 
 def _errors(estimates: list[Estimate], inputs: Inputs, reference: str | None, tread: float) -> Errors:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a bag to what the tuner scores."""
 
-from trackslip_bags import input_filters
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
@@ -29,8 +28,7 @@ def read_task(
     """
     reference = reference or own_reference(bag)
     inputs = read_inputs(bag, p, filters, (reference,) if reference else ())
-    arrivals = input_filters.apply(filters, inputs.arrivals, inputs.origin_ns)
-    measurements = [a.measurement for a in arrivals if isinstance(a.measurement, KINDS)]
+    measurements = [m for m in inputs.inputs if isinstance(m, KINDS)]
     series = inputs.series.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Definitions of message types as ROS installs them: text for MCAP, and hash. What a recorder needs.
+
+``share/<package>/msg/<Name>.msg`` and ``.json`` are looked for on ``AMENT_PREFIX_PATH``, the text also in the
+checkout.
+"""
+
+import json
+import os
+import re
+from pathlib import Path
+
+from mcap.well_known import SchemaEncoding
+
+from trackslip_bags.metadata import Schema
+
+DEFAULT_DISTRO = "kilted"
+
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*")
+_LINE = re.compile(r"([A-Za-z][\w/]*)(\S*)\s+(\w+)\s*(=?)\s*(.*)")  # type, array, name, =, value or default
+_BASIC = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
+_SEPARATOR = "=" * 80
+
+
+def ros_distro() -> str:
+    """The ROS distribution whose messages are in use: the sourced one, or ``DEFAULT_DISTRO``."""
+    return os.environ.get("ROS_DISTRO") or DEFAULT_DISTRO
+
+
+def msg_file(type_name: str, suffix: str = ".msg") -> Path | None:
+    """Where the type is defined; None where it is nowhere."""
+    if not _TYPE_NAME.fullmatch(type_name):
+        return None
+    package, _, name = type_name.split("/")
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    installed = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
+    checkout = [parent / "src" / package for parent in Path(__file__).resolve().parents]
+    candidates = (directory / "msg" / f"{name}{suffix}" for directory in installed + checkout)
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def installed_schema(type_name: str) -> Schema | None:
+    """The type and all those inside it; None where a definition or the hash is not installed."""
+    description = msg_file(type_name, ".json")
+    texts: dict[str, str] = {}
+    try:
+        _collect(type_name, texts)
+        entries = json.loads(description.read_text(encoding="utf-8"))["type_hashes"] if description else []
+        hashes = {str(entry["type_name"]): str(entry["hash_string"]) for entry in entries}
+        first, *inner = texts.items()
+        parts = [first[1], *(f"{_SEPARATOR}\nMSG: {n.replace('/msg/', '/')}\n{text}" for n, text in inner)]
+        return Schema(SchemaEncoding.ROS2, "".join(parts).encode(), hashes[type_name])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _collect(type_name: str, texts: dict[str, str]) -> None:
+    """Add a type's definition to the texts, and then those inside it, in the order of its fields.
+
+    They are without comments and defaults, with full names, constants first: as rosbags prints them.
+
+    Raises:
+        KeyError: one of them has no file.
+        ValueError: one of them cannot be parsed.
+    """
+    path = msg_file(type_name)
+    if path is None:
+        raise KeyError(type_name)
+    constants, fields, inner = [], [], []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        content = line.partition("#")[0].strip()
+        found = _LINE.fullmatch(content)
+        if content and found is None:
+            raise ValueError(f"{path}: {content}")
+        if found is not None:
+            kind, array, name, equals, value = found.groups()
+            if not _BASIC.fullmatch(kind):
+                kind = _full_name(kind, type_name.partition("/")[0])
+                inner.append(kind)
+            if equals:
+                constants.append(f"{kind} {name}={value}\n")
+            else:
+                fields.append(f"{kind.replace('/msg/', '/')}{array} {name}\n")
+    texts[type_name] = "".join(constants + fields)
+    for kind in inner:
+        if kind not in texts:
+            _collect(kind, texts)
+
+
+def _full_name(kind: str, package: str) -> str:
+    """``Header`` and ``std_msgs/Header`` in a message of ``package`` → ``std_msgs/msg/Header``."""
+    if "/" not in kind:
+        return f"std_msgs/msg/{kind}" if kind == "Header" else f"{package}/msg/{kind}"
+    return kind if "/msg/" in kind else kind.replace("/", "/msg/")

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where messages are in the chunks of an MCAP file, by the index behind each chunk; each entry is checked."""
+
+from collections.abc import Iterator, Mapping
+from io import BytesIO
+from struct import Struct
+from typing import IO, NamedTuple
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Chunk, ChunkIndex
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.summary import Summary
+from mcap.well_known import MessageEncoding
+from numpy.typing import NDArray
+
+IntArray = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+
+_HEAD = Struct("<BQ")  # of a record: what it is, bytes that follow
+_RECORD = (("opcode", "u1"), ("length", "<u8"))
+_HEADER = (("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("sent", "<u8"))
+_MESSAGE = np.dtype([*_RECORD, *_HEADER])  # of a message, up to its content
+_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])  # of a message index
+_COMPRESSIONS = ("", "lz4", "zstd")
+
+
+class Located(NamedTuple):
+    """Messages in a buffer, one row each."""
+
+    topics: IntArray  # (n,) their numbers
+    log_times_ns: IntArray  # (n,)
+    written: IntArray  # (n, 2) rank of the chunk by its place in the files, place in the chunk
+    starts: IntArray  # (n,) of the content, in the buffer
+    lengths: IntArray  # (n,) of the content, bytes
+
+
+class File(NamedTuple):
+    """An open file, and its channels."""
+
+    stream: IO[bytes]
+    numbers: dict[int, int]  # channel → number of its topic
+
+
+class Part(NamedTuple):
+    """One chunk of a file."""
+
+    file: File
+    rank: int  # by place
+    chunk: ChunkIndex
+
+
+class Indexed(NamedTuple):
+    """What the index behind a chunk says of one channel."""
+
+    entries: NDArray[np.void]  # (n,) _ENTRY
+    channel: int
+    topic: int  # its number
+    rank: int  # of the chunk
+    begin: int  # of the chunk in the buffer
+    end: int
+    first_ns: int  # log times that the chunk spans
+    last_ns: int
+
+
+def parts_of(stream: IO[bytes], summary: Summary | None, types: Mapping[str, str], known: int) -> list[Part]:
+    """The chunks of a file in the order written; ``known`` are those of the files before it."""
+    if summary is None or summary.statistics is None:
+        raise ValueError("no summary")
+    indexes = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
+    if summary.statistics.message_count and not any(index.message_index_offsets for index in indexes):
+        raise ValueError("no index of messages")
+    file = File(stream, _numbers(summary, types))
+    return [Part(file, known + k, index) for k, index in enumerate(indexes)]
+
+
+def _numbers(summary: Summary, types: Mapping[str, str]) -> dict[int, int]:
+    """Channel → number of its topic."""
+    places = {topic: number for number, topic in enumerate(types)}
+    channels = [channel for channel in summary.channels.values() if channel.topic in places]
+    for channel in channels:
+        known = summary.schemas[channel.schema_id].name == types[channel.topic]
+        if not known or channel.message_encoding != MessageEncoding.CDR:
+            raise ValueError(f"{channel.topic} of another type")
+    return {channel.id: places[channel.topic] for channel in channels}
+
+
+def joined(found: list[Located]) -> Located:
+    """All of them as one."""
+    none = np.empty(0, np.int64)
+    blank = Located(none, none, none.reshape(0, 2), none, none)
+    return Located(*(np.concatenate(columns) for columns in zip(blank, *found, strict=True)))
+
+
+def chosen(rows: Located, which: NDArray[np.bool_] | IntArray) -> Located:
+    return Located(*(column[which] for column in rows))
+
+
+def content_of(part: Part) -> Bytes:
+    """The records of a chunk that passes its checks."""
+    stream, index = part.file.stream, part.chunk
+    stream.seek(index.chunk_start_offset + _HEAD.size)
+    chunk = Chunk.read(ReadDataStream(BytesIO(stream.read(index.chunk_length - _HEAD.size))))
+    stated = index.compression, index.compressed_size, index.uncompressed_size
+    if stated != (chunk.compression, len(chunk.data), chunk.uncompressed_size):
+        raise ValueError("a chunk other than its index says")
+    if chunk.compression not in _COMPRESSIONS:
+        raise ValueError("a chunk of another compression")
+    records, size = get_chunk_data_stream(chunk, validate_crc=True)
+    if size != index.uncompressed_size:
+        raise ValueError("a chunk of another size")
+    return np.frombuffer(records.read(size), np.uint8)
+
+
+def indexed_in(part: Part, begin: int, end: int) -> Iterator[Indexed]:
+    """Of each wanted channel; the chunk lies between ``begin`` and ``end`` in the buffer."""
+    stream, index = part.file.stream, part.chunk
+    stream.seek(index.chunk_start_offset + index.chunk_length)
+    data = stream.read(index.message_index_length)
+    for channel, topic in part.file.numbers.items():
+        if channel in index.message_index_offsets:
+            at = index.message_index_offsets[channel] - index.chunk_start_offset - index.chunk_length
+            times = index.message_start_time, index.message_end_time
+            yield Indexed(_entries(data, at, channel), channel, topic, part.rank, begin, end, *times)
+
+
+def messages_in(buffer: Bytes, indexed: list[Indexed]) -> Located:
+    """Where the messages are, each checked against its index."""
+    if not indexed:
+        return joined([])
+    counts = [one.entries.size for one in indexed]
+
+    def of_each(name: str) -> IntArray:
+        return np.repeat(np.array([getattr(one, name) for one in indexed], dtype=np.int64), counts)
+
+    entries = np.concatenate([one.entries for one in indexed])
+    log_times_ns, at = entries["log"].astype(np.int64), entries["offset"].astype(np.int64)
+    offsets, ends = of_each("begin") + at, of_each("end")
+    if ((at < 0) | (offsets + _MESSAGE.itemsize > ends)).any():
+        raise ValueError("an index beyond its chunk")
+    heads = buffer[offsets[:, np.newaxis] + np.arange(_MESSAGE.itemsize)].view(_MESSAGE)[:, 0]
+    lengths = heads["length"].astype(np.int64) - (_MESSAGE.itemsize - _HEAD.size)
+    starts = offsets + _MESSAGE.itemsize
+    sound = (
+        (heads["opcode"] == int(Opcode.MESSAGE))
+        & (heads["channel"] == of_each("channel"))
+        & (heads["log"] == entries["log"])
+        & (lengths >= 0)
+        & (lengths <= ends - starts)
+        & (log_times_ns >= of_each("first_ns"))
+        & (log_times_ns <= of_each("last_ns"))
+    )
+    if not sound.all() or np.unique(offsets).size < offsets.size:
+        raise ValueError("an index of messages that are not there")
+    return Located(of_each("topic"), log_times_ns, np.column_stack((of_each("rank"), at)), starts, lengths)
+
+
+def _entries(data: bytes, at: int, channel: int) -> NDArray[np.void]:
+    """Of a message index record that begins ``at``."""
+    opcode, length = _HEAD.unpack_from(data, at) if at >= 0 else (0, 0)
+    begin = at + _HEAD.size
+    named = int.from_bytes(data[begin : begin + 2], "little")
+    size = int.from_bytes(data[begin + 2 : begin + 6], "little")
+    whole = length == size + 6 and begin + length <= len(data) and size % _ENTRY.itemsize == 0
+    if opcode != int(Opcode.MESSAGE_INDEX) or named != channel or not whole:
+        raise ValueError("no index of messages")
+    return np.frombuffer(data, _ENTRY, size // _ENTRY.itemsize, begin + 6)

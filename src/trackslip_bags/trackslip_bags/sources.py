@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The readable parts of a bag: what rosbags opens, and what can be read of an MCAP file that it refuses."""
+
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from rosbags.interfaces import MessageDefinition
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.reader import DirectoryReader
+from rosbags.rosbag2.storage_mcap import McapReader
+
+from trackslip_bags.recovery.salvage import Salvage, salvage
+
+
+class BagMessage(NamedTuple):
+    """One message as recorded; ``raw`` is its CDR form."""
+
+    topic: str
+    type_name: str
+    log_time_ns: int
+    raw: bytes
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """What a bag holds of one topic."""
+
+    type_name: str
+    count: int
+    definition: MessageDefinition
+
+
+class Source(Protocol):
+    """One readable part of a bag."""
+
+    start_ns: int  # log time of the first message
+    end_ns: int  # log time of the last message
+
+    def topics(self) -> dict[str, TopicInfo]: ...
+
+    def messages(
+        self, wanted: Collection[str] | None, start_ns: int, stop_ns: int
+    ) -> Iterator[BagMessage]: ...
+
+    def close(self) -> None: ...
+
+
+class WholeBag:
+    """A bag, or one file of it, that rosbags reads."""
+
+    def __init__(self, path: Path) -> None:
+        self._reader = Reader(path)
+        self._reader.open()
+        self.start_ns = self._reader.start_time
+        self.end_ns = self._reader.end_time - 1
+        self.files = _mcap_files(self._reader)
+
+    def topics(self) -> dict[str, TopicInfo]:
+        return merged({c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in self._reader.connections)
+
+    def messages(self, wanted: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
+        connections = [c for c in self._reader.connections if wanted is None or c.topic in wanted]
+        if not connections:
+            return
+        for connection, time_ns, raw in self._reader.messages(connections, start_ns, stop_ns):
+            yield BagMessage(connection.topic, connection.msgtype, time_ns, raw)
+
+    def close(self) -> None:
+        self._reader.close()
+
+
+def _mcap_files(reader: Reader) -> tuple[Path, ...]:
+    """The files of an open bag, as ``Bag.files`` has them."""
+    storage = reader.storage
+    storages = storage.storages if isinstance(storage, DirectoryReader) else [storage]
+    files = [Path(str(s.path)) for s in storages if isinstance(s, McapReader)]
+    is_plain = len(files) == len(storages) and reader.compression_mode != "message"
+    return tuple(files) if is_plain else ()
+
+
+class SalvagedFile:
+    """An MCAP file that rosbags refuses: cut short, as a rule."""
+
+    def __init__(self, content: Salvage) -> None:
+        self._content = content
+        times = [time_ns for time_ns, _, _ in content.messages]
+        self.start_ns, self.end_ns = (times[0], times[-1]) if times else (0, -1)
+
+    def topics(self) -> dict[str, TopicInfo]:
+        counts = dict.fromkeys(self._content.topics, 0)
+        for _, channel, _ in self._content.messages:
+            counts[channel] += 1
+        return merged(
+            {topic.topic: TopicInfo(topic.type_name, counts[channel], topic.definition)}
+            for channel, topic in self._content.topics.items()
+        )
+
+    def messages(self, wanted: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
+        for time_ns, channel, raw in self._content.messages:
+            topic = self._content.topics[channel]
+            if start_ns <= time_ns < stop_ns and (wanted is None or topic.topic in wanted):
+                yield BagMessage(topic.topic, topic.type_name, time_ns, raw)
+
+    def close(self) -> None:
+        pass
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The files of a bag without its metadata, split recordings in order: name_2 before name_10."""
+    if not path.is_dir():
+        return [path]
+    files = [file for pattern in ("*.mcap", "*.db3") for file in path.glob(pattern)]
+    numbered = [(file.stem.rpartition("_")[2], file) for file in files]
+    return [file for _, file in sorted(numbered, key=lambda item: (len(item[0]), item))]
+
+
+def open_file(path: Path) -> tuple[Source | None, str]:
+    """One file of a bag (None where nothing of it can be read), and what is wrong with it."""
+    try:
+        return WholeBag(path), ""
+    except Exception as error:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
+        reason = error_line(error)
+    try:
+        content = salvage(path)
+    except OSError as error:
+        return None, f"{path.name}: {error.strerror}"
+    note = f"{path.name}: {content.problem or reason}"
+    return (SalvagedFile(content) if content.topics else None), note
+
+
+def merged(parts: Iterable[dict[str, TopicInfo]]) -> dict[str, TopicInfo]:
+    """Topics of all parts, counts added."""
+    topics: dict[str, TopicInfo] = {}
+    for part in parts:
+        for name, info in part.items():
+            known = topics.get(name)
+            topics[name] = (
+                info
+                if known is None
+                else TopicInfo(known.type_name, known.count + info.count, known.definition)
+            )
+    return topics
+
+
+def error_line(error: Exception) -> str:
+    """An error's text in one line; its kind where it has none."""
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of a bag's topics, a stretch of log time after the other: each field a named column.
+
+    for stretch in read_tables(bag, ["/sprockets", "/odometry"]):
+        rows = stretch["/sprockets"].rows(SprocketFields)   # (n,) record of these names
+
+What is read of a message is a record class of ``trackslip_common.message_fields``. Numbers come straight from
+the bytes: where the strings and the lengths of sequences are the same, each number is at the same place in
+all messages (``layout``). Messages that are alike to no others are read one by one.
+"""
+
+from collections.abc import Collection, Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_bags.chunks import read_stretches
+from trackslip_bags.layout import IrregularError, Layout
+from trackslip_bags.mcap_index import Bytes, IntArray
+from trackslip_bags.reader import Bag, absolute
+from trackslip_common.errors import InputError
+from trackslip_common.message_fields import RecordClass, dtype_of, places_of, read
+
+_LAYOUTS = 64  # of one topic; a message of another is read by itself
+
+
+class Stretch(Mapping[str, "TopicTable"]):
+    """The messages of some seconds, by topic as in the bag; topics without messages are left out.
+
+    ``until_ns``: every message logged before it is in this stretch or in an earlier one.
+    """
+
+    def __init__(self, until_ns: int, tables: Mapping[str, "TopicTable"]) -> None:
+        self.until_ns = until_ns
+        self._tables = tables
+
+    def __getitem__(self, topic: str) -> "TopicTable":
+        return self._tables[topic]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._tables)
+
+    def __len__(self) -> int:
+        return len(self._tables)
+
+
+class TopicTable:
+    """Messages of one topic in log order.
+
+    ``order`` (n,) are their places among the messages of all topics of the stretch, ``log_times_ns`` (n,).
+    """
+
+    def __init__(
+        self,
+        topic: "_Topic",
+        order: IntArray,
+        log_times_ns: IntArray,
+        located: tuple[Bytes, IntArray, IntArray],
+    ) -> None:
+        self.order, self.log_times_ns = order, log_times_ns
+        self._topic = topic
+        self._buffer, self._starts, self._lengths = located
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    @property
+    def type_name(self) -> str:
+        """``package/msg/Name``."""
+        return self._topic.type_name
+
+    @property
+    def texts(self) -> list[str]:
+        """Number in a column of texts → text; grows while the bag is read."""
+        return self._topic.texts
+
+    def raw(self, k: int) -> bytes:
+        """A message as recorded (CDR)."""
+        start = int(self._starts[k])
+        return self._buffer[start : start + int(self._lengths[k])].tobytes()
+
+    def message(self, k: int) -> Any:
+        """A message as an object.
+
+        Raises:
+            InputError: it is not of its type.
+        """
+        return self._topic.bag.deserialize(self.raw(k), self.type_name)
+
+    def rows(self, kind: RecordClass) -> NDArray[np.void]:
+        """(n,) records of ``dtype_of(kind)``.
+
+        Raises:
+            InputError: a message is not of its type, or the type has no such fields.
+        """
+        rows = np.zeros(len(self), dtype_of(kind))
+        for length in np.unique(self._lengths).tolist():
+            left = np.flatnonzero(self._lengths == length)
+            for layout in self._topic.layouts(length):
+                left = left[~self._fill(rows, kind, layout, left)]
+            while left.size:
+                learnt = self._topic.learn(self.raw(int(left[0])))
+                if learnt is None:
+                    self._fill_one(rows, kind, int(left[0]))
+                    left = left[1:]
+                else:
+                    left = left[~self._fill(rows, kind, learnt, left)]
+        return rows
+
+    def _fill(
+        self, rows: NDArray[np.void], kind: RecordClass, layout: Layout, left: IntArray
+    ) -> NDArray[np.bool_]:
+        """Fill the rows of the messages ``left`` that have this layout; (m,) which they are."""
+        starts = self._starts[left]
+        alike = layout.matches(self._buffer, starts)
+        members, starts = left[alike], starts[alike]
+        if members.size:
+            for name, (_, place) in places_of(kind).items():
+                try:
+                    rows[name][members] = layout.column(place, self._buffer, starts, self._topic.number_of)
+                except KeyError:
+                    raise self._topic.lacks(place.path) from None
+        return alike
+
+    def _fill_one(self, rows: NDArray[np.void], kind: RecordClass, k: int) -> None:
+        message = self.message(k)
+        try:
+            values = read(kind, message)
+        except (AttributeError, IndexError) as error:
+            raise self._topic.lacks(str(error)) from error
+        for name, value in zip(places_of(kind), values, strict=True):
+            rows[name][k] = self._topic.number_of(value) if isinstance(value, str) else value
+
+
+class _Topic:
+    """What the tables of one topic share."""
+
+    def __init__(self, bag: Bag, topic: str) -> None:
+        self.bag, self.topic = bag, topic
+        self.type_name = bag.topics[topic].type_name
+        self.texts: list[str] = []
+        self._numbers: dict[str, int] = {}
+        self._layouts: dict[int, list[Layout]] = {}  # by length of the message
+
+    def layouts(self, length: int) -> list[Layout]:
+        """Those known of messages of so many bytes."""
+        return list(self._layouts.get(length, ()))
+
+    def learn(self, raw: bytes) -> Layout | None:
+        """That of a message, which is of no known one; None where it must be read by itself."""
+        if sum(map(len, self._layouts.values())) >= _LAYOUTS:
+            return None
+        try:
+            layout = Layout(self._store, self.type_name, raw)
+        except IrregularError:
+            return None
+        self._layouts.setdefault(len(raw), []).append(layout)
+        return layout
+
+    def number_of(self, text: str) -> int:
+        """A text's number in columns."""
+        if text not in self._numbers:
+            self._numbers[text] = len(self.texts)
+            self.texts.append(text)
+        return self._numbers[text]
+
+    def lacks(self, field: str) -> InputError:
+        """The error of a field that the type has not."""
+        return InputError(f"bag '{self.bag.path}': {self.topic} is a {self.type_name} without {field}")
+
+    @cached_property
+    def _store(self) -> Any:
+        return self.bag.store(self.type_name)
+
+
+def read_tables(
+    bag: Bag, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
+) -> Iterator[Stretch]:
+    """The topics' messages, logged from ``start_ns`` on and before ``stop_ns``, in log order.
+
+    Raises:
+        InputError: the bag turns out to be damaged inside.
+    """
+    names = {absolute(topic) for topic in topics}
+    known = [_Topic(bag, topic) for topic in bag.topics if absolute(topic) in names]
+    for found in read_stretches(bag, [topic.topic for topic in known], start_ns, stop_ns):
+        tables = {}
+        for number, topic in enumerate(known):
+            order = np.flatnonzero(found.topics == number)
+            if order.size:
+                located = found.buffer, found.starts[order], found.lengths[order]
+                tables[topic.topic] = TopicTable(topic, order, found.log_times_ns[order], located)
+        yield Stretch(found.until_ns, tables)

@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fields that are read of each message, once: live conversions and the tables of a bag come from here.
+
+A record class lists what is read of a message type: a name, its type, and where in the message it is.
+``read`` takes one record from a message object, rclpy's or a bag's; ``dtype_of`` gives the numpy record of
+the same names, of which ``trackslip_bags.tables`` makes arrays straight from serialized messages. A new field
+of a message is one line here.
+
+    At      a field, by its dotted path; with ``items``, these of an array (in this order), as an array
+    Joint   the item of an array that belongs to a joint, by the names of the message; nan where it is missing
+    Filled  whether an array has any items
+    Text    a string; in tables, its number among the texts of the topic
+"""
+
+import math
+from collections.abc import Callable
+from functools import cache
+from operator import attrgetter
+from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+
+FloatArray = NDArray[np.float64]
+R = TypeVar("R")
+RecordClass = Any  # a NamedTuple class of this module; mypy takes no type[Any] as a key of a cache
+
+PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
+_PLANE_IN_36 = tuple(np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel().tolist())
+_SLIPS_IN_9 = (0, 1, 3, 4)  # left and right among left, right, slip angle
+_NS_PER_S = 1_000_000_000
+_NAMES = "name"  # of joints
+
+
+class At(NamedTuple):
+    """See the top of the module."""
+
+    path: str
+    items: tuple[int, ...] = ()
+    shape: tuple[int, ...] = ()  # of the items
+
+
+class Joint(NamedTuple):
+    """See the top of the module."""
+
+    path: str
+    name: str
+
+
+class Filled(NamedTuple):
+    """See the top of the module."""
+
+    path: str
+
+
+class Text(NamedTuple):
+    """See the top of the module."""
+
+    path: str
+
+
+class Stamp(NamedTuple):
+    """Time of the header, ns."""
+
+    path: str = "header.stamp"
+
+
+Place = At | Joint | Filled | Text | Stamp
+StampNs = Annotated[int, Stamp()]
+Plane = Annotated[FloatArray, At("pose.covariance", _PLANE_IN_36, (3, 3))]
+
+
+class SprocketFields(NamedTuple):
+    """Of sensor_msgs/JointState."""
+
+    stamp_ns: StampNs
+    left_speed: Annotated[float, Joint("velocity", LEFT_SPROCKET)]  # rad/s
+    right_speed: Annotated[float, Joint("velocity", RIGHT_SPROCKET)]
+    has_positions: Annotated[bool, Filled("position")]
+    left_position: Annotated[float, Joint("position", LEFT_SPROCKET)]  # rad, continuous
+    right_position: Annotated[float, Joint("position", RIGHT_SPROCKET)]
+
+
+class ImuFields(NamedTuple):
+    """Of sensor_msgs/Imu."""
+
+    stamp_ns: StampNs
+    rate_x: Annotated[float, At("angular_velocity.x")]  # rad/s
+    rate_y: Annotated[float, At("angular_velocity.y")]
+    rate_z: Annotated[float, At("angular_velocity.z")]
+    variance_z: Annotated[float, At("angular_velocity_covariance", (8,))]  # (rad/s)², 0 where unknown
+
+
+class PoseFields(NamedTuple):
+    """Of geometry_msgs/PoseWithCovarianceStamped, and of the pose in nav_msgs/Odometry: the planar part."""
+
+    stamp_ns: StampNs
+    x: Annotated[float, At("pose.pose.position.x")]  # m
+    y: Annotated[float, At("pose.pose.position.y")]
+    qx: Annotated[float, At("pose.pose.orientation.x")]
+    qy: Annotated[float, At("pose.pose.orientation.y")]
+    qz: Annotated[float, At("pose.pose.orientation.z")]
+    qw: Annotated[float, At("pose.pose.orientation.w")]
+    covariance: Plane  # of x, y, heading
+
+
+class OdometryFields(NamedTuple):
+    """Of nav_msgs/Odometry, the planar part."""
+
+    stamp_ns: StampNs
+    x: Annotated[float, At("pose.pose.position.x")]  # m
+    y: Annotated[float, At("pose.pose.position.y")]
+    qx: Annotated[float, At("pose.pose.orientation.x")]
+    qy: Annotated[float, At("pose.pose.orientation.y")]
+    qz: Annotated[float, At("pose.pose.orientation.z")]
+    qw: Annotated[float, At("pose.pose.orientation.w")]
+    covariance: Plane  # of x, y, heading
+    v_x: Annotated[float, At("twist.twist.linear.x")]  # m/s
+    v_y: Annotated[float, At("twist.twist.linear.y")]
+    yaw_rate: Annotated[float, At("twist.twist.angular.z")]  # rad/s
+    twist_covariance: Annotated[FloatArray, At("twist.covariance", _PLANE_IN_36, (3, 3))]
+
+
+class SlipFields(NamedTuple):
+    """Of trackslip_msgs/TrackSlip."""
+
+    stamp_ns: StampNs
+    left_slip: Annotated[float, At("left_slip")]  # 1
+    right_slip: Annotated[float, At("right_slip")]
+    slip_angle: Annotated[float, At("slip_angle")]  # rad
+    covariance: Annotated[FloatArray, At("covariance", tuple(range(9)), (3, 3))]
+    slips_covariance: Annotated[FloatArray, At("covariance", _SLIPS_IN_9, (2, 2))]  # of the slips alone
+    motion_state: Annotated[int, At("motion_state")]
+
+
+class HydraulicsFields(NamedTuple):
+    """Of trackslip_msgs/TrackHydraulics."""
+
+    stamp_ns: StampNs
+    left_pressure: Annotated[float, At("left_pressure")]  # Pa
+    right_pressure: Annotated[float, At("right_pressure")]
+    left_spool: Annotated[float, At("left_spool")]  # −1…1
+    right_spool: Annotated[float, At("right_spool")]
+
+
+class ForceFields(NamedTuple):
+    """Of trackslip_msgs/TrackForces."""
+
+    stamp_ns: StampNs
+    left_thrust: Annotated[float, At("left_thrust")]  # N
+    right_thrust: Annotated[float, At("right_thrust")]
+    left_resistance: Annotated[float, At("left_resistance")]
+    right_resistance: Annotated[float, At("right_resistance")]
+    left_thrust_variance: Annotated[float, At("left_thrust_variance")]  # N²
+    right_thrust_variance: Annotated[float, At("right_thrust_variance")]
+    left_resistance_variance: Annotated[float, At("left_resistance_variance")]
+    right_resistance_variance: Annotated[float, At("right_resistance_variance")]
+    left_thrust_reserve: Annotated[float, At("left_thrust_reserve")]  # 1
+    right_thrust_reserve: Annotated[float, At("right_thrust_reserve")]
+
+
+class SoilFields(NamedTuple):
+    """Of trackslip_msgs/SoilEstimate, but for the classes, whose number differs from bag to bag."""
+
+    stamp_ns: StampNs
+    mu_r: Annotated[float, At("mu_r")]  # 1
+    mu_r_variance: Annotated[float, At("mu_r_variance")]
+    mu_l: Annotated[float, At("mu_l")]
+    mu_l_variance: Annotated[float, At("mu_l_variance")]
+    shear_modulus: Annotated[float, At("shear_modulus")]  # m
+    shear_modulus_lower: Annotated[float, At("shear_modulus_lower")]
+    shear_modulus_upper: Annotated[float, At("shear_modulus_upper")]
+    max_tractive_effort: Annotated[float, At("max_tractive_effort")]  # N
+    max_tractive_effort_lower: Annotated[float, At("max_tractive_effort_lower")]
+    max_tractive_effort_upper: Annotated[float, At("max_tractive_effort_upper")]
+    identifiable: Annotated[bool, At("identifiable")]
+
+
+class ReportFields(NamedTuple):
+    """Of trackslip_msgs/MeasurementReport: what the journal of the live estimator is made of."""
+
+    stamp_ns: StampNs
+    source: Annotated[str, Text("source")]
+    sequence: Annotated[int, At("sequence")]
+
+
+RECORDS: dict[str, RecordClass] = {
+    "sensor_msgs/msg/JointState": SprocketFields,
+    "sensor_msgs/msg/Imu": ImuFields,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": PoseFields,
+    "nav_msgs/msg/Odometry": OdometryFields,
+    "trackslip_msgs/msg/TrackSlip": SlipFields,
+    "trackslip_msgs/msg/TrackHydraulics": HydraulicsFields,
+    "trackslip_msgs/msg/TrackForces": ForceFields,
+    "trackslip_msgs/msg/SoilEstimate": SoilFields,
+    "trackslip_msgs/msg/MeasurementReport": ReportFields,
+}
+"""Message type → what is read of it."""
+
+
+@cache
+def places_of(kind: RecordClass) -> dict[str, tuple[type, Place]]:
+    """Name → Python type and place of each field of a record class."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: (get_args(hint)[0], hint.__metadata__[0]) for name, hint in hints.items()}
+
+
+@cache
+def dtype_of(kind: RecordClass) -> np.dtype[np.void]:
+    """The numpy record of a record class: float64, int64, bool; the number of a text is int64."""
+    fields = []
+    for name, (python, place) in places_of(kind).items():
+        of = {int: np.int64, bool: np.bool_, str: np.int64}.get(python, np.float64)
+        fields.append((name, of, place.shape if isinstance(place, At) else ()))
+    return np.dtype(fields, align=True)
+
+
+@cache
+def _reader(kind: RecordClass) -> Callable[[Any], Any]:
+    """What ``read`` does for a record class."""
+    places = places_of(kind)
+    getters = {name: attrgetter(place.path) for name, (_, place) in places.items()}
+    steps = [(getters[name], _converter(python, place)) for name, (python, place) in places.items()]
+
+    def read_one(message: Any) -> Any:
+        return kind(*[convert(get(message), message) for get, convert in steps])
+
+    return read_one
+
+
+def _converter(python: type, place: Place) -> Callable[[Any, Any], Any]:
+    """(value at the path, message) → value of the field."""
+    match place:
+        case Stamp():
+            return lambda stamp, _: int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+        case Filled():
+            return lambda values, _: len(values) > 0
+        case Joint(_, name):
+            return lambda values, message: _of_joint(values, list(getattr(message, _NAMES)), name)
+        case At(_, items, shape) if shape:
+            chosen = np.array(items)
+            return lambda values, _: np.asarray(values, dtype=np.float64)[chosen].reshape(shape)
+        case At(_, items, _) if items:
+            return lambda values, _: python(values[items[0]])
+        case _:
+            return lambda value, _: python(value)
+
+
+def _of_joint(values: Any, names: list[str], joint: str) -> float:
+    at = names.index(joint) if joint in names else len(values)
+    return float(values[at]) if at < len(values) else math.nan
+
+
+def read(kind: Callable[..., R], message: Any) -> R:
+    """The record of a message object.
+
+    Raises:
+        AttributeError: the message is of another type.
+    """
+    found: R = _reader(kind)(message)
+    return found
+
+
+def heading_of(pose: Any) -> float:
+    """Rotation about z, rad in (−π, π], of what has the quaternion ``qx qy qz qw``."""
+    sine = 2.0 * (pose.qw * pose.qz + pose.qx * pose.qy)
+    return math.atan2(sine, 1.0 - 2.0 * (pose.qy * pose.qy + pose.qz * pose.qz))
+
+
+def headings_of(rows: NDArray[np.void]) -> FloatArray:
+    """(n,) of ``heading_of``, to the last bit, of rows with the same fields."""
+    x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
+    sines, cosines = 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)
+    pairs = zip(sines.tolist(), cosines.tolist(), strict=True)  # numpy's own differs in the last bit
+    return np.fromiter((math.atan2(s, c) for s, c in pairs), np.float64, len(rows))
+
+
+def poses_of(rows: NDArray[np.void]) -> FloatArray:
+    """(n, 3) x, y, heading of rows with a planar pose."""
+    return np.column_stack((rows["x"], rows["y"], headings_of(rows)))

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands of ``trackslip``: what each does in one sentence, and the module that it alone loads."""
+
+from importlib.util import find_spec
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """One command; its module has EXAMPLE, add_arguments and run."""
+
+    module: str
+    description: str
+
+
+_ALL = {
+    "calibrate": Command(
+        "trackslip_tools.cli.calibrate_command",
+        "Find rolling radius, gyro scale and mounting, delays and offsets from bags, with 95 % intervals.",
+    ),
+    "import": Command(
+        "trackslip_tools.cli.import_command", "Turn a CSV log into a bag, by a mapping of its columns."
+    ),
+    "info": Command(
+        "trackslip_tools.cli.info_command", "List a bag's topics, types, counts, rates and duration."
+    ),
+    "record": Command(
+        "trackslip_tools.cli.record_command",
+        "Record all topics of the project, and more if wanted, until Ctrl-C; the node 'record' (needs ROS).",
+    ),
+    "recover": Command(
+        "trackslip_tools.cli.recover_command",
+        "Rewrite a damaged bag: what can be read of it, with a new index; the damaged one stays.",
+    ),
+    "replay": Command(
+        "trackslip_tools.cli.replay_command",
+        "Run the slip estimator over a bag, in process, in the order in which it ran live.",
+    ),
+    "report": Command(
+        "trackslip_tools.cli.report_command",
+        "Replay one bag, or several, and show the results on one page of HTML.",
+    ),
+    "simulate": Command("trackslip_sim.cli", "Drive a scenario on the truth model, and print where it ends."),
+    "smooth": Command(
+        "trackslip_tools.cli.smooth_command",
+        "Smooth a bag: pose and slips at each moment from what came before and after it.",
+    ),
+    "study": Command(
+        "trackslip_sim.study.cli",
+        "Estimate many simulated drives, and hold the errors against the least possible, or against the "
+        "errors that the estimator expects (config/study.yaml).",
+    ),
+    "tune": Command(
+        "trackslip_tools.cli.tune_command",
+        "Find the parameters of the slip estimator that explain bags best, on all cores or a cluster.",
+    ),
+}
+
+
+def commands() -> dict[str, Command]:
+    """By name; those of the simulator where it is installed."""
+    there = {package for package in ("trackslip_tools", "trackslip_sim") if find_spec(package) is not None}
+    return {name: c for name, c in _ALL.items() if c.module.partition(".")[0] in there}

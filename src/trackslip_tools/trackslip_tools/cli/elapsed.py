@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How long the user has been waiting: the age of this process, the start of Python and imports included."""
+
+import os
+import time
+from pathlib import Path
+
+_START = 19  # field of /proc/self/stat behind the name: clock ticks from boot to the start of the process
+_LOADED_S = time.monotonic()
+
+
+def waited_s() -> float:
+    """Seconds since the process began, to 0.01 s; since this module was loaded where /proc does not exist."""
+    try:
+        ticks = int(Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()[_START])
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, AttributeError):
+        return time.monotonic() - _LOADED_S

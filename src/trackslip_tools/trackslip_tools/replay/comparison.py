@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live estimates of a bag against the replayed ones, while both come: every number of the same stamp.
+
+Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance, twist_covariance;
+rows of ``track_slip`` have left_slip, right_slip, slip_angle, covariance. Replayed headings are to go through
+``carried_headings`` first.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.message_fields import headings_of
+from trackslip_estimation.slip.estimator import Estimate
+from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
+from trackslip_tools.replay.series import Rows
+
+TOLERANCE = 1e-9  # between a live and a replayed number
+_ODOMETRY = ("x", "y", "heading", "v_x", "v_y", "yaw_rate", "covariance", "twist_covariance")
+_SLIPS = ("left_slip", "right_slip", "slip_angle", "covariance")
+_SHAPES = {"covariance": (3, 3), "twist_covariance": (3, 3)}
+
+
+@dataclass(frozen=True)
+class LiveComparison:
+    """What a comparison found."""
+
+    compared: int  # live estimates
+    unmatched: int  # messages of one side at a stamp that the other does not have
+    largest_difference: float
+    lost_reports: int  # lines of the live journal that the bag lacks
+    lost_inputs: int  # measurements that the journal names and the bag lacks
+
+    @property
+    def matches(self) -> bool:
+        """Same stamps, same numbers."""
+        return self.compared > 0 and self.unmatched == 0 and self.largest_difference <= TOLERANCE
+
+    def __str__(self) -> str:
+        verdict = "yes" if self.matches else "NO"
+        numbers = f"{self.compared} estimates, {self.unmatched} unmatched"
+        return f"replay = live: {verdict} ({numbers}, largest difference {self.largest_difference:.1e})"
+
+
+class TopicComparison:
+    """One topic, by stamp; memory holds what the other side may still bring within ``HORIZON_NS``."""
+
+    def __init__(self) -> None:
+        self.compared = self._unmatched = 0
+        self.largest_difference = 0.0
+        self._live: Rows | None = None  # still without partner, as below
+        self._replayed: Rows | None = None
+        self._first_ns = self._last_ns = 0  # stamps of live rows so far
+
+    def add(self, live: Rows, replayed: Rows) -> None:
+        """More of both; of several rows with one stamp the last counts."""
+        if len(live):
+            first_ns, last_ns = int(live["stamp_ns"].min()), int(live["stamp_ns"].max())
+            self._first_ns = min(self._first_ns, first_ns) if self.compared else first_ns
+            self._last_ns = max(self._last_ns, last_ns) if self.compared else last_ns
+        waiting, theirs = _together(self._live, live), _together(self._replayed, replayed)
+        self.compared += len(waiting) - (0 if self._live is None else len(self._live))
+        _, mine, others = np.intersect1d(
+            waiting["stamp_ns"], theirs["stamp_ns"], assume_unique=True, return_indices=True
+        )
+        if mine.size:
+            largest = _difference(waiting[mine], theirs[others])
+            self.largest_difference = max(self.largest_difference, largest)
+        oldest_ns = self._last_ns - HORIZON_NS
+        self._live, late = _divided(np.delete(waiting, mine), oldest_ns)
+        self._replayed, unpaired = _divided(np.delete(theirs, others), oldest_ns)
+        self._unmatched += len(late) + self._within(unpaired, self._last_ns)
+
+    def unmatched(self, end_ns: int | None) -> int:
+        """Rows without partner; live ones after ``end_ns`` do not count, nor replayed ones outside."""
+        if self._live is None or self._replayed is None or not self.compared:
+            return 0
+        inside = np.ones(len(self._live), np.bool_) if end_ns is None else self._live["stamp_ns"] <= end_ns
+        last_ns = self._last_ns if end_ns is None else min(self._last_ns, end_ns)
+        return self._unmatched + int(inside.sum()) + self._within(self._replayed, last_ns)
+
+    def _within(self, rows: Rows, last_ns: int) -> int:
+        stamps_ns = rows["stamp_ns"]
+        return int(((stamps_ns >= self._first_ns) & (stamps_ns <= last_ns)).sum())
+
+    def compared_until(self, end_ns: int | None) -> int:
+        """Live rows, those after ``end_ns`` left out."""
+        if self._live is None or end_ns is None:
+            return self.compared
+        return self.compared - int((self._live["stamp_ns"] > end_ns).sum())
+
+
+class LiveComparer:
+    """Both topics of the slip estimator.
+
+    A recording ends in the middle of things: what it holds beyond its last journal line is left out.
+    """
+
+    def __init__(self) -> None:
+        self._odometry, self._slips = TopicComparison(), TopicComparison()
+
+    def add_odometry(self, live: Rows, replayed: Rows) -> None:
+        """More of ``odometry``, either may be empty."""
+        self._odometry.add(_picked(live, _ODOMETRY), _picked(replayed, _ODOMETRY))
+
+    def add_slips(self, live: Rows, replayed: Rows) -> None:
+        """More of ``track_slip``, either may be empty."""
+        self._slips.add(_picked(live, _SLIPS), _picked(replayed, _SLIPS))
+
+    def result(self, counts: JournalCounts) -> LiveComparison:
+        """When all was added; ``counts`` are those of the whole journal."""
+        both, end_ns = (self._odometry, self._slips), counts.last_sprockets_ns
+        return LiveComparison(
+            max(one.compared_until(end_ns) for one in both),
+            sum(one.unmatched(end_ns) for one in both),
+            max(one.largest_difference for one in both),
+            counts.lost_lines,
+            counts.lost_inputs,
+        )
+
+
+def odometry_rows(estimates: Sequence[Estimate]) -> Rows:
+    """(n,) rows of ``odometry`` that the live node publishes for these estimates."""
+    rows = np.zeros(len(estimates), _dtype(_ODOMETRY))
+    for k, e in enumerate(estimates):
+        rows[k] = (e.stamp_ns, *e.pose, *e.outputs.twist, e.pose_covariance, e.outputs.twist_covariance)
+    rows["heading"] = carried_headings(rows["heading"])
+    return rows
+
+
+def carried_headings(headings: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) as a message carries them, by a quaternion: equal to live ones to the last bit."""
+    halves = (headings / 2.0).tolist()
+    quaternions = np.zeros(len(halves), [(name, np.float64) for name in ("qx", "qy", "qz", "qw")])
+    quaternions["qz"], quaternions["qw"] = list(map(math.sin, halves)), list(map(math.cos, halves))
+    return headings_of(quaternions)
+
+
+def slip_rows(estimates: Sequence[Estimate]) -> Rows:
+    """(n,) rows of ``track_slip`` that the live node publishes for these estimates."""
+    rows = np.zeros(len(estimates), _dtype(_SLIPS))
+    for k, e in enumerate(estimates):
+        rows[k] = (e.stamp_ns, *e.outputs.slips, e.outputs.slip_covariance)
+    return rows
+
+
+def _dtype(names: Sequence[str]) -> np.dtype[np.void]:
+    fields = [("stamp_ns", np.int64, ())]
+    return np.dtype(fields + [(name, np.float64, _SHAPES.get(name, ())) for name in names])
+
+
+def _picked(rows: Rows, names: Sequence[str]) -> Rows:
+    """The columns to compare, by stamp; of several rows with one stamp the last."""
+    found = np.zeros(len(rows), _dtype(names))
+    for name in ("stamp_ns", *names) if len(rows) else ():
+        is_turned = name == "heading" and "heading" not in (rows.dtype.names or ())
+        found[name] = headings_of(rows) if is_turned else rows[name]
+    return _unique(found)
+
+
+def _unique(rows: Rows) -> Rows:
+    _, from_the_end = np.unique(rows["stamp_ns"][::-1], return_index=True)
+    return rows[::-1][from_the_end]
+
+
+def _together(known: Rows | None, more: Rows) -> Rows:
+    return more if known is None else _unique(np.concatenate((known, more)))
+
+
+def _divided(rows: Rows, oldest_ns: int) -> tuple[Rows, Rows]:
+    """Those that may still find a partner, and the others."""
+    young = rows["stamp_ns"] >= oldest_ns
+    return rows[young], rows[~young]
+
+
+def _difference(a: Rows, b: Rows) -> float:
+    """The largest of any column; of headings the short way round. Nothing differs from nothing."""
+    largest = 0.0
+    for name in (a.dtype.names or ())[1:]:
+        apart: NDArray[np.float64] = np.abs(a[name] - b[name])
+        if name == "heading":
+            apart = np.abs(np.angle(np.exp(1j * apart)))
+        apart = np.where(np.isnan(a[name]) & np.isnan(b[name]), 0.0, apart)
+        largest = max(largest, float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0)))
+    return largest

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Withholds and thins arrivals while a bag is read, as ``InputFilters`` ask for."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_bags.input_filters import InputFilters, Thin
+from trackslip_tools.replay.arrivals import Kind, Rows
+
+
+class Filtering:
+    """Passes on what the estimator shall see; ``origin_ns`` is the bag's first log time."""
+
+    def __init__(self, filters: InputFilters, sources: Sequence[str], origin_ns: int) -> None:
+        self._filters, self._sources, self._origin_ns = filters, sources, origin_ns
+        self._thinned = [_Thinned(thin, sources, filters.seed) for thin in filters.thin]
+
+    def __call__(self, rows: Rows) -> Rows:
+        """Of more rows in log order those to see, with the noise that thinning adds."""
+        t = (rows["log_time_ns"] - self._origin_ns) * 1e-9
+        hidden = np.zeros(len(rows), np.bool_)
+        for withhold in self._filters.withhold:
+            if withhold.topic in self._sources:
+                inside = (withhold.start_s <= t) & (t < withhold.stop_s)
+                hidden |= inside & (rows["source"] == self._sources.index(withhold.topic))
+        rows = rows[~hidden]
+        for thinned in self._thinned:
+            rows = thinned(rows)
+        return rows
+
+
+class _Thinned:
+    """One source at a lower rate: the first message at or after each tick."""
+
+    def __init__(self, thin: Thin, sources: Sequence[str], seed: int) -> None:
+        self._source = sources.index(thin.topic) if thin.topic in sources else -1
+        self._period_ns = round(1e9 / thin.rate_hz)
+        self._sigma = thin.sigma
+        self._rng = np.random.default_rng(seed)
+        self._due_ns: int | None = None
+
+    def __call__(self, rows: Rows) -> Rows:
+        own = np.flatnonzero(rows["source"] == self._source)
+        kept = self._kept(rows["stamp_ns"][own].tolist())
+        stays = np.ones(len(rows), np.bool_)
+        stays[own[~kept]] = False
+        own = own[kept]
+        if self._sigma is not None and own.size and (rows["kind"][own] == Kind.POSE_FIX).all():
+            rows = rows.copy()
+            rows["z"][own, :2] += self._rng.normal(0.0, self._sigma, (own.size, 2))
+            covariances = rows["R"][own]
+            covariances[:, :2, :] = covariances[:, :, :2] = 0.0
+            covariances[:, 0, 0] = covariances[:, 1, 1] = self._sigma**2
+            rows["R"][own] = covariances
+        return rows[stays]
+
+    def _kept(self, stamps_ns: list[int]) -> NDArray[np.bool_]:
+        kept = np.zeros(len(stamps_ns), np.bool_)
+        for k, stamp_ns in enumerate(stamps_ns):
+            if self._due_ns is None or stamp_ns >= self._due_ns:
+                due_ns = stamp_ns if self._due_ns is None else self._due_ns
+                self._due_ns = due_ns + self._period_ns * ((stamp_ns - due_ns) // self._period_ns + 1)
+                kept[k] = True
+        return kept

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a topic holds over time, for scoring: named columns, by stamp."""
+
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.message_fields import headings_of
+
+FloatArray = NDArray[np.float64]
+Rows = NDArray[np.void]
+
+_MOTION = ("v_x", "v_y", "yaw_rate")
+_SLIPS = ("left_slip", "right_slip", "slip_angle")
+_COVARIANCES = ("covariance", "twist_covariance")
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Rows with the field ``stamp_ns``, which rises; of poses also x, y, heading (in (−π, π])."""
+
+    rows: Rows  # (n,)
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """(n,)."""
+        stamps: NDArray[np.int64] = self.rows["stamp_ns"]
+        return stamps
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.rows[name]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def columns(self, *names: str) -> FloatArray:
+        """(n, k) of the columns side by side."""
+        return np.column_stack([self.rows[name] for name in names]).astype(np.float64, copy=False)
+
+    def since(self, start_ns: int) -> "Series":
+        """What is not before a stamp."""
+        return Series(self.rows[self.stamps_ns >= start_ns])
+
+
+def series_of(**columns: Any) -> Series:
+    """From columns of equal length, ``stamp_ns`` among them."""
+    arrays = {name: np.asarray(column) for name, column in columns.items()}
+    rows = np.empty(len(arrays["stamp_ns"]), [(n, a.dtype, a.shape[1:]) for n, a in arrays.items()])
+    for name, column in arrays.items():
+        rows[name] = column
+    return Series(rows)
+
+
+class SeriesCollector:
+    """Makes series of tables that come piece by piece; ``detailed`` topics keep their covariances."""
+
+    def __init__(self, detailed: frozenset[str] = frozenset()) -> None:
+        self._detailed = detailed
+        self._parts: dict[str, list[Rows]] = defaultdict(list)
+
+    def add(self, topic: str, rows: Rows) -> None:
+        """More of a topic: records of a class of ``message_fields``."""
+        self._parts[topic].append(_reduced(rows, topic in self._detailed))
+
+    def series(self) -> dict[str, Series]:
+        """Each in the order of the stamps; of several rows with the same stamp the last."""
+        found = {}
+        for topic in list(self._parts):
+            rows = np.concatenate(self._parts.pop(topic))
+            stamps_ns = rows["stamp_ns"]
+            if (np.diff(stamps_ns) <= 0).any():
+                _, from_the_end = np.unique(stamps_ns[::-1], return_index=True)
+                rows = rows[::-1][from_the_end]
+            found[topic] = Series(rows)
+        return found
+
+
+def _reduced(rows: Rows, detailed: bool) -> Rows:
+    """What scoring needs of them: 8 h of 100 Hz are to fit into memory."""
+    names = rows.dtype.names or ()
+    if "qx" not in names and "left_slip" not in names:
+        return rows
+    wanted = [name for name in ("stamp_ns", "x", "y", *_MOTION, *_SLIPS) if name in names]
+    wanted += [name for name in _COVARIANCES if detailed and name in names]
+    heading = [("heading", np.float64)] if "qx" in names else []
+    found = np.empty(len(rows), [(name, rows.dtype[name]) for name in wanted] + heading)
+    for name in wanted:
+        found[name] = rows[name]
+    if heading:
+        found["heading"] = headings_of(rows)
+    return found

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces and soil over time, as columns: of a bag, or of what a replay computes."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_bags.tables import TopicTable
+from trackslip_common.message_fields import ForceFields, RecordClass, SoilFields, dtype_of, read
+
+FloatArray = NDArray[np.float64]
+Rows = NDArray[np.void]
+
+_BLOCK = 10_000  # messages that wait to become rows
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """One topic."""
+
+    times: FloatArray  # (n,) s from the bag's first message, by stamp
+    rows: Rows  # (n,) records of the message's fields
+    classes: dict[str, FloatArray]  # soil → (n,) its probability, nan where it was not compared with
+    reason: str  # why, at the end, the soil cannot be identified; empty where it can, and of forces
+
+
+class NumbersCollector:
+    """Makes ``Numbers`` of messages that come piece by piece; ``start_ns`` is that of the bag."""
+
+    def __init__(self, kind: RecordClass, start_ns: int) -> None:
+        self._kind, self._start_ns = kind, start_ns
+        self._parts = [np.empty(0, dtype_of(kind))]
+        self._waiting: list[Any] = []  # records
+        self._classes: list[tuple[tuple[str, ...], FloatArray]] = []
+        self._reason = ""
+
+    def __len__(self) -> int:
+        return sum(map(len, self._parts)) + len(self._waiting)
+
+    def add_table(self, table: TopicTable) -> None:
+        """Those of a stretch of a bag."""
+        self._parts.append(table.rows(self._kind))
+        if self._kind is SoilFields:
+            for k in range(len(table)):
+                self._add_classes(table.message(k))
+
+    def add(self, message: Any) -> None:
+        """One."""
+        self._waiting.append(tuple(read(self._kind, message)))
+        if self._kind is SoilFields:
+            self._add_classes(message)
+        if len(self._waiting) >= _BLOCK:
+            self._settle()
+
+    def numbers(self) -> Numbers:
+        """When all were added."""
+        self._settle()
+        rows = np.concatenate(self._parts)
+        times = (rows["stamp_ns"] - self._start_ns) * 1e-9
+        names = sorted({name for known, _ in self._classes for name in known})
+        probabilities = {name: np.full(len(rows), np.nan) for name in names}
+        for k, (known, values) in enumerate(self._classes):
+            for name, value in zip(known, values, strict=True):
+                probabilities[name][k] = value
+        return Numbers(times, rows, probabilities, self._reason)
+
+    def _settle(self) -> None:
+        self._parts.append(np.array(self._waiting, dtype=dtype_of(self._kind)))
+        self._waiting.clear()
+
+    def _add_classes(self, message: Any) -> None:
+        self._classes.append((tuple(message.class_names), np.asarray(message.class_probabilities)))
+        self._reason = message.reason
+
+
+def numbers_of(messages: Iterable[Any], kind: type[ForceFields | SoilFields], start_ns: int) -> Numbers:
+    """All messages of one topic."""
+    collector = NumbersCollector(kind, start_ns)
+    for message in messages:
+        collector.add(message)
+    return collector.numbers()

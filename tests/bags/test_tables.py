@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of topics: the numbers that live nodes read, whatever the strings and the form of the bag."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.reader import make_reader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from trackslip_bags.messages import header, make, serialize
+from trackslip_bags.reader import Bag, open_bag
+from trackslip_bags.tables import TopicTable, read_tables
+from trackslip_bags.types import ensure
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import InputError
+from trackslip_common.message_fields import RECORDS, PoseFields, SprocketFields, places_of
+from trackslip_common.message_fields import read as read_record
+
+JOINTS, IMU, REPORT = (
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/Imu",
+    "trackslip_msgs/msg/MeasurementReport",
+)
+ODOMETRY = "nav_msgs/msg/Odometry"
+SIDES = ("left_sprocket", "right_sprocket")
+
+
+def joints(
+    k: int, frame: str = "base_link", names: tuple[str, ...] = ("left_sprocket", "right_sprocket")
+) -> Any:
+    rng = np.random.default_rng(k)
+    return make(
+        JOINTS,
+        header=header(10**9 + 17 * k, frame),
+        name=list(names),
+        position=rng.normal(size=len(names)),
+        velocity=rng.normal(size=len(names)),
+        effort=np.empty(0),
+    )
+
+
+def report(k: int, source: str) -> Any:
+    return make(
+        REPORT,
+        header=header(10**9 + k, ""),
+        source=source,
+        sequence=k,
+        outcome=k % 3,
+        nis=float(k) / 7.0,
+        gate=9.0,
+        dof=1,
+    )
+
+
+def odometry(k: int) -> Any:
+    rng = np.random.default_rng(k)
+    message = make(ODOMETRY, header=header(10**18 + k, "odom"), child_frame_id="base_link")
+    message.pose.covariance[:], message.twist.covariance[:] = rng.normal(size=(2, 36))
+    message.pose.pose.position.x, message.twist.twist.linear.y = rng.normal(size=2).tolist()
+    return message
+
+
+def bag_of(path: Path, type_name: str, raws: list[bytes]) -> Bag:
+    with BagWriter(path) as bag:
+        for k, raw in enumerate(raws):
+            bag.write("/topic", type_name, raw, 1000 + k)
+    return open_bag(path)
+
+
+def numbers(rows: Any, texts: list[str]) -> list[Any]:
+    """Rows as what ``read`` gives, arrays as lists."""
+    found = []
+    for row in rows:
+        values = {name: row[name].tolist() for name in rows.dtype.names}
+        found.append({n: texts[v] if n == "source" else v for n, v in values.items()})
+    return found
+
+
+def expected(kind: Any, messages: list[Any]) -> list[Any]:
+    records = [read_record(kind, message)._asdict() for message in messages]
+    return [{n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in r.items()} for r in records]
+
+
+def tables(bag: Bag, topic: str = "/topic") -> list[TopicTable]:
+    return [stretch[topic] for stretch in read_tables(bag, [topic]) if topic in stretch]
+
+
+@pytest.mark.parametrize(
+    ("type_name", "messages"),
+    [
+        (JOINTS, [joints(k) for k in range(20)]),
+        (JOINTS, [joints(k, frame="x" * (k % 5)) for k in range(20)]),
+        (JOINTS, [joints(k, names=SIDES if k % 2 else SIDES[::-1]) for k in range(9)]),
+        (JOINTS, [joints(k, names=(*SIDES, "swing") if k % 2 else SIDES) for k in range(9)]),
+        (JOINTS, [joints(0), joints(1, names=("a", "bcd")), joints(2, names=SIDES[:1]), joints(3, names=())]),
+        (JOINTS, [joints(k, frame=f"frame{k:03}") for k in range(100)]),  # nothing alike
+        (REPORT, [report(k, ("sprockets", "imu/data_raw", "box_pose")[k % 3]) for k in range(30)]),
+        (IMU, [make(IMU, header=header(k, "imu_link")) for k in range(3)]),
+        (ODOMETRY, [odometry(k) for k in range(5)]),
+    ],
+)
+def test_rows_hold_what_live_reads(type_name: str, messages: list[Any], tmp_path: Path) -> None:
+    """Strings of other lengths move the numbers behind them; joints may change places."""
+    kind = RECORDS[type_name]
+    with bag_of(tmp_path / "bag", type_name, [serialize(m) for m in messages]) as bag:
+        (table,) = tables(bag)
+        found = numbers(table.rows(kind), table.texts)
+    np.testing.assert_equal(found, expected(kind, messages))
+
+
+@pytest.mark.parametrize("type_name", RECORDS)
+def test_every_record_class_fits_its_message(type_name: str, tmp_path: Path) -> None:
+    kind, message = RECORDS[type_name], make(type_name)
+    assert list(places_of(kind)) == list(kind._fields)
+    with bag_of(tmp_path / "bag", type_name, [serialize(message)]) as bag:
+        (table,) = tables(bag)
+        np.testing.assert_equal(numbers(table.rows(kind), table.texts), expected(kind, [message]))
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        serialize(joints(1))[:-30],  # cut short
+        serialize(joints(0)) + bytes(100),
+        b"\0",
+        serialize(joints(0))[:28] + b"\xff" * 4 + serialize(joints(0))[32:],  # four thousand million names
+    ],
+)
+def test_a_message_that_is_not_of_its_type_is_refused(raw: bytes, tmp_path: Path) -> None:
+    with bag_of(tmp_path / "bag", JOINTS, [serialize(joints(0)), raw]) as bag:
+        (table,) = tables(bag)
+        with pytest.raises(InputError, match="bad sensor_msgs/msg/JointState"):
+            table.rows(SprocketFields)
+
+
+def test_big_endian_messages_are_read_one_by_one(tmp_path: Path) -> None:
+    messages = [joints(k) for k in range(4)]
+    store = ensure(JOINTS)
+    raws = [bytes(store.serialize_cdr(m, JOINTS, little_endian=k % 2 == 0)) for k, m in enumerate(messages)]
+    with bag_of(tmp_path / "bag", JOINTS, raws) as bag:
+        (table,) = tables(bag)
+        np.testing.assert_equal(numbers(table.rows(SprocketFields), []), expected(SprocketFields, messages))
+
+
+def test_a_type_without_a_field_is_refused(tmp_path: Path) -> None:
+    with bag_of(tmp_path / "bag", IMU, [serialize(make(IMU))]) as bag:
+        (table,) = tables(bag)
+        with pytest.raises(InputError, match="/topic is a sensor_msgs/msg/Imu without pose"):
+            table.rows(PoseFields)
+
+
+def write(path: Path, count: int = 20) -> Path:
+    with BagWriter(path) as bag:
+        for k in range(count):
+            bag.write("/sprockets", JOINTS, serialize(joints(k)), 1000 + k)
+    return path
+
+
+def read(path: Path) -> list[tuple[int, int, tuple[Any, ...]]]:
+    """Place, log time and row of each message."""
+    found = []
+    with open_bag(path) as bag:
+        for table in tables(bag, "/sprockets"):
+            rows = table.rows(SprocketFields).tolist()
+            found += zip(table.order.tolist(), table.log_times_ns.tolist(), rows, strict=True)
+    return found
+
+
+def test_a_recorded_bag_is_read_chunk_by_chunk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Bag, "messages", lambda *_: pytest.fail("one by one"))
+    assert len(read(write(tmp_path / "bag"))) == 20
+
+
+def _by_rosbags(storage: StoragePlugin, mode: CompressionMode) -> Callable[[Path], Any]:
+    def write_(path: Path) -> None:
+        writer = Writer(path, version=9, storage_plugin=storage)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            connection = writer.add_connection("/sprockets", JOINTS, typestore=ensure(JOINTS))
+            for k in range(20):
+                writer.write(connection, 1000 + k, serialize(joints(k)))
+
+    return write_
+
+
+def _message_by_message(path: Path) -> None:
+    """As ``ros2 bag record --compression-mode message`` writes MCAP."""
+    with BagWriter(path) as bag:
+        for k in range(20):
+            bag.write("/sprockets", JOINTS, zstandard.compress(serialize(joints(k))), 1000 + k)
+    about = (path / "metadata.yaml").read_text(encoding="utf-8")
+    for key, value in (("format", "zstd"), ("mode", "MESSAGE")):
+        about = re.sub(rf"compression_{key}: .*", f"compression_{key}: {value}", about)
+    (path / "metadata.yaml").write_text(about, encoding="utf-8")
+
+
+def _in_two_files(path: Path) -> None:
+    with BagWriter(path) as bag:
+        for k in range(20):
+            bag.write("/sprockets", JOINTS, serialize(joints(k)), 1000 + k)
+            if k == 7:
+                bag.split()
+
+
+def _cut(path: Path) -> None:
+    file = next(write(path).glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:-8])
+
+
+@pytest.mark.parametrize(
+    "write_other",
+    [
+        _by_rosbags(StoragePlugin.MCAP, CompressionMode.NONE),
+        _by_rosbags(StoragePlugin.MCAP, CompressionMode.STORAGE),
+        _by_rosbags(StoragePlugin.MCAP, CompressionMode.FILE),
+        _by_rosbags(StoragePlugin.SQLITE3, CompressionMode.NONE),
+        _by_rosbags(StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+        _message_by_message,
+        _in_two_files,
+        _cut,
+    ],
+)
+def test_bags_of_every_form_make_the_same_rows(tmp_path: Path, write_other: Callable[[Path], Any]) -> None:
+    write_other(tmp_path / "other")
+    assert read(tmp_path / "other") == read(write(tmp_path / "bag"))
+
+
+def test_damage_inside_is_reported(tmp_path: Path) -> None:
+    file = next(write(tmp_path / "bag").glob("*.mcap"))
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    data = bytearray(file.read_bytes())
+    inside = summary.chunk_indexes[0].chunk_start_offset + 80
+    data[inside : inside + 64] = b"\xff" * 64
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=r"damaged inside \(.*\); trackslip recover saves the rest$"):
+        read(tmp_path / "bag")

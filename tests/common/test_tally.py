@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Counts by reason, also while another thread reads them."""
+
+import sys
+import threading
+from enum import Enum
+
+from trackslip_common.tally import Tally
+
+
+class Reason(Enum):
+    TEXT = "a text"
+    NUMBER = 3
+
+
+def test_reasons_are_counted_by_source() -> None:
+    tally = Tally()
+    tally.add("b", Reason.TEXT)
+    tally.add("a", Reason.NUMBER, 2)
+    assert tally.by_source() == {"a": {"number": 2}, "b": {"a text": 1}}
+    assert tally.since_last_look() == {("a", "number"): 2, ("b", "a text"): 1}
+    tally.add("a", Reason.NUMBER)
+    assert tally.since_last_look() == {("a", "number"): 1}
+    assert tally.total["a", "number"] == 3
+
+
+def test_a_tally_is_read_while_another_thread_counts() -> None:
+    """New keys came while a copy or a sorted list was made: "dictionary changed size during iteration"."""
+    tally, failures, begun = Tally(), [], threading.Event()
+    kinds = Enum("kinds", {f"k{k}": f"k{k}" for k in range(30_000)})  # type: ignore[misc]
+
+    def count() -> None:
+        begun.set()
+        for kind in kinds:
+            tally.add("source", kind)
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    thread = threading.Thread(target=count)
+    try:
+        thread.start()
+        begun.wait()
+        seen = 0
+        while thread.is_alive():
+            try:
+                seen += sum(tally.since_last_look().values())
+                tally.by_source()
+            except RuntimeError as error:
+                failures.append(error)
+                break
+    finally:
+        thread.join()
+        sys.setswitchinterval(interval)
+    assert failures == []
+    assert seen + sum(tally.since_last_look().values()) == 30_000

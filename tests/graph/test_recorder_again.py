@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder deactivated and activated again: another bag, and nothing of the one before it."""
+
+from collections.abc import Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from trackslip_bags.nodes.record import RecordNode
+from trackslip_bags.reader import open_bag
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+
+@pytest.fixture
+def recorder(domain: int, tmp_path: Path) -> Iterator[RecordNode]:
+    arguments = ["--ros-args", "-p", f"output:={tmp_path / 'bag'}"]
+    rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = RecordNode()
+    node.start()
+    yield node
+    node.end()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def again(node: RecordNode) -> None:
+    node.trigger_deactivate()
+    node.trigger_activate()
+
+
+def received(node: RecordNode, number: int, **info: Any) -> None:
+    about = {"received_timestamp": number, "source_timestamp": number, "publication_sequence_number": number}
+    node._write("/topic", "std_msgs/msg/String", b"\0\1\0\0\1\0\0\0\0", about | info)
+
+
+def test_activated_again_with_output_set_it_writes_to_a_new_directory(
+    recorder: RecordNode, tmp_path: Path
+) -> None:
+    for number in (1, 2, 3):
+        assert recorder.active
+        received(recorder, number)
+        again(recorder)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_2", "bag_3", "bag_4"]
+    for name, number in (("bag", 1), ("bag_2", 2), ("bag_3", 3)):
+        with open_bag(tmp_path / name) as bag:
+            assert [message.log_time_ns for message in bag.messages(["/topic"])] == [number]
+
+
+def test_a_name_that_is_taken_is_passed_over(recorder: RecordNode, tmp_path: Path) -> None:
+    (tmp_path / "bag_2").mkdir()
+    again(recorder)
+    assert recorder.active
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_2", "bag_3"]
+
+
+def test_a_disk_error_of_one_bag_is_none_of_the_next(recorder: RecordNode) -> None:
+    """What was being saved when the node was deactivated failed after the next bag was begun."""
+    failed: Future[None] = Future()
+    failed.set_exception(OSError(5, "Input/output error"))
+    recorder._saving = failed
+    again(recorder)
+    recorder._save()
+    assert recorder._disk_error == ""
+    received(recorder, 7)
+    assert recorder._losses.total.total() == 0
+
+
+def test_publishers_of_one_bag_are_none_of_the_next(recorder: RecordNode) -> None:
+    """A topic that had one publisher may have two now: their numbers are no gaps."""
+    recorder._alone = {"/topic"}
+    again(recorder)
+    received(recorder, 1, publisher_gid=None)
+    received(recorder, 1000, publisher_gid=None)
+    assert recorder._losses.total.total() == 0

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Live estimates against replayed ones, whole and piece by piece."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_tools.replay.comparison import LiveComparer, LiveComparison
+from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
+from trackslip_tools.replay.series import Rows
+
+STEP_NS = 10_000_000
+FIELDS = ("x", "y", "heading", "v_x", "v_y", "yaw_rate")
+
+
+def odometry(stamps: Any, **changes: Any) -> Rows:
+    """Numbers that follow from the stamp; ``changes`` are added to columns."""
+    stamps_ns = np.asarray(stamps, dtype=np.int64) * STEP_NS
+    fields = [("stamp_ns", np.int64, ()), *((name, np.float64, ()) for name in FIELDS)]
+    covariances = [(name, np.float64, (3, 3)) for name in ("covariance", "twist_covariance")]
+    rows = np.zeros(len(stamps_ns), fields + covariances)
+    rows["stamp_ns"] = stamps_ns
+    for k, name in enumerate(FIELDS):
+        rows[name] = np.sin(stamps_ns * 1e-9 + k)
+    rows["covariance"] = np.cos(stamps_ns * 1e-9)[:, np.newaxis, np.newaxis]
+    for name, change in changes.items():
+        rows[name] += change
+    return rows
+
+
+def compared(live: Rows, replayed: Rows, pieces: int = 1, **counts: Any) -> LiveComparison:
+    comparer = LiveComparer()
+    for one, other in zip(np.array_split(live, pieces), np.array_split(replayed, pieces), strict=True):
+        comparer.add_odometry(one, other)
+    return comparer.result(JournalCounts(**counts))
+
+
+def test_the_same_matches() -> None:
+    found = compared(odometry(range(100)), odometry(range(100)))
+    assert found == LiveComparison(100, 0, 0.0, 0, 0)
+    assert found.matches
+
+
+def test_nothing_matches_nothing() -> None:
+    assert not compared(odometry([]), odometry([])).matches
+
+
+@pytest.mark.parametrize("name", [*FIELDS, "covariance", "twist_covariance"])
+def test_every_number_counts(name: str) -> None:
+    found = compared(odometry(range(100)), odometry(range(100), **{name: 1e-3}))
+    assert found.largest_difference == pytest.approx(1e-3)
+    assert not found.matches
+
+
+def test_headings_differ_the_short_way_round() -> None:
+    found = compared(odometry(range(9)), odometry(range(9), heading=2.0 * math.pi - 1e-4))
+    assert found.largest_difference == pytest.approx(1e-4)
+
+
+def test_a_number_that_is_none_on_one_side_differs_infinitely() -> None:
+    assert compared(odometry(range(9)), odometry(range(9), v_y=math.nan)).largest_difference == math.inf
+    both = odometry(range(9), v_y=math.nan)
+    assert compared(both, both).matches
+
+
+def test_the_last_of_one_stamp_counts() -> None:
+    twice = np.concatenate((odometry([4], x=9.0), odometry(range(9))))
+    assert compared(odometry(range(9)), twice).matches
+
+
+def test_what_one_side_lacks_is_counted_within_the_live_ones() -> None:
+    """Replayed ones before the first live estimate and after the last are none of it."""
+    live, replayed = odometry([k for k in range(10, 50) if k != 20]), odometry([*range(30), *range(33, 60)])
+    assert compared(live, replayed).unmatched == 1 + 3
+
+
+def test_what_lies_beyond_the_last_line_of_the_journal_is_left_out() -> None:
+    live, replayed = odometry(range(100)), odometry(range(90))
+    assert compared(live, replayed).unmatched == 10
+    found = compared(live, replayed, last_sprockets_ns=89 * STEP_NS)
+    assert (found.compared, found.unmatched) == (90, 0)
+
+
+@pytest.mark.parametrize("pieces", [2, 7, 50])
+def test_pieces_are_compared_as_the_whole_is(pieces: int) -> None:
+    """One side some seconds ahead of the other."""
+    rng = np.random.default_rng(pieces)
+    live = odometry(np.flatnonzero(rng.random(3000) < 0.99))
+    replayed = odometry(np.flatnonzero(rng.random(3300) < 0.99), x=1e-12)
+    assert compared(live, replayed, pieces) == compared(live, replayed)
+
+
+def test_memory_is_bounded_where_one_side_is_missing() -> None:
+    comparer = LiveComparer()
+    for k in range(0, 100_000, 1000):
+        comparer.add_odometry(odometry(range(k, k + 1000)), odometry([]))
+    assert comparer._odometry._live is not None
+    assert len(comparer._odometry._live) <= HORIZON_NS // STEP_NS + 1
+    assert comparer.result(JournalCounts()).unmatched == 100_000

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is withheld and thinned before the estimator sees it."""
+
+import math
+
+import numpy as np
+import pytest
+from fixtures.arrival_rows import rows_of
+
+from trackslip_bags.input_filters import InputFilters, Thin, Withhold
+from trackslip_estimation.slip.measurements import PoseFix, Sprockets, YawRate
+from trackslip_tools.replay.arrivals import Rows
+from trackslip_tools.replay.filtering import Filtering
+
+MS = 1_000_000
+ORIGIN_NS = 10**15
+SOURCES = ("box_pose", "gnss", "imu", "sprockets")
+
+
+def fixes(count: int, period_ms: float, source: str = "box_pose", latency_ms: int = 300) -> Rows:
+    """Fixes at the origin, stamped some time before they are logged."""
+    covariance = np.array(((4.0, 1.0, 0.5), (1.0, 4.0, 0.5), (0.5, 0.5, 1.0)))
+    times_ns = [ORIGIN_NS + round(k * period_ms * MS) for k in range(count)]
+    given = [(t, PoseFix(source, t - latency_ms * MS, np.zeros(3), covariance)) for t in times_ns]
+    return rows_of(given, SOURCES)
+
+
+def apply(filters: InputFilters, arrivals: Rows) -> Rows:
+    return Filtering(filters, SOURCES, ORIGIN_NS)(arrivals)
+
+
+def logged(arrivals: Rows) -> list[float]:
+    """Log times, s from the bag's first message."""
+    found: list[float] = ((arrivals["log_time_ns"] - ORIGIN_NS) * 1e-9).tolist()
+    return found
+
+
+def test_withholding_goes_by_log_time_and_is_half_open() -> None:
+    filters = InputFilters(withhold=(Withhold("box_pose", 1.0, 2.0),))
+    kept = logged(apply(filters, fixes(31, 100)))
+    assert kept == pytest.approx([k / 10 for k in range(31) if not 10 <= k < 20])
+
+
+def test_withholding_leaves_other_topics_alone() -> None:
+    other = fixes(3, 100, source="gnss")
+    kept = apply(InputFilters(withhold=(Withhold("box_pose"),)), np.concatenate((fixes(3, 100), other)))
+    np.testing.assert_array_equal(kept, other)
+
+
+def test_outages_add_up() -> None:
+    filters = InputFilters(withhold=(Withhold("box_pose", 0.0, 0.5), Withhold("box_pose", 0.3, 0.9)))
+    assert logged(apply(filters, fixes(11, 100))) == pytest.approx([0.9, 1.0])
+
+
+@pytest.mark.parametrize(("rate", "period_ms"), [(1.0, 217.0), (2.0, 100.0), (4.0, 33.3), (3.0, 100.0)])
+def test_thinning_keeps_the_rate(rate: float, period_ms: float) -> None:
+    """Ticks that do not drift: the mean rate holds although the samples do not fall on the ticks."""
+    kept = logged(apply(InputFilters(thin=(Thin("box_pose", rate),)), fixes(1000, period_ms)))
+    span = 999 * period_ms * 1e-3
+    assert len(kept) == math.floor(span * rate + 1e-9) + 1
+    ticks = np.arange(len(kept)) / rate
+    assert (np.array(kept) - ticks >= -1e-9).all()
+    assert (np.array(kept) - ticks < period_ms * 1e-3).all()
+
+
+def test_thinning_slower_than_the_source_keeps_all() -> None:
+    assert len(apply(InputFilters(thin=(Thin("box_pose", 10.0),)), fixes(50, 400))) == 50
+
+
+def test_thinning_goes_on_after_a_gap() -> None:
+    arrivals = fixes(100, 100)
+    t = (arrivals["log_time_ns"] - ORIGIN_NS) * 1e-9
+    kept = logged(apply(InputFilters(thin=(Thin("box_pose", 1.0),)), arrivals[(t <= 2.0) | (t >= 5.55)]))
+    assert kept == pytest.approx([0.0, 1.0, 2.0, 5.6, 6.0, 7.0, 8.0, 9.0])
+
+
+def test_thinning_leaves_other_topics_and_their_order_alone() -> None:
+    both = np.concatenate((fixes(30, 100), fixes(30, 130, source="gnss")))
+    both = both[np.argsort(both["log_time_ns"], kind="stable")]
+    kept = apply(InputFilters(thin=(Thin("box_pose", 1.0, 0.1),)), both)
+    gnss = SOURCES.index("gnss")
+    np.testing.assert_array_equal(kept[kept["source"] == gnss], both[both["source"] == gnss])
+    assert logged(kept) == sorted(logged(kept))
+
+
+def test_thinning_without_sigma_changes_no_number() -> None:
+    arrivals = fixes(10, 1000)
+    np.testing.assert_array_equal(apply(InputFilters(thin=(Thin("box_pose", 1.0),)), arrivals), arrivals)
+
+
+def test_the_added_noise_is_of_sigma_and_the_covariance_states_it() -> None:
+    kept = apply(InputFilters(thin=(Thin("box_pose", 10.0, 0.05),)), fixes(2000, 100))
+    poses = kept["z"]
+    assert len(poses) == 2000
+    assert poses[:, :2].std(axis=0) == pytest.approx(0.05, rel=0.06)
+    assert poses[:, :2].mean(axis=0) == pytest.approx(0.0, abs=0.005)
+    assert abs(np.corrcoef(poses[:, 0], poses[:, 1])[0, 1]) < 0.08
+    assert (poses[:, 2] == 0.0).all()
+    np.testing.assert_allclose(kept["R"][:3], np.broadcast_to(np.diag((0.0025, 0.0025, 1.0)), (3, 3, 3)))
+
+
+def test_the_noise_is_seeded_and_the_source_stays_as_it_was() -> None:
+    arrivals, thin = fixes(10, 100), (Thin("box_pose", 10.0, 0.05),)
+
+    def noise(seed: int) -> list[float]:
+        kept: list[float] = apply(InputFilters(thin=thin, seed=seed), arrivals)["z"][:, 0].tolist()
+        return kept
+
+    assert noise(1) == noise(1)
+    assert noise(1) != noise(2)
+    assert (arrivals["z"] == 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "measurement", [YawRate("imu", ORIGIN_NS, 1.0, 1.0), Sprockets("sprockets", ORIGIN_NS, 1.0, 1.0)]
+)
+def test_only_positions_take_noise(measurement: YawRate | Sprockets) -> None:
+    arrivals = rows_of([(ORIGIN_NS, measurement)], SOURCES)
+    kept = apply(InputFilters(thin=(Thin(measurement.source, 1.0, 0.05),)), arrivals)
+    np.testing.assert_array_equal(kept, arrivals)
+
+
+def test_batches_are_filtered_as_the_whole_is() -> None:
+    """Ticks and noise go on from one batch to the next."""
+    both = np.concatenate((fixes(300, 100), fixes(200, 130, source="gnss")))
+    both = both[np.argsort(both["log_time_ns"], kind="stable")]
+    thin = (Thin("box_pose", 3.0, 0.1), Thin("gnss", 1.0))
+    filters = InputFilters(thin=thin, withhold=(Withhold("gnss", 3.0, 9.0),))
+    in_batches = Filtering(filters, SOURCES, ORIGIN_NS)
+    found = np.concatenate([in_batches(batch) for batch in np.array_split(both, 17)])
+    np.testing.assert_array_equal(found, apply(filters, both))

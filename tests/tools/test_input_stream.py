@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs of a bag, batch by batch: bounded, whole, and in live order."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trackslip_bags import chunks
+from trackslip_bags.input_filters import InputFilters, Thin, Withhold
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.message_fields import OdometryFields, dtype_of
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.measurements import (
+    RESET,
+    Command,
+    Input,
+    Outcome,
+    PoseFix,
+    Report,
+    Sprockets,
+    YawRate,
+)
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_tools.replay.arrivals import ARRIVAL, Kind, inputs_of
+from trackslip_tools.replay.inputs import InputStream, read_inputs
+
+P = load_slip_parameters()
+REPORT = "trackslip_msgs/msg/MeasurementReport"
+FILTERS = InputFilters(
+    start_s=3.0,
+    stop_s=31.0,
+    withhold=(Withhold("imu/data_raw", 10.0, 12.0),),
+    thin=(Thin("box_pose", 1.0, 0.05),),
+)
+
+
+def test_a_bag_comes_in_batches_of_some_seconds(emulated_bag: Path) -> None:
+    with open_bag(emulated_bag) as bag:
+        batches = list(InputStream(bag, P, InputFilters(), ("truth/odometry",)))
+        duration_s = bag.duration_s
+    spans = [np.ptp(batch.rows["log_time_ns"]) * 1e-9 for batch in batches if len(batch.rows)]
+    assert len(spans) >= duration_s / 11.0
+    assert max(spans) <= 11.0
+    for batch in batches:
+        assert batch.rows.dtype == ARRIVAL
+        if "truth/odometry" in batch.tables:
+            assert batch.tables["truth/odometry"].rows.dtype == dtype_of(OdometryFields)
+
+
+@pytest.mark.parametrize("filters", [InputFilters(), FILTERS])
+@pytest.mark.parametrize("seconds", [0.7, 1000.0])
+def test_the_length_of_the_batches_changes_nothing(
+    emulated_bag: Path, filters: InputFilters, seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_bag(emulated_bag) as bag:
+        expected = read_inputs(bag, P, filters, ("truth/odometry",))
+        monkeypatch.setattr(chunks, "STRETCH_NS", round(seconds * 1e9))
+        found = read_inputs(bag, P, filters, ("truth/odometry",))
+    assert len(found.rows) > 1000
+    np.testing.assert_array_equal(found.rows, expected.rows)
+    series = "truth/odometry"
+    np.testing.assert_array_equal(found.series[series].rows, expected.series[series].rows)
+    assert (found.messages, found.duration_s) == (expected.messages, expected.duration_s)
+
+
+def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path) -> None:
+    """In log order, for the bag has no journal."""
+    expected: list[Input] = []
+    with open_bag(emulated_bag) as bag:
+        for message in bag.messages(["sprockets", "imu/data_raw", "box_pose"]):
+            content, source = bag.deserialize(message.raw, message.type_name), message.topic[1:]
+            if source == "sprockets":
+                expected.append(conversions.sprockets(content, source))
+            elif source == "box_pose":
+                expected.append(conversions.pose_fix(content, source))
+            else:
+                expected.append(conversions.yaw_rate(content, source, P.yaw_rate_stddev**2))
+        stream = InputStream(bag, P, InputFilters())
+        found = [m for batch in stream for m in inputs_of(batch.rows, stream.sources, stream.reloads)]
+    assert list(map(repr, found)) == list(map(repr, expected))
+    assert {type(m) for m in found} == {Sprockets, YawRate, PoseFix}
+
+
+def journaled(path: Path, emulated_bag: Path, lines: list[tuple[int, Report]]) -> Path:
+    """That bag with a journal, (log time, report) of each line."""
+    with open_bag(emulated_bag) as bag, BagWriter(path) as writer:
+        messages = [(m.log_time_ns, m.topic, m.type_name, bytes(m.raw)) for m in bag.messages()]
+        for sequence, (logged_ns, report) in enumerate(lines):
+            raw = serialize(conversions.measurement_report(make, report, sequence))
+            messages.append((logged_ns, "/measurement_reports", REPORT, raw))
+        for logged_ns, topic, type_name, raw in sorted(messages, key=lambda m: m[0]):
+            writer.write(topic, type_name, raw, logged_ns)
+    return path
+
+
+def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path: Path) -> None:
+    """Each measurement processed up to 0.3 s after it was logged, a reset between, and one never."""
+    with open_bag(emulated_bag) as bag:
+        given = read_inputs(bag, P, InputFilters(), ())
+    rng = np.random.default_rng(5)
+    late_ns = (rng.random(len(given.rows)) * 3e8).astype(np.int64)
+    order = np.argsort(given.rows["log_time_ns"] + late_ns, kind="stable")
+    times_ns = (given.rows["log_time_ns"] + late_ns)[order]
+    live = [given.inputs[k] for k in order]
+    lines = [
+        (int(t), Report(m.source, m.stamp_ns, Outcome.ACCEPTED))
+        for t, m in zip(times_ns.tolist(), live, strict=True)
+    ]
+    lines[2000] = (lines[2000][0], Report(RESET, 0, Outcome.ACCEPTED))
+    with open_bag(journaled(tmp_path / "bag", emulated_bag, lines)) as bag:
+        found = read_inputs(bag, P, InputFilters(), ())
+    expected = [*live[:2000], Command(RESET, 0), *live[2001:]]
+    assert list(map(repr, found.inputs)) == list(map(repr, expected))
+    assert found.counts.lines == len(lines)
+    assert (found.counts.lost_lines, found.counts.lost_inputs) == (0, 0)
+    assert Kind(found.rows[2000]["kind"]) is Kind.COMMAND
+
+
+def test_a_pose_set_with_stamp_0_does_not_stretch_the_duration(emulated_bag: Path, tmp_path: Path) -> None:
+    """Stamp 0 stands for now: it showed as 1.8e9 s of bag and as 139 million × real time."""
+    with open_bag(emulated_bag) as bag:
+        expected = read_inputs(bag, P, InputFilters(), ()).duration_s
+        pose = next(bag.messages(["box_pose"]))
+        content = bag.deserialize(pose.raw, pose.type_name)
+        content.header.stamp.sec = content.header.stamp.nanosec = 0
+        messages = [(m.log_time_ns, m.topic, m.type_name, bytes(m.raw)) for m in bag.messages()]
+    messages.append((pose.log_time_ns, "/slip_estimator/set_pose", pose.type_name, serialize(content)))
+    with BagWriter(tmp_path / "bag") as writer:
+        for logged_ns, topic, type_name, raw in sorted(messages, key=lambda m: m[0]):
+            writer.write(topic, type_name, raw, logged_ns)
+    with open_bag(tmp_path / "bag") as bag:
+        assert read_inputs(bag, P, InputFilters(), ()).duration_s == expected
