@@ -51,7 +51,7 @@ def measurements(drive: Callable[..., Any], start: str, positions: bool = True) 
 
 
 def taken(estimator: SlipEstimator, arrivals: list[Measurement]) -> list[tuple[Outcome, Estimate | None]]:
-    return [(report.outcome, estimate) for report, estimate in map(estimator.advance, arrivals)]
+    return [(report.outcome, estimate) for report, estimate in map(estimator.process, arrivals)]
 
 
 def assert_same(one: Estimate, other: Estimate) -> None:
@@ -141,9 +141,9 @@ def test_every_repeat_is_refused_and_changes_nothing(drive: Callable[..., Any], 
     once, twice = SlipEstimator(parameters(start)), SlipEstimator(parameters(start))
     taken(once, found)
     for m in found:
-        assert twice.take(m).outcome in (Outcome.ACCEPTED, Outcome.GATED)
-        assert twice.advance(m)[0].outcome is Outcome.DUPLICATE
-    assert {twice.take(m).outcome for m in found} == {Outcome.DUPLICATE}
+        assert twice.process(m)[0].outcome in (Outcome.ACCEPTED, Outcome.GATED)
+        assert twice.process(m)[0].outcome is Outcome.DUPLICATE
+    assert {twice.process(m)[0].outcome for m in found} == {Outcome.DUPLICATE}
     assert_same(twice.estimate(), once.estimate())
 
 
@@ -171,17 +171,17 @@ def test_too_late_is_refused_and_changes_nothing(drive: Callable[..., Any], kind
     before = estimator.estimate()
     late = next(m for m in found if isinstance(m, kind))
     for stamp_ns in (edge_ns - 1, edge_ns - 500 * MS, 0, -5):
-        assert estimator.take(replace(late, stamp_ns=stamp_ns)).outcome is Outcome.TOO_LATE
+        assert estimator.process(replace(late, stamp_ns=stamp_ns))[0].outcome is Outcome.TOO_LATE
     assert_same(estimator.estimate(), before)
-    assert estimator.take(replace(late, stamp_ns=edge_ns + 1)).outcome is not Outcome.TOO_LATE
+    assert estimator.process(replace(late, stamp_ns=edge_ns + 1))[0].outcome is not Outcome.TOO_LATE
 
 
 @pytest.mark.parametrize("start", ["initial_pose", "first_fix"])
 def test_what_lies_before_the_start_is_too_late(drive: Callable[..., Any], start: str) -> None:
     begin = measurements(drive, start)[0]
     estimator = SlipEstimator(parameters(start))
-    assert estimator.take(begin).outcome is Outcome.ACCEPTED
-    assert estimator.take(YawRate("imu/data_raw", begin.stamp_ns - 1, 0.0, 1.0)).outcome is Outcome.TOO_LATE
+    assert estimator.process(begin)[0].outcome is Outcome.ACCEPTED
+    assert estimator.process(YawRate("imu/data_raw", begin.stamp_ns - 1, 0.0, 1.0))[0].outcome is Outcome.TOO_LATE
 
 
 def rubbish(stamp_ns: int) -> list[Measurement]:
@@ -214,8 +214,8 @@ def test_rubbish_is_invalid_and_never_touches_the_state(drive: Callable[..., Any
     for k, m in enumerate(found):
         if k % 20 == 0:
             for bad in rubbish(m.stamp_ns + 7):
-                assert dirty.take(bad).outcome is Outcome.INVALID
-        dirty.advance(m)
+                assert dirty.process(bad)[0].outcome is Outcome.INVALID
+        dirty.process(m)
     assert_same(dirty.estimate(), clean.estimate())
 
 

@@ -94,7 +94,7 @@ def test_other_sources_confirm_nothing() -> None:
 
 def run(found: list[Measurement], **changes: Any) -> tuple[SlipEstimator, list[Outcome], list[Estimate]]:
     estimator = SlipEstimator(load_slip_parameters({"jump_confirmations": 10}, changes))
-    steps = [estimator.advance(m) for m in found]
+    steps = [estimator.process(m) for m in found]
     return estimator, [r.outcome for r, _ in steps], [e for _, e in steps if e is not None]
 
 

@@ -47,7 +47,7 @@ def running(found: list[Measurement], seconds: float = 8.0, **changes: Any) -> S
     estimator = SlipEstimator(load_slip_parameters(changes))
     for m in found:
         if m.stamp_ns <= seconds * S:
-            estimator.advance(m)
+            estimator.process(m)
     return estimator
 
 
@@ -57,11 +57,11 @@ def after(found: list[Measurement], seconds: float) -> list[Measurement]:
 
 def test_reset_begins_anew(found: list[Measurement]) -> None:
     estimator, fresh = running(found), SlipEstimator(load_slip_parameters())
-    assert estimator.advance(Command(RESET)) == (Report(RESET, 0, Outcome.ACCEPTED), None)
+    assert estimator.process(Command(RESET)) == (Report(RESET, 0, Outcome.ACCEPTED), None)
     assert not estimator.started
     assert estimator.restarts == 0
     for m in after(found, 8.0):
-        (one, mine), (other, its) = estimator.advance(m), fresh.advance(m)
+        (one, mine), (other, its) = estimator.process(m), fresh.process(m)
         assert one.outcome is other.outcome
         assert (mine is None) == (its is None)
         if mine is not None and its is not None:
@@ -70,18 +70,18 @@ def test_reset_begins_anew(found: list[Measurement]) -> None:
 
 def test_frozen_it_reckons_on_and_ignores_poses(found: list[Measurement]) -> None:
     estimator = running(found)
-    estimator.advance(Command(FREEZE))
-    steps = [estimator.advance(m) for m in after(found, 8.0)]
+    estimator.process(Command(FREEZE))
+    steps = [estimator.process(m) for m in after(found, 8.0)]
     assert {r.outcome for r, _ in steps if r.source == "box_pose"} == {Outcome.FROZEN}
     assert {r.outcome for r, _ in steps if r.source != "box_pose"} == {Outcome.ACCEPTED}
     expected = running(found)
     for m in after(found, 8.0):
         if not isinstance(m, PoseFix):
-            expected.advance(m)
+            expected.process(m)
     np.testing.assert_array_equal(estimator.estimate().pose, expected.estimate().pose)
-    estimator.advance(Command(UNFREEZE))
+    estimator.process(Command(UNFREEZE))
     last = next(m for m in reversed(found) if isinstance(m, PoseFix))
-    assert estimator.take(last).outcome is Outcome.ACCEPTED
+    assert estimator.process(last)[0].outcome is Outcome.ACCEPTED
 
 
 @pytest.mark.parametrize("stamp_s", [0.0, 7.5])
@@ -89,9 +89,11 @@ def test_a_given_pose_replaces_the_estimated_one(found: list[Measurement], stamp
     """At its stamp, or now; what was learned of the slips stays, even where the poses are frozen."""
     estimator = running(found, start="initial_pose")
     before = estimator.estimate()
-    estimator.advance(Command(FREEZE))
-    report, _ = estimator.advance(word(round(stamp_s * S)))
-    assert report == Report(SET_POSE, round(stamp_s * S), Outcome.ACCEPTED)
+    estimator.process(Command(FREEZE))
+    report, _ = estimator.process(word(round(stamp_s * S)))
+    used_ns = round((stamp_s or 8.0) * S)
+    assert (report.source, report.stamp_ns, report.outcome) == (SET_POSE, used_ns, Outcome.ACCEPTED)
+    assert report.dof == 0
     now = estimator.estimate()
     assert np.hypot(*(now.pose - word().pose)[:2]) < (1e-9 if stamp_s == 0.0 else 0.2)
     if stamp_s == 0.0:
@@ -101,28 +103,29 @@ def test_a_given_pose_replaces_the_estimated_one(found: list[Measurement], stamp
 
 def test_a_given_pose_starts_the_estimate(found: list[Measurement]) -> None:
     estimator = SlipEstimator(load_slip_parameters())
-    assert estimator.take(word()).outcome is Outcome.WAITING  # now is not known yet
-    assert estimator.take(found[0]).outcome is Outcome.WAITING
+    assert estimator.process(word())[0].outcome is Outcome.WAITING  # now is not known yet
+    assert estimator.process(found[0])[0].outcome is Outcome.WAITING
     sprockets = next(m for m in found if isinstance(m, Sprockets) and m.stamp_ns > 0)
-    assert estimator.take(sprockets).outcome is Outcome.WAITING
-    assert estimator.take(word()).outcome is Outcome.ACCEPTED
+    assert estimator.process(sprockets)[0].outcome is Outcome.WAITING
+    assert estimator.process(word())[0].outcome is Outcome.ACCEPTED
     np.testing.assert_array_equal(estimator.estimate().pose, word().pose)
 
 
 def test_a_given_pose_without_a_covariance_is_refused(found: list[Measurement]) -> None:
-    assert running(found).take(word(variance=0.0)).outcome is Outcome.INVALID
+    assert running(found).process(word(variance=0.0))[0].outcome is Outcome.INVALID
 
 
 def test_the_gate_changes_while_it_runs(found: list[Measurement]) -> None:
     estimator = running(found)
     timeouts = {"pose_timeouts", "yaw_rate_timeouts", "slip_timeouts"}
     assert {"gate_probability", "gate_relaxation", *timeouts} == reloadable()
-    estimator.advance(Reload({"gate_probability": 0.5, "pose_timeouts": [3.0]}))
-    reports = [estimator.take(m) for m in after(found, 8.0)]
-    assert {r.gate for r in reports if r.source == "imu/data_raw"} == {chi2.ppf(0.5, 1)}
+    estimator.process(Reload({"gate_probability": 0.5, "pose_timeouts": [3.0]}))
+    reports = [estimator.process(m)[0] for m in after(found, 8.0)]
+    (gate,) = {r.gate for r in reports if r.source == "imu/data_raw"}
+    assert gate == pytest.approx(chi2.ppf(0.5, 1))
     assert sum(r.outcome is Outcome.GATED for r in reports) > 3
     with pytest.raises(InputError, match=r"gate_probability: 2\.0 is out of range"):
-        estimator.advance(Reload({"gate_probability": 2.0}))
+        estimator.process(Reload({"gate_probability": 2.0}))
     assert estimator.parameters.gate_probability == 0.5
 
 

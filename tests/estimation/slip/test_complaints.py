@@ -25,7 +25,7 @@ Log = Any  # conftest's
 
 def run(given: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[Estimate], SlipEstimator]:
     estimator = SlipEstimator(load_slip_parameters(changes))
-    steps = [estimator.advance(m) for m in given]
+    steps = [estimator.process(m) for m in given]
     return [r.outcome for r, _ in steps], [e for _, e in steps if e is not None], estimator
 
 

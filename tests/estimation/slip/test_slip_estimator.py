@@ -158,7 +158,7 @@ def test_it_waits_for_the_first_fix_and_starts_there(
     steps = []
     for m in late:
         started = estimator.started
-        steps.append(estimator.advance(m))
+        steps.append(estimator.process(m))
         assert started == (steps[-1][0].outcome is not Outcome.WAITING) or isinstance(m, PoseFix)
     waiting = [r for r, _ in steps if r.outcome is Outcome.WAITING]
     assert {r.source for r in waiting} == {"sprockets", "imu/data_raw"}
@@ -173,9 +173,9 @@ def test_a_given_start_is_the_first_estimate(thesis_parameters: Make) -> None:
     estimator = SlipEstimator(
         thesis_parameters(initial_x=1.0, initial_y=-2.0, initial_yaw=0.5, initial_yaw_stddev=0.1)
     )
-    assert estimator.take(YawRate("imu/data_raw", 5, 0.0, 1e-4)).outcome is Outcome.WAITING
-    assert estimator.take(PoseFix("box_pose", 6, np.zeros(3), np.eye(3))).outcome is Outcome.WAITING
-    report, estimate = estimator.advance(Sprockets("sprockets", 7, 0.0, 0.0, (0.0, 0.0)))
+    assert estimator.process(YawRate("imu/data_raw", 5, 0.0, 1e-4))[0].outcome is Outcome.WAITING
+    assert estimator.process(PoseFix("box_pose", 6, np.zeros(3), np.eye(3)))[0].outcome is Outcome.WAITING
+    report, estimate = estimator.process(Sprockets("sprockets", 7, 0.0, 0.0, (0.0, 0.0)))
     assert report.outcome is Outcome.ACCEPTED
     assert estimate is not None
     np.testing.assert_array_equal(estimate.pose, (1.0, -2.0, 0.5))

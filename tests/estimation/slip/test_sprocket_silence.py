@@ -1,58 +1,89 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sprockets that fall silent, and positions that jump: no speed is made up, and the uncertainty says so."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
-from trackslip_estimation.slip.motion import STANDSTILL, Motion
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.slip.sprockets import SprocketTrack
+from trackslip_estimation.slip.records import SPROCKETS
 
 S, MS = 1_000_000_000, 1_000_000
 MODELS = ["turning", "icr", "free_slips"]
 
 
-def track(*samples: tuple[int, float, float], max_speed: float = 20.0) -> SprocketTrack:
-    """(ms, position of both, measured speed of both), in no order; 100 ms of patience."""
-    made = SprocketTrack(100 * MS, max_speed)
-    for ms, angle, speed in samples:
-        made.add(Sprockets("sprockets", ms * MS, speed, speed, (angle, angle)))
-    return made
+Sample = tuple[int, float, float]  # ms, position of both, measured speed of both
 
 
-def test_a_long_stretch_is_known_only_in_its_first_part() -> None:
-    made = track((300, 9.0, 5.0), (0, 0.0, 1.0), (50, 0.1, 1.0))
-    for ms in (51, 100, 150):  # as in the stretch before
-        assert made.stretch(ms * MS) == ((2.0, 2.0, 0.05, True), ms * MS)
-    assert made.stretch(151 * MS) == (STANDSTILL, 150 * MS)
-    assert made.stretch(300 * MS) == ((5.0, 5.0, 0.1, False), 150 * MS)  # what its end says of itself
-    assert made.stretch(301 * MS) == ((5.0, 5.0, 0.1, False), 301 * MS)
-    assert made.stretch(401 * MS) == (STANDSTILL, 400 * MS)
+class Known(NamedTuple):
+    """What a state has at a stamp."""
+
+    speeds: tuple[float, float, float, bool]
+    coasting: bool
+
+
+def states_at(samples: Sequence[Sample], asked_ms: Sequence[int], **changes: Any) -> list[Known]:
+    """The speeds with which the estimator comes to each stamp; 100 ms of patience."""
+    p = load_slip_parameters(
+        {"start": "initial_pose", "sprocket_timeout": 0.1, "max_sprocket_speed": 20.0, "history_window": 2.0}, changes
+    )
+    found: list[Measurement] = [
+        Sprockets("sprockets", S + ms * MS, speed, speed, (angle, angle)) for ms, angle, speed in samples
+    ]
+    begin = Sprockets("sprockets", S - 100 * MS, 0.0, 0.0)
+    gyro = [YawRate("imu/data_raw", S + ms * MS, 0.0, 1.0) for ms in asked_ms]
+    estimator = SlipEstimator(p)
+    estimator.process_all([begin, *found, *gyro])
+    status, measurements, states, _ = estimator.window
+    entries = {
+        int(m["stamp_ns"]): state
+        for m, state in zip(measurements[: status["count"][0]], states, strict=False)
+        if m["kind"] != SPROCKETS
+    }
+    asked = [entries[S + ms * MS] for ms in asked_ms]
+    return [Known(state["speeds"].item(), bool(state["coasting"])) for state in asked]
+
+
+STANDING = (0.0, 0.0, 0.0, False)
+
+
+def test_a_long_interval_is_known_only_in_its_first_part() -> None:
+    samples = ((300, 9.0, 5.0), (0, 0.0, 1.0), (50, 0.1, 1.0))
+    for known in states_at(samples, (51, 100, 149)):  # as in the interval before
+        assert known == ((pytest.approx(2.0), pytest.approx(2.0), 0.05, True), False)
+    assert states_at(samples, (151, 299)) == [(STANDING, True)] * 2
+    assert states_at(samples, (300, 301, 399)) == [((5.0, 5.0, 0.1, False), True)] + [
+        ((5.0, 5.0, 0.1, False), False)
+    ] * 2  # what its end says of itself
+    assert states_at(samples, (401,)) == [(STANDING, True)]
 
 
 def test_positions_that_jump_give_way_to_the_measured_speed() -> None:
-    made = track((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 3.0), (150, 77.1, 4.0))
-    assert made.stretch(70 * MS) == ((3.0, 3.0, 0.05, False), 70 * MS)
-    assert made.stretch(120 * MS)[0] == pytest.approx((2.0, 2.0, 0.05, True))
-    assert [made.jumps(ms * MS) for ms in (0, 50, 100, 150)] == [False, False, True, False]
+    samples = ((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 3.0), (150, 77.1, 4.0))
+    jumped, sound = states_at(samples, (70, 120))
+    assert jumped == ((3.0, 3.0, 0.05, False), False)
+    assert sound.speeds == pytest.approx((2.0, 2.0, 0.05, True))
+    p = load_slip_parameters({"start": "initial_pose", "sprocket_timeout": 0.1, "max_sprocket_speed": 20.0})
+    given = [Sprockets("sprockets", ms * MS, w, w, (angle, angle)) for ms, angle, w in samples]
+    outcomes = [r.outcome for r, _ in SlipEstimator(p).process_all(given)]
+    assert outcomes == [Outcome.ACCEPTED, Outcome.ACCEPTED, Outcome.JUMPED, Outcome.ACCEPTED]
 
 
-def test_where_neither_tells_it_is_silence() -> None:
-    made = track((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 99.0), (150, 99.0, 99.0))
-    assert made.stretch(70 * MS) == (STANDSTILL, 50 * MS)
-    assert made.stretch(100 * MS) == (STANDSTILL, 50 * MS)
-    assert made.stretch(200 * MS) == (STANDSTILL, 150 * MS)
+def test_where_neither_shows_the_speed_it_is_silence() -> None:
+    samples = ((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 99.0), (150, 99.0, 99.0))
+    assert states_at(samples, (70, 100, 200)) == [(STANDING, True)] * 3
+    assert not states_at(samples, (49,))[0].coasting
 
 
 def run(found: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[Estimate], SlipEstimator]:
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose"}, changes))
-    steps = [estimator.advance(m) for m in found]
+    steps = [estimator.process(m) for m in found]
     return [r.outcome for r, _ in steps], [e for _, e in steps if e is not None], estimator
 
 
@@ -72,7 +103,7 @@ def test_in_silence_the_pose_is_held_and_its_uncertainty_covers_what_was_driven(
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose", "model": model}))
     spread, poses = [], []
     for m in kept:
-        estimator.take(m)
+        estimator.process(m)
         if isinstance(m, YawRate) and 6.6 * S < m.stamp_ns < 9.9 * S:
             now = estimator.estimate()
             spread.append(float(np.sqrt(np.trace(now.pose_covariance[:2, :2]))))
