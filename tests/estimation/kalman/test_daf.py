@@ -6,13 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
-from scipy.stats import chi2
-
-from trackslip_estimation.kalman import daf
-from trackslip_estimation.kalman.linear_algebra import wrap
 from fixtures.filter_steps import (
     Drive,
     Gaussian,
@@ -28,6 +21,13 @@ from fixtures.filter_steps import (
     state_of,
     transition,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from trackslip_estimation.kalman import daf
+from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.models.dispatch import MODELS
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
@@ -39,7 +39,9 @@ from trackslip_estimation.slip.step import propagate
 
 FloatArray = NDArray[np.float64]
 
-TURNING = MotionState(Motion.TURNING, changing=True, departure=1e-9)  # rad/s: not 0, so that no speed is low-passed
+TURNING = MotionState(
+    Motion.TURNING, changing=True, departure=1e-9
+)  # rad/s: not 0, so that no speed is low-passed
 
 each = pytest.mark.parametrize("model", list(MODELS))
 kappas = pytest.mark.parametrize("kappa", [-4.0, 0.0, 2.0])
@@ -51,7 +53,9 @@ def with_kappa(kappa: float | None) -> dict[str, Any]:
 
 
 CONFIGS = {
-    (name, kappa): config_of(with_kappa(kappa), model=name) for name in MODELS for kappa in (None, -4.0, 0.0, 2.0)
+    (name, kappa): config_of(with_kappa(kappa), model=name)
+    for name in MODELS
+    for kappa in (None, -4.0, 0.0, 2.0)
 }
 
 
@@ -139,7 +143,9 @@ def test_covariance_stays_symmetric_and_positive(model: str, kappa: float, seed:
         measured = measurement(rng)
         speeds = Speeds(*rng.uniform(-4.0, 4.0, 2).tolist(), 0.01, differenced=bool(rng.random() < 0.5))
         motion = MotionState(Motion(int(rng.integers(4))), changing=bool(rng.random() < 0.5))
-        state = filter_step(config, state, speeds, float(rng.choice((0.0, 0.01, 0.3))), motion, measured).updated
+        state = filter_step(
+            config, state, speeds, float(rng.choice((0.0, 0.01, 0.3))), motion, measured
+        ).updated
         assert np.isfinite(state.mean).all()
         assert -math.pi <= state.mean[YAW] <= math.pi
         np.testing.assert_array_equal(state.covariance, state.covariance.T)

@@ -5,8 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-
 from fixtures.filter_steps import (
     Drive,
     FilterStep,
@@ -18,6 +16,8 @@ from fixtures.filter_steps import (
     start_of,
     transition,
 )
+from numpy.typing import NDArray
+
 from trackslip_estimation.kalman.smoother import step_back
 from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.models.model import POSE, YAW
@@ -159,10 +159,11 @@ def _corrected(state: Gaussian, pose: FloatArray) -> Gaussian:
     return Gaussian(x, P - K @ P[POSE])
 
 
-def smoothed_means(
-    taken: list[FilterStep], transitions: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    parts = zip(*(step.updated for step in taken), strict=True), zip(*(s.predicted for s in taken), strict=True)
+def smoothed_means(taken: list[FilterStep], transitions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    parts = (
+        zip(*(step.updated for step in taken), strict=True),
+        zip(*(s.predicted for s in taken), strict=True),
+    )
     states = tuple(np.array(column) for part in parts for column in part)
     return smooth_back(states, transitions, YAW)
 

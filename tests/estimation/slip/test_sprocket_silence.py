@@ -18,6 +18,7 @@ S, MS = 1_000_000_000, 1_000_000
 MODELS = ["turning", "icr", "free_slips"]
 
 
+PATIENT = {"start": "initial_pose", "sprocket_timeout": 0.1, "max_sprocket_speed": 20.0}
 Sample = tuple[int, float, float]  # ms, position of both, measured speed of both
 
 
@@ -28,11 +29,9 @@ class Known(NamedTuple):
     coasting: bool
 
 
-def states_at(samples: Sequence[Sample], asked_ms: Sequence[int], **changes: Any) -> list[Known]:
+def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]:
     """The speeds with which the estimator comes to each stamp; 100 ms of patience."""
-    p = load_slip_parameters(
-        {"start": "initial_pose", "sprocket_timeout": 0.1, "max_sprocket_speed": 20.0, "history_window": 2.0}, changes
-    )
+    p = load_slip_parameters(PATIENT)
     found: list[Measurement] = [
         Sprockets("sprockets", S + ms * MS, speed, speed, (angle, angle)) for ms, angle, speed in samples
     ]
@@ -58,9 +57,10 @@ def test_a_long_interval_is_known_only_in_its_first_part() -> None:
     for known in states_at(samples, (51, 100, 149)):  # as in the interval before
         assert known == ((pytest.approx(2.0), pytest.approx(2.0), 0.05, True), False)
     assert states_at(samples, (151, 299)) == [(STANDING, True)] * 2
-    assert states_at(samples, (300, 301, 399)) == [((5.0, 5.0, 0.1, False), True)] + [
-        ((5.0, 5.0, 0.1, False), False)
-    ] * 2  # what its end says of itself
+    assert (
+        states_at(samples, (300, 301, 399))
+        == [((5.0, 5.0, 0.1, False), True)] + [((5.0, 5.0, 0.1, False), False)] * 2
+    )  # what its end says of itself
     assert states_at(samples, (401,)) == [(STANDING, True)]
 
 
@@ -69,7 +69,7 @@ def test_positions_that_jump_give_way_to_the_measured_speed() -> None:
     jumped, sound = states_at(samples, (70, 120))
     assert jumped == ((3.0, 3.0, 0.05, False), False)
     assert sound.speeds == pytest.approx((2.0, 2.0, 0.05, True))
-    p = load_slip_parameters({"start": "initial_pose", "sprocket_timeout": 0.1, "max_sprocket_speed": 20.0})
+    p = load_slip_parameters(PATIENT)
     given = [Sprockets("sprockets", ms * MS, w, w, (angle, angle)) for ms, angle, w in samples]
     outcomes = [r.outcome for r, _ in SlipEstimator(p).process_all(given)]
     assert outcomes == [Outcome.ACCEPTED, Outcome.ACCEPTED, Outcome.JUMPED, Outcome.ACCEPTED]
@@ -144,6 +144,45 @@ def test_after_silence_the_next_fixes_give_the_pose_back(drive: Callable[..., An
         for e in run(kept, model=model)[1]:
             if e.stamp_ns > (6.0 + seconds + 1.0) * S:
                 assert np.hypot(*(e.pose - driven.truth[e.stamp_ns][:3])[:2]) < 0.15
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("with_gyro", [True, False])
+def test_sprockets_dead_for_long_the_others_go_on_and_the_pose_is_published(
+    drive: Callable[..., Any], model: str, with_gyro: bool
+) -> None:
+    """20 s of it, and 5 s were once the end: fixes, and a gyro if there is one, are never AHEAD. The pose
+    coasts from fix to fix, wide, and is as good as before soon after the sprockets are back.
+    """
+    driven = drive([(10.0, 2.0, 2.0, 0.05, 0.05, 0.0), (30.0, 1.5, 2.0, 0.05, 0.2, 0.0)])
+    found = without(driven.measurements, (Sprockets,), 15.0, 35.0)
+    if not with_gyro:
+        found = without(found, (YawRate,), 15.0, 35.0)
+    estimator = SlipEstimator(load_slip_parameters({"model": model}))
+    outcomes, dead, back, usual = [], [], [], 0.0
+    for m in found:
+        report, e = estimator.process(m)
+        if m.stamp_ns > 15 * S:
+            outcomes.append(report.outcome)
+        if e is None:
+            continue
+        error = e.pose - driven.truth[e.stamp_ns][:3]
+        error[2] = np.angle(np.exp(1j * error[2]))
+        deviations = np.sqrt(np.diag(e.pose_covariance))
+        if 14 * S < e.stamp_ns < 15 * S:
+            usual = max(usual, float(deviations[0]))
+        if 16 * S < e.stamp_ns < 35 * S:
+            assert (np.abs(error) < 4.0 * deviations).all()
+            assert e.motion is Motion.UNKNOWN
+            dead.append((e.stamp_ns, float(deviations[0])))
+        if e.stamp_ns > 37 * S:
+            back.append(np.hypot(*error[:2]))
+    assert {Outcome.AHEAD, Outcome.TOO_LATE, Outcome.RESTARTED}.isdisjoint(outcomes)
+    assert outcomes.count(Outcome.GATED) <= 2
+    stamps, spread = np.array(dead).T
+    assert np.diff(stamps).max() <= (0.1 if with_gyro else 0.2) * S
+    assert spread.min() > 1.3 * usual
+    assert max(back) < 0.1
 
 
 def test_an_encoder_that_starts_from_elsewhere_is_counted_and_costs_nothing(
