@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thesis' filter (Fig. 4.3): the Kalman filter where all is linear, honest, never indefinite."""
+"""The thesis' filter (Fig. 4.3): the Kalman filter where all is linear, consistent, never indefinite."""
 
 import math
 from typing import Any
@@ -169,7 +169,7 @@ def measurement(rng: np.random.Generator) -> Measured:
 
 @each
 @pytest.mark.parametrize("kappa", [None, 0.0, -4.0])
-def test_it_is_honest_on_its_own_model(model: str, kappa: float | None) -> None:
+def test_it_is_consistent_on_its_own_model(model: str, kappa: float | None) -> None:
     """Truth drawn from the model itself, 60 seeds: mean NEES of the whole state within its 99.8 % bounds."""
     near = {"model": model, "icr.initial_centre_stddev": 0.05, "icr.centre": 0.01}  # far from where they meet
     config, n = config_of(near, with_kappa(kappa)), MODELS[model].ACTIVE

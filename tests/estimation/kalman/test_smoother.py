@@ -159,26 +159,26 @@ def _corrected(state: Gaussian, pose: FloatArray) -> Gaussian:
     return Gaussian(x, P - K @ P[POSE])
 
 
-def smoothed_means(taken: list[FilterStep], transitions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def smoothed_means(passed: list[FilterStep], transitions: FloatArray) -> tuple[FloatArray, FloatArray]:
     parts = (
-        zip(*(step.updated for step in taken), strict=True),
-        zip(*(s.predicted for s in taken), strict=True),
+        zip(*(step.updated for step in passed), strict=True),
+        zip(*(s.predicted for s in passed), strict=True),
     )
     states = tuple(np.array(column) for part in parts for column in part)
     return smooth_back(states, transitions, YAW)
 
 
-def transitions_of(taken: list[FilterStep], config: ConfigRecord) -> FloatArray:
+def transitions_of(passed: list[FilterStep], config: ConfigRecord) -> FloatArray:
     """(k, n, n) F of each step; that of the first is not used."""
-    found = [transition(step.updated.mean, DRIVE, 0.1, config) for step in taken[:-1]]
+    found = [transition(step.updated.mean, DRIVE, 0.1, config) for step in passed[:-1]]
     return np.array([np.eye(len(found[0])), *found])
 
 
 def test_the_direction_of_the_site_frame_changes_nothing(config: ConfigRecord) -> None:
     """Across ±π the same turn is smoothed as anywhere else, turned by half a turn."""
     across, along = (
-        smoothed_means(taken, transitions_of(taken, config))[0]
-        for taken in (steps(config, math.pi - 0.05), steps(config, -0.05))
+        smoothed_means(passed, transitions_of(passed, config))[0]
+        for passed in (steps(config, math.pi - 0.05), steps(config, -0.05))
     )
     for a, b in zip(across, along, strict=True):
         assert math.remainder(a[YAW] - b[YAW] - math.pi, 2.0 * math.pi) == pytest.approx(0, abs=1e-9)
@@ -190,14 +190,14 @@ def test_the_direction_of_the_site_frame_changes_nothing(config: ConfigRecord) -
 
 def test_goes_back_by_the_derivative_of_the_very_steps(config: ConfigRecord) -> None:
     """F by differences of the filter's own prediction gives the same."""
-    taken, edge = steps(config, 0.3), 1e-6
-    transitions = [np.eye(taken[0].updated.mean.size)]
-    for before in taken[:-1]:
+    passed, edge = steps(config, 0.3), 1e-6
+    transitions = [np.eye(passed[0].updated.mean.size)]
+    for before in passed[:-1]:
         mean = before.updated.mean
         shifts = edge * np.eye(mean.size)
         ends = [[moved(mean + sign * shift, DRIVE, 0.1, config) for sign in (1.0, -1.0)] for shift in shifts]
         transitions.append(np.column_stack([(plus - minus) / (2.0 * edge) for plus, minus in ends]))
-    means, covariances = smoothed_means(taken, np.array(transitions))
-    expected, expected_covariances = smoothed_means(taken, transitions_of(taken, config))
+    means, covariances = smoothed_means(passed, np.array(transitions))
+    expected, expected_covariances = smoothed_means(passed, transitions_of(passed, config))
     np.testing.assert_allclose(means, expected, atol=1e-6)
     np.testing.assert_allclose(covariances, expected_covariances, atol=1e-6)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator makes of surprises: spikes are refused, what insists is believed, reports are honest."""
+"""What the estimator makes of surprises: spikes are refused, what insists is believed, NIS is consistent."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -179,7 +179,7 @@ def test_reports_state_the_gate(drive: Callable[..., Any], thesis_run: Run) -> N
             assert some.nis > 0.0
 
 
-def test_nis_is_honest(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_nis_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
     """300 fixes of three numbers, drawn with the noise they claim: the mean within 10⁻⁴ tails of χ²."""
     driven = drive([(60.0, 2.0, 2.0, 0.1, 0.1, 0.0)], seed=5)
     nis = np.array([r.nis for r in thesis_run(driven.measurements).reports if r.source == "box_pose"])

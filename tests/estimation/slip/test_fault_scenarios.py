@@ -176,7 +176,7 @@ def test_outage(log: Log, kind: type) -> None:
 
 @pytest.mark.parametrize("seconds", [2.0, 10.0])
 def test_sprockets_silent(log: Log, seconds: float) -> None:
-    """After their timeout the others carry it on, coasting; its covariance covers all, and it is soon right."""
+    """After their timeout the others carry it on, coasting; its covariance covers that; soon it is right."""
     end = BEGIN + seconds
     found = run(log, changed(log, Sprockets, end, lambda _: None))
     assert found.counts == {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator on a small exact truth: it converges, and is honest."""
+"""The estimator on a small exact truth: it converges, and is consistent."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -54,7 +54,7 @@ def test_pose_and_twist_follow_the_truth(drive: Callable[..., Any], thesis_run: 
     assert e.outputs.twist[2] == pytest.approx(0.159 * (1.6 - 1.0) / 0.73, abs=0.01)
 
 
-def test_the_claimed_pose_covariance_is_honest(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_the_claimed_pose_covariance_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
     """Slips that walk as the filter supposes. 40 seeds at three times 5 s apart: 120 × χ²(3), nearly
     independent; the mean must lie within the 10⁻⁴ tails of 40 × χ²(3) on either side, 1.98 to 4.32.
     """
@@ -115,7 +115,7 @@ def test_what_turns_taught_holds_in_the_next_one(drive: Callable[..., Any], thes
 
 
 def test_sub_model_1b_claims_no_more_than_it_knows(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """The truth has none of the misfit that the model allows for: NEES stays below its mean of 3, and a
+    """The truth has none of the allowed velocity errors: NEES stays below its mean of 3, and a
     filter that is not absurdly humble stays above a sixth of it.
     """
     values = []

@@ -150,7 +150,7 @@ def test_a_seed_far_off_is_gated_until_it_has_not_agreed_for_long(
         assert (report.gate > LIMIT) == (outcome is Outcome.ACCEPTED)
         if outcome is Outcome.GATED:
             np.testing.assert_array_equal(after.slips, before.slips)
-        else:  # admitted, and its surprise widens what it tells of
+        else:  # admitted, and its surprise widens what it measures
             assert after.slips[:2].mean() > 0.5
 
 
