@@ -5,15 +5,18 @@ The DBC is the contract: ids, lengths, scaling, ranges, cycle time. Two checks t
 are here: the alive counter and the checksum behind it, the last 4 + 12 bits of a payload.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import NamedTuple
 
 import cantools
 from cantools.database import Database, Message
+from cantools.database.can import Signal
+from cantools.database.errors import EncodeError
 from cantools.database.errors import Error as CantoolsError
-from crccheck.crc import Crc12Gsm
 
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
@@ -35,6 +38,7 @@ _CHECKSUM = "checksum"
 _ALIVE_BITS = 4
 _CHECKSUM_BITS = 12
 _MODULUS = 1 << _ALIVE_BITS
+_CRC_POLYNOMIAL = 0xD31
 # A silence may hide whole turns of the counter; one more turn is assumed from this share of it on. A sender
 # that stalls and catches up looks the same, hence above one half.
 _TURN_SHARE = 0.75
@@ -63,6 +67,25 @@ class Frame:
     values: Mapping[str, float]  # signal name → value in the DBC's unit (SI, or raw counts)
 
 
+def _crc_of(byte: int) -> int:
+    """What a byte adds to a CRC-12/GSM of 0."""
+    crc = byte << 4
+    for _ in range(8):
+        crc = crc << 1 ^ (_CRC_POLYNOMIAL if crc & 0x800 else 0)
+    return crc & 0xFFF
+
+
+_CRC_OF = tuple(map(_crc_of, range(256)))
+
+
+def crc12(data: bytes) -> int:
+    """CRC-12/GSM."""
+    crc = 0
+    for byte in data:
+        crc = (crc << 8 & 0xFFF) ^ _CRC_OF[crc >> 4 ^ byte]
+    return crc ^ 0xFFF
+
+
 def sealed(frame_id: int, payload: bytes) -> bytes:
     """The payload with the checksum that belongs to its other bits, whatever it had.
 
@@ -70,8 +93,78 @@ def sealed(frame_id: int, payload: bytes) -> bytes:
     bits; of two or more wrong bytes it misses one pattern in 4096. No checksum of 12 bits finds all those.
     """
     alive = payload[-2] & (_MODULUS - 1)
-    crc = int(Crc12Gsm.calc(frame_id.to_bytes(4, "big") + payload[:-2] + bytes((alive,))))
+    crc = crc12(frame_id.to_bytes(4, "big") + payload[:-2] + bytes((alive,)))
     return payload[:-2] + (alive | crc << _ALIVE_BITS).to_bytes(2, "little")
+
+
+class _Field(NamedTuple):
+    """Where a signal lies in a payload that is read as one number, and what its raw value means."""
+
+    big: bool  # which byte order that number has
+    shift: int
+    mask: int
+    sign: int  # bit of the raw value; 0 where it has none
+    scale: float
+    offset: float
+    low: float
+    high: float
+
+
+class _Codec:
+    """Payloads of one frame to values and back: what cantools does, at a tenth of its time."""
+
+    def __init__(self, message: Message) -> None:
+        self._length = message.length
+        self._fields = {
+            name: _field(message, message.get_signal_by_name(name)) for name in SIGNALS[message.name]
+        }
+        self._alive_shift = 8 * message.length - _CHECKSUM_BITS - _ALIVE_BITS
+
+    def pack(self, values: Mapping[str, float], alive_counter: int) -> bytes:
+        """The payload without its checksum.
+
+        Raises:
+            EncodeError: a value lies outside the range that the DBC gives.
+        """
+        little, big = alive_counter << self._alive_shift, 0
+        for name, field in self._fields.items():
+            value = values[name]
+            if not field.low <= value <= field.high:
+                raise EncodeError(f"{name}: {value!r}; accepted: {field.low:g} to {field.high:g}")
+            bits = (round((value - field.offset) / field.scale) & field.mask) << field.shift
+            little, big = (little, big | bits) if field.big else (little | bits, big)
+        whole = little.to_bytes(self._length, "little")
+        return (int.from_bytes(whole, "big") | big).to_bytes(self._length, "big") if big else whole
+
+    def unpack(self, data: bytes) -> dict[str, float] | None:
+        """The values; None where one lies outside its range."""
+        little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
+        values = {}
+        for name, field in self._fields.items():
+            raw = (big if field.big else little) >> field.shift & field.mask
+            value = float((raw - 2 * (raw & field.sign)) * field.scale + field.offset)
+            if not field.low <= value <= field.high:
+                return None
+            values[name] = value
+        return values
+
+
+def _field(message: Message, signal: Signal) -> _Field:
+    """Raise ``InputError`` for what is no whole number."""
+    if signal.is_float:
+        raise InputError(f"dbc_file: signal '{signal.name}' is a floating-point one; accepted: integers")
+    big = signal.byte_order == "big_endian"
+    ahead = signal.start // 8 * 8 + 7 - signal.start % 8  # bits before the highest, from the first byte on
+    return _Field(
+        big,
+        8 * message.length - ahead - signal.length if big else signal.start,
+        (1 << signal.length) - 1,
+        1 << signal.length - 1 if signal.is_signed else 0,
+        signal.scale,
+        signal.offset,
+        -math.inf if signal.minimum is None else signal.minimum,
+        math.inf if signal.maximum is None else signal.maximum,
+    )
 
 
 class FrameSet:
@@ -95,17 +188,17 @@ class FrameSet:
         if cycles_ms or not cycle_ms:
             raise InputError(f"dbc_file {path}: GenMsgCycleTime must be set, the same for all frames")
         self.cycle_ns = cycle_ms * 1_000_000
+        self.codecs = {name: _Codec(message) for name, message in self.by_name.items()}
         self.unused = {name: ~_used_bits(message) for name, message in self.by_name.items()}
 
     def encode(self, name: str, values: Mapping[str, float], alive_counter: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame.
 
         Raises:
-            cantools.database.errors.EncodeError: a value lies outside the range that the DBC gives.
+            EncodeError: a value lies outside the range that the DBC gives.
         """
-        message = self.by_name[name]
-        payload = message.encode({**values, _ALIVE: alive_counter % _MODULUS, _CHECKSUM: 0})
-        return message.frame_id, sealed(message.frame_id, payload)
+        frame_id = self.by_name[name].frame_id
+        return frame_id, sealed(frame_id, self.codecs[name].pack(values, alive_counter % _MODULUS))
 
 
 class FrameDecoder:
@@ -128,9 +221,8 @@ class FrameDecoder:
             return self._reject(message.name, Rejection.CHECKSUM)
         if int.from_bytes(data, "little") & self._frames.unused[message.name]:
             return self._reject(message.name, Rejection.UNUSED_BITS)
-        signals = message.decode_simple(data, decode_choices=False)
-        values = {name: float(signals[name]) for name in SIGNALS[message.name]}  # type: ignore[arg-type]
-        if not _in_range(message, values):
+        values = self._frames.codecs[message.name].unpack(data)
+        if values is None:
             return self._reject(message.name, Rejection.OUT_OF_RANGE)
         cycles = self._alive[message.name].advance(data[-2] & (_MODULUS - 1), stamp_ns)
         if cycles is None:
@@ -194,13 +286,3 @@ def _used_bits(message: Message) -> int:
     """The bits of a payload, read as a little-endian number, that belong to a signal."""
     full = {s.name: -1 if s.is_signed else (1 << s.length) - 1 for s in message.signals}
     return int.from_bytes(message.encode(full, scaling=False, strict=False), "little")
-
-
-def _in_range(message: Message, values: Mapping[str, float]) -> bool:
-    """Whether each value lies in the DBC's range (cantools checks it only when encoding)."""
-    for name, value in values.items():
-        signal = message.get_signal_by_name(name)
-        low, high = signal.minimum, signal.maximum
-        if (low is not None and value < low) or (high is not None and value > high):
-            return False
-    return True

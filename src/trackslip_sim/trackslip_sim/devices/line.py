@@ -4,6 +4,10 @@
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+
+NEVER_NS = 2**62  # a time that does not come
+
 _NS_PER_S = 1_000_000_000
 
 
@@ -15,6 +19,7 @@ class _Burst:
     start_ns: int
     baud: int
     taken: int = 0
+    reads_ns: tuple[int, ...] = ()  # see ``BaudLine.next_read_ns``
 
 
 class BaudLine:
@@ -47,6 +52,27 @@ class BaudLine:
         """Lose all that has not been taken: the transmitter has lost power."""
         self._bursts.clear()
         self.busy_until_ns = now_ns
+
+    def next_read_ns(self, now_ns: int, tick_ns: int) -> int:
+        """When to call ``take`` next, of all times whole ticks from now, for the same result as at each tick.
+
+        A receiver that bounds the start of what it got by the time of each read needs two of a burst: the
+        one that came closest behind a character's last bit, and the first that has all.
+        """
+        if not self._bursts:
+            return NEVER_NS
+        burst = self._bursts[0]
+        if len(self._bursts) > 1:
+            return now_ns + tick_ns
+        if not burst.reads_ns:
+            end_ns = burst.start_ns + self.transfer_ns(len(burst.data))
+            ticks = np.arange(now_ns + tick_ns, max(end_ns, now_ns) + 2 * tick_ns, tick_ns)
+            complete = (ticks - burst.start_ns) * burst.baud // _NS_PER_S // self.bits_per_char
+            ticks = ticks[: int(np.searchsorted(complete, len(burst.data))) + 1]
+            whole = complete[: len(ticks)].clip(0, len(burst.data))
+            late = ticks - whole * self.bits_per_char * _NS_PER_S // burst.baud
+            burst.reads_ns = (int(ticks[late.argmin()]), int(ticks[-1]))
+        return next((at_ns for at_ns in burst.reads_ns if at_ns > now_ns), now_ns + tick_ns)
 
     def take(self, now_ns: int) -> bytes:
         """The characters whose last bit has arrived by now and that were not taken before."""

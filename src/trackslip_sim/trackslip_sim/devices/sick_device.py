@@ -104,7 +104,7 @@ class SickDevice:
         bad_before = self._tally.total[bad_crc]
         for event in self._parser.feed(data, now_ns):
             if isinstance(event, Telegram):
-                self._obey(event.payload, now_ns)
+                self._apply_command(event.payload, now_ns)
         if self._tally.total[bad_crc] > bad_before:
             self._line.send(bytes((Control.NAK.value,)), now_ns + _ACK_DELAY_NS)
 
@@ -116,6 +116,12 @@ class SickDevice:
             self.stamps.append(self._leaving.popleft()[1])
             self.scans_emitted += 1
         return arrived
+
+    def next_ns(self, now_ns: int, tick_ns: int) -> int:
+        """When to call ``step`` next, of all times whole ticks from now; see ``BaudLine.next_read_ns``."""
+        if self._mode is Mode.NOTHING:
+            return now_ns + tick_ns
+        return min(self._complete_ns(), self._line.next_read_ns(now_ns, tick_ns))
 
     def _boot(self, at_ns: int) -> None:
         self._ready_ns = at_ns + round(self._start.boot_delay * _NS_PER_S)
@@ -135,12 +141,15 @@ class SickDevice:
             self._awake = True
             self._say(bytes((ReplyCode.POWER_ON,)) + _IDENTITY[self._parameters.model], self._ready_ns)
         while self._mode is not Mode.NOTHING or self._scan_requested:
-            free_ns = self._line.busy_until_ns
-            turns = max(1, -((self._ready_ns - free_ns) // self._turn_ns))
-            complete_ns = self._ready_ns + turns * self._turn_ns
+            complete_ns = self._complete_ns()
             if complete_ns > now_ns:
                 return
             self._send_scan(complete_ns)
+
+    def _complete_ns(self) -> int:
+        """When the next scan to be sent is."""
+        turns = max(1, -((self._ready_ns - self._line.busy_until_ns) // self._turn_ns))
+        return self._ready_ns + turns * self._turn_ns
 
     def _send_scan(self, complete_ns: int) -> None:
         stamp_ns = complete_ns - self._turn_ns
@@ -152,7 +161,7 @@ class SickDevice:
         self._leaving.append((self._line.busy_until_ns, stamp_ns))
         self._scan_requested = False
 
-    def _obey(self, command: bytes, now_ns: int) -> None:
+    def _apply_command(self, command: bytes, now_ns: int) -> None:
         """Acknowledge a command, carry it out, reply."""
         self._line.send(bytes((Control.ACK.value,)), now_ns + _ACK_DELAY_NS)
         if command in (commands.REQUEST_VALUES_LMS, commands.REQUEST_VALUES_PLS):

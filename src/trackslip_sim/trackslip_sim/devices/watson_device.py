@@ -87,6 +87,10 @@ class WatsonDevice:
             self._next_ns += TICK_NS * max(ticks, -(-self._line.transfer_ns(len(sent)) // TICK_NS))
         return self._line.take(now_ns)
 
+    def next_ns(self, now_ns: int, tick_ns: int) -> int:
+        """When to call ``step`` next, of all times whole ticks from now; see ``BaudLine.next_read_ns``."""
+        return min(self._next_ns, self._line.next_read_ns(now_ns, tick_ns))
+
     def _boot(self, now_ns: int, space_window_ns: int) -> None:
         """Send the banner and listen for the two spaces."""
         self._label = self._stored_label

@@ -28,6 +28,7 @@ from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
+from trackslip_sim.truth.window import TruthWindow
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T", bound=Parameters)
@@ -51,10 +52,11 @@ class EmulatedExcavator:
     Each device is set up as its driver's defaults in ``config/`` expect it, and fails as ``faults`` says.
     """
 
-    def __init__(self, p: EmulatorParameters, truth: Truth, start_ns: int) -> None:
+    def __init__(self, p: EmulatorParameters, truth: Truth | TruthWindow, start_ns: int) -> None:
+        window = truth if isinstance(truth, TruthWindow) else TruthWindow((truth,), truth.duration)
         self.drive_start_ns = start_ns + round(p.lead_in * 1e9)
-        self.end_ns = self.drive_start_ns + round(truth.duration * 1e9)
-        self.sensors = MachineSensors(truth, p.noise, self.drive_start_ns, p.seed)
+        self.end_ns = self.drive_start_ns + round(window.duration * 1e9)
+        self.sensors = MachineSensors(window, p.noise, self.drive_start_ns, p.seed)
         self.faults = Faults(load_scenario(p.scenario).faults, self.drive_start_ns)
         can = default_parameters(CanDriverParameters, "can_driver")
         watson = default_parameters(WatsonParameters, "watson_imu")
@@ -79,6 +81,15 @@ class EmulatedExcavator:
         self._without_power: set[str] = set()
         self._bus = FaultyBus(CAN, self.faults, p.seed)
         self._lines = {sensor: FaultySerial(sensor, self.faults, p.seed) for sensor in (WATSON, SICK)}
+
+    def next_ns(self, now_ns: int, tick_ns: int) -> int:
+        """When to call the steps next, of all times whole ticks from now, for the same result as at each."""
+        if self.faults:
+            return now_ns + tick_ns
+        if now_ns >= self.end_ns:
+            return self._watson_line.next_read_ns(now_ns, tick_ns)
+        devices = self.watson.next_ns(now_ns, tick_ns), self.sick.next_ns(now_ns, tick_ns)
+        return min(self.can.next_ns, *devices)
 
     def step_can(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Frames due by now."""

@@ -26,6 +26,10 @@ class _HeldBack(Generic[T]):
         self._held: list[T] = []
         self._burst = 0
 
+    def __bool__(self) -> bool:
+        """Whether it holds anything."""
+        return bool(self._held)
+
     def carry(self, things: Sequence[T], fault: Fault | None, now: float) -> list[T]:
         """What comes out now (s)."""
         self._held += things
@@ -48,6 +52,8 @@ class FaultySerial:
 
     def carry(self, data: bytes, now_ns: int) -> bytes:
         """What arrives now of what was sent; what an unplugged port loses is the port's affair."""
+        if not self._faults and not self._held:
+            return data
         if self._faults.at(self._sensor, f.WRONG_BAUD, now_ns) is not None:
             data = self._bytes.noise(len(data))
         bursts = self._faults.at(self._sensor, f.BURSTS, now_ns)
@@ -68,6 +74,8 @@ class FaultyBus:
 
     def carry(self, frames: Sequence[Frame], now_ns: int) -> list[Frame]:
         """What is on the bus now of what was sent."""
+        if not (self._faults or self._held or self._off):
+            return list(frames)
         was_off, self._off = self._off, self._at(f.BUS_OFF, now_ns) is not None
         if self._off:
             return [] if was_off else [BUS_OFF_FRAME]
