@@ -90,8 +90,12 @@ class SprocketEncoder:
 
     def _velocity(self) -> float:
         """Slope of the least-squares line through the window, rad/s."""
-        n = len(self._history)
-        mean_cycle = sum(cycle for cycle, _ in self._history) / n
-        products = sum((cycle - mean_cycle) * unwrapped for cycle, unwrapped in self._history)
-        squares = sum((cycle - mean_cycle) ** 2 for cycle, _ in self._history)
+        cycles = 0
+        for cycle, _ in self._history:
+            cycles += cycle
+        mean_cycle = cycles / len(self._history)
+        products = squares = 0.0
+        for cycle, unwrapped in self._history:
+            products += (cycle - mean_cycle) * unwrapped
+            squares += (cycle - mean_cycle) ** 2
         return products / squares * self._rad_per_count / self._cycle_s

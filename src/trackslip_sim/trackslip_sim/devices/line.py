@@ -3,6 +3,7 @@
 
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -65,14 +66,13 @@ class BaudLine:
         if len(self._bursts) > 1:
             return now_ns + tick_ns
         if not burst.reads_ns:
-            end_ns = burst.start_ns + self.transfer_ns(len(burst.data))
-            ticks = np.arange(now_ns + tick_ns, max(end_ns, now_ns) + 2 * tick_ns, tick_ns)
-            complete = (ticks - burst.start_ns) * burst.baud // _NS_PER_S // self.bits_per_char
-            ticks = ticks[: int(np.searchsorted(complete, len(burst.data))) + 1]
-            whole = complete[: len(ticks)].clip(0, len(burst.data))
-            late = ticks - whole * self.bits_per_char * _NS_PER_S // burst.baud
-            burst.reads_ns = (int(ticks[late.argmin()]), int(ticks[-1]))
-        return next((at_ns for at_ns in burst.reads_ns if at_ns > now_ns), now_ns + tick_ns)
+            first_ns = (now_ns - burst.start_ns) % tick_ns
+            reads_ns = _reads_of(len(burst.data), burst.baud, self.bits_per_char, first_ns, tick_ns)
+            burst.reads_ns = tuple(burst.start_ns + read_ns for read_ns in reads_ns)
+        for read_ns in burst.reads_ns:
+            if read_ns > now_ns:
+                return read_ns
+        return now_ns + tick_ns
 
     def take(self, now_ns: int) -> bytes:
         """The characters whose last bit has arrived by now and that were not taken before."""
@@ -87,3 +87,13 @@ class BaudLine:
                 break
             self._bursts.popleft()
         return bytes(arrived)
+
+
+@lru_cache(maxsize=256)
+def _reads_of(count: int, baud: int, bits: int, first_ns: int, tick_ns: int) -> tuple[int, int]:
+    """The two reads of ``count`` characters, ns after the first begins; reads come each tick from ``first_ns``."""
+    end_ns = -(-count * bits * _NS_PER_S // baud)
+    ticks = np.arange(first_ns, end_ns + tick_ns, tick_ns)
+    complete = np.minimum(ticks * baud // _NS_PER_S // bits, count)
+    late = np.where(complete > 0, ticks - complete * bits * _NS_PER_S // baud, NEVER_NS)
+    return int(ticks[late.argmin()]), int(ticks[np.searchsorted(complete, count)])
