@@ -91,7 +91,7 @@ class BaudLine:
 
 @lru_cache(maxsize=256)
 def _reads_of(count: int, baud: int, bits: int, first_ns: int, tick_ns: int) -> tuple[int, int]:
-    """The two reads of ``count`` characters, ns after the first begins; reads come each tick from ``first_ns``."""
+    """The two reads of ``count`` characters, ns after the first begins; ticks go on from ``first_ns``."""
     end_ns = -(-count * bits * _NS_PER_S // baud)
     ticks = np.arange(first_ns, end_ns + tick_ns, tick_ns)
     complete = np.minimum(ticks * baud // _NS_PER_S // bits, count)
