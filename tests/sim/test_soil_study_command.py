@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from trackslip_sim.study.slip.cache import Cache
+from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.soil import study as soil_study
 from trackslip_sim.study.soil.parameters import load_soil_study_parameters

@@ -10,14 +10,12 @@ from typing import Any
 import pytest
 
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_sim.study.slip import run as study_run
-from trackslip_sim.study.slip.cache import Cache
+from trackslip_sim.study.slip import study as slip_study
 from trackslip_sim.study.slip.evaluate import evaluate
 from trackslip_sim.study.slip.figures import runs
 from trackslip_sim.study.slip.parameters import Cell, cells, load_study_parameters
 from trackslip_sim.study.slip.results import Row
-from trackslip_sim.study.slip.run import run_study
-from trackslip_sim.study.slip.table import markdown
+from trackslip_sim.study.slip.study import SlipStudy, markdown
 from trackslip_tools.cli.main import main
 
 KEYS = {
@@ -71,29 +69,31 @@ def test_an_interrupted_study_goes_on(command: list[str], monkeypatch: pytest.Mo
     """Each cell is computed once, whatever happens in between."""
     first, second, third = Counted(stop_at=2), Counted(), Counted()
     for counted, code in ((first, 130), (second, 0), (third, 0)):
-        monkeypatch.setattr(study_run, "evaluate", counted)
+        monkeypatch.setattr(slip_study, "evaluate", counted)
         assert main([*command, "--sigma-xy", "0.01", "0.05", "--filter", "ekf"]) == code
     assert (len(first.cells), len(second.cells), len(third.cells)) == (2, 2, 0)
     assert len({*first.cells, *second.cells}) == 4
 
 
 def test_what_is_remembered_is_what_was_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    p = load_study_parameters({"scenario": "slalom", "duration": 9.0, "settling": 6.0, "seeds": 2})
-    p = replace(p, truths=("matched",), soils=("sand",), filters=("ekf",), sigma_xy=(0.05,))
-    estimator, file = load_slip_parameters(), tmp_path / "deep" / "cells.jsonl"
-    computed = list(run_study(p, estimator, Cache(file, Row)))
-    monkeypatch.setattr(study_run, "evaluate", Counted(stop_at=0))
-    assert list(run_study(p, estimator, Cache(file, Row))) == computed
-    for changed in (replace(p, seeds=3), replace(p, settling=5.0)):
+    file = tmp_path / "deep" / "cells.jsonl"
+    given = {"scenario": ["slalom"], "duration": 9.0, "settling": 6.0, "seeds": 2}
+    given |= {"truths": ["matched"], "soils": ["sand"], "filters": ["ekf"], "sigma_xy": [0.05]}
+
+    def study(*settings: str, fresh: bool = False, **changed: object) -> list[Row]:
+        return list(SlipStudy({**given, **changed}, settings).run(file, fresh=fresh))
+
+    computed = study()
+    monkeypatch.setattr(slip_study, "evaluate", Counted(stop_at=0))
+    assert study() == computed
+    for changed in ({"seeds": 3}, {"settling": 5.0}, {"fresh": True}):
         with pytest.raises(KeyboardInterrupt):
-            list(run_study(changed, estimator, Cache(file, Row)))
+            study(**changed)
     with pytest.raises(KeyboardInterrupt):
-        list(run_study(p, replace(estimator, encoder_resolution=1e-3), Cache(file, Row)))
-    with pytest.raises(KeyboardInterrupt):
-        list(run_study(p, estimator, Cache(file, Row, fresh=True)))
+        study("slip_estimator.encoder_resolution=1e-3")
     file.write_text(file.read_text()[:-20], encoding="utf-8")  # as a power cut leaves it
     with pytest.raises(KeyboardInterrupt):
-        list(run_study(p, estimator, Cache(file, Row)))
+        study()
 
 
 @pytest.mark.parametrize(
