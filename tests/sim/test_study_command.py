@@ -15,7 +15,7 @@ from trackslip_sim.study.slip.evaluate import evaluate
 from trackslip_sim.study.slip.figures import runs
 from trackslip_sim.study.slip.parameters import Cell, cells, load_study_parameters
 from trackslip_sim.study.slip.results import Row
-from trackslip_sim.study.slip.study import SlipStudy, markdown
+from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
 
 KEYS = {
@@ -126,7 +126,7 @@ def test_bad_input_is_one_line(
 
 def test_the_table_marks_what_is_outside() -> None:
     row = _row(nees_pose=5.0, nees_slip=1.0)
-    lines = markdown([row, replace(row, truth="shear", nees_pose=3.0)]).splitlines()
+    lines = SlipStudy({}, []).markdown([row, replace(row, truth="shear", nees_pose=3.0)]).splitlines()
     assert len({len(line) for line in lines[:4]}) == 1
     assert ("5.00 ↑" in lines[2], "1.00 ↓" in lines[2], "3.00 " in lines[3]) == (True, True, True)
     assert "↑" not in lines[3]

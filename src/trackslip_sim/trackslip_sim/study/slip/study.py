@@ -99,7 +99,6 @@ class SlipStudy(Study[Cell, Row]):
         }
 
     def rests_on(self, piece: Cell) -> Mapping[str, Any]:
-        """As ``Study``."""
         return {**self._common, "soil": repr(load_soils().get(piece.soil))}
 
     def compute(self, pieces: Sequence[Cell], jobs: int | None) -> Iterator[Row]:
@@ -114,13 +113,15 @@ class SlipStudy(Study[Cell, Row]):
             pool.shutdown(cancel_futures=True)
 
     def row(self, cell: Cell, results: Sequence[Row]) -> Row:
-        """What comes of a piece is the row."""
         (row,) = results
         return row
 
     def markdown(self, rows: Sequence[Row]) -> str:
-        """The table, and what it means."""
-        return markdown(rows)
+        row = rows[0]
+        intervals = {3: row.nees_pose_bounds, 2: row.nees_slip_bounds, 1: row.nis_yaw_rate_bounds}
+        bounds = ", ".join(f"{low:.2f}–{high:.2f} for {dof}" for dof, (low, high) in intervals.items())
+        legend = _LEGEND.format(bounds=bounds, seeds=row.seeds)
+        return "\n".join((*table(_COLUMNS, rows, text_columns=3), "", legend)) + "\n"
 
     def write(self, rows: Sequence[Row], folder: Path) -> None:
         """The table, and in ``figures`` what the Monte Carlo gives."""
@@ -131,12 +132,3 @@ class SlipStudy(Study[Cell, Row]):
         super().write(rows, folder)
         (folder / "figures").mkdir(exist_ok=True)
         write_monte_carlo(rows, folder / "figures")
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The table, and what it means."""
-    row = rows[0]
-    intervals = {3: row.nees_pose_bounds, 2: row.nees_slip_bounds, 1: row.nis_yaw_rate_bounds}
-    bounds = ", ".join(f"{low:.2f}–{high:.2f} for {dof}" for dof, (low, high) in intervals.items())
-    legend = _LEGEND.format(bounds=bounds, seeds=row.seeds)
-    return "\n".join((*table(_COLUMNS, rows, text_columns=3), "", legend)) + "\n"

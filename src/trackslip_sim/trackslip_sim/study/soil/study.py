@@ -132,7 +132,6 @@ class SoilStudy(Study[Trial, Result]):
         }
 
     def rests_on(self, piece: Trial) -> Mapping[str, Any]:
-        """As ``Study``."""
         return {**self._common, "scenario": self._scenarios[piece.scenario]}
 
     def compute(self, pieces: Sequence[Trial], jobs: int | None) -> Iterator[Result]:
@@ -141,7 +140,6 @@ class SoilStudy(Study[Trial, Result]):
             yield from pool(delayed(run)(trial, self._setting) for trial in pieces)
 
     def row(self, cell: SoilCell, results: Sequence[Result]) -> AnyRow:
-        """As ``Study``."""
         return summary(cell, results)
 
     def markdown(self, rows: Sequence[AnyRow]) -> str:
