@@ -88,7 +88,7 @@ def test_two_reads_bound_the_start_as_well_as_all(count: int, baud: int) -> None
         for name, line in (("all", all_reads), ("few", few)):
             now_ns, got = 2 * MS, 0
             while got < count:
-                got += len(line.take(now_ns))
+                got += len(line.read(now_ns))
                 if got:
                     bounds[name].append(now_ns - got * 10_000_000_000 // baud)
                 ends[name] = now_ns

@@ -33,7 +33,7 @@ def command(tmp_path: Path) -> list[str]:
 
 
 class Counted:
-    """``evaluate``, told to stop at one of its calls."""
+    """``evaluate``, which stops at one of its calls."""
 
     def __init__(self, stop_at: int | None = None) -> None:
         self.cells: list[Cell] = []
@@ -56,9 +56,9 @@ def test_it_writes_rows_table_and_figures(
     assert found == [(t, f, s) for t in ("shear", "matched") for f in ("ekf", "daf") for s in (0.01, 0.05)]
     assert all(row.keys() >= KEYS and row["soil"] == "sand" and row["seeds"] == 2 for row in rows)
     assert all(0.0 < row["position_rmse"] < 10.0 * row["position_bound"] for row in rows)
-    shown, said = capsys.readouterr()
+    shown, error = capsys.readouterr()
     assert shown == (tmp_path / "study_table.md").read_text()
-    assert said == ""  # no progress bar in a pipe
+    assert error == ""  # no progress bar in a pipe
     drawn = {path.name for path in (tmp_path / "figures").iterdir()}
     assert drawn == {
         f"study_{what}_{truth}.png" for what in ("rmse", "nees") for truth in ("shear", "matched")

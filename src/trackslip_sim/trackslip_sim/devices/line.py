@@ -19,7 +19,7 @@ class _Burst:
     data: bytes
     start_ns: int
     baud: int
-    taken: int = 0
+    read: int = 0  # characters of it
     reads_ns: tuple[int, ...] = ()  # see ``BaudLine.next_read_ns``
 
 
@@ -50,12 +50,12 @@ class BaudLine:
         self.busy_until_ns = start_ns + self.transfer_ns(len(data))
 
     def cut(self, now_ns: int) -> None:
-        """Lose all that has not been taken: the transmitter has lost power."""
+        """Lose all that has not been read: the transmitter has lost power."""
         self._bursts.clear()
         self.busy_until_ns = now_ns
 
     def next_read_ns(self, now_ns: int, tick_ns: int) -> int:
-        """When to call ``take`` next, of all times whole ticks from now, for the same result as at each tick.
+        """When to call ``read`` next, of all times whole ticks from now, for the same result as at each tick.
 
         A receiver that bounds the start of what it got by the time of each read needs two of a burst: the
         one that came closest behind a character's last bit, and the first that has all.
@@ -74,15 +74,15 @@ class BaudLine:
                 return read_ns
         return now_ns + tick_ns
 
-    def take(self, now_ns: int) -> bytes:
-        """The characters whose last bit has arrived by now and that were not taken before."""
+    def read(self, now_ns: int) -> bytes:
+        """The characters whose last bit has arrived by now and that were not read before."""
         arrived = bytearray()
         while self._bursts:
             burst = self._bursts[0]
             bits = (now_ns - burst.start_ns) * burst.baud // _NS_PER_S
             complete = min(len(burst.data), max(0, bits // self.bits_per_char))
-            arrived += burst.data[burst.taken : complete]
-            burst.taken = max(burst.taken, complete)
+            arrived += burst.data[burst.read : complete]
+            burst.read = max(burst.read, complete)
             if complete < len(burst.data):
                 break
             self._bursts.popleft()

@@ -36,7 +36,9 @@ Measure = Callable[[int], FloatArray]  # stamp of the first ray → (361,) m
 _ACK_DELAY_NS = 5_000_000
 _REPLY_DELAY_NS = 20_000_000
 _RATE_KEPT_NS = 5_000_000  # after the reply to a change of rate has left
-_RATE_SETTLES_NS = 200_000_000  # deaf for so long after a change of rate: hosts are told to pause 250 ms
+_RATE_SETTLES_NS = (
+    200_000_000  # ignores all for so long after a change of rate: manuals ask hosts to pause 250 ms
+)
 _STAMPS_KEPT = 10_000
 _NS_PER_S = 1_000_000_000
 _IDENTITY = {"pls": b"PLS101-312", "lms": b"LMS200;30106"}
@@ -95,7 +97,7 @@ class SickDevice:
         self._boot(now_ns)
 
     def receive(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
-        """Take what the host wrote; ``host_baud`` None: its rate is not known, taken to be right."""
+        """Process what the host wrote; ``host_baud`` None: its rate is not known, assumed to be right."""
         self._advance(now_ns)
         if not self._awake or now_ns < self._occupied_until_ns or host_baud not in (None, self.baud):
             self.bytes_ignored += len(data)
@@ -111,7 +113,7 @@ class SickDevice:
     def step(self, now_ns: int) -> bytes:
         """Live until now; gives the bytes that have arrived at the host since the last step."""
         self._advance(now_ns)
-        arrived = self._line.take(now_ns)
+        arrived = self._line.read(now_ns)
         while self._leaving and self._leaving[0][0] <= now_ns:
             self.stamps.append(self._leaving.popleft()[1])
             self.scans_emitted += 1
@@ -139,7 +141,7 @@ class SickDevice:
             self._parser.set_baud(baud)
         if not self._awake and now_ns >= self._ready_ns:
             self._awake = True
-            self._say(bytes((ReplyCode.POWER_ON,)) + _IDENTITY[self._parameters.model], self._ready_ns)
+            self._send(bytes((ReplyCode.POWER_ON,)) + _IDENTITY[self._parameters.model], self._ready_ns)
         while self._mode is not Mode.NOTHING or self._scan_requested:
             complete_ns = self._complete_ns()
             if complete_ns > now_ns:
@@ -167,7 +169,7 @@ class SickDevice:
         if command in (commands.REQUEST_VALUES_LMS, commands.REQUEST_VALUES_PLS):
             self._scan_requested = True
             return
-        self._say(self._reply(command), now_ns + _REPLY_DELAY_NS)
+        self._send(self._reply(command), now_ns + _REPLY_DELAY_NS)
         self._occupied_until_ns = self._line.busy_until_ns
         if command == commands.RESET:
             self._boot(self._occupied_until_ns)
@@ -209,5 +211,5 @@ class SickDevice:
     def _may_set_rate(self) -> bool:
         return self._in_installation or self._parameters.model == "lms"
 
-    def _say(self, payload: bytes, at_ns: int) -> None:
+    def _send(self, payload: bytes, at_ns: int) -> None:
         self._line.send(frame(payload + bytes((self.status,)), FROM_SENSOR), at_ns)

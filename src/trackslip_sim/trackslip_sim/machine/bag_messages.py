@@ -35,7 +35,7 @@ class Recording:
         self._records[topic].append(record)
 
     def write(self) -> None:
-        """Write all that is held, and forget it."""
+        """Write all that was added, and forget it."""
         messages = {
             topic: iter(self._serializers.get(topic, _one_by_one)(records))
             for topic, records in self._records.items()

@@ -94,7 +94,7 @@ class EmulatedExcavator:
     def step_can(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Frames due by now."""
         frames = self.can.step(min(now_ns, self.end_ns)) if self._powered(CAN, now_ns) else []
-        return self._bus.carry(frames, now_ns)
+        return self._bus.transmit(frames, now_ns)
 
     def step_watson(self, now_ns: int) -> bytes:
         """Characters that have left by now; the last line drains after the end."""
@@ -103,23 +103,23 @@ class EmulatedExcavator:
         elif now_ns < self.end_ns:
             sent = self.watson.step(now_ns)
         else:
-            sent = self._watson_line.take(now_ns)
-        return self._lines[WATSON].carry(sent, now_ns)
+            sent = self._watson_line.read(now_ns)
+        return self._lines[WATSON].transmit(sent, now_ns)
 
     def step_sick(self, now_ns: int) -> bytes:
         """Characters that have left by now."""
         self.sick.status = self._readings.status(now_ns)
         on = self._powered(SICK, now_ns) and now_ns < self.end_ns
-        return self._lines[SICK].carry(self.sick.step(now_ns) if on else b"", now_ns)
+        return self._lines[SICK].transmit(self.sick.step(now_ns) if on else b"", now_ns)
 
-    def hear_watson(self, data: bytes, now_ns: int) -> None:
+    def receive_watson(self, data: bytes, now_ns: int) -> None:
         """What the host has written to the inertial unit."""
-        if data and self._hears(WATSON, now_ns):
+        if data and self._can_receive(WATSON, now_ns):
             self.watson.receive(data, now_ns)
 
-    def hear_sick(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
+    def receive_sick(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
         """What the host has written to the scanner, and at which rate."""
-        if data and self._hears(SICK, now_ns):
+        if data and self._can_receive(SICK, now_ns):
             self.sick.receive(data, now_ns, host_baud)
 
     def emitted(self) -> dict[str, int]:
@@ -145,7 +145,7 @@ class EmulatedExcavator:
             self._power_on[sensor](now_ns)
         return sensor not in self._without_power
 
-    def _hears(self, sensor: str, now_ns: int) -> bool:
+    def _can_receive(self, sensor: str, now_ns: int) -> bool:
         return self._powered(sensor, now_ns) and self.faults.at(sensor, WRONG_BAUD, now_ns) is None
 
 

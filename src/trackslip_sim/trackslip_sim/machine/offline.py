@@ -131,7 +131,7 @@ class _Host:
             self._on_scan(scan.sample, now_ns)
         action = self._session.step(now_ns)
         self._baud = action.baud or self._baud
-        self.excavator.hear_sick(action.write, now_ns, self._baud)
+        self.excavator.receive_sick(action.write, now_ns, self._baud)
 
     def _on_scan(self, scan: ScanSample, now_ns: int) -> None:
         message = of_sensors.laser_scan(make, scan, self._sick.frame_id)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The truth around a time that advances, so that no drive need be held whole."""
+"""The truth around a time that advances, so that no drive need be in memory whole."""
 
 from collections.abc import Iterable
 
@@ -10,7 +10,7 @@ _AHEAD = 3  # samples: derivatives at the two about a time need one more
 
 
 class TruthWindow:
-    """Pieces of one drive; each is taken when its time comes, and forgotten ``KEPT`` s later.
+    """Pieces of one drive; each is computed when its time comes, and forgotten ``KEPT`` s later.
 
     Attributes:
         truth: the stretch at hand.
