@@ -33,6 +33,7 @@ from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.sides import SideDoubt, half_turn_variance
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 NS = 1e-9  # s
 EIGHTH_TURN = np.pi / 4.0  # up to here the nearest of four alike headings is the right one
@@ -180,16 +181,17 @@ class BoxLocalizer:
         """The object most like the box near the prediction, or how far the best of the others came."""
         parts = clusters(ranges, angles, self._range_stddev, self._parameters.grazing_angle)
         whole = rejoined(parts, ranges, angles, self._box.diagonal + 3.0 * self._range_stddev)
+        near = self._near(ranges, angles, expected)
         found: list[_Candidate] = []
         reasons = [Reason.NOTHING_NEAR]
         for indices in whole + parts:
-            if any(np.isin(indices, other.beams.indices).any() for other in found):
+            if not near[indices].any() or any(np.isin(indices, other.beams.indices).any() for other in found):
                 continue
             beams = beams_on(indices, ranges, angles, self._box.diagonal, 3.0 * self._range_stddev)
             judged = self._judge(beams, expected, ranges, angles)
             if isinstance(judged, _Candidate):
                 found.append(judged)
-            elif judged is not None:
+            else:
                 self.tally.add("object", judged)
                 reasons.append(judged)
         if found:
@@ -198,12 +200,9 @@ class BoxLocalizer:
 
     def _judge(
         self, beams: Beams, expected: _Expectation, ranges: FloatArray, angles: FloatArray
-    ) -> _Candidate | Reason | None:
-        """Whether one object is the box; None where it is too far away to be asked."""
+    ) -> _Candidate | Reason:
+        """Whether one object is the box."""
         points = beams.points()
-        away = np.linalg.norm(points - self._in_laser(expected.pose)[:2], axis=1).min()
-        if away > expected.reach + 0.5 * self._box.diagonal:
-            return None
         if len(beams.ranges) < self._parameters.minimum_beams:
             return Reason.FEW_BEAMS
         if np.linalg.norm(points[-1] - points[0]) > self._box.diagonal + 3.0 * self._range_stddev:
@@ -219,6 +218,14 @@ class BoxLocalizer:
         if distance > expected.reach or abs(difference[2]) > expected.yaw_reach:
             return Reason.GATE
         return _Candidate(beams, optimum, doubt, distance)
+
+    def _near(self, ranges: FloatArray, angles: FloatArray, expected: _Expectation) -> BoolArray:
+        """(N,) which beams end where the box may be."""
+        x, y = self._in_laser(expected.pose)[:2]
+        with np.errstate(invalid="ignore"):  # no return straight ahead: ∞ sin 0
+            away = np.hypot(ranges * np.cos(angles) - x, ranges * np.sin(angles) - y)
+        near: BoolArray = away <= expected.reach + 0.5 * self._box.diagonal
+        return near
 
     def _fitted(self, beams: Beams, expected: _Expectation) -> tuple[Optimum, SideDoubt | None]:
         """The likeliest fit, by half turns nearest to the prediction; the doubt about its sides.
