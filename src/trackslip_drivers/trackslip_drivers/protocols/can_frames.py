@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -80,10 +81,19 @@ _CRC_OF = tuple(map(_crc_of, range(256)))
 
 def crc12(data: bytes) -> int:
     """CRC-12/GSM."""
-    crc = 0
+    return _remainder(data, 0) ^ 0xFFF
+
+
+def _remainder(data: bytes, crc: int) -> int:
+    """Of the division by the polynomial, after that of what precedes."""
     for byte in data:
         crc = (crc << 8 & 0xFFF) ^ _CRC_OF[crc >> 4 ^ byte]
-    return crc ^ 0xFFF
+    return crc
+
+
+@lru_cache(maxsize=16)
+def _remainder_of_id(frame_id: int) -> int:
+    return _remainder(frame_id.to_bytes(4, "big"), 0)
 
 
 def sealed(frame_id: int, payload: bytes) -> bytes:
@@ -93,7 +103,7 @@ def sealed(frame_id: int, payload: bytes) -> bytes:
     bits; of two or more wrong bytes it misses one pattern in 4096. No checksum of 12 bits finds all those.
     """
     alive = payload[-2] & (_MODULUS - 1)
-    crc = crc12(frame_id.to_bytes(4, "big") + payload[:-2] + bytes((alive,)))
+    crc = _remainder(payload[:-2] + bytes((alive,)), _remainder_of_id(frame_id)) ^ 0xFFF
     return payload[:-2] + (alive | crc << _ALIVE_BITS).to_bytes(2, "little")
 
 
