@@ -6,7 +6,7 @@ import json
 import time
 from pathlib import Path
 
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, InputError
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario, scenario_names
@@ -19,6 +19,7 @@ from trackslip_tools.cli.json_file import write_json
 DESCRIPTION = "Drive a scenario on the truth model, and say where it ends."
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
 
+_LONGEST = 7 * 86_400.0  # s
 _FINAL = (
     *("x", "y", "yaw", "v_x", "yaw_rate"),
     *("left_slip", "right_slip", "left_thrust", "right_thrust"),
@@ -52,6 +53,10 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     scenario = load_scenario(arguments.scenario)
     if arguments.duration is not None:
+        if not 0.0 < arguments.duration <= _LONGEST:
+            raise InputError(
+                f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_LONGEST:g} s"
+            )
         scenario = scenario.stretched(arguments.duration)
     pieces = simulate_in_pieces(scenario, soil=arguments.soil, mode=arguments.mode)
     drive = TruthWindow(pieces, duration_of(scenario, load_settings()))
