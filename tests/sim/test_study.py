@@ -72,7 +72,9 @@ def test_the_filters_get_counted_sprockets_and_the_truth_has_its_own(
     assert step / 3.0 < np.abs(off).max() < step  # rad/s of one count
     steady = truth.t[samples] % 6.0 > 5.0  # the slalom turns every six seconds
     told = drive.told[0][samples] - true[samples, :2]
-    assert np.std(told[steady]) < np.std(off[steady]) / 3.0  # the estimator smooths what it tells slips by
+    assert (
+        np.std(told[steady]) < np.std(off[steady]) / 3.0
+    )  # the estimator smooths the speeds that slips are computed from
 
 
 def test_noise_is_as_large_as_the_filters_are_told(
@@ -184,7 +186,7 @@ def test_bounds_of_a_mean_are_those_of_chi_squared() -> None:
 
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
-def test_on_its_own_model_a_filter_is_honest_and_near_the_bound(
+def test_on_its_own_model_a_filter_is_consistent_and_near_the_bound(
     filter_: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
 ) -> None:
     row = evaluate(cell(MATCHED, filter_), drive, p, estimator)
@@ -199,15 +201,15 @@ def test_on_its_own_model_a_filter_is_honest_and_near_the_bound(
 def test_a_filter_with_false_noise_is_found_out(
     factor: float, outside: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
 ) -> None:
-    """It is told that fixes are better, or worse, than they are."""
+    """Its R says that fixes are better, or worse, than they are."""
     setting = make_setting(cell(MATCHED), drive, p, estimator)
 
-    def told(seed: int) -> Sums:
+    def misinformed(seed: int) -> Sums:
         trial = make_trial(setting, seed)
         return scored(setting, trial._replace(log=trial.log._replace(noises=factor * trial.log.noises)))
 
     low, high = mean_bounds(3, SEEDS)
-    nees = float(np.mean(total(map(told, range(SEEDS))).nees[:, 0])) / SEEDS
+    nees = float(np.mean(total(map(misinformed, range(SEEDS))).nees[:, 0])) / SEEDS
     assert nees > high if outside == "above" else nees < low
 
 

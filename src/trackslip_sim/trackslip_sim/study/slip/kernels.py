@@ -66,7 +66,9 @@ def scratch() -> Scratch:
 
 
 @compiled
-def bound(rows: Rows, states: FloatArray, start: FloatArray, P: FloatArray, config: RecordArray) -> FloatArray:
+def bound(
+    rows: Rows, states: FloatArray, start: FloatArray, P: FloatArray, config: RecordArray
+) -> FloatArray:
     """J⁻¹ after each row (k, n, n): J_k = (F J⁻¹ Fᵀ + Q)⁻¹ + Hᵀ R⁻¹ H, linearised at the truth.
 
     ``states`` (k, n) is the truth at the rows, ``start`` (n,) before the first, P what a filter knows of it.
