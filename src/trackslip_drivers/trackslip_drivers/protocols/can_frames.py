@@ -76,13 +76,8 @@ def sealed(frame_id: int, payload: bytes) -> bytes:
     return payload[:-2] + (alive | crc << _ALIVE_BITS).to_bytes(2, "little")
 
 
-def crc12(data: bytes) -> int:
-    """CRC-12/GSM."""
-    return _remainder(data) ^ _CRC_FINAL
-
-
 def _remainder(data: bytes, crc: int = 0) -> int:
-    """The CRC without its final XOR, continued from ``crc``."""
+    """CRC-12/GSM without its final XOR, continued from ``crc``."""
     for byte in data:
         crc = crc << 8 & 0xFFF ^ _CRC_TABLE[crc >> 4 ^ byte]
     return crc
