@@ -118,7 +118,7 @@ def outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
     slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
     pressures = iter(readings.pressures)
     for measurement in readings.arrivals:
-        _, estimate = slip_estimator.advance(measurement)
+        _, estimate = slip_estimator.process(measurement)
         if isinstance(measurement, Sprockets):
             yield from soil_estimator.advance(next(pressures))
             for given in () if estimate is None else inputs_of(estimate):
