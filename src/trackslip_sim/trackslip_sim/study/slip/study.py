@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_common.soils import load_soils
-from trackslip_estimation.slip import motion
-from trackslip_estimation.slip.models import dispatch as equations
+from trackslip_estimation import kalman, slip
+from trackslip_estimation.slip import models
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.study.engine import Study
@@ -80,7 +80,7 @@ class SlipStudy(Study[Cell, Row]):
         | {name: name for name in ("seeds", "scenario", "duration", "settling")}
     )
     RESULT: ClassVar[type[Any]] = Row
-    SOURCES: ClassVar[Sequence[ModuleType]] = (motion, equations, shear, kernels)
+    SOURCES: ClassVar[Sequence[ModuleType]] = (kalman, slip, models, shear, kernels)
     FILE: ClassVar[str] = "study_table.md"
 
     def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:

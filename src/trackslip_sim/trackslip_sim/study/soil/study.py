@@ -10,11 +10,11 @@ from joblib import Parallel, delayed
 
 from trackslip_common.parameters import to_flat
 from trackslip_common.soils import load_soils
-from trackslip_estimation import terramechanics
-from trackslip_estimation.slip import motion
-from trackslip_estimation.slip.models import dispatch as equations
+from trackslip_estimation import kalman, terramechanics
+from trackslip_estimation import slip as slip_estimator
+from trackslip_estimation import soil as soil_estimator
+from trackslip_estimation.slip import models
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
-from trackslip_estimation.soil import soil_estimator
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_sim.machine import sensors
 from trackslip_sim.scenarios.scenario import load_scenario
@@ -105,7 +105,7 @@ class SoilStudy(Study[Trial, Result]):
     )
     RESULT: ClassVar[type[Any]] = Result
     SOURCES: ClassVar[Sequence[ModuleType]] = (
-        *(motion, equations, soil_estimator, terramechanics),
+        *(kalman, slip_estimator, models, soil_estimator, terramechanics),
         *(sensors, shear, score),
     )
     FILE: ClassVar[str] = "soil_table.md"
