@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.clock_monitor import Continuity, Course
+from trackslip_common.clock_monitor import ClockMonitor, StampStatus
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.tally import Tally
 from trackslip_estimation.soil.records import Hydraulics, Odometry, Refusal, Slips, SoilInput
@@ -63,14 +63,14 @@ class Moments:
         self._max_gap_ns, self._confirmations = round(p.max_gap * _NS_PER_S), p.jump_confirmations
         self._tally = tally
         self._hydraulics: deque[Hydraulics] = deque()
-        self._hydraulic_time = self._new_continuity()
+        self._hydraulic_time = self._new_clock()
         self.clear()
 
     def clear(self) -> None:
         """Forget the slips and their time."""
         self._halves: dict[int, Odometry | Slips] = {}
         self._waiting: deque[tuple[Odometry, Slips]] = deque()
-        self._slip_time = self._new_continuity()
+        self._slip_time = self._new_clock()
         self._done_ns = -1  # stamp of the newest whole pair
 
     def add(self, given: SoilInput) -> Refusal | None:
@@ -94,18 +94,18 @@ class Moments:
             found.append(Moment(stamp_ns, odometry, slips, self._pressures_at(stamp_ns)))
         return found
 
-    def _new_continuity(self) -> Continuity:
-        return Continuity(self._max_gap_ns, self._confirmations)
+    def _new_clock(self) -> ClockMonitor:
+        return ClockMonitor(self._max_gap_ns, self._confirmations)
 
     def _add_hydraulics(self, given: Hydraulics) -> Refusal | None:
         newest_ns = self._hydraulics[-1].stamp_ns if self._hydraulics else None
-        course = self._hydraulic_time.sprockets(given.stamp_ns, newest_ns)
-        if course is Course.BACK:
+        status = self._hydraulic_time.sample(given.stamp_ns, newest_ns)
+        if status is StampStatus.BACK:
             self._hydraulics.clear()
-            self._hydraulic_time = self._new_continuity()
-            self._hydraulic_time.sprockets(given.stamp_ns, None)
-        elif course is not Course.IN_LINE:
-            return Refusal.AHEAD if course is Course.AHEAD else Refusal.TOO_LATE
+            self._hydraulic_time = self._new_clock()
+            self._hydraulic_time.sample(given.stamp_ns, None)
+        elif status is not StampStatus.IN_LINE:
+            return Refusal.AHEAD if status is StampStatus.AHEAD else Refusal.TOO_LATE
         elif given.stamp_ns == newest_ns:
             return Refusal.DUPLICATE
         self._hydraulics.append(given)
@@ -122,17 +122,17 @@ class Moments:
             return Refusal.DUPLICATE
         del self._halves[given.stamp_ns]
         pair = (given, other) if isinstance(given, Odometry) else (other, given)
-        course = self._slip_time.sprockets(given.stamp_ns, self._done_ns if self._done_ns >= 0 else None)
-        if course is Course.BACK:
+        status = self._slip_time.sample(given.stamp_ns, self._done_ns if self._done_ns >= 0 else None)
+        if status is StampStatus.BACK:
             self.clear()
-            self._slip_time.sprockets(given.stamp_ns, None)
-        elif course is not Course.IN_LINE:
-            return Refusal.AHEAD if course is Course.AHEAD else Refusal.TOO_LATE
+            self._slip_time.sample(given.stamp_ns, None)
+        elif status is not StampStatus.IN_LINE:
+            return Refusal.AHEAD if status is StampStatus.AHEAD else Refusal.TOO_LATE
         elif given.stamp_ns == self._done_ns:
             return Refusal.DUPLICATE
         self._done_ns = given.stamp_ns
         self._waiting.append(cast("tuple[Odometry, Slips]", pair))
-        return Refusal.RESTARTED if course is Course.BACK else None
+        return Refusal.RESTARTED if status is StampStatus.BACK else None
 
     def _keep_half(self, given: Odometry | Slips) -> Refusal | None:
         """Until its other half comes; those that wait too long are given up."""

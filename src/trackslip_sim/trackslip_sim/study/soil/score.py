@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run of the soil estimator held against its truth.
+"""A run of the soil estimator compared with its truth.
 
 F_j      thrust of the soil on a track                                    N
 M_r      moment of the lateral resistance, μ_l W l/3 of the mobilised μ_l N m
@@ -39,7 +39,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Interval = tuple[float, float]
 
-RECOGNISED = 0.8  # probability of a class that is taken for certain
+RECOGNISED = 0.8  # probability of a class that is regarded as certain
 _NAN = float("nan")
 _TAIL = 1.645  # standard deviations: a normal variable is within with 90 %
 _STEADY = 2.0  # s for which a turn has lasted
@@ -137,7 +137,7 @@ def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin
 
 
 def _offset_residue(readings: Readings, setting: Setting, stand: float) -> float:
-    """What the estimator's learning of offsets leaves after standing."""
+    """What the estimator's calibration of offsets leaves after standing."""
     offsets, period = PressureOffsets(setting.soil.thrust), 1.0 / setting.study.sprocket_rate
     for reading in readings.pressures[: round(stand / period)]:
         offsets.step(np.array((reading.left_pressure, reading.right_pressure)), period)
