@@ -4,13 +4,31 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header, stamp_ns_of
 from trackslip_estimation.slip.conversions import PLANE_IN_6, UNOBSERVED, planar_pose
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SlipSeed, TrackForces
+from trackslip_estimation.soil.records import (
+    Hydraulics,
+    Odometry,
+    PoseWithCovariance,
+    Slips,
+    SlipSeed,
+    TrackForces,
+)
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
 
+# Fields of TrackForces, left and right, and those of the record
+_PAIRS = (
+    ("thrust", "thrust"),
+    ("resistance", "resistance"),
+    ("thrust_variance", "thrust_variance"),
+    ("resistance_variance", "resistance_variance"),
+    ("thrust_reserve", "reserve"),
+)
+_SIDES = ((0, "left"), (1, "right"))
+_MOTIONS = {int(state): state for state in Motion}
 FORCES, SOIL, SEED = "track_forces", "soil", "slip_seed"  # topics of the outputs
 
 
@@ -32,18 +50,15 @@ def odometry(message: Any) -> Odometry:
         np.asarray(of.covariance, dtype=np.float64).reshape(6, 6)[PLANE_IN_6]
         for of in (message.twist, message.pose)
     )
-    twist, place = (
-        np.array((linear.x, linear.y, angular.z)),
-        Place(planar_pose(message.pose.pose), covariance),
-    )
-    return Odometry(stamp_ns_of(message), twist, twist_covariance, place)
+    twist = np.array((linear.x, linear.y, angular.z))
+    pose = PoseWithCovariance(planar_pose(message.pose.pose), covariance)
+    return Odometry(stamp_ns_of(message), twist, twist_covariance, pose)
 
 
 def slips(message: Any) -> Slips:
     """From trackslip_msgs/TrackSlip; a state of motion that is none of its constants is unknown."""
     mean = np.array((message.left_slip, message.right_slip, message.slip_angle))
-    known = {int(state): state for state in Motion}
-    return Slips(stamp_ns_of(message), mean, known.get(int(message.motion_state), Motion.UNKNOWN))
+    return Slips(stamp_ns_of(message), mean, _MOTIONS.get(int(message.motion_state), Motion.UNKNOWN))
 
 
 def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
@@ -57,19 +72,13 @@ def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
 
 def track_forces(make: Make, forces: TrackForces, base_frame: str) -> Any:
     """trackslip_msgs/TrackForces."""
-    numbers = {
-        "thrust": forces.thrust,
-        "resistance": forces.resistance,
-        "thrust_variance": forces.thrust_variance,
-        "resistance_variance": forces.resistance_variance,
-        "thrust_reserve": forces.reserve,
-    }
-    fields = {
-        f"{side}_{name}": pair[k]
-        for name, pair in numbers.items()
-        for k, side in enumerate(("left", "right"))
-    }
+    fields = {f"{side}_{name}": getattr(forces, of)[k] for name, of in _PAIRS for k, side in _SIDES}
     return make("trackslip_msgs/msg/TrackForces", header=header(make, forces.stamp_ns, base_frame), **fields)
+
+
+def force_columns(forces: NDArray[Any]) -> dict[str, NDArray[np.float64]]:
+    """The fields of trackslip_msgs/TrackForces but its header, of (n,) FORCES."""
+    return {f"{side}_{name}": forces[of][:, k] for name, of in _PAIRS for k, side in _SIDES}
 
 
 def topic_of(output: SoilOutput) -> str:

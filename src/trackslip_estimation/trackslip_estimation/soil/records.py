@@ -122,6 +122,19 @@ def inputs_of(estimate: Estimate) -> tuple[Odometry, Slips]:
 
 
 @compiled
+def copy_input(source: Any, to: Any) -> None:
+    """One ``SOIL_INPUT`` into another; assigned as a whole it would take the compiler seconds."""
+    to.source, to.stamp_ns, to.motion = source.source, source.stamp_ns, source.motion
+    for k in range(2):
+        to.pressures[k], to.spools[k] = source.pressures[k], source.spools[k]
+    for i in range(3):
+        to.twist[i], to.pose[i], to.slips[i] = source.twist[i], source.pose[i], source.slips[i]
+        for j in range(3):
+            to.twist_covariance[i, j] = source.twist_covariance[i, j]
+            to.pose_covariance[i, j] = source.pose_covariance[i, j]
+
+
+@compiled
 def is_valid(given: Any) -> bool:
     """Whether a ``SOIL_INPUT`` holds numbers, and the covariance of v_x and yaw rate can be one."""
     if given.source == IS_HYDRAULICS:

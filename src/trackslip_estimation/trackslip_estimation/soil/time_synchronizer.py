@@ -29,6 +29,7 @@ from trackslip_estimation.soil.records import (
     UNPAIRED,
     VALUES,
     Rejection,
+    copy_input,
     is_valid,
 )
 
@@ -199,7 +200,7 @@ def _add_reading(synchronizer: TimeSynchronizer, given: Any, p: Any) -> int:
     horizon_ns = given.stamp_ns - 2 * _ns(p.max_gap)
     while ring.count == _CAPACITY or (ring.count and readings[ring.first].stamp_ns < horizon_ns):
         _drop_first(ring)
-    readings[_place(ring, ring.count)] = given
+    copy_input(given, readings[_place(ring, ring.count)])
     ring.count += 1
     return ACCEPTED
 
@@ -218,13 +219,9 @@ def _add_half(synchronizer: TimeSynchronizer, given: Any, p: Any) -> int:
     status = _follow(state.pair_clock, given.stamp_ns, state.done_ns, p)
     if status == _BACK:
         place = 0
-    other = halves[k]
-    if given.source == IS_ODOMETRY:
-        synchronizer.buffers[_ODOMETRY, place] = given
-        synchronizer.buffers[_SLIPS, place] = other
-    else:
-        synchronizer.buffers[_ODOMETRY, place] = other
-        synchronizer.buffers[_SLIPS, place] = given
+    is_odometry = given.source == IS_ODOMETRY
+    copy_input(given, synchronizer.buffers[_ODOMETRY if is_odometry else _SLIPS, place])
+    copy_input(halves[k], synchronizer.buffers[_SLIPS if is_odometry else _ODOMETRY, place])
     _forget_half(synchronizer, k)
     if status == _BACK:
         state.pairs.first = state.pairs.count = state.halves = 0
@@ -244,7 +241,7 @@ def _keep_half(synchronizer: TimeSynchronizer, given: Any) -> int:
     state = synchronizer.state[0]
     if given.stamp_ns == state.done_ns:
         return DUPLICATE
-    synchronizer.buffers[_HALVES, state.halves] = given
+    copy_input(given, synchronizer.buffers[_HALVES, state.halves])
     state.halves += 1
     if state.halves > _MOST_HALVES:
         synchronizer.state[0].rejected[synchronizer.buffers[_HALVES, 0].source, UNPAIRED] += 1
@@ -256,7 +253,7 @@ def _keep_half(synchronizer: TimeSynchronizer, given: Any) -> int:
 def _forget_half(synchronizer: TimeSynchronizer, place: int) -> None:
     state = synchronizer.state[0]
     for k in range(place, state.halves - 1):
-        synchronizer.buffers[_HALVES, k] = synchronizer.buffers[_HALVES, k + 1]
+        copy_input(synchronizer.buffers[_HALVES, k + 1], synchronizer.buffers[_HALVES, k])
     state.halves -= 1
 
 
