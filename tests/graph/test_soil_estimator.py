@@ -114,7 +114,9 @@ def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs)
     nan = float("nan")
     bad = [
         Hydraulics(1, nan, nan, nan, nan),
-        records.Odometry(1, np.full(3, nan), np.full((3, 3), -1.0), PoseWithCovariance(np.full(3, nan), np.eye(3))),
+        records.Odometry(
+            1, np.full(3, nan), np.full((3, 3), -1.0), PoseWithCovariance(np.full(3, nan), np.eye(3))
+        ),
         records.Odometry(10**15, np.zeros(3), np.zeros((3, 3)), PoseWithCovariance(np.zeros(3), np.eye(3))),
     ]
     machine.send(bad)

@@ -85,7 +85,9 @@ def test_errors_that_never_average_come_in_as_if_the_cells_were_spread() -> None
 
 def test_the_reserve_falls_to_nothing_at_the_limit() -> None:
     marginal = posterior_about(0.01, 3000.0).sum(axis=0)
-    unloaded, half, spent = (thrust_reserve(f, 900.0, GRID.limits, marginal, 0.9) for f in (0.0, -1500.0, 2990.0))
+    unloaded, half, spent = (
+        thrust_reserve(f, 900.0, GRID.limits, marginal, 0.9) for f in (0.0, -1500.0, 2990.0)
+    )
     assert unloaded == (1.0, pytest.approx(0.0, abs=1e-12))
     assert half.share == pytest.approx(0.5, abs=0.01)
     assert half.exhausted < 1e-6

@@ -11,7 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.records import Hydraulics, Odometry, PoseWithCovariance, Slips, SoilInput, TrackForces
+from trackslip_estimation.soil.records import (
+    Hydraulics,
+    Odometry,
+    PoseWithCovariance,
+    Slips,
+    SoilInput,
+    TrackForces,
+)
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 

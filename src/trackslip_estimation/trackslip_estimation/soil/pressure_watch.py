@@ -39,9 +39,18 @@ class PressureFault(Enum):
 
 
 # Of compiled code: the place of each in ``PressureFault``
-_DROPPED, _LEFT_STUCK, _RIGHT_STUCK, _BEYOND_RELIEF, _IN_KPA, _IN_PSI, _IN_BAR, _IN_MPA, _TOO_LOW, _SWAPPED = (
-    range(10)
-)
+(
+    _DROPPED,
+    _LEFT_STUCK,
+    _RIGHT_STUCK,
+    _BEYOND_RELIEF,
+    _IN_KPA,
+    _IN_PSI,
+    _IN_BAR,
+    _IN_MPA,
+    _TOO_LOW,
+    _SWAPPED,
+) = range(10)
 NO_FAULT = -1
 _NO_UNIT = -2
 _UNITS = np.array((1e3, 6894.757, 1e5, 1e6))  # Pa, from kPa to MPa

@@ -117,7 +117,9 @@ def is_seed_due(seeder: Any, sample: Any, thrust: Any, p: Any) -> bool:
         return False
     for k in range(2):
         stddev = math.sqrt(thrust.variance[k] + p.seed.thrust_stddev**2)
-        if not (abs(thrust.force[k]) + stddev < seeder.in_turn.largest_thrust and abs(sample.tracks[k]) > 0.0):
+        if not (
+            abs(thrust.force[k]) + stddev < seeder.in_turn.largest_thrust and abs(sample.tracks[k]) > 0.0
+        ):
             return False
     seeder.is_due = False
     return True

@@ -148,7 +148,9 @@ class SoilEstimator:
             posterior.leave_ground()
         nothing, p = self._state.forces[:0], self.parameters
         if known["seed_due"]:
-            seed = seed_of(known["seeder"], known["sample"], known["thrust"], p.seed, p.vehicle.contact_length)
+            seed = seed_of(
+                known["seeder"], known["sample"], known["thrust"], p.seed, p.vehicle.contact_length
+            )
             yield SoilOutputs(nothing, seeds=[seed])
         if known["soil_due"]:
             state = self._soil_state(known)
@@ -157,9 +159,7 @@ class SoilEstimator:
             yield SoilOutputs(nothing, [state])
 
     def _soil_state(self, known: Any) -> SoilState:
-        mu_r, mu_l = (
-            coefficient(known["dynamics"], which, self._numbers[0]) for which in (MU_R, MU_L)
-        )
+        mu_r, mu_l = (coefficient(known["dynamics"], which, self._numbers[0]) for which in (MU_R, MU_L))
         classes = self._classes.probabilities(self._posterior.cells)
         return SoilState(int(known["sample"]["stamp_ns"]), *mu_r, *mu_l, self.strength, classes)
 

@@ -143,7 +143,10 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
     known.has_begun, known.newest_ns = True, sample.stamp_ns
     sample.dt = (sample.stamp_ns - before_ns) * 1e-9
     left, right = frame_speeds(sample.twist, p.vehicle.tread)
-    sample.tracks[0], sample.tracks[1] = track_speed(left, sample.slips[0]), track_speed(right, sample.slips[1])
+    sample.tracks[0], sample.tracks[1] = (
+        track_speed(left, sample.slips[0]),
+        track_speed(right, sample.slips[1]),
+    )
     fault = pressure_watch.evaluate(known.watch, sample, p.watch, p.vehicle.relief_pressure)
     if fault == NO_FAULT:
         _measure(known, sample, p)

@@ -39,6 +39,7 @@ _MOST_SLIP = 0.4  # a soil that is asked for more than it has lets the tracks sp
 _CLOSE_PULL, _CLOSE_SLIP = 1e-3, 1e-5  # of q_L + q_R; of a slip
 _TRIALS = 40  # about ten are needed
 
+
 class Soils(NamedTuple):
     """Of hypotheses: each K with each F_max."""
 
@@ -73,9 +74,7 @@ class Hypotheses:
 class StraightSegment:
     """A straight that the machine is on, as each hypothesis drives it."""
 
-    def __init__(
-        self, hypotheses: Hypotheses, displacement: FloatArray, start: PoseWithCovariance
-    ) -> None:
+    def __init__(self, hypotheses: Hypotheses, displacement: FloatArray, start: PoseWithCovariance) -> None:
         """Begun at ``start`` with ``displacement`` (2, n, 2), j under the tracks."""
         self._hypotheses, self._start, self._end = hypotheses, start, start
         shape = tuple(map(len, hypotheses.soils))

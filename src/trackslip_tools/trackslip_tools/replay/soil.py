@@ -266,7 +266,10 @@ def _series_of(result: SoilReplay) -> Iterator[tuple[str, Series]]:
         yield FORCES, _Topic(stamps, stamps, {name: columns[name] for name in names}).series()
     if result.states:
         frame = result.parameters.base_frame
-        yield SOIL, _topic_of([(0, conversions.soil_estimate(make, s, frame)) for s in result.states]).series()
+        yield (
+            SOIL,
+            _topic_of([(0, conversions.soil_estimate(make, s, frame)) for s in result.states]).series(),
+        )
 
 
 def _between(series: Series, first_ns: int, last_ns: int) -> Series:
