@@ -25,8 +25,8 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters, make_model
 from trackslip_estimation.soil import conversions as soil_conversions
-from trackslip_estimation.soil.records import SlipSeed, SoilInput
 from trackslip_estimation.soil.parameter_record import record_of
+from trackslip_estimation.soil.records import SlipSeed, SoilInput
 from trackslip_estimation.soil.slip_seed import SEEDER, Thrust, is_seed_due, seed_of, set_strength, slips_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a straight costs: (3.3) once the soil is fresh, nothing on sheared soil; and K from the slip distance alone."""
+"""What a straight costs: (3.3) once the soil is fresh, nothing on sheared soil; and K from
+the slip distance alone.
+"""
 
 from dataclasses import replace
 
@@ -11,8 +13,8 @@ from scipy.optimize import brentq
 
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import PoseWithCovariance
-from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.shear_field import Contact, Rolling, element_places
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.straight import Hypotheses, StraightSegment
 from trackslip_estimation.soil.strength_posterior import SampleOutcome
 from trackslip_estimation.terramechanics.traction import thrust

@@ -28,7 +28,7 @@ def volumetric_efficiency(
     """
     if not (abs(spools[0]) >= _OPEN and abs(spools[1]) >= _OPEN):
         return before
-    seen = 0.5 * (speeds[0] / spools[0] + speeds[1] / spools[1]) / full_flow_speed
+    seen = float(0.5 * (speeds[0] / spools[0] + speeds[1] / spools[1]) / full_flow_speed)
     if not math.isfinite(seen):
         return before
     return seen if math.isnan(before) else before - math.expm1(-dt / _MEMORY) * (seen - before)

@@ -123,7 +123,7 @@ def _weigh(watch: Any, fault: int, evidence: int, dt: float, p: Any) -> bool:
         watch.seconds[fault] = min(max(seconds, 0.0), p.naming_time)
     lasts = watch.is_named[fault] or watch.seconds[fault] >= p.naming_time
     watch.is_named[fault] = watch.seconds[fault] > 0.0 and lasts
-    grace = p.grace_time if fault == _LEFT_STUCK or fault == _RIGHT_STUCK else 0.0
+    grace = p.grace_time if fault in (_LEFT_STUCK, _RIGHT_STUCK) else 0.0
     return watch.is_named[fault] or (evidence == _FOR and watch.seconds[fault] > grace)
 
 

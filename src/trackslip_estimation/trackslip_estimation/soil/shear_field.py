@@ -85,7 +85,7 @@ def mobilised(ratio: float) -> float:
 @compiled
 def sliding_along(rolling: Rolling, k: int, half_tread: float) -> float:
     """s_x of track k."""
-    return rolling.twist[0] - rolling.twist[2] * half_tread * (1.0 - 2.0 * k) - rolling.tracks[k]
+    return float(rolling.twist[0] - rolling.twist[2] * half_tread * (1.0 - 2.0 * k) - rolling.tracks[k])
 
 
 @compiled
@@ -111,7 +111,7 @@ def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
             xi = (i + 0.5) * dx
             way = min(abs(u) * dt, xi)
             place = (xi - way) / dx - 0.5  # in elements behind the first centre
-            first = max(int(math.floor(place)), 0)
+            first = max(math.floor(place), 0)
             part = max(place - first, 0.0)
             at = first if u >= 0.0 else n - 1 - first
             path.place[k, e] = at
@@ -127,7 +127,7 @@ def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
 def carried(j: FloatArray, path: Path, k: int, e: int, axis: int) -> float:
     """What j (2, n, 2) was where the soil under an element was, m."""
     before, behind = j[k, path.place[k, e], axis], j[k, path.following[k, e], axis]
-    return path.scale[k, e] * ((1.0 - path.part[k, e]) * before + path.part[k, e] * behind)
+    return float(path.scale[k, e] * ((1.0 - path.part[k, e]) * before + path.part[k, e] * behind))
 
 
 @compiled

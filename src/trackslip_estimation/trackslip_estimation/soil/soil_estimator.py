@@ -54,7 +54,7 @@ class SoilOutputs(NamedTuple):
 
     def in_order(self) -> list[SoilOutput]:
         """All, by their stamps."""
-        found = [*self.states, *map(_forces_of, self.forces), *self.seeds]
+        found: list[SoilOutput] = [*self.states, *map(_forces_of, self.forces), *self.seeds]
         return sorted(found, key=attrgetter("stamp_ns"))
 
 

@@ -148,7 +148,7 @@ def drive(
 def _sliding_along(slip: float, rolling: Rolling, half_tread: float, k: int) -> float:
     """s_x of track k where C goes with a mean slip."""
     U = 0.5 * (rolling.tracks[0] + rolling.tracks[1])
-    return U * (1.0 - slip) - rolling.twist[2] * half_tread * (1.0 - 2.0 * k) - rolling.tracks[k]
+    return float(U * (1.0 - slip) - rolling.twist[2] * half_tread * (1.0 - 2.0 * k) - rolling.tracks[k])
 
 
 @compiled
@@ -167,7 +167,7 @@ def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, m
             shares[e] = np.divide(mobilised(slid * per_modulus), sliding)  # / would look for zeros
         for e in range(n):
             total -= s_x * shares[e]
-    return math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1]) * total / n
+    return float(math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1]) * total / n)
 
 
 @compiled

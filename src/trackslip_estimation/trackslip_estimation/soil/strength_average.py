@@ -33,8 +33,9 @@ GATHERING, COMPLETE, BROKEN, LOST = range(4)  # what became of a sample; see ``g
 def gather(average: Any, sample: Any, thrust: Any, p: Any) -> int:
     """Add a SAMPLE with its THRUST to an AVERAGE; ``p``: record of StrengthParameters.
 
-    COMPLETE where the average is one now: it must be cleared before the next sample. BROKEN where the sample is
-    not usable, LOST where what the tracks did since the one before is not known either; the average is clear.
+    COMPLETE where the average is one now: it must be cleared before the next sample. BROKEN where the sample
+    is not usable, LOST where what the tracks did since the one before is not known either; the average then
+    is clear.
     """
     if not _is_usable(sample):
         is_lost = not 0.0 < sample.dt <= _LONGEST
@@ -71,7 +72,7 @@ def _is_usable(sample: Any) -> bool:
     if not second > 0.0:
         return False
     across = C[2, 1] - C[2, 0] * C[1, 0] / first
-    return C[2, 2] + _ROUNDING - C[2, 0] ** 2 / first - across**2 / second > 0.0
+    return bool(C[2, 2] + _ROUNDING - C[2, 0] ** 2 / first - across**2 / second > 0.0)
 
 
 @compiled

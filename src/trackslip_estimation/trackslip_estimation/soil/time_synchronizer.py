@@ -128,7 +128,7 @@ def is_ready(synchronizer: TimeSynchronizer, p: Any) -> bool:
         state.readings.count > 0
         and readings[_place(state.readings, state.readings.count - 1)].stamp_ns >= stamp_ns
     )
-    return there or state.done_ns - stamp_ns >= _ns(p.patience)
+    return bool(there or state.done_ns - stamp_ns >= _ns(p.patience))
 
 
 @compiled
@@ -161,9 +161,9 @@ def _follow(clock: Any, stamp_ns: int, oldest_ns: int, p: Any) -> int:
         clock.ahead.count = 0
         return _BACK if _extend(clock.behind, stamp_ns, gap_ns) >= p.jump_confirmations else _BEHIND
     clock.behind.count = 0
-    if clock.head_ns != _NEVER and stamp_ns > clock.head_ns + gap_ns:
-        if _extend(clock.ahead, stamp_ns, gap_ns) < p.jump_confirmations:
-            return _FAR_AHEAD
+    is_far = clock.head_ns != _NEVER and stamp_ns > clock.head_ns + gap_ns
+    if is_far and _extend(clock.ahead, stamp_ns, gap_ns) < p.jump_confirmations:
+        return _FAR_AHEAD
     clock.ahead.count = 0
     clock.head_ns = max(clock.head_ns, stamp_ns)
     return _IN_LINE
@@ -175,7 +175,7 @@ def _extend(streak: Any, stamp_ns: int, gap_ns: int) -> int:
     follows = streak.count > 0 and 0 < stamp_ns - streak.last_ns <= gap_ns
     streak.count = streak.count + 1 if follows else 1
     streak.last_ns = stamp_ns
-    return streak.count
+    return int(streak.count)
 
 
 @compiled
@@ -282,7 +282,7 @@ def _interpolate(synchronizer: TimeSynchronizer, p: Any, sample: Any) -> bool:
 @compiled
 def _place(ring: Any, k: int) -> int:
     """Of the k-th in a ring."""
-    return (ring.first + k) % _CAPACITY
+    return int((ring.first + k) % _CAPACITY)
 
 
 @compiled

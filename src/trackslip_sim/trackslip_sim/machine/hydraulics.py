@@ -74,5 +74,6 @@ def soil_inputs(
 def _slips(twist: FloatArray, tracks: FloatArray, vehicle: Vehicle) -> FloatArray:
     """(2,) of left and right; 0 while the track stands."""
     rolls = np.abs(tracks) > _SLOWEST
-    share = np.divide(np.array(frame_speeds(twist, vehicle.tread)), tracks, out=np.ones(2), where=rolls)
+    frames = np.array(frame_speeds(twist, vehicle.tread))
+    share: FloatArray = np.divide(frames, tracks, out=np.ones(2), where=rolls)
     return 1.0 - share

@@ -80,7 +80,7 @@ class SoilReplay:
     """What the soil estimator made of a replay."""
 
     parameters: SoilEstimatorParameters
-    forces: NDArray[Any]  # (n,) FORCES
+    forces: NDArray[Any] = field(default_factory=lambda: np.zeros(0, records.FORCES))
     states: list[SoilState] = field(default_factory=list)
     seeds: list[SlipSeed] = field(default_factory=list)
     rejected: Tally = field(default_factory=Tally)
