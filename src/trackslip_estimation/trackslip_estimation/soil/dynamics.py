@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.compiled import compiled, compiled_upon
+from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.vehicle import GRAVITY
 from trackslip_estimation.kalman import linear_algebra
@@ -86,7 +86,7 @@ def _expected_sign(speed: float, variance: float) -> float:
     return math.erf(speed / math.sqrt(2.0 * max(variance, _ROUNDING)))
 
 
-@compiled_upon(linear_algebra)
+@compiled
 def step(dynamics: Any, sample: Any, thrust: Any, p: Any) -> None:
     """``sample.dt`` s on, to where the slip estimator says ``sample.twist``."""
     dt, twist, covariance = sample.dt, sample.twist, sample.twist_covariance
@@ -118,7 +118,7 @@ def step(dynamics: Any, sample: Any, thrust: Any, p: Any) -> None:
     _bound(dynamics, p.dynamics)
 
 
-@compiled_upon(linear_algebra)
+@compiled
 def _predict(dynamics: Any, sample: Any, thrust: Any, sense: float, p: Any) -> None:
     """Both lines of the model over dt."""
     n, vehicle, dt = p.dynamics, p.vehicle, sample.dt
@@ -153,7 +153,7 @@ def _predict(dynamics: Any, sample: Any, thrust: Any, sense: float, p: Any) -> N
     _set(dynamics, after, sandwich(F, dynamics.covariance.copy()), Q)
 
 
-@compiled_upon(linear_algebra)
+@compiled
 def _correct(dynamics: Any, measured: FloatArray, noise: FloatArray) -> None:
     """v_x and φ̇ (2,) as measured, with covariance (2, 2)."""
     mean, covariance = dynamics.mean.copy(), dynamics.covariance.copy()

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.compiled import compiled, compiled_upon
+from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import GRAVITY
 from trackslip_estimation.kalman import linear_algebra
 from trackslip_estimation.slip.motion import Motion
@@ -107,7 +107,7 @@ def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
     return known
 
 
-@compiled_upon(linear_algebra)
+@compiled
 def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any]) -> Stop:
     """Take inputs (n,) SOIL_INPUT from ``first`` on until something else is to be done, or none is left.
 
@@ -135,7 +135,7 @@ def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any
             return Stop(RESTART, first, count)
 
 
-@compiled_upon(linear_algebra)
+@compiled
 def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
     """Use one sample."""
     sample = known.sample
