@@ -113,7 +113,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             return None
 
     def _take(self, given: Input) -> None:
-        report, estimate = self._estimator.advance(given)
+        report, estimate = self._estimator.process(given)
         if estimate is not None:  # first: somebody steers by it
             self._publish(estimate)
         self._reports.publish(conversions.measurement_report(make, report, self._taken))

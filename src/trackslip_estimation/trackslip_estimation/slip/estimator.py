@@ -24,8 +24,8 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.process import clear, process
-from trackslip_estimation.slip.records import RESULT, to_records
+from trackslip_estimation.slip.process import clear, fill_last_estimate, process
+from trackslip_estimation.slip.records import ESTIMATE, RESULT, to_records
 from trackslip_estimation.slip.window import Records, Window, enlarged, make_window
 
 FloatArray = NDArray[np.float64]
@@ -124,6 +124,18 @@ class SlipEstimator:
         given = list(measurements)
         results = self.process_records(to_records(given, self.sources))
         return [make_step(result, m.source) for result, m in zip(results, given, strict=True)]
+
+    def estimate(self) -> Estimate:
+        """The state at the newest stamp, of whichever source.
+
+        Raises:
+            RuntimeError: nothing has started the estimate yet.
+        """
+        if not self.started:
+            raise RuntimeError("no estimate yet")
+        records = np.zeros(1, ESTIMATE)
+        fill_last_estimate(self.window, self.config, records)
+        return make_estimate(records[0])
 
     def _use(self, p: SlipEstimatorParameters) -> None:
         self.parameters = p

@@ -265,3 +265,9 @@ def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
     if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction
         estimate.slip_covariance[2, 2] = _NO_DIRECTION
+
+
+@compiled
+def fill_last_estimate(window: Window, config: Records, estimates: Records) -> None:
+    """What is known at the newest stamp, into (1,) of ``ESTIMATE``."""
+    fill_estimate(window.states[window.status[0].count - 1], config[0], estimates[0])
