@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.vehicle import GRAVITY
-from trackslip_estimation.kalman import linear_algebra
 from trackslip_estimation.kalman.linear_algebra import apply, sandwich
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.tracks import frame_speeds
