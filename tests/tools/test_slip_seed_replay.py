@@ -132,6 +132,7 @@ def test_a_topic_of_another_type_is_refused(seeded: Path) -> None:
 def test_a_replay_writes_the_seeds_of_its_soil_estimator() -> None:
     seed = SlipSeed(5, np.array((0.01, 0.02)), np.eye(2))
     written = {
-        topic: message for topic, message, _ in soil_messages(SoilReplay(load_soil_parameters(), [seed]))
+        topic: message
+        for topic, message, _ in soil_messages(SoilReplay(load_soil_parameters(), seeds=[seed]))
     }
     assert (written["slip_seed"].left_slip, written["slip_seed"].right_slip) == (0.01, 0.02)
