@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast
 
 os.environ.setdefault("NUMBA_OPT", "1")  # compiles in 60 % of the time, and what it makes is as fast here
 
-import numba  # noqa: E402
+import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
 
