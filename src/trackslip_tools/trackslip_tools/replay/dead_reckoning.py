@@ -92,7 +92,10 @@ def _by_stamp(parts: list[Rows]) -> Rows:
     if not parts:
         return np.empty(0, [("stamp_ns", np.int64)])
     rows = np.concatenate(parts)
-    return rows[np.argsort(rows["stamp_ns"], kind="stable")]
+    parts[:] = [rows]
+    if (np.diff(rows["stamp_ns"]) < 0).any():
+        rows = rows[np.argsort(rows["stamp_ns"], kind="stable")]
+    return rows
 
 
 def dead_reckon(
