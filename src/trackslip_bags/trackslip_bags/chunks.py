@@ -2,7 +2,7 @@
 """Messages of some topics in log order, a stretch of some seconds at a time, as bytes in one buffer.
 
 Common MCAP files (whole chunks that an index names, and an index of the messages behind each) are read chunk
-by chunk: several are unpacked into one buffer, in which the index says where each message is, so that nothing
+by chunk: several are unpacked into one buffer, in which the index gives the place of each message: nothing
 is done message by message. Memory holds one stretch, and what overlaps the next. Everything else, a damaged
 file from the first bad chunk on among them, is read message by message.
 """
