@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Vehicle
 from trackslip_tools.replay.arrivals import Kind, Rows
+from trackslip_tools.replay.series import RowBuffer
 
 FloatArray = NDArray[np.float64]
 
@@ -54,8 +55,7 @@ class DrivenCollector:
     """What dead reckoning needs of arrivals that come piece by piece; what is not finite is left out."""
 
     def __init__(self) -> None:
-        self._sprockets: list[Rows] = []
-        self._gyro: list[Rows] = []
+        self._sprockets, self._gyro = RowBuffer(), RowBuffer()
 
     def add(self, rows: Rows) -> None:
         """More rows of ``ARRIVAL``."""
@@ -64,13 +64,13 @@ class DrivenCollector:
         of_sprockets = of_sprockets[(np.abs(numbers) < _LARGEST).all(axis=1)]
         rates, variances = of_gyro["z"][:, 0], of_gyro["R"][:, 0, 0]
         sound = (np.abs(rates) < _LARGEST) & (variances > 0.0) & (variances < _LARGEST**2)
-        self._sprockets.append(_only(of_sprockets, "stamp_ns", "speeds", "positions", "has_positions"))
-        self._gyro.append(_only(of_gyro[sound], "stamp_ns", "z"))
+        self._sprockets.add(_only(of_sprockets, "stamp_ns", "speeds", "positions", "has_positions"))
+        self._gyro.add(_only(of_gyro[sound], "stamp_ns", "z"))
 
     def sprockets(self) -> Sprocketed | None:
         """None where there are none."""
         rows = _by_stamp(self._sprockets)
-        if not len(rows):
+        if rows is None:
             return None
         positions = rows["positions"] if rows["has_positions"].all() else None
         return Sprocketed(rows["stamp_ns"], rows["speeds"], positions)
@@ -78,7 +78,7 @@ class DrivenCollector:
     def gyro(self) -> Gyro | None:
         """None where there is none."""
         rows = _by_stamp(self._gyro)
-        return Gyro(rows["stamp_ns"], rows["z"][:, 0]) if len(rows) else None
+        return None if rows is None else Gyro(rows["stamp_ns"], rows["z"][:, 0])
 
 
 def _only(rows: Rows, *names: str) -> Rows:
@@ -88,11 +88,10 @@ def _only(rows: Rows, *names: str) -> Rows:
     return found
 
 
-def _by_stamp(parts: list[Rows]) -> Rows:
-    if not parts:
-        return np.empty(0, [("stamp_ns", np.int64)])
-    rows = np.concatenate(parts)
-    parts[:] = [rows]
+def _by_stamp(buffer: RowBuffer) -> Rows | None:
+    rows = buffer.rows()
+    if rows is None or not len(rows):
+        return None
     if (np.diff(rows["stamp_ns"]) < 0).any():
         rows = rows[np.argsort(rows["stamp_ns"], kind="stable")]
     return rows
