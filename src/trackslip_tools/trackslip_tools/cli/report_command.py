@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, write the page, say where it is.
+    """Replay, write the page, print where it is.
 
     Raises:
         InputError: a bag, a parameter or an option cannot be used.
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     count = len(args.bags) * len(files)
     if count > MOST_RUNS:
         raise InputError(f"{count} runs (bags × --params) in one report; accepted: at most {MOST_RUNS}")
-    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     several = (len(args.bags) > 1, len(files) > 1)
     pairs = [(path, name) for path in args.bags for name in files]
     recordings: dict[Path, Recording] = {}
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _label(path: Path, name: str, bags: bool, files: bool) -> str:
-    """What tells this run from the others."""
+    """What distinguishes this run from the others."""
     if files and not bags:
         return name
     return str(path) if name == _OWN and not files else f"{path}, {name}"

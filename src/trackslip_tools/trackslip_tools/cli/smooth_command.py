@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip smooth``: the best that a bag can tell of each moment, from what came before and after it."""
+"""``trackslip smooth``: the best estimate of each moment of a bag, from what came before and after it."""
 
 import argparse
 import sys
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     with open_bag(args.bag) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
