@@ -12,7 +12,7 @@ e_i     error of the slip of each driven track, while turning       1
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.truth.record import Truth
-from trackslip_tools.replay.dead_reckoning import DrivenCollector, dead_reckon
+from trackslip_tools.replay.dead_reckoning import dead_reckon
 from trackslip_tools.replay.run import Replay, replay
 from trackslip_tools.replay.scoring import MOVING, in_order
 
