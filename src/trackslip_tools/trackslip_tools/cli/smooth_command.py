@@ -3,15 +3,15 @@
 
 import argparse
 import sys
-from functools import partial
+from contextlib import nullcontext
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
 from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.progress import shown
-from trackslip_tools.smoothing.smooth_bag import smooth_bag, write_smoothed
+from trackslip_tools.smoothing.smooth_bag import SmoothedWriter, smooth_bag
+from trackslip_tools.smoothing.smoothing import Smoothed
 
 EXAMPLE = "trackslip smooth out/demo/bag --withhold box_pose:20:30 --output out/smoothed"
 
@@ -38,11 +38,16 @@ def run(args: argparse.Namespace) -> int:
             print(f"note: {bag.damage}", file=sys.stderr)
         p = replay_options.parameters_of(bag, args.params, args.set)
         replay_options.require_named(bag, p, filters, reference)
-        result = smooth_bag(bag, p, filters, reference, partial(shown, label="filtering"))
+        with SmoothedWriter(args.output, p) if args.output else nullcontext() as writer:
+            watch = writer.add if writer else _ignore
+            result = smooth_bag(bag, p, filters, reference, watch)
     print(result)
     if args.output is not None:
-        write_smoothed(args.output, result, p)
         print(f"smoothed: {args.output}")
     if args.json is not None:
         write_json(args.json, result.summary())
-    return ExitCode.DONE if result.estimates.smoothed else ExitCode.FAILED
+    return ExitCode.DONE if result.estimates else ExitCode.FAILED
+
+
+def _ignore(_: Smoothed) -> None:
+    """Nothing is written."""
