@@ -9,8 +9,7 @@ import numpy as np
 from trackslip_common.make import Make, header
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.estimator import Outputs
+from trackslip_estimation.slip.estimator import Estimate, Outputs
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.classes import limit_of
 from trackslip_estimation.soil.conversions import track_forces
