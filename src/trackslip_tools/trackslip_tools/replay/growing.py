@@ -22,6 +22,8 @@ class GrowingRows:
     def add(self, more: Rows) -> None:
         """(n,) records that have at least these fields."""
         end = self._count + len(more)
+        if end == self._count:
+            return
         if end > len(self._rows):
             self._rows.resize(max(end, round(_GROWTH * len(self._rows))), refcheck=False)
         for name in self._rows.dtype.names or ():
