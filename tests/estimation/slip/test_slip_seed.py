@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from fixtures.soil_samples import Sample
 from numpy.typing import NDArray
-from trackslip_estimation.slip.filter import Filter
-from trackslip_estimation.slip.measurement_log import read_measurements, run_log
-from trackslip_tools.replay.quick import quick_steps
 
 from trackslip_bags.messages import make
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.filter import Filter
+from trackslip_estimation.slip.measurement_log import read_measurements, run_log
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, SlipFix
 from trackslip_estimation.slip.models import dispatch as equations
 from trackslip_estimation.slip.models.model import SLIPS, slips_measured
@@ -36,6 +35,7 @@ from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
+from trackslip_tools.replay.quick import quick_steps
 
 FloatArray = NDArray[np.float64]
 

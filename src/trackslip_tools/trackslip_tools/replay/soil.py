@@ -130,7 +130,7 @@ class SoilRun:
         self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~hidden]))
 
     def _advance(self, estimates: Rows, logged_ns: IntArray) -> None:
-        """In the order in which a live estimator has them: a reading before the first estimate published later."""
+        """As a live estimator has them: a reading before the first estimate that is published later."""
         published_ns = np.maximum.accumulate(np.maximum(logged_ns, self._published_ns))
         self._published_ns = int(published_ns[-1])
         before = np.searchsorted(published_ns, np.maximum.accumulate(self._logged_ns))
