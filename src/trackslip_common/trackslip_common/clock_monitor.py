@@ -66,7 +66,7 @@ def check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contrad
     content is not what the history has at its stamp.
     """
     clock.others.count = 0
-    if clock.running and stamp_ns < max(oldest_ns, clock.head_ns - limits.gap_ns) or stamp_ns < oldest_ns:
+    if (clock.running and stamp_ns < max(oldest_ns, clock.head_ns - limits.gap_ns)) or stamp_ns < oldest_ns:
         clock.ahead.count = 0
         confirmed = _add(clock.behind, stamp_ns, limits.gap_ns, True) >= limits.confirmations
         return _BACK if confirmed else _BEHIND
@@ -90,7 +90,9 @@ def check_other(clock: Any, limits: Any, stamp_ns: int) -> int:
     if not clock.running or stamp_ns <= clock.head_ns:
         return _IN_LINE
     streak = clock.others
-    if not -limits.gap_ns <= stamp_ns - streak.last_ns <= 0 or streak.count == 0:  # sources overtake each other
+    if (
+        not -limits.gap_ns <= stamp_ns - streak.last_ns <= 0 or streak.count == 0
+    ):  # sources overtake each other
         _add(streak, stamp_ns, limits.gap_ns, True)
     carries = streak.count >= _CARRIERS and stamp_ns - streak.first_ns >= limits.silence_ns
     if carries:
@@ -99,9 +101,7 @@ def check_other(clock: Any, limits: Any, stamp_ns: int) -> int:
 
 
 @compiled
-def _check_sample(
-    clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contradicts: bool
-) -> int:
+def _check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contradicts: bool) -> int:
     return check_sample(clock[0], limits[0], stamp_ns, oldest_ns, contradicts)
 
 
