@@ -55,7 +55,8 @@ class Part(NamedTuple):
     @property
     def estimates(self) -> Rows:
         """(m,) ESTIMATE that were published."""
-        return self.results["estimate"][self.results["published"]]
+        estimates: Rows = self.results["estimate"][self.results["published"]]
+        return estimates
 
 
 Watch = Callable[[Part], None]

@@ -23,7 +23,9 @@ REPORT = np.dtype(
     ],
     align=True,
 )
-FIX = np.dtype([*((n, REPORT[n]) for n in REPORT.names or ()), *((n, ARRIVAL[n]) for n in ("value", "noise"))])
+FIX = np.dtype(
+    [*((n, REPORT[n]) for n in REPORT.names or ()), *((n, ARRIVAL[n]) for n in ("value", "noise"))]
+)
 
 
 @dataclass(eq=False)

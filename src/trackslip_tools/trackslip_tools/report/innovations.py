@@ -58,7 +58,9 @@ def innovations_of(run: Run) -> dict[str, Innovations]:
     """By source; of measurements that came as far as being compared with the estimate."""
     reports = run.details.reports
     reports = reports[(reports["dof"] > 0) & np.isfinite(reports["nis"])]
-    by_source = {run.details.sources[k]: reports[reports["source"] == k] for k in np.unique(reports["source"])}
+    by_source = {
+        run.details.sources[k]: reports[reports["source"] == k] for k in np.unique(reports["source"])
+    }
     return {
         source: Innovations(
             run.recording.seconds(own["stamp_ns"]),

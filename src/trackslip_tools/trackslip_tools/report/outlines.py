@@ -38,7 +38,9 @@ def fixes_of(run: Run) -> dict[str, FloatArray]:
     """By source: (n, 3) poses of the fixes that were taken."""
     fixes = run.details.fixes
     fixes = fixes[fixes["outcome"] == Outcome.ACCEPTED]
-    by_source = {run.details.sources[number]: fixes["source"] == number for number in np.unique(fixes["source"])}
+    by_source = {
+        run.details.sources[number]: fixes["source"] == number for number in np.unique(fixes["source"])
+    }
     return {source: fixes["value"][own] for source, own in sorted(by_source.items())}
 
 

@@ -81,6 +81,12 @@ def recordings(runs: Sequence[Run]) -> list[Run]:
 
 
 def _states(estimates: Rows) -> States:
-    names = ("pose_covariance", "twist", "twist_covariance", "slips", "slip_covariance")
-    moving = estimates["motion"] != Motion.STANDING
-    return States(path_of(estimates), *(estimates[name] for name in names), moving)
+    return States(
+        path_of(estimates),
+        estimates["pose_covariance"],
+        estimates["twist"],
+        estimates["twist_covariance"],
+        estimates["slips"],
+        estimates["slip_covariance"],
+        estimates["motion"] != Motion.STANDING,
+    )

@@ -109,10 +109,13 @@ def smooth_bag(
             of.add(estimates)
         watch(block)
     filtered, smoothed = (of.rows() for of in kept)
-    errors = (_errors(estimates, inputs, reference, p.vehicle.tread) for estimates in (filtered, smoothed))
+    of_filter, of_smoother = (
+        _errors(estimates, inputs, reference, p.vehicle.tread) for estimates in (filtered, smoothed)
+    )
     stamps_ns = smoothed["stamp_ns"]
     duration_s = (int(stamps_ns[-1]) - int(stamps_ns[0])) * 1e-9 if len(stamps_ns) else 0.0
-    return SmoothedBag(len(smoothed), duration_s, reference, *errors, time.monotonic() - began)
+    elapsed_s = time.monotonic() - began
+    return SmoothedBag(len(smoothed), duration_s, reference, of_filter, of_smoother, elapsed_s)
 
 
 def smoothed_blocks(inputs: Inputs, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
