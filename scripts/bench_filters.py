@@ -12,9 +12,9 @@ import time
 from typing import Any
 
 import numpy as np
-
 from trackslip_estimation.slip.batch import Row, make_log, run
 from trackslip_estimation.slip.filter import Filter
+
 from trackslip_estimation.slip.models import dispatch as equations
 from trackslip_estimation.slip.models.model import DRIVEN, SPROCKETS, Gaussian, rate_measured
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds

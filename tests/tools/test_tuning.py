@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from trackslip_estimation.slip.measurement_log import read_measurements, reread, shapes_log
+from trackslip_estimation.slip.timeline import key_of
 
 from trackslip_common.config_files import node_parameters, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flat_fields
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurement_log import read_measurements, reread, shapes_log
 from trackslip_estimation.slip.measurements import Measurement, PoseFix
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
-from trackslip_estimation.slip.timeline import key_of
 from trackslip_tools.replay.dead_reckoning import Path as Track
 from trackslip_tools.replay.scoring import mean_nees, path_of, score
 from trackslip_tools.tuning.evidence import PARAMETERS, TABLE, numbers, write_evidence

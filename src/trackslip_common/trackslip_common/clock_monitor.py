@@ -66,7 +66,7 @@ def check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contrad
     content is not what the history has at its stamp.
     """
     clock.others.count = 0
-    if clock.running and stamp_ns < max(oldest_ns, clock.head_ns - limits.gap_ns) or stamp_ns < oldest_ns:
+    if (clock.running and stamp_ns < max(oldest_ns, clock.head_ns - limits.gap_ns)) or stamp_ns < oldest_ns:
         clock.ahead.count = 0
         confirmed = _add(clock.behind, stamp_ns, limits.gap_ns, True) >= limits.confirmations
         return _BACK if confirmed else _BEHIND

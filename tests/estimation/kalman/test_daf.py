@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import chi2
+from trackslip_estimation.slip.filter import Filter
 
 from trackslip_estimation.kalman import daf
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.filter import Filter
 from trackslip_estimation.slip.models import dispatch as equations
 from trackslip_estimation.slip.models.model import (
     DRIVEN,

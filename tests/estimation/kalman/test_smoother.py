@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from trackslip_estimation.slip.filter import Filter
 
 from trackslip_estimation.kalman.smoother import Step, smooth, smooth_back
-from trackslip_estimation.slip.filter import Filter
 from trackslip_estimation.slip.models.model import DRIVEN, POSE, YAW, Gaussian
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters, make_filter

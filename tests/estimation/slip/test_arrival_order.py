@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from trackslip_estimation.slip.timeline import Timeline
 
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.sprockets import SprocketTrack
-from trackslip_estimation.slip.timeline import Timeline
 
 MS = 1_000_000
 WINDOW_MS = 1000

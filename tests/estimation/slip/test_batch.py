@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from trackslip_estimation.slip.batch import EVERYTHING, Run, run, run_all
+from trackslip_estimation.slip.gating import Gates
+from trackslip_estimation.slip.measurement_log import MeasurementLog, read_measurements, run_log
+from trackslip_estimation.slip.timeline import key_of
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip import filter as kernels
 from trackslip_estimation.slip import gating
-from trackslip_estimation.slip.batch import EVERYTHING, Run, run, run_all
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.gating import Gates
-from trackslip_estimation.slip.measurement_log import MeasurementLog, read_measurements, run_log
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.model import FULL_POSE, SPROCKETS, Gaussian
 from trackslip_estimation.slip.parameters import (
@@ -23,7 +24,6 @@ from trackslip_estimation.slip.parameters import (
     make_filter,
     make_gates,
 )
-from trackslip_estimation.slip.timeline import key_of
 
 MS, S = 1_000_000, 1_000_000_000
 BOTH = (EVERYTHING, Gates(np.array((np.inf, 6.0, 9.0, 11.0)), 1.0, np.ones(2, np.int64), np.zeros((2, 2))))

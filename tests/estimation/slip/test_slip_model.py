@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from trackslip_estimation.slip.filter import Filter
 
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.filter import Filter
 from trackslip_estimation.slip.models import dispatch as equations
 from trackslip_estimation.slip.models.free_slips import (
     GYRO_BIAS,

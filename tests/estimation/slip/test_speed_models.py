@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from trackslip_estimation.slip.filter import Filter
 
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.filter import Filter
 from trackslip_estimation.slip.models import dispatch as equations
 from trackslip_estimation.slip.models.model import DRIVEN, POSE, YAW, YAW_RATE, Gaussian, rate_measured
 from trackslip_estimation.slip.models.speed import (
@@ -190,7 +190,10 @@ def test_size_of_the_misfits_by_hand(model: str) -> None:
     x[FIRST], x[SECOND], x[COMMON_SLIP] = 1.0, -1.0, 2.0 * c["yielding_slip"]
     steady, changing = c["turning_velocity_error"] ** 2, (c["changing_misfit"] * 0.5) ** 2
     of_speed = 5.0 * RADIUS**2 * (steady + changing) + c["standing_velocity_error"] ** 2
-    of_rate = 5.0 * RADIUS**2 * (c["yaw_rate_error_ratio"] ** 2 * steady + changing) + c["standing_velocity_error"] ** 2
+    of_rate = (
+        5.0 * RADIUS**2 * (c["yaw_rate_error_ratio"] ** 2 * steady + changing)
+        + c["standing_velocity_error"] ** 2
+    )
     long = 100.0 * float(c["velocity_error_time"])
     Q = equations.process_noise(x, np.zeros((SIZE, SIZE)), 1.0, 2.0, long, int(Motion.TURNING), 0, 0.5, c)
     assert Q[SPEED_MISFIT, SPEED_MISFIT] == pytest.approx(of_speed)

@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
-
 from trackslip_estimation.slip.filter import Filter
+
 from trackslip_estimation.slip.models.turning import LOSS
 from trackslip_estimation.slip.motion import Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters, make_filter

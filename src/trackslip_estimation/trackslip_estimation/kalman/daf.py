@@ -50,9 +50,7 @@ def sigma_points(x: FloatArray, P: FloatArray, kappa: float, size: int) -> tuple
 
 
 @compiled
-def moments(
-    points: FloatArray, weights: FloatArray, angle: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def moments(points: FloatArray, weights: FloatArray, angle: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Steps 2 and 4: the mean (k,), the departures (k, 2n + 1), and the weights that go with them."""
     departures = (points - points[0]).T.copy()
     if departures.shape[0] > angle:

@@ -27,7 +27,11 @@ CONFIG = np.dtype(
         ("tread", np.float64),  # B, m
         ("encoder_resolution", np.float64),  # rad
         *CONSTANTS,
-        ("process_noise", np.float64, (len(Motion), 2, SIZE)),  # variance per s, by motion and whether it changes
+        (
+            "process_noise",
+            np.float64,
+            (len(Motion), 2, SIZE),
+        ),  # variance per s, by motion and whether it changes
         ("prior_mean", np.float64, (SIZE,)),
         ("prior_variance", np.float64, (SIZE,)),
         ("initial_pose", np.float64, (3,)),

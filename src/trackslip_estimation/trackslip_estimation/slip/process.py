@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trackslip_common.clock_monitor import StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.models.model import SIZE, YAW
+from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import fill_outputs, to_sensor
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SLIPS, SPROCKETS

@@ -53,7 +53,10 @@ class Window(NamedTuple):
 def make_window(capacity: int) -> Window:
     """An empty one."""
     window = Window(
-        np.zeros(1, WINDOW), np.zeros(capacity, MEASUREMENT), np.zeros(capacity, STATE), np.zeros(capacity, UPDATE)
+        np.zeros(1, WINDOW),
+        np.zeros(capacity, MEASUREMENT),
+        np.zeros(capacity, STATE),
+        np.zeros(capacity, UPDATE),
     )
     window.status["published_ns"] = _NEVER
     return window

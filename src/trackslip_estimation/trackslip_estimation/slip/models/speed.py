@@ -44,7 +44,9 @@ PARTS = (
     *COMMON,
     Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),
     Part("common_slip", slice(COMMON_SLIP, COMMON_SLIP + 1), "1", "slip common to both tracks"),
-    Part("rotation_offset", slice(ROTATION_OFFSET, ROTATION_OFFSET + 1), "m", "centre of rotation ahead of C"),
+    Part(
+        "rotation_offset", slice(ROTATION_OFFSET, ROTATION_OFFSET + 1), "m", "centre of rotation ahead of C"
+    ),
 )
 CONSTANTS = np.dtype(
     [

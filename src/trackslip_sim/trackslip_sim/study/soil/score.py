@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.classes import limit_of
+from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.records import TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilState
-from trackslip_estimation.soil.thrust import PressureOffsets
+from trackslip_estimation.soil.thrust import new_offsets, update_offsets
 from trackslip_sim.study.soil.trial import (
     START_NS,
     Readings,
@@ -138,10 +139,12 @@ def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin
 
 def _offset_residue(readings: Readings, setting: Setting, stand: float) -> float:
     """What the estimator's calibration of offsets leaves after standing."""
-    offsets, period = PressureOffsets(setting.soil.thrust), 1.0 / setting.study.sprocket_rate
+    p, period = setting.soil.thrust, 1.0 / setting.study.sprocket_rate
+    offsets, numbers = new_offsets(p)[0], record_of(p)[0]
     for reading in readings.pressures[: round(stand / period)]:
-        offsets.step(np.array((reading.left_pressure, reading.right_pressure)), period)
-    return float(np.abs(offsets.mean - readings.offsets).max())
+        pressures = np.array((reading.left_pressure, reading.right_pressure))
+        update_offsets(offsets, pressures, True, period, numbers)
+    return float(np.abs(offsets["mean"] - readings.offsets).max())
 
 
 def change_of(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:
