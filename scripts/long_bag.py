@@ -107,7 +107,9 @@ def _live(bag: Bag) -> Iterator[BagMessage]:
     p = load_slip_parameters(bag_parameters(bag))
     parts: list[Part] = []
     replay(bag, p, InputFilters(), None, watch=parts.append)
-    arrivals, results = (np.concatenate([getattr(of, name) for of in parts]) for name in ("arrivals", "results"))
+    arrivals, results = (
+        np.concatenate([getattr(of, name) for of in parts]) for name in ("arrivals", "results")
+    )
     for sequence, (arrival, found) in enumerate(zip(arrivals, results, strict=True)):
         report, estimate = make_step(found.item(), parts[0].sources[arrival["source"]])
         logged_ns = int(arrival["log_time_ns"])
