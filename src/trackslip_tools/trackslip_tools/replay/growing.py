@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records that come piece by piece, in one array that grows in place: joining parts takes twice the memory."""
+"""Records that come piece by piece, in one array that grows in place: joining parts takes it twice."""
 
 import numpy as np
 from numpy.typing import NDArray
