@@ -259,7 +259,7 @@ def build_workspace(ros: str) -> None:
             {
                 "kernels of the slip estimator": Command([python, "-m", *replay], environment),
                 "kernels of soil estimator and simulator": Command(
-                    [python, "-m", "trackslip_sim.demo.warm_up"], environment
+                    [python, "-m", "trackslip_sim.demo.warm_up", "soil", "box"], environment
                 ),
                 "packages": colcon_build(ros, python),
             }

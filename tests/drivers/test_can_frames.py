@@ -3,8 +3,10 @@
 
 import itertools
 
+import numpy as np
 import pytest
 from cantools.database.errors import EncodeError
+from crccheck.crc import Crc12Gsm
 
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
@@ -191,3 +193,56 @@ def test_broken_contract_is_refused_in_one_line(tmp_path, old, new, message):
 def test_missing_contract():
     with pytest.raises(InputError, match="not a usable DBC"):
         FrameSet(config_file("can_driver.yaml").with_name("none.dbc"))
+
+
+BIG_ENDIAN = (
+    ("left_pressure : 0|16@1-", "left_pressure : 7|16@0-"),
+    ("right_pressure : 16|16@1-", "right_pressure : 20|13@0-"),
+    ("left_count : 0|12@1+ (1,0)", "left_count : 3|12@0+ (1,-7)"),
+)
+
+
+@pytest.mark.parametrize("changes", [(), BIG_ENDIAN], ids=["as it is", "other byte order"])
+def test_payloads_are_those_of_cantools(changes, tmp_path):
+    text = config_file("excavator.dbc").read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "bus.dbc").write_text(text.replace('[0|4095] "count"', '[0|4000] "count"'))
+    frames, rng = FrameSet(tmp_path / "bus.dbc"), np.random.default_rng(0)
+    for name, message in frames.by_name.items():
+        signals = [s for s in message.signals if s.name not in ("alive_counter", "checksum")]
+        for alive in range(200):
+            share = rng.random(len(signals)) * 0.1 + 0.45  # within what fewer bits can hold
+            low_high = [(float(s.minimum), float(s.maximum)) for s in signals]
+            values = {
+                s.name: low + part * (high - low)
+                for s, part, (low, high) in zip(signals, share.tolist(), low_high, strict=True)
+            }
+            frame_id, payload = frames.encode(name, values, alive)
+            theirs = message.encode({**values, "alive_counter": alive % 16, "checksum": 0})
+            assert payload == sealed(frame_id, theirs)
+            found = frames.codecs[frame_id].unpack(payload)
+            assert found == {k: v for k, v in message.decode_simple(payload).items() if k in values}
+
+
+def test_a_floating_point_signal_is_refused(tmp_path):
+    text = config_file("excavator.dbc").read_text()
+    for old, new in (
+        ("left_pressure : 0|16@1-", "left_pressure : 0|8@1-"),
+        ("right_pressure : 16|16@1-", "right_pressure : 8|8@1-"),
+        ("supply_pressure : 32|16@1+ (1000,0)", "supply_pressure : 16|32@1- (1,0)"),
+    ):
+        text = text.replace(old, new)
+    (tmp_path / "bus.dbc").write_text(text + "\nSIG_VALTYPE_ 2365526656 supply_pressure : 1;\n")
+    with pytest.raises(InputError, match=r"'supply_pressure' is a floating-point one; accepted: integers"):
+        FrameSet(tmp_path / "bus.dbc")
+
+
+def test_the_checksum_is_crc_12_gsm():
+    rng = np.random.default_rng(0)
+    for length in range(2, 9):
+        frame_id, data = int(rng.integers(1 << 29)), rng.bytes(length)
+        alive = data[-2] & 0xF
+        crc = Crc12Gsm.calc(frame_id.to_bytes(4, "big") + data[:-2] + bytes((alive,)))
+        assert sealed(frame_id, data) == data[:-2] + (alive | crc << 4).to_bytes(2, "little")

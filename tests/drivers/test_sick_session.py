@@ -65,7 +65,7 @@ class Bench:
 
     def poll(self) -> None:
         self.now_ns += self.rng.randrange(MS, self.longest_poll_ns)
-        self.device.receive(self.uplink.take(self.now_ns), self.now_ns, self.host_baud)
+        self.device.receive(self.uplink.read(self.now_ns), self.now_ns, self.host_baud)
         data = self.device.step(self.now_ns)
         if self.device.baud != self.host_baud:
             data = self.rng.randbytes(len(data))

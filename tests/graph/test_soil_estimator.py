@@ -16,7 +16,7 @@ from trackslip_common.nodes.messages import make
 from trackslip_estimation.slip.conversions import in_six, planar_pose_message
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil import records
-from trackslip_estimation.soil.records import Hydraulics, Place
+from trackslip_estimation.soil.records import Hydraulics, PoseWithCovariance
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
@@ -39,8 +39,8 @@ def message_of(given):
         v, rate = message.twist.twist.linear, message.twist.twist.angular
         v.x, v.y, rate.z = map(float, given.twist)
         message.twist.covariance = in_six(given.twist_covariance)
-        message.pose.pose = planar_pose_message(make, given.place.pose)
-        message.pose.covariance = in_six(given.place.covariance)
+        message.pose.pose = planar_pose_message(make, given.pose.mean)
+        message.pose.covariance = in_six(given.pose.covariance)
     else:
         left, right, angle = map(float, given.mean)
         message = TrackSlip(left_slip=left, right_slip=right, slip_angle=angle)
@@ -114,8 +114,10 @@ def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs)
     nan = float("nan")
     bad = [
         Hydraulics(1, nan, nan, nan, nan),
-        records.Odometry(1, np.full(3, nan), np.full((3, 3), -1.0), Place(np.full(3, nan), np.eye(3))),
-        records.Odometry(10**15, np.zeros(3), np.zeros((3, 3)), Place(np.zeros(3), np.eye(3))),
+        records.Odometry(
+            1, np.full(3, nan), np.full((3, 3), -1.0), PoseWithCovariance(np.full(3, nan), np.eye(3))
+        ),
+        records.Odometry(10**15, np.zeros(3), np.zeros((3, 3)), PoseWithCovariance(np.zeros(3), np.eye(3))),
     ]
     machine.send(bad)
     machine.feed([one for one in inputs if not isinstance(one, Hydraulics)])

@@ -15,27 +15,27 @@ def line() -> BaudLine:
 def test_a_character_arrives_when_its_last_bit_has() -> None:
     wire = line()
     wire.send(b"ab", 5_000_000)
-    assert wire.take(5_000_000 + CHAR_NS - 1) == b""
-    assert wire.take(5_000_000 + CHAR_NS) == b"a"
-    assert wire.take(5_000_000 + CHAR_NS) == b""
+    assert wire.read(5_000_000 + CHAR_NS - 1) == b""
+    assert wire.read(5_000_000 + CHAR_NS) == b"a"
+    assert wire.read(5_000_000 + CHAR_NS) == b""
     assert wire.busy_until_ns == 5_000_000 + 2 * CHAR_NS
-    assert wire.take(wire.busy_until_ns) == b"b"
+    assert wire.read(wire.busy_until_ns) == b"b"
 
 
 def test_bytes_wait_for_those_before_them() -> None:
     wire = line()
     wire.send(b"abc", 0)
     wire.send(b"d", CHAR_NS)
-    assert wire.take(3 * CHAR_NS) == b"abc"
-    assert wire.take(4 * CHAR_NS) == b"d"
+    assert wire.read(3 * CHAR_NS) == b"abc"
+    assert wire.read(4 * CHAR_NS) == b"d"
 
 
 def test_an_idle_line_does_not_save_up() -> None:
     wire = line()
     wire.send(b"a", 0)
     wire.send(b"b", 10 * CHAR_NS)
-    assert wire.take(10 * CHAR_NS) == b"a"
-    assert wire.take(11 * CHAR_NS) == b"b"
+    assert wire.read(10 * CHAR_NS) == b"a"
+    assert wire.read(11 * CHAR_NS) == b"b"
 
 
 def test_a_new_rate_holds_for_what_is_sent_from_then_on() -> None:
@@ -43,8 +43,8 @@ def test_a_new_rate_holds_for_what_is_sent_from_then_on() -> None:
     wire.send(b"a", 0)
     wire.baud = 22_000
     wire.send(b"bc", 0)
-    assert wire.take(CHAR_NS) == b"a"
-    assert wire.take(CHAR_NS + CHAR_NS // 2) == b"b"
+    assert wire.read(CHAR_NS) == b"a"
+    assert wire.read(CHAR_NS + CHAR_NS // 2) == b"b"
     assert wire.busy_until_ns == 2 * CHAR_NS
 
 
@@ -52,7 +52,7 @@ def test_nothing_sent_leaves_the_line_free() -> None:
     wire = line()
     wire.send(b"", 7)
     assert wire.busy_until_ns == 0
-    assert wire.take(7) == b""
+    assert wire.read(7) == b""
 
 
 def test_odd_rates_lose_and_repeat_nothing() -> None:
@@ -64,6 +64,6 @@ def test_odd_rates_lose_and_repeat_nothing() -> None:
         wire.send(data, now_ns)
         sent += data
         now_ns += rng.randrange(10_000_000)
-        received += wire.take(now_ns)
-    received += wire.take(wire.busy_until_ns)
+        received += wire.read(now_ns)
+    received += wire.read(wire.busy_until_ns)
     assert received == sent

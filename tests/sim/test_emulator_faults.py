@@ -97,7 +97,7 @@ def test_power_cycle_silences_and_boots():
     assert b"R " in b"".join(between(sent, 11.5, 12.0, 2))  # 5 s of initialisation
 
 
-def test_bus_off_is_told_and_so_is_the_restart():
+def test_bus_off_is_reported_and_so_is_the_restart():
     sent = run(Fault("can", "bus_off", 2.0, 1.0), seconds=4.0)
     (off,) = frames_between(sent, 2.0, 3.0)
     assert off[0] & ERROR_FLAG

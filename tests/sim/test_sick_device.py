@@ -59,7 +59,7 @@ class Terminal:
         return self.wait(wait_ns)
 
 
-def test_it_boots_deaf_and_then_announces_itself() -> None:
+def test_it_ignores_all_while_it_boots_and_then_reports_itself() -> None:
     device = SickDevice(PLS, START, stairs, 0)
     device.receive(frame(commands.STOP, TO_SENSOR), BOOT_NS - 1, None)
     assert device.bytes_ignored == 8

@@ -61,3 +61,16 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     missing = tmp_path / "no" / "out.json"
     with pytest.raises(InputError, match=r"--json: '.*out\.json' cannot be written"):
         run(parse("--scenario", "straight", "--json", str(missing)))
+
+
+def test_a_scenario_is_repeated_or_cut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ends = []
+    for options in (("--duration", "61"), ("--duration", "61", "--output", str(tmp_path / "bag"))):
+        assert run(parse("--scenario", "straight", "--mode", "thesis", *options)) == 0
+        report = json.loads(capsys.readouterr().out)
+        assert report["duration_s"] == pytest.approx(61.0)
+        ends.append(report["final"])
+    assert ends[0] == ends[1]
+    for refused in ("0", "-1", "nan", "1e9"):
+        with pytest.raises(InputError, match=r"--duration: .* s is refused; accepted: > 0 and <= 604800 s"):
+            run(parse("--scenario", "straight", "--duration", refused))

@@ -9,7 +9,7 @@ import pytest
 
 from trackslip_estimation.slip.measurements import PoseFix, Sprockets
 from trackslip_estimation.soil.soil_estimator import SoilState
-from trackslip_estimation.soil.strength_posterior import StrengthSummary
+from trackslip_estimation.soil.strength_summary import StrengthSummary
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.study.soil import Trial, drive, estimates, run
 from trackslip_sim.study.soil.parameters import SoilCell, load_soil_study_parameters, soil_cells

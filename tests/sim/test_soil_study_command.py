@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from trackslip_sim.study.slip.cache import Cache
+from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.soil import study as soil_study
 from trackslip_sim.study.soil.parameters import load_soil_study_parameters
@@ -27,7 +27,7 @@ def command(tmp_path: Path) -> list[str]:
 
 
 class Counted:
-    """``run`` without driving, told to stop at one of its calls."""
+    """``run`` without driving, which stops at one of its calls."""
 
     def __init__(self, stop_at: int | None = None) -> None:
         self.trials: list[Trial] = []
@@ -65,9 +65,9 @@ def test_it_writes_rows_and_tables(
     assert [row.keys() for row in rows] == [{field.name for field in fields(kind)} for kind in kinds]
     assert (rows[0]["F_max_inside"], rows[0]["seeds"]) == (2, 2)
     assert rows[4]["recognised_after"] is None  # never: JSON knows no infinity
-    shown, said = capsys.readouterr()
+    shown, error = capsys.readouterr()
     assert shown == (tmp_path / "soil_table.md").read_text()
-    assert said == ""
+    assert error == ""
     lines = [line for line in shown.splitlines() if line.startswith("|")]
     assert len(lines) == 2 + 4 + 2 + 2
     assert len({len(line) for line in lines[:6]}) == len({len(line) for line in lines[6:]}) == 1

@@ -9,20 +9,17 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.batch import Row, make_log
-from trackslip_estimation.slip.filter import Filter
-from trackslip_estimation.slip.models.model import (
-    DRIVEN,
-    POSE,
-    SPROCKETS,
-    Gaussian,
-    pose_measured,
-)
-from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
-from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters, make_filter
+from trackslip_estimation.slip.config import ConfigRecord, make_config
+from trackslip_estimation.slip.models import free_slips
+from trackslip_estimation.slip.models.dispatch import linearize, move, twist
+from trackslip_estimation.slip.models.model import GYRO_BIAS
+from trackslip_estimation.slip.models.model import POSE as OF_POSE
+from trackslip_estimation.slip.motion import Motion, MotionState, Speeds, smoothed
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.slip.records import MEASUREMENT, POSE, STATE
 from trackslip_sim.study.slip.drive import Drive, make_drive
 from trackslip_sim.study.slip.evaluate import evaluate, least, make_setting, score, trace
-from trackslip_sim.study.slip.kernels import bound
+from trackslip_sim.study.slip.kernels import Rows, bound
 from trackslip_sim.study.slip.parameters import MATCHED, SHEAR, Cell, StudyParameters, load_study_parameters
 from trackslip_sim.study.slip.results import Sums, mean_bounds, total
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial
@@ -52,6 +49,21 @@ def cell(truth: str = MATCHED, filter_: str = "ekf", sigma_xy: float = 0.02, soi
     return Cell(truth, soil, filter_, sigma_xy, 0.01)
 
 
+def speeds_of(drives: NDArray[np.void]) -> FloatArray:
+    """(k, 2) left and right, rad/s."""
+    return np.stack((drives["speeds"]["left"], drives["speeds"]["right"]), axis=1)
+
+
+def steady(drives: NDArray[np.void], p: SlipEstimatorParameters) -> FloatArray:
+    """(k, 2) the speeds that slips are computed from, rad/s."""
+    found = []
+    for drive in drives:
+        motion, changing, *rest = drive["motion"].item()
+        state = MotionState(Motion(motion), changing, *rest)
+        found.append(smoothed(Speeds(*drive["speeds"].item()), state, p.motion, p.encoder_resolution)[:2])
+    return np.array(found)
+
+
 def scored(setting: Setting, trial: Trial) -> Sums:
     return score(setting, trial, least(setting, trial))
 
@@ -63,16 +75,16 @@ def test_the_filters_get_counted_sprockets_and_the_truth_has_its_own(
     drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
 ) -> None:
     samples, step = drive.samples, estimator.encoder_resolution / PERIOD
-    truth, true = drive.truth, drive.true_speeds
+    truth, true = drive.truth, speeds_of(drive.true_drives)
     assert len(samples) == round(p.duration * p.sprocket_rate)
     np.testing.assert_allclose(truth.t[samples], PERIOD * np.arange(1, len(samples) + 1), atol=1e-9)
     np.testing.assert_allclose(np.cumsum(true[samples, 0]) * PERIOD, truth.left_angle[samples], atol=1e-9)
     np.testing.assert_allclose(np.cumsum(true[samples, 1]) * PERIOD, truth.right_angle[samples], atol=1e-9)
-    off = drive.rows.speeds[samples, :2] - true[samples, :2]
+    off = speeds_of(drive.rows.drives[samples]) - true[samples]
     assert step / 3.0 < np.abs(off).max() < step  # rad/s of one count
-    steady = truth.t[samples] % 6.0 > 5.0  # the slalom turns every six seconds
-    told = drive.told[0][samples] - true[samples, :2]
-    assert np.std(told[steady]) < np.std(off[steady]) / 3.0  # the estimator smooths what it tells slips by
+    straight = truth.t[samples] % 6.0 > 5.0  # the slalom turns every six seconds
+    smooth = steady(drive.rows.drives[samples], estimator) - true[samples]
+    assert np.std(smooth[straight]) < np.std(off[straight]) / 3.0
 
 
 def test_noise_is_as_large_as_the_filters_are_told(
@@ -81,11 +93,16 @@ def test_noise_is_as_large_as_the_filters_are_told(
     setting = make_setting(cell(SHEAR), drive, p, estimator)
     fixes, rates = drive.fixes, drive.rates
     trials = [make_trial(setting, seed) for seed in range(20)]
-    of_fixes = np.concatenate([t.log.values[fixes] - t.states[fixes, POSE] for t in trials])
+    of_fixes = np.concatenate(
+        [t.rows.measurements["value"][fixes] - t.states[fixes, OF_POSE] for t in trials]
+    )
     np.testing.assert_allclose(of_fixes.std(axis=0), (0.02, 0.02, p.sigma_heading), rtol=0.05)
-    of_rates = [t.log.values[rates, 0] - drive.truth.yaw_rate[rates] - t.states[0, -1] for t in trials]
+    of_rates = [
+        t.rows.measurements["value"][rates, 0] - drive.truth.yaw_rate[rates] - t.states[0, GYRO_BIAS]
+        for t in trials
+    ]
     assert np.std(of_rates) == pytest.approx(0.01, rel=0.05)
-    biases = {float(t.states[0, -1]) for t in trials}
+    biases = {float(t.states[0, GYRO_BIAS]) for t in trials}
     assert len(biases) == 20
 
 
@@ -98,10 +115,10 @@ def test_filters_are_compared_on_the_same_draws(
         for name in ("ekf", "daf", "ekf")
     )
     other = make_trial(make_setting(cell(truth, soil="dry_clay"), drive, p, estimator), seed=1)
-    for mine, its, repeated in zip(ekf.log, daf.log, again.log, strict=True):
-        np.testing.assert_array_equal(mine, its)
-        np.testing.assert_array_equal(mine, repeated)
-    assert not np.array_equal(ekf.log.values, other.log.values)
+    for mine, its, repeated in zip(ekf.rows, daf.rows, again.rows, strict=True):
+        assert (mine == its).all()
+        assert (mine == repeated).all()
+    assert not np.array_equal(ekf.rows.measurements["value"], other.rows.measurements["value"])
 
 
 def test_states_on_the_shear_truth_move_as_the_machine_does(
@@ -110,10 +127,9 @@ def test_states_on_the_shear_truth_move_as_the_machine_does(
     setting = make_setting(cell(SHEAR), drive, p, estimator)
     states, at = make_trial(setting, seed=0).states, drive.truth
     for k in range(100, len(states), 97):
-        speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]), PERIOD, differenced=False)
-        v_x, _, rate = setting.filter.outputs(Gaussian(states[k], np.eye(10)), speeds).twist
+        v_x, _, rate = twist(states[k], at.left_speed[k], at.right_speed[k], setting.linear[0])
         assert (v_x, rate) == pytest.approx((at.v_x[k], at.yaw_rate[k]), abs=1e-6)
-        np.testing.assert_array_equal(states[k, POSE], (at.x[k], at.y[k], at.yaw[k]))
+        np.testing.assert_array_equal(states[k, OF_POSE], (at.x[k], at.y[k], at.yaw[k]))
 
 
 def test_nothing_to_score_is_refused(estimator: SlipEstimatorParameters) -> None:
@@ -127,38 +143,36 @@ def test_nothing_to_score_is_refused(estimator: SlipEstimatorParameters) -> None
 
 def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters) -> None:
     """In the information form of Tichavský et al., F differentiated numerically, in a steady turn."""
-    filter_ = make_filter(estimator)
-    fix = pose_measured(np.zeros(3), np.diag((4e-4, 4e-4, 1e-4)), use_heading=True)
-    speeds, motion = Speeds(1.6, 1.2, PERIOD, differenced=True), MotionState(Motion.TURNING, changing=False)
-    rows = [Row(PERIOD, speeds, motion, 0, fix if k % 20 == 19 else DRIVEN) for k in range(60)]
-    log = make_log(rows)
-    start = filter_.initial(np.array((1.0, 2.0, 0.5)), np.diag((4e-4, 4e-4, 1e-4)))
-    states, J, x = [], np.linalg.inv(start.covariance), start.mean
-    H = np.eye(3, x.size)
-    for row in rows:
-        F, Q = _linearised(filter_, x, row)
+    config, rows = make_config(estimator), Rows(np.zeros(60, MEASUREMENT), np.zeros(60, STATE))
+    rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, 61)
+    rows.measurements["kind"][19::20] = POSE
+    rows.measurements["noise"] = fix = np.diag((4e-4, 4e-4, 1e-4))
+    rows.drives["speeds"] = (1.6, 1.2, PERIOD, True)
+    rows.drives["motion"]["motion"] = Motion.TURNING
+    x, P = config["prior_mean"][0].copy(), np.diag(config["prior_variance"][0])
+    x[OF_POSE], P[OF_POSE, OF_POSE] = (1.0, 2.0, 0.5), fix
+    start, states, J, H = x, [], np.linalg.inv(P), np.eye(3, x.size)
+    for measurement, drive in zip(*rows, strict=True):
+        F, Q = _linearised(x, drive, config)
         J = np.linalg.inv(F @ np.linalg.inv(J) @ F.T + Q)
-        if row.measured.kind != SPROCKETS:
-            J = J + H.T @ np.linalg.inv(row.measured.noise) @ H
-        x = filter_.step(Gaussian(x, Q), row.speeds, row.dt, row.motion, DRIVEN).predicted.mean
+        if measurement["kind"] == POSE:
+            J = J + H.T @ np.linalg.inv(fix) @ H
+        x = move(x, drive, PERIOD, config[0])
         states.append(x)
-    arrays = (log.times, log.speeds, log.flags, log.noises)
-    found = bound(*arrays, np.array(states), start.mean, start.covariance, filter_.constants)[-1]
+    found = bound(rows, np.array(states), start, P, config)[-1]
     wanted = np.linalg.inv(J)
     scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
     np.testing.assert_allclose(found / scale, wanted / scale, atol=1e-5)
 
 
-def _linearised(filter_: Filter, x: FloatArray, row: Row) -> tuple[FloatArray, FloatArray]:
-    """F by central differences, and Q: what a step makes of no uncertainty."""
-
-    def moved(state: FloatArray) -> Gaussian:
-        certain = Gaussian(state, np.zeros((x.size, x.size)))
-        return filter_.step(certain, row.speeds, row.dt, row.motion, DRIVEN).predicted
-
-    e = 1e-5
-    columns = [(moved(x + e * d).mean - moved(x - e * d).mean) / (2.0 * e) for d in np.eye(x.size)]
-    return np.stack(columns, axis=1), moved(x).covariance
+def _linearised(x: FloatArray, drive: np.void, config: ConfigRecord) -> tuple[FloatArray, FloatArray]:
+    """F by central differences, and Q at a state that is known."""
+    e, c = 1e-5, config[0]
+    columns = [
+        (move(x + e * d, drive, PERIOD, c) - move(x - e * d, drive, PERIOD, c)) / (2.0 * e)
+        for d in np.eye(x.size)
+    ]
+    return np.stack(columns, axis=1), linearize(x, np.zeros((x.size, x.size)), drive, PERIOD, c)[2]
 
 
 def test_where_all_is_linear_the_kalman_filter_attains_the_bound(
@@ -184,7 +198,7 @@ def test_bounds_of_a_mean_are_those_of_chi_squared() -> None:
 
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
-def test_on_its_own_model_a_filter_is_honest_and_near_the_bound(
+def test_on_its_own_model_a_filter_is_consistent_and_near_the_bound(
     filter_: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
 ) -> None:
     row = evaluate(cell(MATCHED, filter_), drive, p, estimator)
@@ -195,19 +209,34 @@ def test_on_its_own_model_a_filter_is_honest_and_near_the_bound(
         assert getattr(row, f"{name}_rmse") == pytest.approx(getattr(row, f"{name}_bound"), rel=0.25)
 
 
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+def test_a_model_with_a_smaller_state_is_consistent_too(filter_: str, p: StudyParameters) -> None:
+    """Its records are longer than its state: what is beyond has no variance and stays zero."""
+    estimator = load_slip_parameters({"model": "free_slips"})
+    drive = make_drive(p, estimator, "sand")
+    row = evaluate(cell(MATCHED, filter_), drive, p, estimator)
+    for name in ("nees_pose", "nees_slip", "nis_pose", "nis_yaw_rate"):
+        low, high = getattr(row, f"{name}_bounds")
+        assert low < getattr(row, name) < high
+    trial = make_trial(make_setting(cell(MATCHED, filter_), drive, p, estimator), seed=0)
+    assert not trial.states[:, free_slips.ACTIVE :].any()
+
+
 @pytest.mark.parametrize(("factor", "outside"), [(0.1, "above"), (10.0, "below")])
 def test_a_filter_with_false_noise_is_found_out(
     factor: float, outside: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
 ) -> None:
-    """It is told that fixes are better, or worse, than they are."""
+    """Its R says that fixes are better, or worse, than they are."""
     setting = make_setting(cell(MATCHED), drive, p, estimator)
 
-    def told(seed: int) -> Sums:
+    def misinformed(seed: int) -> Sums:
         trial = make_trial(setting, seed)
-        return scored(setting, trial._replace(log=trial.log._replace(noises=factor * trial.log.noises)))
+        measurements = trial.rows.measurements.copy()
+        measurements["noise"] *= factor
+        return scored(setting, trial._replace(rows=trial.rows._replace(measurements=measurements)))
 
     low, high = mean_bounds(3, SEEDS)
-    nees = float(np.mean(total(map(told, range(SEEDS))).nees[:, 0])) / SEEDS
+    nees = float(np.mean(total(map(misinformed, range(SEEDS))).nees[:, 0])) / SEEDS
     assert nees > high if outside == "above" else nees < low
 
 
@@ -226,7 +255,7 @@ def test_a_trace_shows_the_run_that_is_scored(
     later = found.t > p.settling
     for mine, its, columns in (
         (found.estimated_slips, found.slips, slice(3, 6)),
-        (found.estimated_poses, found.poses, POSE),
+        (found.estimated_poses, found.poses, OF_POSE),
     ):
         np.testing.assert_allclose(np.square(mine - its)[later], sums.squares[:, columns], atol=1e-9)
     assert (found.slip_deviations[later, :2] > 0.0).all()

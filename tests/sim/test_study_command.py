@@ -10,14 +10,12 @@ from typing import Any
 import pytest
 
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_sim.study.slip import run as study_run
-from trackslip_sim.study.slip.cache import Cache
+from trackslip_sim.study.slip import study as slip_study
 from trackslip_sim.study.slip.evaluate import evaluate
 from trackslip_sim.study.slip.figures import runs
 from trackslip_sim.study.slip.parameters import Cell, cells, load_study_parameters
 from trackslip_sim.study.slip.results import Row
-from trackslip_sim.study.slip.run import run_study
-from trackslip_sim.study.slip.table import markdown
+from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
 
 KEYS = {
@@ -35,7 +33,7 @@ def command(tmp_path: Path) -> list[str]:
 
 
 class Counted:
-    """``evaluate``, told to stop at one of its calls."""
+    """``evaluate``, which stops at one of its calls."""
 
     def __init__(self, stop_at: int | None = None) -> None:
         self.cells: list[Cell] = []
@@ -58,9 +56,9 @@ def test_it_writes_rows_table_and_figures(
     assert found == [(t, f, s) for t in ("shear", "matched") for f in ("ekf", "daf") for s in (0.01, 0.05)]
     assert all(row.keys() >= KEYS and row["soil"] == "sand" and row["seeds"] == 2 for row in rows)
     assert all(0.0 < row["position_rmse"] < 10.0 * row["position_bound"] for row in rows)
-    shown, said = capsys.readouterr()
+    shown, error = capsys.readouterr()
     assert shown == (tmp_path / "study_table.md").read_text()
-    assert said == ""  # no progress bar in a pipe
+    assert error == ""  # no progress bar in a pipe
     drawn = {path.name for path in (tmp_path / "figures").iterdir()}
     assert drawn == {
         f"study_{what}_{truth}.png" for what in ("rmse", "nees") for truth in ("shear", "matched")
@@ -71,29 +69,31 @@ def test_an_interrupted_study_goes_on(command: list[str], monkeypatch: pytest.Mo
     """Each cell is computed once, whatever happens in between."""
     first, second, third = Counted(stop_at=2), Counted(), Counted()
     for counted, code in ((first, 130), (second, 0), (third, 0)):
-        monkeypatch.setattr(study_run, "evaluate", counted)
+        monkeypatch.setattr(slip_study, "evaluate", counted)
         assert main([*command, "--sigma-xy", "0.01", "0.05", "--filter", "ekf"]) == code
     assert (len(first.cells), len(second.cells), len(third.cells)) == (2, 2, 0)
     assert len({*first.cells, *second.cells}) == 4
 
 
 def test_what_is_remembered_is_what_was_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    p = load_study_parameters({"scenario": "slalom", "duration": 9.0, "settling": 6.0, "seeds": 2})
-    p = replace(p, truths=("matched",), soils=("sand",), filters=("ekf",), sigma_xy=(0.05,))
-    estimator, file = load_slip_parameters(), tmp_path / "deep" / "cells.jsonl"
-    computed = list(run_study(p, estimator, Cache(file, Row)))
-    monkeypatch.setattr(study_run, "evaluate", Counted(stop_at=0))
-    assert list(run_study(p, estimator, Cache(file, Row))) == computed
-    for changed in (replace(p, seeds=3), replace(p, settling=5.0)):
+    file = tmp_path / "deep" / "cells.jsonl"
+    given = {"scenario": ["slalom"], "duration": 9.0, "settling": 6.0, "seeds": 2}
+    given |= {"truths": ["matched"], "soils": ["sand"], "filters": ["ekf"], "sigma_xy": [0.05]}
+
+    def study(*settings: str, fresh: bool = False, **changed: object) -> list[Row]:
+        return list(SlipStudy({**given, **changed}, settings).run(file, fresh=fresh))
+
+    computed = study()
+    monkeypatch.setattr(slip_study, "evaluate", Counted(stop_at=0))
+    assert study() == computed
+    for changed in ({"seeds": 3}, {"settling": 5.0}, {"fresh": True}):
         with pytest.raises(KeyboardInterrupt):
-            list(run_study(changed, estimator, Cache(file, Row)))
+            study(**changed)
     with pytest.raises(KeyboardInterrupt):
-        list(run_study(p, replace(estimator, encoder_resolution=1e-3), Cache(file, Row)))
-    with pytest.raises(KeyboardInterrupt):
-        list(run_study(p, estimator, Cache(file, Row, fresh=True)))
+        study("slip_estimator.encoder_resolution=1e-3")
     file.write_text(file.read_text()[:-20], encoding="utf-8")  # as a power cut leaves it
     with pytest.raises(KeyboardInterrupt):
-        list(run_study(p, estimator, Cache(file, Row)))
+        study()
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_bad_input_is_one_line(
 
 def test_the_table_marks_what_is_outside() -> None:
     row = _row(nees_pose=5.0, nees_slip=1.0)
-    lines = markdown([row, replace(row, truth="shear", nees_pose=3.0)]).splitlines()
+    lines = SlipStudy({}, []).markdown([row, replace(row, truth="shear", nees_pose=3.0)]).splitlines()
     assert len({len(line) for line in lines[:4]}) == 1
     assert ("5.00 ↑" in lines[2], "1.00 ↓" in lines[2], "3.00 " in lines[3]) == (True, True, True)
     assert "↑" not in lines[3]

@@ -10,8 +10,9 @@ from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.truth.kinematic import Turning, simulate_kinematic
+from trackslip_sim.truth.record import COLUMNS, joined
 from trackslip_sim.truth.settings import load_settings, load_vehicle
-from trackslip_sim.truth.simulate import simulate
+from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_pieces
 
 VEHICLE = load_vehicle()
 SETTINGS = load_settings()
@@ -88,3 +89,16 @@ def test_kinematic_circle_closes_on_its_radius() -> None:
 def test_unknown_mode_is_refused() -> None:
     with pytest.raises(InputError, match=r"mode: 'magic' is unknown; accepted: shear, thesis"):
         simulate(load_scenario("straight"), mode="magic")
+
+
+@pytest.mark.parametrize("mode", ["shear", "thesis"])
+def test_a_drive_in_pieces_is_the_drive_in_one(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = load_scenario("patches").stretched(7.003)
+    whole = simulate(scenario, mode=mode)
+    monkeypatch.setattr("trackslip_sim.truth.simulate.PIECE", 1.5)
+    pieces = list(simulate_in_pieces(scenario, mode=mode))
+    assert len(pieces) == 5
+    again = joined(pieces)
+    assert again.duration == whole.duration == duration_of(scenario, SETTINGS)
+    for name in (*COLUMNS, "soil_index"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))

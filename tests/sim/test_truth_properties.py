@@ -12,8 +12,8 @@ from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.ground import Ground, Patch, build_ground
 from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.rows import Column
-from trackslip_sim.truth.settings import load_settings, load_vehicle
-from trackslip_sim.truth.shear import run
+from trackslip_sim.truth.settings import TruthSettings, load_settings, load_vehicle
+from trackslip_sim.truth.shear import ShearDrive
 
 VEHICLE = load_vehicle()
 SETTINGS = load_settings()
@@ -34,12 +34,24 @@ def ground(name: str, *patches: Patch) -> Ground:
     return build_ground(SOILS[name], patches, SOILS)
 
 
+def run(
+    given_: FloatArray, on: Ground, relief: float = VEHICLE.relief_pressure, every: int = 10
+) -> FloatArray:
+    """Rows after each ``every`` steps, and the one at the start."""
+    return run_loaded(given_, on, relief, dataclasses.replace(SETTINGS, sample_period=every * SETTINGS.step))
+
+
+def run_loaded(given_: FloatArray, on: Ground, relief: float, loaded: TruthSettings) -> FloatArray:
+    machine = ShearDrive(on, VEHICLE, loaded, relief)
+    return np.vstack([machine.first(), machine.drive(given_)])
+
+
 @settings(max_examples=40, deadline=None)
 @given(segments=SEGMENTS, name=NAMES, relief=RELIEF)
 def test_mirrored_commands_give_the_mirrored_run(segments: list[Segment], name: str, relief: float) -> None:
     given_ = commands(segments)
-    rows = run(given_, ground(name), VEHICLE, SETTINGS, relief, 10)
-    mirrored = run(given_[:, ::-1], ground(name), VEHICLE, SETTINGS, relief, 10)
+    rows = run(given_, ground(name), relief)
+    mirrored = run(given_[:, ::-1], ground(name), relief)
     c = Column
     np.testing.assert_allclose(mirrored[:, [c.X, c.V_X]], rows[:, [c.X, c.V_X]], rtol=0, atol=1e-9)
     odd = [c.Y, c.YAW, c.V_Y, c.YAW_RATE]
@@ -54,8 +66,8 @@ def test_mirrored_commands_give_the_mirrored_run(segments: list[Segment], name: 
 def test_the_machine_has_no_preferred_end(segments: list[Segment], name: str) -> None:
     """Turned by π on the spot it is the same machine: reversed and swapped commands lead the other way."""
     given_ = commands(segments)
-    rows = run(given_, ground(name), VEHICLE, SETTINGS, VEHICLE.relief_pressure, 10)
-    turned = run(-given_[:, ::-1], ground(name), VEHICLE, SETTINGS, VEHICLE.relief_pressure, 10)
+    rows = run(given_, ground(name))
+    turned = run(-given_[:, ::-1], ground(name))
     np.testing.assert_allclose(turned[:, :2], -rows[:, :2], rtol=0, atol=1e-9)
     np.testing.assert_allclose(turned[:, 2], rows[:, 2], rtol=0, atol=1e-9)
 
@@ -79,9 +91,9 @@ def test_energy_is_only_lost_and_all_stays_finite(
     load_y: float,
     edge: float,
 ) -> None:
-    loaded = dataclasses.replace(SETTINGS, load_x=load_x, load_y=load_y)
+    loaded = dataclasses.replace(SETTINGS, load_x=load_x, load_y=load_y, sample_period=SETTINGS.step)
     patch = Patch(soil=other, from_x=edge, to_x=edge + 0.3, from_y=-0.2, to_y=3.0)
-    rows = run(commands(segments), ground(name, patch), VEHICLE, loaded, relief, 1)
+    rows = run_loaded(commands(segments), ground(name, patch), relief, loaded)
     assert np.isfinite(rows).all()
     c = Column
     assert np.abs(rows[:, c.TRACK_SPEED : c.TRACK_SPEED + 2]).max() < 0.51
@@ -96,5 +108,5 @@ def test_energy_is_only_lost_and_all_stays_finite(
 @given(segments=SEGMENTS, name=NAMES)
 def test_every_run_comes_to_rest(segments: list[Segment], name: str) -> None:
     stopped = [*segments, Segment(2.5, 0.0, 0.0)]
-    rows = run(commands(stopped), ground(name), VEHICLE, SETTINGS, VEHICLE.relief_pressure, 10)
+    rows = run(commands(stopped), ground(name))
     assert np.abs(rows[-1, [Column.V_X, Column.V_Y, Column.YAW_RATE]]).max() < 1e-5

@@ -169,7 +169,7 @@ class BagWriter:
 
     def _is_full(self, log_time_ns: int) -> bool:
         extent = self._file.extent
-        if not extent.count:
+        if not extent.count or self._split_size == self._split_ns == math.inf:
             return False
         span_ns = max(log_time_ns, extent.end_ns) - min(log_time_ns, extent.start_ns)
         return span_ns >= self._split_ns or self._file.size >= self._split_size

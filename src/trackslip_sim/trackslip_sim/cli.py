@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip simulate``: drives a scenario on the truth model, and tells where it ends."""
+"""``trackslip simulate``: drives a scenario on the truth model, and says where it ends."""
 
 import argparse
 import json
 import time
 from pathlib import Path
 
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, InputError
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario, scenario_names
 from trackslip_sim.truth.record import Truth
-from trackslip_sim.truth.simulate import MODES, simulate
+from trackslip_sim.truth.settings import load_settings
+from trackslip_sim.truth.simulate import MODES, duration_of, simulate_in_pieces
+from trackslip_sim.truth.window import TruthWindow
 from trackslip_tools.cli.json_file import write_json
 
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
 
+_LONGEST = 7 * 86_400.0  # s
 _FINAL = (
     *("x", "y", "yaw", "v_x", "yaw_rate"),
     *("left_slip", "right_slip", "left_thrust", "right_thrust"),
@@ -31,6 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{', '.join(scenario_names())}, or a YAML file",
     )
     parser.add_argument("--soil", metavar="S", help="soil outside the scenario's patches; default: its own")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds"
+    )
     parser.add_argument("--mode", choices=tuple(MODES), default="shear", help="which truth (default: shear)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensors' noise in the bag")
     parser.add_argument("--output", type=Path, metavar="BAG", help="write what the sensors would see")
@@ -43,13 +49,21 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: scenario or soil is refused, or a file cannot be written.
     """
-    scenario = load_scenario(arguments.scenario)
     begin = time.perf_counter()
-    truth = simulate(scenario, soil=arguments.soil, mode=arguments.mode)
-    report = summary(truth, time.perf_counter() - begin)
+    scenario = load_scenario(arguments.scenario)
+    if arguments.duration is not None:
+        if not 0.0 < arguments.duration <= _LONGEST:
+            raise InputError(
+                f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_LONGEST:g} s"
+            )
+        scenario = scenario.stretched(arguments.duration)
+    pieces = simulate_in_pieces(scenario, soil=arguments.soil, mode=arguments.mode)
+    drive = TruthWindow(pieces, duration_of(scenario, load_settings()))
     if arguments.output is not None:
         given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
-        record_drive(load_emulator_parameters(given), truth, arguments.output)
+        record_drive(load_emulator_parameters(given), drive, arguments.output)
+    drive.advance(drive.duration)
+    report = summary(drive.truth, time.perf_counter() - begin)
     print(json.dumps(report, indent=2))
     if arguments.json is not None:
         write_json(arguments.json, report)
@@ -57,6 +71,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def summary(truth: Truth, elapsed: float) -> dict[str, object]:
-    """What the JSON file holds: the last sample, the duration and the time it took, s."""
+    """What the JSON file holds: the last sample, the duration, and the time that all of it took, s."""
     final = {name: float(getattr(truth, name)[-1]) for name in _FINAL}
     return {"final": final, "duration_s": truth.duration, "elapsed_s": elapsed}

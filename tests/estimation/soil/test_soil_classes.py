@@ -2,6 +2,7 @@
 """Classes of soil, the line in (c, ϕ), and the reserve of thrust."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,15 +12,16 @@ from trackslip_common.soils import Soil, load_soils, soil
 from trackslip_estimation.soil.classes import NONE, ClassesParameters, SoilClasses, limit_of, strength_line
 from trackslip_estimation.soil.reserve import thrust_reserve
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.strength_posterior import StrengthPosterior
+from trackslip_estimation.soil.strength_grid import StrengthGrid
 
 FloatArray = NDArray[np.float64]
 
 P = load_soil_parameters()
 SOILS = load_soils()
-POSTERIOR = StrengthPosterior(P.strength, P.vehicle)
-AXES = (POSTERIOR.log_moduli, POSTERIOR.log_limits)
-CLASSES = SoilClasses(P.classes, SOILS.values(), P.vehicle, *AXES)
+# Without errors that never average: what is looked at is what the cells say
+GRID = StrengthGrid(replace(P.strength, slip_bias_stddev=0.0, thrust_scale_stddev=0.0), P.vehicle)
+AXES = (GRID.log_moduli, GRID.log_limits)
+CLASSES = SoilClasses(P.classes, SOILS.values(), P.vehicle, GRID)
 
 
 def posterior_about(modulus: float, limit: float, spread: float = 0.03) -> FloatArray:
@@ -58,7 +60,7 @@ def test_a_soil_without_modulus_may_have_any() -> None:
 
 def test_without_known_soils_none_is_certain() -> None:
     parameters = ClassesParameters(modulus_spread=0.3, limit_spread=0.05, none_prior=0.1)
-    alone = SoilClasses(parameters, [], P.vehicle, *AXES)
+    alone = SoilClasses(parameters, [], P.vehicle, GRID)
     assert alone.probabilities(posterior_about(0.01, 3000.0)) == {NONE: pytest.approx(1.0)}
 
 
@@ -72,9 +74,20 @@ def test_every_soil_on_the_line_has_the_strength() -> None:
     assert limit_of(between, P.vehicle) == pytest.approx(limit)
 
 
+def test_errors_that_never_average_come_in_as_if_the_cells_were_spread() -> None:
+    grid = StrengthGrid(P.strength, P.vehicle)
+    sure = posterior_about(0.01, 3600.0)
+    spread = SoilClasses(P.classes, SOILS.values(), P.vehicle, grid).probabilities(sure)
+    assert spread == pytest.approx(CLASSES.probabilities(grid.spread(sure)), rel=1e-9)
+    assert grid.of_moduli(sure) == pytest.approx(grid.spread(sure).sum(axis=1), abs=1e-12)
+    assert grid.of_limits(sure) == pytest.approx(grid.spread(sure).sum(axis=0), abs=1e-12)
+
+
 def test_the_reserve_falls_to_nothing_at_the_limit() -> None:
     marginal = posterior_about(0.01, 3000.0).sum(axis=0)
-    unloaded, half, spent = (thrust_reserve(f, 900.0, AXES[1], marginal, 0.9) for f in (0.0, -1500.0, 2990.0))
+    unloaded, half, spent = (
+        thrust_reserve(f, 900.0, GRID.limits, marginal, 0.9) for f in (0.0, -1500.0, 2990.0)
+    )
     assert unloaded == (1.0, pytest.approx(0.0, abs=1e-12))
     assert half.share == pytest.approx(0.5, abs=0.01)
     assert half.exhausted < 1e-6
@@ -84,4 +97,4 @@ def test_the_reserve_falls_to_nothing_at_the_limit() -> None:
 
 def test_the_warning_is_open_where_the_strength_is() -> None:
     flat = np.full(AXES[1].size, 1.0 / AXES[1].size)
-    assert 0.2 < thrust_reserve(3000.0, 900.0, AXES[1], flat, 0.9).exhausted < 0.8
+    assert 0.2 < thrust_reserve(3000.0, 900.0, GRID.limits, flat, 0.9).exhausted < 0.8

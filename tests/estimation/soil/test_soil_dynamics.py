@@ -5,14 +5,15 @@ from functools import cache
 
 import numpy as np
 import pytest
+from fixtures.soil_samples import Sample
 
 from trackslip_common.soils import soil
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.soil.dynamics import Dynamics
+from trackslip_estimation.soil.dynamics import MU_L, MU_R, new_dynamics, step
+from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilState
-from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.thrust import Thrust
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.record import Truth
@@ -23,7 +24,6 @@ MOTION = load_slip_parameters().motion
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 SEGMENTS = ((4.0, 0.0, 0.0), (6.0, 2.0, 2.0), (6.0, 1.0, 2.2), (3.0, 1.8, 1.8), (6.0, 2.2, 1.2))
 TURNS, STRAIGHT = ((12.0, 16.0), (21.0, 25.0)), ((6.0, 10.0), (17.5, 19.0))  # s, the steady parts
-STILL = np.zeros((3, 3))
 
 
 @cache
@@ -66,13 +66,33 @@ def test_lateral_resistance_is_held_while_driving_straight() -> None:
     assert max(held) - min(held) < 1e-3 < 0.2 < held[0]
 
 
+class Filter:
+    """Sub-model 2, and steps of 0.01 s for it."""
+
+    def __init__(self, p: SoilEstimatorParameters = P) -> None:
+        self._state, self._numbers = new_dynamics(p.dynamics), record_of(p)
+
+    @property
+    def mu(self) -> np.ndarray:
+        return self._state["mean"][0, [MU_R, MU_L]]
+
+    @property
+    def mu_variance(self) -> np.ndarray:
+        return self._state["covariance"][0, [MU_R, MU_L], [MU_R, MU_L]]
+
+    def step(self, motion: Motion, twist: np.ndarray, forces: np.ndarray | None, stddev: float) -> None:
+        tracks, covariance = np.array((0.0, twist[2])), stddev**2 * np.eye(3)
+        moment = Sample(0.01, tracks, twist, covariance, forces, np.full(2, 100.0), motion)
+        sample, thrust = moment.records()
+        step(self._state[0], sample[0], thrust[0], self._numbers[0])
+
+
 def steady(
     thrust: tuple[float, float], motion: Motion, twist: tuple[float, float, float], s: float
-) -> Dynamics:
-    dynamics = Dynamics(P.dynamics, P.vehicle)
-    forces = Thrust(np.array(thrust), np.full(2, 100.0))
+) -> Filter:
+    dynamics = Filter()
     for _ in range(round(s / 0.01)):
-        dynamics.step(0.01, motion, np.array(twist), 1e-6 * np.eye(3), twist[2], forces)
+        dynamics.step(motion, np.array(twist), np.array(thrust), 1e-3)
     return dynamics
 
 
@@ -96,23 +116,21 @@ def test_an_uncertain_inertia_shows_while_the_turn_begins() -> None:
     """The same accelerated turn: with I_z less known μ_l comes out less certain."""
     deviations = []
     for inertia in (0.0, 0.5):
-        p = load_soil_parameters({"dynamics.yaw_inertia_stddev": inertia})
-        dynamics = Dynamics(p.dynamics, p.vehicle)
-        forces = Thrust(np.array((0.0, 3000.0)), np.full(2, 100.0))
+        dynamics = Filter(load_soil_parameters({"dynamics.yaw_inertia_stddev": inertia}))
         for k in range(50):
             twist = np.array((0.3, 0.0, 0.5 * (k + 1) * 0.01))
-            dynamics.step(0.01, Motion.TURNING, twist, 1e-6 * np.eye(3), 1.0, forces)
-        deviations.append(np.sqrt(dynamics.mu_covariance[1, 1]))
+            dynamics.step(Motion.TURNING, twist, np.array((0.0, 3000.0)), 1e-3)
+        deviations.append(np.sqrt(dynamics.mu_variance[1]))
     assert deviations[1] > 1.5 * deviations[0]
 
 
 def test_without_thrusts_the_coefficients_are_held_and_grow_uncertain_while_driving_only() -> None:
     dynamics = steady((1000.0, 1000.0), Motion.STRAIGHT, (0.3, 0.0, 0.0), 10.0)
-    before, variance = dynamics.mu.copy(), dynamics.mu_covariance[0, 0]
+    before, variance = dynamics.mu.copy(), dynamics.mu_variance[0]
     for _ in range(500):
-        dynamics.step(0.01, Motion.STANDING, np.zeros(3), STILL, 0.0, None)
-    assert dynamics.mu_covariance[0, 0] == variance
+        dynamics.step(Motion.STANDING, np.zeros(3), None, 0.0)
+    assert dynamics.mu_variance[0] == variance
     for _ in range(500):
-        dynamics.step(0.01, Motion.STRAIGHT, np.array((0.3, 0.0, 0.0)), STILL, 0.0, None)
+        dynamics.step(Motion.STRAIGHT, np.array((0.3, 0.0, 0.0)), None, 0.0)
     np.testing.assert_array_equal(dynamics.mu, before)
-    assert dynamics.mu_covariance[0, 0] > 4.0 * variance
+    assert dynamics.mu_variance[0] > 4.0 * variance

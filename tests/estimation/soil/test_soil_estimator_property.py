@@ -11,7 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SoilInput, TrackForces
+from trackslip_estimation.soil.records import (
+    Hydraulics,
+    Odometry,
+    PoseWithCovariance,
+    Slips,
+    SoilInput,
+    TrackForces,
+)
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
@@ -25,10 +32,10 @@ stamps = st.one_of(st.integers(0, 50), st.integers(-(10**6), 10**6)).map(lambda 
 variances = st.one_of(st.floats(0.0, 1e-2), st.floats(-1.0, 1e6))
 triples = st.tuples(numbers, numbers, numbers).map(np.array)
 covariances = st.tuples(variances, variances, variances).map(np.diag)
-places = st.builds(Place, triples, covariances)
+poses = st.builds(PoseWithCovariance, triples, covariances)
 inputs = st.one_of(
     st.builds(Hydraulics, stamps, numbers, numbers, numbers, numbers),
-    st.builds(Odometry, stamps, triples, covariances, places),
+    st.builds(Odometry, stamps, triples, covariances, poses),
     st.builds(Slips, stamps, triples, st.sampled_from(Motion)),
 )
 
@@ -41,7 +48,7 @@ def drives(draw: st.DrawFn) -> list[SoilInput]:
         stamp_ns = 1_000_000_000 + 10 * k * MS
         chosen += [
             Hydraulics(stamp_ns - 3 * MS, *(draw(numbers) for _ in range(4))),
-            Odometry(stamp_ns, draw(triples), draw(covariances), draw(places)),
+            Odometry(stamp_ns, draw(triples), draw(covariances), draw(poses)),
             Slips(stamp_ns, draw(triples), draw(st.sampled_from(Motion))),
             *draw(st.lists(inputs, max_size=1)),
         ]

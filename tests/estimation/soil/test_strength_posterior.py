@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""K and F_max from slip and thrust: exact data, honest intervals, changes of soil, outliers."""
+"""K and F_max from slip and thrust: exact data, consistent intervals, changes of soil, outliers."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.soil_samples import Sample, Strength
 from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.records import Place
-from trackslip_estimation.soil.shear_field import carry, element_places, shares
+from trackslip_estimation.soil.shear_field import (
+    Contact,
+    Rolling,
+    SlidingError,
+    carry,
+    element_places,
+    mobilised,
+    shares,
+)
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.strength_posterior import StrengthPosterior, StrengthSample, Use
+from trackslip_estimation.soil.strength_posterior import SampleOutcome, StrengthPosterior
 from trackslip_estimation.terramechanics.traction import thrust
 
 FloatArray = NDArray[np.float64]
@@ -24,82 +32,84 @@ SPEED = 0.35  # m/s of the tracks
 MODULUS, LIMIT = 0.01, 3640.0
 STEP = STRENGTH.interval
 NONE = np.zeros(2)
-HERE = Place(np.zeros(3), 1e-6 * np.eye(3))
+NO_ERROR = SlidingError(NONE, NONE)
 
 
-def straight(slip: float, force: float, *, stddev: float = 1e-4, dt: float = STEP) -> StrengthSample:
+def straight(slip: float, force: float, *, stddev: float = 1e-4, dt: float = STEP) -> Sample:
     """Both tracks with the same slip, called a turn: there slips count; ``stddev`` is that of the slip."""
     twist = np.array((SPEED * (1.0 - slip), 0.0, 0.0))
     covariance = np.diag(np.square((stddev * SPEED, 1e-4, 1e-4)))
     tracks, thrusts, variances = np.full(2, SPEED), np.full(2, force), np.full(2, 25.0)
-    return StrengthSample(dt, tracks, twist, covariance, thrusts, variances, Motion.TURNING, HERE)
+    return Sample(dt, tracks, twist, covariance, thrusts, variances, Motion.TURNING)
 
 
 def force_of(slip: float, modulus: float = MODULUS, limit: float = LIMIT) -> float:
     return float(thrust(slip, limit, modulus, LENGTH))
 
 
-def settle(posterior: StrengthPosterior, sample: StrengthSample) -> None:
+def settle(strength: Strength, sample: Sample) -> None:
     """Roll a track's length without knowing the thrusts: then the soil under it is in its steady state."""
     for _ in range(5):
-        posterior.update(replace(sample, dt=1.0, thrusts=np.full(2, np.nan)))
+        strength.update(replace(sample, dt=1.0, thrusts=None))
 
 
-def fed(posterior: StrengthPosterior, slips: FloatArray, seconds: float, **soil: float) -> StrengthPosterior:
+def fed(strength: Strength, slips: FloatArray, seconds: float, **soil: float) -> StrengthPosterior:
     """After ``seconds`` of steady straight driving at each slip."""
     for slip in slips:
-        settle(posterior, straight(slip, 0.0))
+        settle(strength, straight(slip, 0.0))
         for _ in range(round(seconds / STEP)):
-            posterior.update(straight(slip, force_of(slip, **soil)))
-    return posterior
+            strength.update(straight(slip, force_of(slip, **soil)))
+    return strength.posterior
 
 
-def new_posterior(**changes: float) -> StrengthPosterior:
+def new_strength(**changes: float) -> Strength:
     """On a smaller grid, which is quick."""
     small = replace(STRENGTH, lowest_modulus=0.002, highest_modulus=0.06, modulus_cells=48, limit_cells=64)
-    return StrengthPosterior(replace(small, **changes), VEHICLE)
+    return Strength(replace(small, **changes), VEHICLE)
 
 
 @pytest.mark.parametrize("slip", [0.002, 0.0072, 0.05, 0.3, -0.01])
 @pytest.mark.parametrize("speed", [SPEED, -SPEED])
 def test_steady_straight_motion_is_3_3(slip: float, speed: float) -> None:
     x_e = element_places(LENGTH, 64)
-    twist, tracks = np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed)
+    rolling = Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed))
+    contact = Contact(x_e, HALF_TREAD)
     j = np.zeros((2, 64, 2))
     for _ in range(40):
-        j = carry(j, twist, tracks, x_e, HALF_TREAD, STEP)
+        j = carry(j, rolling, contact, STEP)
     q = np.empty((2, 1))
-    shares(j, twist, tracks, NONE, NONE, x_e, HALF_TREAD, np.array((MODULUS,)), q)
+    shares(j, rolling, NO_ERROR, contact, np.array((MODULUS,)), q)
     assert q[:, 0] == pytest.approx(np.sign(speed) * force_of(slip, limit=1.0), rel=2e-3)
 
 
 def test_an_error_of_the_twist_acts_as_if_it_had_been_so_all_along() -> None:
-    x_e, tracks = element_places(LENGTH, 16), np.array((0.2, 0.35))
+    contact, tracks = Contact(element_places(LENGTH, 16), HALF_TREAD), np.array((0.2, 0.35))
     twist, error = np.array((0.25, 0.01, 0.1)), np.array((0.01, -0.004, 0.02))
     q, other = np.empty((2, 3)), np.empty((2, 3))
     moduli = np.array((0.005, 0.02, 0.08))
-    settled = carry(np.zeros((2, 16, 2)), twist, tracks, x_e, HALF_TREAD, 60.0)
+    rolling, other_rolling = Rolling(twist, tracks), Rolling(twist + error, tracks)
+    settled = carry(np.zeros((2, 16, 2)), rolling, contact, 60.0)
     along = error[0] + HALF_TREAD * error[2] * np.array((-1.0, 1.0))
-    shares(settled, twist, tracks, along, error[1:], x_e, HALF_TREAD, moduli, q)
-    moved = carry(np.zeros((2, 16, 2)), twist + error, tracks, x_e, HALF_TREAD, 60.0)
-    shares(moved, twist + error, tracks, NONE, NONE, x_e, HALF_TREAD, moduli, other)
+    shares(settled, rolling, SlidingError(along, error[1:]), contact, moduli, q)
+    moved = carry(np.zeros((2, 16, 2)), other_rolling, contact, 60.0)
+    shares(moved, other_rolling, NO_ERROR, contact, moduli, other)
     np.testing.assert_allclose(q, other, atol=1e-12)
 
 
 def test_many_short_steps_carry_as_one_long_one() -> None:
-    x_e, tracks, twist = element_places(LENGTH, 16), np.array((0.35, 0.2)), np.array((0.28, 0.02, -0.1))
-    once = carry(np.zeros((2, 16, 2)), twist, tracks, x_e, HALF_TREAD, 20.0)
+    contact = Contact(element_places(LENGTH, 16), HALF_TREAD)
+    rolling = Rolling(np.array((0.28, 0.02, -0.1)), np.array((0.35, 0.2)))
+    once = carry(np.zeros((2, 16, 2)), rolling, contact, 20.0)
     often = np.zeros((2, 16, 2))
     for _ in range(100):
-        often = carry(often, twist, tracks, x_e, HALF_TREAD, STEP)
+        often = carry(often, rolling, contact, STEP)
     np.testing.assert_allclose(often[:, :, 0], once[:, :, 0], atol=1e-9)  # grows evenly
     np.testing.assert_allclose(often[:, :, 1], once[:, :, 1], atol=0.015)  # bends between the centres
 
 
 def test_exact_data_give_both_parameters_back() -> None:
     sure = replace(STRENGTH, slip_bias_stddev=0.0, thrust_share_stddev=0.002, thrust_scale_stddev=0.0)
-    posterior = StrengthPosterior(sure, VEHICLE)
-    found = fed(posterior, np.array((0.003, 0.0072, 0.03, 0.2)), 15.0).summary()
+    found = fed(Strength(sure, VEHICLE), np.array((0.003, 0.0072, 0.03, 0.2)), 15.0).summary()
     assert found.shear_modulus == pytest.approx(MODULUS, rel=0.05)
     assert found.thrust_limit == pytest.approx(LIMIT, rel=0.01)
     assert found.identifiable
@@ -107,23 +117,30 @@ def test_exact_data_give_both_parameters_back() -> None:
 
 
 def test_small_slips_alone_tell_only_the_ratio() -> None:
-    posterior = fed(new_posterior(), np.array((0.004, 0.006)), 20.0, modulus=0.03)
+    posterior = fed(new_strength(), np.array((0.004, 0.006)), 20.0, modulus=0.03)
     found = posterior.summary()
     assert not found.identifiable
     assert found.reason.startswith("F_max")
-    ratio = posterior.log_moduli[:, None] - posterior.log_limits[None, :]
-    mean = np.sum(posterior.grid * ratio)
-    assert np.sqrt(np.sum(posterior.grid * (ratio - mean) ** 2)) < 0.4
+    grid = posterior.grid
+    ratio = grid.log_moduli[:, None] - grid.log_limits[None, :]
+    cells = grid.spread(posterior.cells)
+    mean = np.sum(cells * ratio)
+    assert np.sqrt(np.sum(cells * (ratio - mean) ** 2)) < 0.4
     assert found.thrust_limit_interval[1] > 2.0 * found.thrust_limit_interval[0]
 
 
+@pytest.mark.parametrize("ratio", [0.0, 1e-12, 1e-3, 0.7, 5.0, 39.0, 1e3])
+def test_the_mobilised_share_is_exact_to_rounding(ratio: float) -> None:
+    assert mobilised(ratio) == pytest.approx(-np.expm1(-ratio), rel=1e-14)
+
+
 def test_a_slip_within_its_error_leaves_the_modulus_open() -> None:
-    posterior = new_posterior()
+    strength = new_strength()
     for _ in range(100):
-        posterior.update(straight(0.25, force_of(0.25, 0.006, 4233.0)))
+        strength.update(straight(0.25, force_of(0.25, 0.006, 4233.0)))
     for _ in range(200):
-        posterior.update(straight(0.0016, force_of(0.0016, 0.006, 4233.0), stddev=0.005))
-    found = posterior.summary()
+        strength.update(straight(0.0016, force_of(0.0016, 0.006, 4233.0), stddev=0.005))
+    found = strength.posterior.summary()
     assert not found.identifiable
     assert found.reason.startswith("K")
     low, high = found.shear_modulus_interval
@@ -144,14 +161,14 @@ def test_intervals_cover_as_often_as_they_say() -> None:
         "change_distance": 1e6,
     }
     for _ in range(runs):
-        posterior = new_posterior(**lasting, **small, thrust_stddev=scatter * LIMIT)
+        strength = new_strength(**lasting, **small, thrust_stddev=scatter * LIMIT)
         for slip in np.tile((0.0072, 0.03, 0.15), 4):
             error, off = random.standard_normal(2) * (stddev, scatter * LIMIT)
             sample = straight(slip + error, force_of(slip) + off, stddev=stddev, dt=1.0)
-            settle(posterior, sample)
+            settle(strength, sample)
             for _ in range(round(STRENGTH.correlation_time)):
-                posterior.update(sample)
-        found = posterior.summary()
+                strength.update(sample)
+        found = strength.posterior.summary()
         intervals = (found.shear_modulus_interval, found.thrust_limit_interval)
         for k, (truth, (low, high)) in enumerate(zip((MODULUS, LIMIT), intervals, strict=True)):
             covered[k] += low <= truth <= high
@@ -160,43 +177,45 @@ def test_intervals_cover_as_often_as_they_say() -> None:
 
 
 def test_another_soil_shows_within_seconds() -> None:
-    posterior = fed(new_posterior(), np.array((0.0072, 0.2, 0.01, 0.3)), 15.0)
-    assert posterior.summary().thrust_limit == pytest.approx(LIMIT, rel=0.05)
-    before = posterior.effective_samples
-    fed(posterior, np.array((0.2,)), 10.0, modulus=0.006, limit=2650.0)
-    found = posterior.summary()
+    strength = new_strength()
+    fed(strength, np.array((0.0072, 0.2, 0.01, 0.3)), 15.0)
+    assert strength.posterior.summary().thrust_limit == pytest.approx(LIMIT, rel=0.05)
+    before = strength.posterior.effective_samples
+    fed(strength, np.array((0.2,)), 10.0, modulus=0.006, limit=2650.0)
+    found = strength.posterior.summary()
     assert found.thrust_limit == pytest.approx(2650.0, rel=0.05)
     assert found.effective_samples < 0.5 * before
 
 
 def test_one_wrong_sample_changes_nothing() -> None:
-    posterior = fed(new_posterior(), np.array((0.0072, 0.2)), 20.0)
-    before = posterior.summary()
-    posterior.update(straight(0.2, -9000.0))
-    after = posterior.summary()
+    strength = new_strength()
+    fed(strength, np.array((0.0072, 0.2)), 20.0)
+    before = strength.posterior.summary()
+    strength.update(straight(0.2, -9000.0))
+    after = strength.posterior.summary()
     assert after.thrust_limit == pytest.approx(before.thrust_limit, rel=0.01)
     assert after.shear_modulus == pytest.approx(before.shear_modulus, rel=0.02)
 
 
 def test_more_samples_of_one_moment_tell_no_more() -> None:
     """At 100 Hz as at 5 Hz: what counts is how long, not how often."""
-    often, seldom = new_posterior(), new_posterior()
+    often, seldom = new_strength(), new_strength()
     sample = straight(0.1, force_of(0.1))
     for _ in range(400):
         often.update(replace(sample, dt=0.01))
     for _ in range(20):
         seldom.update(replace(sample, dt=0.2))
-    assert often.effective_samples == pytest.approx(seldom.effective_samples)
-    np.testing.assert_allclose(often.grid, seldom.grid, atol=1e-9)
+    assert often.posterior.effective_samples == pytest.approx(seldom.posterior.effective_samples)
+    np.testing.assert_allclose(often.posterior.cells, seldom.posterior.cells, atol=1e-9)
 
 
 def test_an_error_that_lasts_bounds_what_is_learned() -> None:
     """With an uncertain rolling radius the interval of K stops shrinking."""
     widths = []
     for lasting in (0.0, 0.002):
-        posterior = new_posterior(slip_bias_stddev=lasting, change_distance=1e6)
+        strength = new_strength(slip_bias_stddev=lasting, change_distance=1e6)
         for _ in range(2):
-            low, high = fed(posterior, np.array((0.0072, 0.2)), 30.0).summary().shear_modulus_interval
+            low, high = fed(strength, np.array((0.0072, 0.2)), 30.0).summary().shear_modulus_interval
             widths.append(np.log(high / low))
     sure_before, sure_after, before, after = widths
     assert sure_after < 0.92 * sure_before
@@ -205,23 +224,24 @@ def test_an_error_that_lasts_bounds_what_is_learned() -> None:
 
 
 def test_either_track_alone_will_do() -> None:
-    posterior = new_posterior()
+    strength = new_strength()
     for slip in (0.0072, 0.2):
         for _ in range(100):
             sample = straight(slip, force_of(slip))
             assert (
-                posterior.update(replace(sample, thrusts=np.array((np.nan, sample.thrusts[1])))) is Use.USED
+                strength.update(replace(sample, thrusts=np.array((np.nan, sample.thrusts[1]))))
+                is SampleOutcome.USED
             )
-    assert posterior.summary().thrust_limit == pytest.approx(LIMIT, rel=0.05)
+    assert strength.posterior.summary().thrust_limit == pytest.approx(LIMIT, rel=0.05)
 
 
 def test_standing_teaches_nothing() -> None:
-    posterior = new_posterior()
+    strength = new_strength()
     covariance, force = 1e-6 * np.eye(3), np.zeros(2)
-    still = StrengthSample(STEP, NONE, np.zeros(3), covariance, force, np.ones(2), Motion.STANDING, HERE)
-    assert posterior.update(still) is Use.STANDING
-    assert posterior.effective_samples == 0.0
-    assert posterior.summary().reason == "too little driving yet"
+    still = Sample(STEP, NONE, np.zeros(3), covariance, force, np.ones(2), Motion.STANDING)
+    assert strength.update(still) is SampleOutcome.STANDING
+    assert strength.posterior.effective_samples == 0.0
+    assert strength.posterior.summary().reason == "too little driving yet"
 
 
 def test_an_empty_range_is_refused() -> None:

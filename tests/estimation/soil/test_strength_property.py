@@ -4,15 +4,15 @@
 from dataclasses import replace
 
 import numpy as np
+from fixtures.soil_samples import Sample, Strength
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.records import Place
+from trackslip_estimation.soil.records import PoseWithCovariance
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.strength_posterior import StrengthPosterior, StrengthSample, Use
 
 FloatArray = NDArray[np.float64]
 
@@ -24,32 +24,32 @@ NUMBERS = ANY | LIKELY
 
 
 @st.composite
-def samples(draw: st.DrawFn) -> StrengthSample:
+def samples(draw: st.DrawFn) -> Sample:
     root = draw(arrays(np.float64, (3, 3), elements=st.floats(-0.1, 0.1)))
     covariance = draw(st.just(root @ root.T) | arrays(np.float64, (3, 3), elements=NUMBERS))
-    return StrengthSample(
+    return Sample(
         dt=draw(st.just(P.strength.interval) | ANY),
         tracks=draw(arrays(np.float64, 2, elements=NUMBERS)),
         twist=draw(arrays(np.float64, 3, elements=NUMBERS)),
         twist_covariance=covariance,
-        thrusts=draw(arrays(np.float64, 2, elements=ANY | st.floats(-1e4, 1e4))),
+        thrusts=draw(st.none() | arrays(np.float64, 2, elements=ANY | st.floats(-1e4, 1e4))),
         thrust_variances=draw(arrays(np.float64, 2, elements=ANY | st.floats(0.0, 1e6))),
         motion=draw(st.sampled_from(Motion)),
-        place=Place(draw(arrays(np.float64, 3, elements=NUMBERS)), covariance),
+        pose=PoseWithCovariance(draw(arrays(np.float64, 3, elements=NUMBERS)), covariance),
     )
 
 
 @settings(deadline=None, max_examples=150)
 @given(st.lists(samples(), min_size=1, max_size=4))
-def test_any_input_leaves_a_distribution(given_samples: list[StrengthSample]) -> None:
-    posterior = StrengthPosterior(SMALL, P.vehicle)
+def test_any_input_leaves_a_distribution(given_samples: list[Sample]) -> None:
+    strength = Strength(SMALL, P.vehicle)
     for sample in given_samples:
-        assert posterior.update(sample) in Use
-        grid = posterior.grid
-        assert np.isfinite(grid).all()
-        assert (grid >= 0.0).all()
-        assert abs(grid.sum() - 1.0) < 1e-9
-        found = posterior.summary()
+        strength.update(sample)
+        cells = strength.posterior.cells
+        assert np.isfinite(cells).all()
+        assert (cells >= 0.0).all()
+        assert abs(cells.sum() - 1.0) < 1e-9
+        found = strength.posterior.summary()
         for value, (low, high) in (
             (found.shear_modulus, found.shear_modulus_interval),
             (found.thrust_limit, found.thrust_limit_interval),
@@ -68,11 +68,11 @@ def test_left_and_right_turns_teach_the_same(
     thrusts = np.array((-600.0, 3000.0))
     grids = []
     for mirrored in (False, True):
-        posterior = StrengthPosterior(SMALL, P.vehicle)
+        strength = Strength(SMALL, P.vehicle)
         way = np.array((-1.0, 1.0, -1.0)) if reverse else np.array((1.0, -1.0, -1.0))
         order = slice(None) if reverse else slice(None, None, -1)
         sign = -1.0 if reverse else 1.0
-        sample = StrengthSample(
+        sample = Sample(
             P.strength.interval,
             sign * tracks[order] if mirrored else tracks,
             way * twist if mirrored else twist,
@@ -80,9 +80,9 @@ def test_left_and_right_turns_teach_the_same(
             sign * thrusts[order] if mirrored else thrusts,
             np.full(2, 100.0),
             Motion.TURNING,
-            Place(np.zeros(3), np.eye(3)),
+            PoseWithCovariance(np.zeros(3), np.eye(3)),
         )
         for _ in range(5):
-            posterior.update(sample)
-        grids.append(posterior.grid)
+            strength.update(sample)
+        grids.append(strength.posterior.cells)
     np.testing.assert_allclose(grids[1], grids[0], rtol=1e-6, atol=1e-12)

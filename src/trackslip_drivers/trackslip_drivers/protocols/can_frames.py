@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 import cantools
 from cantools.database import Database, Message
+from cantools.database.can import Signal
+from cantools.database.errors import EncodeError
 from cantools.database.errors import Error as CantoolsError
 
 from trackslip_common.errors import InputError
@@ -70,23 +72,23 @@ def sealed(frame_id: int, payload: bytes) -> bytes:
     bits; of two or more wrong bytes it misses one pattern in 4096. No checksum of 12 bits finds all those.
     """
     alive = payload[-2] & (_MODULUS - 1)
-    crc = _crc12(payload[:-2] + bytes((alive,)), _crc12_of_id(frame_id)) ^ _CRC_FINAL
+    crc = _remainder(payload[:-2] + bytes((alive,)), _remainder_of_id(frame_id)) ^ _CRC_FINAL
     return payload[:-2] + (alive | crc << _ALIVE_BITS).to_bytes(2, "little")
 
 
-def _crc12(data: bytes, crc: int = 0) -> int:
-    """CRC-12/GSM, without its final XOR, continued from ``crc``."""
+def _remainder(data: bytes, crc: int = 0) -> int:
+    """CRC-12/GSM without its final XOR, continued from ``crc``."""
     for byte in data:
         crc = crc << 8 & 0xFFF ^ _CRC_TABLE[crc >> 4 ^ byte]
     return crc
 
 
 @cache
-def _crc12_of_id(frame_id: int) -> int:
-    return _crc12(frame_id.to_bytes(4, "big"))
+def _remainder_of_id(frame_id: int) -> int:
+    return _remainder(frame_id.to_bytes(4, "big"))
 
 
-def _crc12_table() -> tuple[int, ...]:
+def _crc_table() -> tuple[int, ...]:
     """The CRC of each byte."""
     table = []
     for byte in range(256):
@@ -98,30 +100,79 @@ def _crc12_table() -> tuple[int, ...]:
 
 
 _CRC_POLYNOMIAL, _CRC_FINAL = 0xD31, 0xFFF
-_CRC_TABLE = _crc12_table()
+_CRC_TABLE = _crc_table()
 
 
-class _Checks(NamedTuple):
-    """What is asked of each frame of a kind; cantools checks ranges only when encoding."""
+class _Field(NamedTuple):
+    """Where a signal lies in a payload that is read as one number, and what its raw value means."""
 
-    name: str
-    length: int
-    unused_bits: int  # of a payload, read as a little-endian number
-    ranges: tuple[tuple[str, float, float], ...]  # signal, low, high
+    big: bool  # which byte order that number has
+    shift: int
+    mask: int
+    sign: int  # bit of the raw value; 0 where it has none
+    scale: float
+    offset: float
+    low: float
+    high: float
 
-    @staticmethod
-    def of(message: Message) -> "_Checks":
-        """As the DBC has it."""
-        signals = [message.get_signal_by_name(name) for name in SIGNALS[message.name]]
-        ranges = tuple(
-            (
-                signal.name,
-                -math.inf if signal.minimum is None else signal.minimum,
-                math.inf if signal.maximum is None else signal.maximum,
-            )
-            for signal in signals
-        )
-        return _Checks(message.name, message.length, ~_used_bits(message), ranges)
+
+class _Codec:
+    """Payloads of one frame to values and back: what cantools does, at a tenth of its time."""
+
+    def __init__(self, message: Message) -> None:
+        self.name = message.name
+        self.length = message.length
+        self.unused_bits = ~_used_bits(message)  # of a payload, read as a little-endian number
+        self._fields = {
+            name: _field(message, message.get_signal_by_name(name)) for name in SIGNALS[message.name]
+        }
+        self._alive_shift = 8 * message.length - _CHECKSUM_BITS - _ALIVE_BITS
+
+    def pack(self, values: Mapping[str, float], alive_counter: int) -> bytes:
+        """The payload without its checksum.
+
+        Raises:
+            EncodeError: a value lies outside the range that the DBC gives.
+        """
+        little, big = alive_counter << self._alive_shift, 0
+        for name, field in self._fields.items():
+            value = values[name]
+            if not field.low <= value <= field.high:
+                raise EncodeError(f"{name}: {value!r}; accepted: {field.low:g} to {field.high:g}")
+            bits = (round((value - field.offset) / field.scale) & field.mask) << field.shift
+            little, big = (little, big | bits) if field.big else (little | bits, big)
+        whole = little.to_bytes(self.length, "little")
+        return (int.from_bytes(whole, "big") | big).to_bytes(self.length, "big") if big else whole
+
+    def unpack(self, data: bytes) -> dict[str, float] | None:
+        """The values; None where one lies outside its range."""
+        little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
+        values = {}
+        for name, field in self._fields.items():
+            raw = (big if field.big else little) >> field.shift & field.mask
+            value = float((raw - 2 * (raw & field.sign)) * field.scale + field.offset)
+            if not field.low <= value <= field.high:
+                return None
+            values[name] = value
+        return values
+
+
+def _field(message: Message, signal: Signal) -> _Field:
+    """Raise ``InputError`` for what is no whole number."""
+    if signal.is_float:
+        raise InputError(f"dbc_file: signal '{signal.name}' is a floating-point one; accepted: integers")
+    big = signal.byte_order == "big_endian"
+    ahead = signal.start // 8 * 8 + 7 - signal.start % 8  # bits before the highest, from the first byte on
+    return _Field(
+        big,
+        8 * message.length - ahead - signal.length if big else signal.start,
+        (1 << signal.length) - 1,
+        1 << signal.length - 1 if signal.is_signed else 0,
+        signal.scale,
+        signal.offset,
+        -math.inf if signal.minimum is None else signal.minimum,
+        math.inf if signal.maximum is None else signal.maximum,
+    )
 
 
 class FrameSet:
@@ -145,17 +196,16 @@ class FrameSet:
         if cycles_ms or not cycle_ms:
             raise InputError(f"dbc_file {path}: GenMsgCycleTime must be set, the same for all frames")
         self.cycle_ns = cycle_ms * 1_000_000
-        self.checks = {message.frame_id: _Checks.of(message) for message in self.by_name.values()}
+        self.codecs = {frame_id: _Codec(message) for frame_id, message in self.by_id.items()}
 
     def encode(self, name: str, values: Mapping[str, float], alive_counter: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame.
 
         Raises:
-            cantools.database.errors.EncodeError: a value lies outside the range that the DBC gives.
+            EncodeError: a value lies outside the range that the DBC gives.
         """
-        message = self.by_name[name]
-        payload = message.encode({**values, _ALIVE: alive_counter % _MODULUS, _CHECKSUM: 0})
-        return message.frame_id, sealed(message.frame_id, payload)
+        frame_id = self.by_name[name].frame_id
+        return frame_id, sealed(frame_id, self.codecs[frame_id].pack(values, alive_counter % _MODULUS))
 
 
 class FrameDecoder:
@@ -168,20 +218,19 @@ class FrameDecoder:
 
     def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> Frame | Rejection:
         """One received frame; a rejection has been counted and has changed nothing else."""
-        checks = self._frames.checks.get(arbitration_id)
-        if checks is None:
+        codec = self._frames.codecs.get(arbitration_id)
+        if codec is None:
             is_error = bool(arbitration_id & ERROR_FLAG)
             return self._reject(BUS, Rejection.ERROR_FRAME if is_error else Rejection.UNKNOWN_ID)
-        name = checks.name
-        if len(data) != checks.length:
+        name = codec.name
+        if len(data) != codec.length:
             return self._reject(name, Rejection.WRONG_LENGTH)
         if data != sealed(arbitration_id, data):
             return self._reject(name, Rejection.CHECKSUM)
-        if int.from_bytes(data, "little") & checks.unused_bits:
+        if int.from_bytes(data, "little") & codec.unused_bits:
             return self._reject(name, Rejection.UNUSED_BITS)
-        signals = self._frames.by_id[arbitration_id].decode_simple(data, decode_choices=False)
-        values = {signal: float(signals[signal]) for signal in SIGNALS[name]}  # type: ignore[arg-type]
-        if any(not low <= values[signal] <= high for signal, low, high in checks.ranges):
+        values = codec.unpack(data)
+        if values is None:
             return self._reject(name, Rejection.OUT_OF_RANGE)
         cycles = self._alive[name].advance(data[-2] & (_MODULUS - 1), stamp_ns)
         if cycles is None:

@@ -19,6 +19,7 @@ set of points spread about the optimum (importance sampling without chance: the 
 There the ends are uniform as they are; for the optimum alone they stand in as Gaussian of the same variance.
 """
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr, ndtri
 
+from trackslip_common.compiled import compiled
 from trackslip_estimation.box.clusters import Beams
 
 FloatArray = NDArray[np.float64]
@@ -79,26 +81,49 @@ def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> tuple[Flo
         ranges (M, N), m, for beams at ``angles`` (N,); a beam that passes by gets the range of the corner
         nearest to it, so that ranges stay continuous in the pose. Outline (M, 2): right and left angle, rad.
     """
-    x, y, heading = poses[:, :1], poses[:, 1:2], poses[:, 2:]
-    cos, sin = np.cos(heading), np.sin(heading)
-    along = box.length / 2.0 * np.array([1.0, 1.0, -1.0, -1.0])
-    across = box.width / 2.0 * np.array([1.0, -1.0, 1.0, -1.0])
-    corner_x, corner_y = x + cos * along - sin * across, y + sin * along + cos * across
-    corner_angle = np.arctan2(x * corner_y - y * corner_x, x * corner_x + y * corner_y)
-    bearing = np.arctan2(y, x)
-    right = bearing + corner_angle.min(axis=1, keepdims=True)
-    left = bearing + corner_angle.max(axis=1, keepdims=True)
-    seen = np.clip(angles, right, left) - heading
-    ahead = _distance(-(cos * x + sin * y), box.length / 2.0, np.cos(seen))
-    beside = _distance(sin * x - cos * y, box.width / 2.0, np.sin(seen))
-    return np.maximum(np.maximum(ahead, beside), 0.0), np.hstack([right, left])
+    ranges, outline = np.empty((len(poses), len(angles))), np.empty((len(poses), 2))
+    _cast(poses, np.array((box.length / 2.0, box.width / 2.0)), _directions(angles), ranges, outline)
+    return ranges, outline
 
 
-def _distance(laser: FloatArray, half: float, direction: FloatArray) -> FloatArray:
-    """Along beams to the line of the side that faces the laser; −∞ where neither of the two sides does."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance = (np.copysign(half, laser) - laser) / direction
-    return np.where(np.abs(laser) > half, distance, -np.inf)
+def _directions(angles: FloatArray) -> FloatArray:
+    """(3, N): the angles, their cosines and sines."""
+    return np.stack((angles, np.cos(angles), np.sin(angles)))
+
+
+@compiled
+def _cast(
+    poses: FloatArray, half: FloatArray, directions: FloatArray, ranges: FloatArray, outline: FloatArray
+) -> None:
+    """Fill ``ranges`` and ``outline`` of ``ray_cast``; ``half`` (2,) are a and b."""
+    for m in range(len(poses)):
+        x, y = poses[m, 0], poses[m, 1]
+        cos, sin = math.cos(poses[m, 2]), math.sin(poses[m, 2])
+        bearing, right, left = math.atan2(y, x), math.inf, -math.inf
+        for along in (half[0], -half[0]):
+            for across in (half[1], -half[1]):
+                corner_x, corner_y = x + cos * along - sin * across, y + sin * along + cos * across
+                angle = math.atan2(x * corner_y - y * corner_x, x * corner_x + y * corner_y)
+                right, left = min(right, angle), max(left, angle)
+        right, left = bearing + right, bearing + left
+        outline[m, 0], outline[m, 1] = right, left
+        ahead, beside = -(cos * x + sin * y), sin * x - cos * y  # of the laser, in the frame of the box
+        for n in range(directions.shape[1]):
+            angle, u, v = directions[0, n], directions[1, n], directions[2, n]
+            if not right <= angle <= left:
+                angle = min(max(angle, right), left)
+                u, v = math.cos(angle), math.sin(angle)
+            along = _distance(ahead, half[0], u * cos + v * sin)
+            across = _distance(beside, half[1], v * cos - u * sin)
+            ranges[m, n] = max(along, across, 0.0)
+
+
+@compiled
+def _distance(laser: float, half: float, direction: float) -> float:
+    """Along a beam to the line of the side that faces the laser; −∞ where neither of the two sides does."""
+    if abs(laser) <= half or direction == 0.0:
+        return -math.inf
+    return (math.copysign(half, laser) - laser) / direction
 
 
 def residuals(poses: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.clock_monitor import Continuity, Course
+from trackslip_common.clock_monitor import ClockMonitor, StampStatus
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.box.fit import Optimum, posterior
@@ -72,17 +72,17 @@ class BoxLocalizer:
             return Rejection(found)
         return self._accept(scan, *found)
 
-    def _new_clock(self) -> Continuity:
-        return Continuity(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
+    def _new_clock(self) -> ClockMonitor:
+        return ClockMonitor(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
 
     def _check_stamp(self, stamp_ns: int) -> Reason | None:
         """Why a scan is refused for its stamp; starts over where stamps have gone back."""
         head_ns = self._clock.head_ns
-        status = self._clock.sprockets(stamp_ns, None if head_ns is None else head_ns + 1)
-        if status is Course.BACK:
+        status = self._clock.sample(stamp_ns, None if head_ns is None else head_ns + 1)
+        if status is StampStatus.BACK:
             self._start_over(stamp_ns)
-        elif status is not Course.IN_LINE:
-            return Reason.AHEAD if status is Course.AHEAD else Reason.NOT_LATER
+        elif status is not StampStatus.IN_LINE:
+            return Reason.AHEAD if status is StampStatus.AHEAD else Reason.NOT_LATER
         if self._first_ns is None:
             self._first_ns = stamp_ns
         return None
@@ -97,7 +97,7 @@ class BoxLocalizer:
             self.reset()
         self._tracks = [None, *last] if is_another_run else [*last, None]
         self._clock = self._new_clock()
-        self._clock.sprockets(stamp_ns, None)
+        self._clock.sample(stamp_ns)
         self.restarts += 1
 
     def _find(self, scan: Scan) -> tuple[Expectation, Candidate] | Reason:

@@ -26,6 +26,7 @@ from trackslip_estimation.box.sides import SideDoubt
 from trackslip_estimation.box.track import EIGHTH_TURN, Expectation
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 QUARTER = np.linspace(-EIGHTH_TURN, EIGHTH_TURN, 25)
 SPREADS = 3.0  # standard deviations in the reach of the heading
@@ -72,16 +73,17 @@ class BoxSearch:
         """The object most like the box near the expected pose, or how far the best of the others came."""
         reach = self.box.diagonal + 3.0 * self.range_stddev
         parts = clusters(ranges, angles, self.range_stddev, self._parameters.grazing_angle)
+        near = self._near(ranges, angles, expected)
         found: list[Candidate] = []
         reasons = [Reason.NOTHING_NEAR]
         for indices in rejoined(parts, ranges, angles, reach) + parts:
-            if any(np.isin(indices, other.beams.indices).any() for other in found):
+            if not near[indices].any() or any(np.isin(indices, other.beams.indices).any() for other in found):
                 continue
             beams = beams_on(indices, ranges, angles, self.box.diagonal, 3.0 * self.range_stddev)
             outcome = self._evaluate(beams, expected, ranges, angles)
             if isinstance(outcome, Candidate):
                 found.append(outcome)
-            elif outcome is not None:
+            else:
                 self._tally.add("object", outcome)
                 reasons.append(outcome)
         if found:
@@ -90,12 +92,9 @@ class BoxSearch:
 
     def _evaluate(
         self, beams: Beams, expected: Expectation, ranges: FloatArray, angles: FloatArray
-    ) -> Candidate | Reason | None:
-        """Whether one object is the box; None where it is too far away to be considered."""
+    ) -> Candidate | Reason:
+        """Whether one object is the box."""
         points = beams.points()
-        away = np.linalg.norm(points - self._frames.laser_from_odom(expected.pose)[:2], axis=1).min()
-        if away > expected.reach + 0.5 * self.box.diagonal:
-            return None
         if len(beams.ranges) < self._parameters.minimum_beams:
             return Reason.FEW_BEAMS
         if np.linalg.norm(points[-1] - points[0]) > self.box.diagonal + 3.0 * self.range_stddev:
@@ -113,6 +112,14 @@ class BoxSearch:
         if distance > expected.reach or abs(difference[2]) > expected.yaw_reach:
             return Reason.GATE
         return Candidate(beams, optimum, doubt, distance)
+
+    def _near(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> BoolArray:
+        """(N,) which beams end where the box may be."""
+        x, y = self._frames.laser_from_odom(expected.pose)[:2]
+        with np.errstate(invalid="ignore"):  # no return straight ahead: ∞ sin 0
+            away = np.hypot(ranges * np.cos(angles) - x, ranges * np.sin(angles) - y)
+        near: BoolArray = away <= expected.reach + 0.5 * self.box.diagonal
+        return near
 
     def _fitted(self, beams: Beams, expected: Expectation) -> tuple[Optimum, SideDoubt | None]:
         """The likeliest fit, by half turns nearest to the expected heading; the doubt about its sides.

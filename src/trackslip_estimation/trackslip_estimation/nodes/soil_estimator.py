@@ -34,7 +34,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
     def configure(self) -> None:
         """Make the estimator, its outputs and its inputs."""
         self._estimator = SoilEstimator(self.settings)
-        self._taken = self._published = 0
+        self._inputs = self._published = 0
         self._heard: float | None = None  # s, steady: when the slip estimator was last heard
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
@@ -49,23 +49,23 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
     def health(self) -> list[Health]:
         """Waiting, running, or what is wrong; what was not used, by source and reason."""
         total = self._estimator.tally.total
-        refused = {f"{source}: {reason}": n for (source, reason), n in sorted(total.items())}
-        counts = {"inputs": self._taken, "messages": self._published, **refused}
+        rejected = {f"{source}: {reason}": n for (source, reason), n in sorted(total.items())}
+        counts = {"inputs": self._inputs, "messages": self._published, **rejected}
         silent = None if self._heard is None else time.monotonic() - self._heard
         return [soil_health(self._estimator, silent, counts)]
 
     def _on_hydraulics(self, message: Any) -> None:
-        self._take(conversions.hydraulics(message))
+        self._process(conversions.hydraulics(message))
 
     def _on_odometry(self, message: Any) -> None:
         self._heard = time.monotonic()
-        self._take(conversions.odometry(message))
+        self._process(conversions.odometry(message))
 
     def _on_slips(self, message: Any) -> None:
-        self._take(conversions.slips(message))
+        self._process(conversions.slips(message))
 
-    def _take(self, given: SoilInput) -> None:
-        self._taken += 1
+    def _process(self, given: SoilInput) -> None:
+        self._inputs += 1
         for output in self._estimator.advance(given):
             publisher = self._outputs[conversions.topic_of(output)]
             publisher.publish(conversions.message_of(make, output, self.settings.base_frame))

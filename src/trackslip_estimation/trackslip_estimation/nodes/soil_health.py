@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What /diagnostics says of the soil estimator: waiting, running, what is wrong, or that a track digs in."""
+"""The soil estimator's state for /diagnostics: waiting, running, what is wrong, or that a track digs in."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.soils import Soil
 from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.soil.strength_grid import StrengthGrid
 from trackslip_estimation.terramechanics.strength import thrust_limit
 
 FloatArray = NDArray[np.float64]
@@ -36,26 +37,21 @@ class ClassesParameters(Parameters):
 
 
 class SoilClasses:
-    """The known soils, as densities over the grid of a ``StrengthPosterior``."""
+    """The known soils, as densities over the cells of a grid."""
 
     def __init__(
-        self,
-        parameters: ClassesParameters,
-        soils: Iterable[Soil],
-        vehicle: Vehicle,
-        log_moduli: FloatArray,
-        log_limits: FloatArray,
+        self, parameters: ClassesParameters, soils: Iterable[Soil], vehicle: Vehicle, grid: StrengthGrid
     ) -> None:
         known = tuple(soils)
         self.names = (*(soil.name for soil in known), NONE)
-        flat = np.ones((log_moduli.size, log_limits.size))
         each = (1.0 - parameters.none_prior) / max(len(known), 1)
-        densities = [each * _density(parameters, s, vehicle, log_moduli, log_limits) for s in known]
-        self._densities = np.stack((*densities, parameters.none_prior * flat))
+        # The densities are spread once instead of the cells each time: the sum of their products is the same.
+        spread = [each * grid.expectation_of(*_density(parameters, soil, vehicle, grid)) for soil in known]
+        self._densities = np.stack([*spread, np.full(grid.shape, parameters.none_prior)])
 
-    def probabilities(self, grid: FloatArray) -> dict[str, float]:
-        """Probability of each name; ``grid`` (moduli, limits) is that of the posterior, of a flat prior."""
-        evidence = np.tensordot(self._densities, grid, axes=2)
+    def probabilities(self, cells: FloatArray) -> dict[str, float]:
+        """Probability of each name, for those (moduli, limits) of the cells, of a flat prior."""
+        evidence = self._densities.reshape(len(self.names), -1) @ cells.ravel()
         return dict(zip(self.names, (evidence / evidence.sum()).tolist(), strict=True))
 
 
@@ -72,15 +68,18 @@ def strength_line(limit: float, vehicle: Vehicle) -> tuple[float, float]:
 
 
 def _density(
-    p: ClassesParameters, soil: Soil, vehicle: Vehicle, log_moduli: FloatArray, log_limits: FloatArray
-) -> FloatArray:
-    """(moduli, limits) density of a class over that of the flat prior; a soil without K may have any."""
-    along_limits = _normal(log_limits, math.log(limit_of(soil, vehicle)), p.limit_spread)
+    p: ClassesParameters, soil: Soil, vehicle: Vehicle, grid: StrengthGrid
+) -> tuple[FloatArray, FloatArray]:
+    """Density of a class over that of the flat prior, as factors (moduli,) and (limits,).
+
+    A soil without K may have any.
+    """
+    along_limits = _normal(grid.log_limits, math.log(limit_of(soil, vehicle)), p.limit_spread)
     if soil.shear_modulus is None:
-        along_moduli = np.ones(log_moduli.size)
+        along_moduli = np.ones(grid.moduli.size)
     else:
-        along_moduli = _normal(log_moduli, math.log(soil.shear_modulus), p.modulus_spread)
-    return np.outer(along_moduli, along_limits)
+        along_moduli = _normal(grid.log_moduli, math.log(soil.shear_modulus), p.modulus_spread)
+    return along_moduli, along_limits
 
 
 def _normal(centres: FloatArray, mean: float, stddev: float) -> FloatArray:

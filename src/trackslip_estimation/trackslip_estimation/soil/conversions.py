@@ -4,6 +4,7 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header
 from trackslip_common.message_fields import (
@@ -15,9 +16,26 @@ from trackslip_common.message_fields import (
 )
 from trackslip_estimation.slip.conversions import UNOBSERVED
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SlipSeed, TrackForces
+from trackslip_estimation.soil.records import (
+    Hydraulics,
+    Odometry,
+    PoseWithCovariance,
+    Slips,
+    SlipSeed,
+    TrackForces,
+)
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
 
+# Fields of TrackForces, left and right, and those of the record
+_PAIRS = (
+    ("thrust", "thrust"),
+    ("resistance", "resistance"),
+    ("thrust_variance", "thrust_variance"),
+    ("resistance_variance", "resistance_variance"),
+    ("thrust_reserve", "reserve"),
+)
+_SIDES = ((0, "left"), (1, "right"))
+_MOTIONS = {int(state): state for state in Motion}
 FORCES, SOIL, SEED = "track_forces", "soil", "slip_seed"  # topics of the outputs
 
 
@@ -29,15 +47,14 @@ def hydraulics(message: Any) -> Hydraulics:
 def odometry(message: Any) -> Odometry:
     """From nav_msgs/Odometry, the planar part."""
     m = read(OdometryFields, message)
-    place = Place(np.array((m.x, m.y, heading_of(m))), m.covariance)
-    return Odometry(m.stamp_ns, np.array((m.v_x, m.v_y, m.yaw_rate)), m.twist_covariance, place)
+    pose = PoseWithCovariance(np.array((m.x, m.y, heading_of(m))), m.covariance)
+    return Odometry(m.stamp_ns, np.array((m.v_x, m.v_y, m.yaw_rate)), m.twist_covariance, pose)
 
 
 def slips(message: Any) -> Slips:
     """From trackslip_msgs/TrackSlip; a state of motion that is none of its constants is unknown."""
     m = read(SlipFields, message)
-    known = {int(state): state for state in Motion}
-    motion = known.get(m.motion_state, Motion.UNKNOWN)
+    motion = _MOTIONS.get(m.motion_state, Motion.UNKNOWN)
     return Slips(m.stamp_ns, np.array((m.left_slip, m.right_slip, m.slip_angle)), motion)
 
 
@@ -52,19 +69,13 @@ def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
 
 def track_forces(make: Make, forces: TrackForces, base_frame: str) -> Any:
     """trackslip_msgs/TrackForces."""
-    numbers = {
-        "thrust": forces.thrust,
-        "resistance": forces.resistance,
-        "thrust_variance": forces.thrust_variance,
-        "resistance_variance": forces.resistance_variance,
-        "thrust_reserve": forces.reserve,
-    }
-    fields = {
-        f"{side}_{name}": pair[k]
-        for name, pair in numbers.items()
-        for k, side in enumerate(("left", "right"))
-    }
+    fields = {f"{side}_{name}": getattr(forces, of)[k] for name, of in _PAIRS for k, side in _SIDES}
     return make("trackslip_msgs/msg/TrackForces", header=header(make, forces.stamp_ns, base_frame), **fields)
+
+
+def force_columns(forces: NDArray[Any]) -> dict[str, NDArray[np.float64]]:
+    """The fields of trackslip_msgs/TrackForces but its header, of (n,) FORCES."""
+    return {f"{side}_{name}": forces[of][:, k] for name, of in _PAIRS for k, side in _SIDES}
 
 
 def topic_of(output: SoilOutput) -> str:

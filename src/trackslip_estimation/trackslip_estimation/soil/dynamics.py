@@ -5,7 +5,7 @@
     v_y      lateral speed at C, from the slip estimator              m/s
     F_j      thrust of a track                                        N
     s_j      expected sign of a track's ground speed                  1
-    s        sense of the turn: 1 left, −1 right                      1
+    s        sense of the turn: 1 left, −1 right, 0 straight on       1
     m, I_z, W, B, l   of ``Vehicle``
 
     m (v̇_x − v_y φ̇) = F_L + F_R − ½ μ_r W (s_L + s_R)
@@ -18,22 +18,27 @@ density is its variance times the time for which it does. With given signs all i
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import GRAVITY
+from trackslip_estimation.kalman.linear_algebra import apply, sandwich
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.dynamics_kernel import MU_L, MU_R, RATE, SPEED, Numbers, correct, predict
-from trackslip_estimation.soil.thrust import Thrust
 from trackslip_estimation.soil.tracks import frame_speeds
 
 FloatArray = NDArray[np.float64]
 
-_MOTION, _MU = slice(SPEED, RATE + 1), slice(MU_R, MU_L + 1)
+SPEED, RATE, MU_R, MU_L = range(4)
+_SIZE, _SEEN = 4, 2
+_STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _LONGEST_STEP = 0.5  # s: over a longer one the forces are not known
 _ROUNDING = 1e-12  # (m/s)², (rad/s)²: nothing is measured better
+
+DYNAMICS = np.dtype([("mean", "f8", _SIZE), ("covariance", "f8", (_SIZE, _SIZE))])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +49,8 @@ class DynamicsParameters(Parameters):
     mu_r_stddev: float = parameter("its standard deviation, and the largest", gt=0.0)
     mu_l: float = parameter("mobilised μ_l at the start", ge=0.0)
     mu_l_stddev: float = parameter("its standard deviation, and the largest", gt=0.0)
-    mu_r_walk: float = parameter("walk of μ_r while driving", unit="1/√s", gt=0.0)
-    mu_l_walk: float = parameter("walk of μ_l in turns", unit="1/√s", gt=0.0)
+    mu_r_walk: float = parameter("random walk of μ_r while driving", unit="1/√s", gt=0.0)
+    mu_l_walk: float = parameter("random walk of μ_l in turns", unit="1/√s", gt=0.0)
     unseen_walk: float = parameter("of both, driving without known thrusts", unit="1/√s", gt=0.0)
     yaw_inertia_stddev: float = parameter("of I_z, relative", ge=0.0, lt=1.0)
     acceleration_stddev: float = parameter("what the model leaves out of v̇_x", unit="m/s²", gt=0.0)
@@ -55,107 +60,141 @@ class DynamicsParameters(Parameters):
     fading_speed: float = parameter("ground speed about which its sign is open", unit="m/s", gt=0.0)
 
 
-class Dynamics:
-    """Two process models, straight and turning, for one state."""
-
-    def __init__(self, p: DynamicsParameters, vehicle: Vehicle) -> None:
-        self._p, self._vehicle = p, vehicle
-        self._numbers = Numbers(
-            mass=vehicle.mass,
-            yaw_inertia=vehicle.yaw_inertia,
-            weight=vehicle.weight,
-            half_tread=0.5 * vehicle.tread,
-            lever=vehicle.contact_length / 3.0,
-            inertia_stddev=p.yaw_inertia_stddev,
-            acceleration_stddev=p.acceleration_stddev,
-            yaw_acceleration_stddev=p.yaw_acceleration_stddev,
-            mu_r_walk=p.mu_r_walk,
-            mu_l_walk=p.mu_l_walk,
-            error_time=p.error_time,
-        )
-        self._mean = np.array((0.0, 0.0, p.mu_r, p.mu_l))
-        self._covariance = np.diag((1.0, 1.0, p.mu_r_stddev**2, p.mu_l_stddev**2))
-
-    @property
-    def mu(self) -> FloatArray:
-        """(2,) μ_r, μ_l."""
-        return self._mean[_MU]
-
-    @property
-    def mu_covariance(self) -> FloatArray:
-        """(2, 2)."""
-        return self._covariance[_MU, _MU]
-
-    def signs(self, twist: FloatArray, covariance: FloatArray) -> FloatArray:
-        """(2,) s_j for a twist (3,) and its covariance (3, 3); its variance is 1 − s_j²."""
-        half = 0.5 * self._vehicle.tread
-        common = float(covariance[0, 0] + half**2 * covariance[2, 2]) + self._p.fading_speed**2
-        both = 2.0 * half * float(covariance[0, 2])
-        left, right = frame_speeds(twist, self._vehicle)
-        return np.array((_expected_sign(left, common - both), _expected_sign(right, common + both)))
-
-    def step(
-        self,
-        dt: float,
-        motion: Motion,
-        twist: FloatArray,
-        twist_covariance: FloatArray,
-        turn: float,
-        thrust: Thrust | None,
-    ) -> None:
-        """``dt`` s on, to where the slip estimator says ``twist`` (3,); ``thrust`` None: not known.
-
-        ``turn``: speed of the right track over that of the left; only its sign matters.
-        """
-        measured = twist[::2].copy()  # v_x, φ̇
-        noise = twist_covariance[::2, ::2] + _ROUNDING * np.eye(2)
-        moves = motion in (Motion.STRAIGHT, Motion.TURNING)
-        if thrust is None or not moves or not 0.0 < dt <= _LONGEST_STEP:
-            walk = self._p.unseen_walk**2 * dt if moves else 0.0
-            self._restart(measured, noise, walk)
-            return
-        sense = math.copysign(1.0, turn)
-        turns = motion is Motion.TURNING and sense * measured[1] > 0.0
-        self._mean, self._covariance = predict(
-            self._mean,
-            self._covariance,
-            dt,
-            float(twist[1] * twist[2]),
-            self.signs(twist, twist_covariance),
-            thrust.force,
-            thrust.variance,
-            sense if turns else 0.0,
-            self._numbers,
-        )
-        if not turns:
-            self._follow(RATE, RATE + 1, measured[1:], noise[1:, 1:])
-        noise *= max(self._p.twist_error_time / dt, 1.0)
-        self._mean, self._covariance = correct(self._mean, self._covariance, measured, noise)
-        self._bound()
-
-    def _restart(self, measured: FloatArray, noise: FloatArray, walk: float) -> None:
-        """Speeds as measured; the coefficients held, ``walk`` more uncertain each."""
-        self._follow(SPEED, RATE + 1, measured, noise)
-        for k in (MU_R, MU_L):
-            self._covariance[k, k] += walk
-        self._bound()
-
-    def _follow(self, first: int, end: int, measured: FloatArray, noise: FloatArray) -> None:
-        """No model of these states: they are what is measured, and tell nothing else."""
-        self._mean[first:end] = measured
-        self._covariance[first:end, :] = self._covariance[:, first:end] = 0.0
-        self._covariance[first:end, first:end] = noise
-
-    def _bound(self) -> None:
-        """Resistance never pushes, and nobody knows less than at the start."""
-        for k, largest in ((MU_R, self._p.mu_r_stddev), (MU_L, self._p.mu_l_stddev)):
-            self._mean[k] = max(self._mean[k], 0.0)
-            if self._covariance[k, k] > largest**2:
-                shrink = largest / math.sqrt(self._covariance[k, k])
-                self._covariance[k, :] *= shrink
-                self._covariance[:, k] *= shrink
+def new_dynamics(p: DynamicsParameters) -> NDArray[Any]:
+    """(1,) DYNAMICS at the start."""
+    mean = np.array((0.0, 0.0, p.mu_r, p.mu_l))
+    return np.array([(mean, np.diag((1.0, 1.0, p.mu_r_stddev**2, p.mu_l_stddev**2)))], DYNAMICS)
 
 
+@compiled
+def expected_signs(twist: FloatArray, covariance: FloatArray, p: Any) -> tuple[float, float]:
+    """s_j for a twist (3,) and its covariance (3, 3); its variance is 1 − s_j².
+
+    ``p`` here and below: record of SoilEstimatorParameters.
+    """
+    half = 0.5 * p.vehicle.tread
+    common = covariance[0, 0] + half**2 * covariance[2, 2] + p.dynamics.fading_speed**2
+    both = 2.0 * half * covariance[0, 2]
+    left, right = frame_speeds(twist, p.vehicle.tread)
+    return _expected_sign(left, common - both), _expected_sign(right, common + both)
+
+
+@compiled
 def _expected_sign(speed: float, variance: float) -> float:
     """E[sign v] of a Gaussian v."""
     return math.erf(speed / math.sqrt(2.0 * max(variance, _ROUNDING)))
+
+
+@compiled
+def step(dynamics: Any, sample: Any, thrust: Any, p: Any) -> None:
+    """``sample.dt`` s on, to where the slip estimator says ``sample.twist``."""
+    dt, twist, covariance = sample.dt, sample.twist, sample.twist_covariance
+    moves = sample.motion == _STRAIGHT or sample.motion == _TURNING
+    is_modelled = thrust.is_known and moves and 0.0 < dt <= _LONGEST_STEP
+    measured, noise = np.empty(_SEEN), np.empty((_SEEN, _SEEN))  # v_x, φ̇
+    for i in range(_SEEN):
+        measured[i] = twist[2 * i]
+        for j in range(_SEEN):
+            noise[i, j] = covariance[2 * i, 2 * j] + (_ROUNDING if i == j else 0.0)
+    sense = math.copysign(1.0, sample.tracks[1] - sample.tracks[0])
+    if sample.motion != _TURNING or not sense * measured[1] > 0.0:
+        sense = 0.0
+    first_followed = _SEEN if sense != 0.0 else RATE
+    if is_modelled:
+        _predict(dynamics, sample, thrust, sense, p)
+    else:
+        first_followed = SPEED
+        for k in range(MU_R, MU_L + 1):
+            dynamics.covariance[k, k] += p.dynamics.unseen_walk**2 * dt if moves else 0.0
+    _follow(dynamics, first_followed, measured, noise)
+    if is_modelled:
+        lasting = max(p.dynamics.twist_error_time / dt, 1.0)
+        for i in range(_SEEN):
+            for j in range(_SEEN):
+                noise[i, j] *= lasting
+        _correct(dynamics, measured, noise)
+    _bound(dynamics, p.dynamics)
+
+
+@compiled
+def _predict(dynamics: Any, sample: Any, thrust: Any, sense: float, p: Any) -> None:
+    """Both lines of the model over dt."""
+    n, vehicle, dt = p.dynamics, p.vehicle, sample.dt
+    weight, half_tread, lever = vehicle.mass * GRAVITY, 0.5 * vehicle.tread, vehicle.contact_length / 3.0
+    left, right = expected_signs(sample.twist, sample.twist_covariance, p)
+    F, push = np.eye(_SIZE), np.zeros(_SIZE)
+    F[SPEED, MU_R] = -0.5 * weight * (left + right) / vehicle.mass * dt
+    crosswise = sample.twist[1] * sample.twist[2]
+    push[SPEED] = ((thrust.force[0] + thrust.force[1]) / vehicle.mass + crosswise) * dt
+    if sense != 0.0:
+        F[RATE, MU_R] = -0.5 * half_tread * weight * (right - left) / vehicle.yaw_inertia * dt
+        F[RATE, MU_L] = -sense * weight * lever / vehicle.yaw_inertia * dt
+        push[RATE] = half_tread * (thrust.force[1] - thrust.force[0]) / vehicle.yaw_inertia * dt
+    before = dynamics.mean.copy()
+    after = apply(F, before)
+    for i in range(_SIZE):
+        after[i] += push[i]
+    # A sign that is not certain leaves the resistance open.
+    open_left, open_right = 1.0 - left**2, 1.0 - right**2
+    resistance = (0.5 * before[MU_R] * weight) ** 2
+    L, R = thrust.variance[0] + resistance * open_left, thrust.variance[1] + resistance * open_right
+    by_speed, by_rate = 1.0 / vehicle.mass, half_tread / vehicle.yaw_inertia
+    lasting = n.error_time * dt
+    Q = np.zeros((_SIZE, _SIZE))
+    Q[SPEED, SPEED] = (by_speed**2 * (L + R) + n.acceleration_stddev**2) * lasting
+    Q[MU_R, MU_R] = n.mu_r_walk**2 * dt
+    if sense != 0.0:
+        inertia = (n.yaw_inertia_stddev * (after[RATE] - before[RATE]) / dt) ** 2
+        Q[RATE, RATE] = (by_rate**2 * (L + R) + inertia + n.yaw_acceleration_stddev**2) * lasting
+        Q[SPEED, RATE] = Q[RATE, SPEED] = by_speed * by_rate * (R - L) * lasting
+        Q[MU_L, MU_L] = n.mu_l_walk**2 * dt
+    _set(dynamics, after, sandwich(F, dynamics.covariance.copy()), Q)
+
+
+@compiled
+def _correct(dynamics: Any, measured: FloatArray, noise: FloatArray) -> None:
+    """v_x and φ̇ (2,) as measured, with covariance (2, 2)."""
+    mean, covariance = dynamics.mean.copy(), dynamics.covariance.copy()
+    S00, S01 = covariance[0, 0] + noise[0, 0], covariance[0, 1] + noise[0, 1]
+    S10, S11 = covariance[1, 0] + noise[1, 0], covariance[1, 1] + noise[1, 1]
+    determinant = S00 * S11 - S01 * S10
+    gain, keep, after = np.empty((_SIZE, _SEEN)), np.eye(_SIZE), np.empty(_SIZE)
+    for i in range(_SIZE):
+        of_speed, of_rate = covariance[i, SPEED], covariance[i, RATE]
+        gain[i, 0] = (of_speed * S11 - of_rate * S10) / determinant
+        gain[i, 1] = (of_rate * S00 - of_speed * S01) / determinant
+        keep[i, SPEED] -= gain[i, 0]
+        keep[i, RATE] -= gain[i, 1]
+        after[i] = mean[i] + (gain[i, 0] * (measured[0] - mean[0]) + gain[i, 1] * (measured[1] - mean[1]))
+    _set(dynamics, after, sandwich(keep, covariance), sandwich(gain, noise))
+
+
+@compiled
+def _set(dynamics: Any, mean: FloatArray, covariance: FloatArray, more: FloatArray) -> None:
+    """Mean, and covariance as the sum of two."""
+    for i in range(_SIZE):
+        dynamics.mean[i] = mean[i]
+        for j in range(_SIZE):
+            dynamics.covariance[i, j] = covariance[i, j] + more[i, j]
+
+
+@compiled
+def _follow(dynamics: Any, first: int, measured: FloatArray, noise: FloatArray) -> None:
+    """No model of the states from ``first`` to φ̇: they are what is measured, and tell nothing else."""
+    for i in range(first, _SEEN):
+        dynamics.mean[i] = measured[i]
+        for j in range(_SIZE):
+            is_measured = first <= j < _SEEN
+            dynamics.covariance[i, j] = dynamics.covariance[j, i] = noise[i, j] if is_measured else 0.0
+
+
+@compiled
+def _bound(dynamics: Any, n: Any) -> None:
+    """Resistance never pushes, and nobody knows less than at the start."""
+    for k, largest in ((MU_R, n.mu_r_stddev), (MU_L, n.mu_l_stddev)):
+        dynamics.mean[k] = max(dynamics.mean[k], 0.0)
+        if dynamics.covariance[k, k] > largest**2:
+            shrink = largest / math.sqrt(dynamics.covariance[k, k])
+            for i in range(_SIZE):
+                dynamics.covariance[k, i] *= shrink
+                dynamics.covariance[i, k] *= shrink

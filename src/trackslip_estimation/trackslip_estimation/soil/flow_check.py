@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What spool and sprocket speed say of the volumetric efficiency; a hint for diagnostics, no more.
+"""What spool and sprocket speed say of the volumetric efficiency; a hint for diagnostics, no more. Compiled.
 
 Q      flow through an opened valve, spool position times pump flow   m³/s
-η_V    ω V_m n_g/(2π) / Q while the motor drives                       1
+ω_1    sprocket speed of the whole pump flow, without leakage         rad/s
+η_V    ω V_m n_g/(2π) / Q = ω/(spool ω_1) while the motor drives      1
 """
 
 import math
@@ -10,8 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.terramechanics.hydraulics import speed_of_flow
+from trackslip_common.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 
@@ -19,18 +19,16 @@ _OPEN = 0.1  # of the spool's way: below it the valve's edges matter
 _MEMORY = 10.0  # s
 
 
-class FlowCheck:
-    """η_V as seen over the last seconds of straight driving; None before the first of them."""
-
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
-        self.efficiency: float | None = None
-
-    def add(self, spools: FloatArray, speeds: FloatArray, dt: float) -> None:
-        """``dt`` s of steady driving with these spools (2,) and sprocket speeds (2,)."""
-        expected = speed_of_flow(spools * self._vehicle.pump_flow, spools, self._vehicle)
-        if not np.isfinite(speeds).all() or (np.abs(spools) < _OPEN).any():
-            return
-        seen = self._vehicle.volumetric_efficiency * float(np.mean(speeds / expected))
-        share = 1.0 if self.efficiency is None else -math.expm1(-dt / _MEMORY)
-        self.efficiency = (self.efficiency or 0.0) + share * (seen - (self.efficiency or 0.0))
+@compiled
+def volumetric_efficiency(
+    before: float, spools: FloatArray, speeds: FloatArray, full_flow_speed: float, dt: float
+) -> float:
+    """η_V over the last seconds of steady driving, after ``dt`` s more with these spools (2,) and sprocket
+    speeds (2,); nan before the first of them. ``full_flow_speed``: ω_1.
+    """
+    if not (abs(spools[0]) >= _OPEN and abs(spools[1]) >= _OPEN):
+        return before
+    seen = float(0.5 * (speeds[0] / spools[0] + speeds[1] / spools[1]) / full_flow_speed)
+    if not math.isfinite(seen):
+        return before
+    return seen if math.isnan(before) else before - math.expm1(-dt / _MEMORY) * (seen - before)

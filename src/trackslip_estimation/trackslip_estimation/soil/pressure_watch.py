@@ -1,27 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tells pressures that cannot be true, by name: dropped, stuck, swapped, in another unit, beyond relief.
+"""Finds pressures that cannot be true, by name: dropped, stuck, swapped, in another unit, beyond relief.
 
-What is seen of each fault is gathered over time: for it a moment counts up, against it one counts down. From
+Evidence for each fault is gathered over time: for it a sample counts up, against it one counts down. From
 the first doubt on no pressure is used; a fault is named once the doubt has lasted, and until it is gone.
 """
 
-from collections.abc import Mapping
+import math
 from dataclasses import dataclass
 from enum import Enum
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.moments import Pressures
 
 FloatArray = NDArray[np.float64]
 
+_STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _TYPICAL = 5e6  # Pa over a travel motor of a machine that drives: 20 to 80 bar on the four soils
-_MOVING = (Motion.STRAIGHT, Motion.TURNING)
 
 
 class PressureFault(Enum):
@@ -31,22 +30,41 @@ class PressureFault(Enum):
     LEFT_STUCK = "left pressure stuck"
     RIGHT_STUCK = "right pressure stuck"
     BEYOND_RELIEF = "pressure beyond the relief valve's"
-    SWAPPED = "left and right pressure swapped"
     IN_KPA = "pressure in kPa instead of Pa"
     IN_PSI = "pressure in psi instead of Pa"
     IN_BAR = "pressure in bar instead of Pa"
     IN_MPA = "pressure in MPa instead of Pa"
     TOO_LOW = "too little pressure to drive, in any unit"
+    SWAPPED = "left and right pressure swapped"
 
 
-_UNITS: Mapping[PressureFault, float] = MappingProxyType(
-    {
-        PressureFault.IN_KPA: 1e3,
-        PressureFault.IN_PSI: 6894.757,
-        PressureFault.IN_BAR: 1e5,
-        PressureFault.IN_MPA: 1e6,
-    }
-)  # Pa
+# Of compiled code: the place of each in ``PressureFault``
+(
+    _DROPPED,
+    _LEFT_STUCK,
+    _RIGHT_STUCK,
+    _BEYOND_RELIEF,
+    _IN_KPA,
+    _IN_PSI,
+    _IN_BAR,
+    _IN_MPA,
+    _TOO_LOW,
+    _SWAPPED,
+) = range(10)
+NO_FAULT = -1
+_NO_UNIT = -2
+_UNITS = np.array((1e3, 6894.757, 1e5, 1e6))  # Pa, from kPa to MPa
+_FOR, _AGAINST, _OPEN = 1, 0, -1  # what a sample says of a fault
+
+WATCH = np.dtype(
+    [
+        ("seconds", "f8", len(PressureFault)),  # for each fault, less those against it
+        ("is_named", "i8", len(PressureFault)),
+        ("has_reading", "i8"),
+        ("reading_ns", "i8"),  # of the newest reading
+        ("reading", "f8", 2),
+    ]
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,106 +77,102 @@ class WatchParameters(Parameters):
     least_pressure: float = parameter("sum of both that driving needs at the least", unit="Pa", gt=0.0)
     least_speed: float = parameter("track speed that counts as driving", unit="m/s", gt=0.0)
     telling_difference: float = parameter(
-        "between both in a turn, beyond which it tells which is which", unit="Pa", gt=0.0
+        "between both in a turn, beyond which it shows which is which", unit="Pa", gt=0.0
     )
 
 
-class _Doubt:
-    """Seconds for a fault, less those against it."""
-
-    def __init__(self, grace: float, naming_time: float) -> None:
-        self._grace, self._naming_time = grace, naming_time
-        self._seconds = 0.0
-        self.named = False
-
-    def add(self, speaks_for: bool | None, dt: float) -> bool:
-        """One more moment, None where it says nothing; whether there is doubt now."""
-        if speaks_for is not None:
-            change = dt if speaks_for else -dt
-            self._seconds = min(max(self._seconds + change, 0.0), self._naming_time)
-        self.named = self._seconds > 0.0 and (self.named or self._seconds >= self._naming_time)
-        return self.named or (speaks_for is True and self._seconds > self._grace)
-
-    def forget(self) -> None:
-        """Nothing speaks for it any more."""
-        self._seconds, self.named = 0.0, False
+def named_faults(watch: Any) -> tuple[PressureFault, ...]:
+    """Those that stand, of a WATCH."""
+    return tuple(fault for fault, named in zip(PressureFault, watch["is_named"], strict=True) if named)
 
 
-class PressureWatch:
-    """Judges the pressures of one moment after the other."""
-
-    def __init__(self, p: WatchParameters, vehicle: Vehicle) -> None:
-        self._p = p
-        self._highest = (1.0 + p.relief_margin) * vehicle.relief_pressure
-        self._doubts = {fault: _Doubt(0.0, p.naming_time) for fault in PressureFault}
-        for stuck in (PressureFault.LEFT_STUCK, PressureFault.RIGHT_STUCK):
-            self._doubts[stuck] = _Doubt(p.grace_time, p.naming_time)
-        self._before: Pressures | None = None
-
-    @property
-    def faults(self) -> tuple[PressureFault, ...]:
-        """Those that stand."""
-        return tuple(fault for fault, doubt in self._doubts.items() if doubt.named)
-
-    def judge(
-        self, pressures: Pressures | None, tracks: FloatArray, motion: Motion, dt: float
-    ) -> PressureFault | None:
-        """Why the pressures of this moment are not to be used; None where they are.
-
-        ``tracks`` (2,): track speeds, m/s; ``dt``: s since the moment before.
-        """
-        missing = self._doubts[PressureFault.DROPPED].add(pressures is None, dt)
-        if pressures is None:
-            return PressureFault.DROPPED
-        seen = {
-            **self._stuck(pressures, tracks, dt),
-            PressureFault.BEYOND_RELIEF: bool((np.abs(pressures.values) > self._highest).any()),
-            **self._too_low(pressures, tracks, motion),
-            PressureFault.SWAPPED: self._crossed(pressures, tracks, motion),
-        }
-        self._before = pressures
-        doubted = [fault for fault, for_it in seen.items() if self._doubts[fault].add(for_it, dt)]
-        if missing:
-            doubted.insert(0, PressureFault.DROPPED)
-        return doubted[0] if doubted else None
-
-    def _stuck(self, now: Pressures, tracks: FloatArray, dt: float) -> dict[PressureFault, bool | None]:
-        """A pressure that drives or brakes a track is never still; that of a standing one may be."""
-        seen: dict[PressureFault, bool | None] = {}
-        for fault, side in ((PressureFault.LEFT_STUCK, "left"), (PressureFault.RIGHT_STUCK, "right")):
-            seen[fault] = None
-            if self._before is None or now.latest.stamp_ns == self._before.latest.stamp_ns:
-                continue
-            name = f"{side}_pressure"
-            if getattr(now.latest, name) != getattr(self._before.latest, name):
-                self._doubts[fault].forget()
-            elif (np.abs(tracks) > self._p.least_speed).any():
-                seen[fault] = True
-        return seen
-
-    def _too_low(
-        self, now: Pressures, tracks: FloatArray, motion: Motion
-    ) -> dict[PressureFault, bool | None]:
-        """Driving against rolling resistance needs pressure: what reads less is in a larger unit."""
-        faults = (*_UNITS, PressureFault.TOO_LOW)
-        if motion not in _MOVING or not (np.abs(tracks) > self._p.least_speed).all():
-            return dict.fromkeys(faults)
-        total = float(np.abs(now.values).sum())
-        likely = _unit_of(0.5 * total) if total < self._p.least_pressure else None
-        return {fault: fault is likely for fault in faults}
-
-    def _crossed(self, now: Pressures, tracks: FloatArray, motion: Motion) -> bool | None:
-        """The faster track of a turn slips more and pulls more, forwards and in reverse."""
-        left, right = now.values
-        if motion is not Motion.TURNING or abs(right - left) < self._p.telling_difference:
-            return None
-        return bool((right - left) * (tracks[1] - tracks[0]) < 0.0)
+@compiled
+def evaluate(watch: Any, sample: Any, p: Any, relief_pressure: float) -> int:
+    """Place of the fault for which the pressures of a sample are not to be used; NO_FAULT where they are."""
+    found, likely_unit = NO_FAULT, _likely_unit(sample, p)
+    for fault in range(_SWAPPED + 1):
+        if fault == _DROPPED:
+            evidence = _AGAINST if sample.has_pressures else _FOR
+        elif not sample.has_pressures:
+            return _DROPPED
+        elif fault <= _RIGHT_STUCK:
+            evidence = _stuck(watch, fault, sample, p)
+        elif fault == _BEYOND_RELIEF:
+            highest = max(abs(sample.pressures[0]), abs(sample.pressures[1]))
+            evidence = _FOR if highest > (1.0 + p.relief_margin) * relief_pressure else _AGAINST
+        elif fault == _SWAPPED:
+            evidence = _crossed(sample, p)
+        elif likely_unit == _OPEN:
+            evidence = _OPEN
+        else:
+            evidence = _FOR if fault == likely_unit else _AGAINST
+        if _weigh(watch, fault, evidence, sample.dt, p) and found == NO_FAULT:
+            found = fault
+    watch.has_reading = True
+    watch.reading_ns = sample.reading_ns
+    for k in range(2):
+        watch.reading[k] = sample.reading[k]
+    return found
 
 
-def _unit_of(reading: float) -> PressureFault:
-    """The unit in which a reading is nearest to what is typical."""
+@compiled
+def _weigh(watch: Any, fault: int, evidence: int, dt: float, p: Any) -> bool:
+    """Add one sample's evidence; whether there is doubt now."""
+    if evidence != _OPEN:
+        seconds = watch.seconds[fault] + (dt if evidence == _FOR else -dt)
+        watch.seconds[fault] = min(max(seconds, 0.0), p.naming_time)
+    lasts = watch.is_named[fault] or watch.seconds[fault] >= p.naming_time
+    watch.is_named[fault] = watch.seconds[fault] > 0.0 and lasts
+    grace = p.grace_time if fault in (_LEFT_STUCK, _RIGHT_STUCK) else 0.0
+    return watch.is_named[fault] or (evidence == _FOR and watch.seconds[fault] > grace)
+
+
+@compiled
+def _stuck(watch: Any, fault: int, sample: Any, p: Any) -> int:
+    """A pressure that drives or brakes a track is never still; that of a standing one may be."""
+    if not watch.has_reading or sample.reading_ns == watch.reading_ns:
+        return _OPEN
+    side = fault - _LEFT_STUCK
+    if sample.reading[side] != watch.reading[side]:
+        watch.seconds[fault] = 0.0  # nothing speaks for it any more
+        return _OPEN
+    moves = abs(sample.tracks[0]) > p.least_speed or abs(sample.tracks[1]) > p.least_speed
+    return _FOR if moves else _OPEN
+
+
+@compiled
+def _likely_unit(sample: Any, p: Any) -> int:
+    """Driving against rolling resistance needs pressure: what reads less is in a larger unit.
+
+    The fault of the unit in which the reading is nearest to what is typical; _NO_UNIT of none, _OPEN where
+    the machine does not drive.
+    """
+    left, right = abs(sample.tracks[0]), abs(sample.tracks[1])
+    drives = sample.motion == _STRAIGHT or sample.motion == _TURNING
+    if not (drives and left > p.least_speed and right > p.least_speed):
+        return _OPEN
+    reading = 0.5 * (abs(sample.pressures[0]) + abs(sample.pressures[1]))
+    if 2.0 * reading >= p.least_pressure:
+        return _NO_UNIT
     if reading <= 0.0:
-        return PressureFault.TOO_LOW
-    likely = min(_UNITS, key=lambda unit: abs(np.log(reading * _UNITS[unit] / _TYPICAL)))
-    plausible = 0.1 < reading * _UNITS[likely] / _TYPICAL < 10.0
-    return likely if plausible else PressureFault.TOO_LOW
+        return _TOO_LOW
+    best = 0
+    for unit in range(len(_UNITS)):
+        if _distance(reading, unit) < _distance(reading, best):
+            best = unit
+    return _IN_KPA + best if _distance(reading, best) < math.log(10.0) else _TOO_LOW
+
+
+@compiled
+def _distance(reading: float, unit: int) -> float:
+    """From what is typical, in the logarithm."""
+    return abs(math.log(reading * _UNITS[unit] / _TYPICAL))
+
+
+@compiled
+def _crossed(sample: Any, p: Any) -> int:
+    """The faster track of a turn slips more and pulls more, forwards and in reverse."""
+    difference = sample.pressures[1] - sample.pressures[0]
+    if sample.motion != _TURNING or abs(difference) < p.telling_difference:
+        return _OPEN
+    return _FOR if difference * (sample.tracks[1] - sample.tracks[0]) < 0.0 else _AGAINST

@@ -1,20 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the soil estimator takes in and gives out, and why it refuses an input."""
+"""What the soil estimator takes in and gives out, and why it rejects an input.
+
+One at a time they are dataclasses; many at once, and inside compiled code, numpy records with the same names.
+"""
 
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.motion import Motion
 
 FloatArray = NDArray[np.float64]
 
 HYDRAULICS, ODOMETRY, SLIPS = "hydraulics", "odometry", "track_slip"  # sources: the topics they come on
+SOURCES = (HYDRAULICS, ODOMETRY, SLIPS)
+IS_HYDRAULICS, IS_ODOMETRY, IS_SLIPS = range(3)  # places in it
+
+VALUES: list[Any] = [
+    ("stamp_ns", "i8"),
+    ("pressures", "f8", 2),  # hydraulics: left, right, Pa
+    ("spools", "f8", 2),
+    ("twist", "f8", 3),  # odometry: v_x m/s, v_y m/s, yaw rate rad/s
+    ("twist_covariance", "f8", (3, 3)),
+    ("pose", "f8", 3),  # x m, y m, heading rad
+    ("pose_covariance", "f8", (3, 3)),
+    ("slips", "f8", 3),  # track_slip: left, right, slip angle rad
+    ("motion", "i8"),
+]
+# The source is a place in SOURCES; only the fields of this source are set
+SOIL_INPUT = np.dtype([("source", "i8"), *VALUES])
+
 _ROUNDING = 1e-9
 _LARGEST = 1e12  # Pa, m/s, …: beyond it is no measurement
 
@@ -30,46 +51,47 @@ class Hydraulics:
     right_spool: float
     source: str = HYDRAULICS
 
-    def is_finite(self) -> bool:
-        """Whether all are numbers."""
-        values = (self.left_pressure, self.right_pressure, self.left_spool, self.right_spool)
-        return all(abs(v) < _LARGEST for v in values)
+    def write_to(self, record: Any) -> None:
+        """Set the fields of a ``SOIL_INPUT``."""
+        record["source"], record["stamp_ns"] = IS_HYDRAULICS, self.stamp_ns
+        record["pressures"] = self.left_pressure, self.right_pressure
+        record["spools"] = self.left_spool, self.right_spool
 
 
-class Place(NamedTuple):
-    """Where C is."""
+class PoseWithCovariance(NamedTuple):
+    """Pose of C."""
 
-    pose: FloatArray  # (3,) x m, y m, heading rad, site frame
+    mean: FloatArray  # (3,) x m, y m, heading rad, site frame
     covariance: FloatArray  # (3, 3)
 
-    def along(self) -> float:
-        """Variance of the position along the heading, m²."""
-        ahead = np.array((math.cos(self.pose[2]), math.sin(self.pose[2])))
+    def variance_along(self) -> float:
+        """Of the position along the heading, m²."""
+        heading = float(self.mean[2])
+        ahead = np.array((math.cos(heading), math.sin(heading)))
         return max(float(ahead @ self.covariance[:2, :2] @ ahead), 0.0)
 
-    def way_to(self, other: "Place") -> float:
-        """Way from here along the heading halfway, m."""
-        (x, y, yaw), (x_there, y_there, yaw_there) = self.pose.tolist(), other.pose.tolist()
+    def distance_to(self, other: "PoseWithCovariance") -> float:
+        """Distance from here along the heading halfway, m."""
+        (x, y, yaw), (x_there, y_there, yaw_there) = self.mean.tolist(), other.mean.tolist()
         halfway = yaw + 0.5 * math.remainder(yaw_there - yaw, 2.0 * math.pi)
         return float((x_there - x) * math.cos(halfway) + (y_there - y) * math.sin(halfway))
 
 
 @dataclass(frozen=True, eq=False)
 class Odometry:
-    """Velocity and place of the machine at C, as the slip estimator gives them."""
+    """Velocity and pose of the machine at C, as the slip estimator gives them."""
 
     stamp_ns: int
     twist: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s
     twist_covariance: FloatArray  # (3, 3)
-    place: Place
+    pose: PoseWithCovariance
     source: str = ODOMETRY
 
-    def is_finite(self) -> bool:
-        """Whether all are numbers, and the covariance of v_x and yaw rate can be one."""
-        if not _are_numbers(self.twist, self.twist_covariance, *self.place):
-            return False
-        (v_x, _, both), _, (_, _, rate) = self.twist_covariance.tolist()
-        return bool(v_x >= 0.0 and rate >= 0.0 and both**2 <= v_x * rate * (1.0 + _ROUNDING))
+    def write_to(self, record: Any) -> None:
+        """Set the fields of a ``SOIL_INPUT``."""
+        record["source"], record["stamp_ns"] = IS_ODOMETRY, self.stamp_ns
+        record["twist"], record["twist_covariance"] = self.twist, self.twist_covariance
+        record["pose"], record["pose_covariance"] = self.pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +103,10 @@ class Slips:
     motion: Motion
     source: str = SLIPS
 
-    def is_finite(self) -> bool:
-        """Whether all are numbers."""
-        return _are_numbers(self.mean)
+    def write_to(self, record: Any) -> None:
+        """Set the fields of a ``SOIL_INPUT``."""
+        record["source"], record["stamp_ns"] = IS_SLIPS, self.stamp_ns
+        record["slips"], record["motion"] = self.mean, self.motion
 
 
 SoilInput: TypeAlias = Hydraulics | Odometry | Slips
@@ -91,14 +114,51 @@ SoilInput: TypeAlias = Hydraulics | Odometry | Slips
 
 def inputs_of(estimate: Estimate) -> tuple[Odometry, Slips]:
     """What the slip estimator publishes of an estimate, as the soil estimator takes it."""
-    of, place = estimate.outputs, Place(estimate.pose, estimate.pose_covariance)
+    of, pose = estimate.outputs, PoseWithCovariance(estimate.pose, estimate.pose_covariance)
     return (
-        Odometry(estimate.stamp_ns, of.twist, of.twist_covariance, place),
+        Odometry(estimate.stamp_ns, of.twist, of.twist_covariance, pose),
         Slips(estimate.stamp_ns, of.slips, estimate.motion),
     )
 
 
-class Refusal(Enum):
+@compiled
+def copy_input(source: Any, to: Any) -> None:
+    """One ``SOIL_INPUT`` into another; assigned as a whole it would take the compiler seconds."""
+    to.source, to.stamp_ns, to.motion = source.source, source.stamp_ns, source.motion
+    for k in range(2):
+        to.pressures[k], to.spools[k] = source.pressures[k], source.spools[k]
+    for i in range(3):
+        to.twist[i], to.pose[i], to.slips[i] = source.twist[i], source.pose[i], source.slips[i]
+        for j in range(3):
+            to.twist_covariance[i, j] = source.twist_covariance[i, j]
+            to.pose_covariance[i, j] = source.pose_covariance[i, j]
+
+
+@compiled
+def is_valid(given: Any) -> bool:
+    """Whether a ``SOIL_INPUT`` holds numbers, and the covariance of v_x and yaw rate can be one."""
+    if given.source == IS_HYDRAULICS:
+        return _are_numbers(given.pressures) and _are_numbers(given.spools)
+    if given.source == IS_SLIPS:
+        return _are_numbers(given.slips)
+    C = given.twist_covariance
+    for i in range(3):
+        if not (_are_numbers(C[i]) and _are_numbers(given.pose_covariance[i])):
+            return False
+    limit = C[0, 0] * C[2, 2] * (1.0 + _ROUNDING)
+    is_covariance = C[0, 0] >= 0.0 and C[2, 2] >= 0.0 and C[0, 2] ** 2 <= limit
+    return is_covariance and _are_numbers(given.twist) and _are_numbers(given.pose)
+
+
+@compiled
+def _are_numbers(values: FloatArray) -> bool:
+    for k in range(len(values)):  # noqa: SIM110 (numba knows no all() of a generator)
+        if not abs(values[k]) < _LARGEST:
+            return False
+    return True
+
+
+class Rejection(Enum):
     """Why an input was not used."""
 
     INVALID = "holds nan or infinity"
@@ -107,6 +167,11 @@ class Refusal(Enum):
     AHEAD = "far ahead of the others"
     UNPAIRED = "odometry and track_slip are not both there"
     RESTARTED = "the clock went back: all begins anew"
+
+
+# Of compiled code: the place of each in ``Rejection``
+INVALID, DUPLICATE, TOO_LATE, AHEAD, UNPAIRED, RESTARTED = range(6)
+ACCEPTED = -1
 
 
 @dataclass(frozen=True)
@@ -121,14 +186,22 @@ class TrackForces:
     reserve: tuple[float, float]  # 1 − |F|/F_max; nan while F_max is unknown
 
 
+FORCES = np.dtype(
+    [
+        ("stamp_ns", "i8"),
+        ("thrust", "f8", 2),
+        ("thrust_variance", "f8", 2),
+        ("resistance", "f8", 2),
+        ("resistance_variance", "f8", 2),
+        ("reserve", "f8", 2),
+    ]
+)
+
+
 @dataclass(frozen=True, eq=False)
 class SlipSeed:
-    """Slips of both tracks in straight motion, told by thrust and soil."""
+    """Slips of both tracks in straight motion, from thrust and soil."""
 
     stamp_ns: int
     slips: FloatArray  # (2,) left, right
     covariance: FloatArray  # (2, 2)
-
-
-def _are_numbers(*arrays: FloatArray) -> bool:
-    return all(bool((np.abs(array) < _LARGEST).all()) for array in arrays)

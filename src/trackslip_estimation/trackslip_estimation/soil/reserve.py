@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How near a track is to the limit of its soil: the early warning of getting stuck.
+"""How near a track is to the limit of its soil: the early warning of getting stuck. Compiled.
 
 F, σ_F   thrust of the track and its standard deviation     N
 F_max    maximal tractive effort of one track               N
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+
+from trackslip_common.compiled import compiled
 
 FloatArray = NDArray[np.float64]
+
+_LEAST = 1e-300  # N²
 
 
 class Reserve(NamedTuple):
@@ -21,20 +25,22 @@ class Reserve(NamedTuple):
     exhausted: float  # probability that |F| exceeds the share of F_max asked about
 
 
+@compiled
 def thrust_reserve(
-    thrust: float, variance: float, log_limits: FloatArray, probabilities: FloatArray, share: float
+    thrust: float, variance: float, limits: FloatArray, probabilities: FloatArray, share: float
 ) -> Reserve:
     """What is left of the strength, given the marginal of F_max.
 
     Args:
         thrust: F, N.
         variance: σ_F², N².
-        log_limits: ln F_max of the cells (n,).
+        limits: F_max of the cells (n,), N.
         probabilities: of the cells (n,).
         share: of F_max, beyond which a track is in danger.
     """
-    limits = np.exp(log_limits)
-    beyond = ndtr((abs(thrust) - share * limits) / np.sqrt(max(variance, np.finfo(float).tiny)))
-    return Reserve(
-        float(1.0 - abs(thrust) * np.sum(probabilities / limits)), float(np.sum(probabilities * beyond))
-    )
+    force, per_stddev = abs(thrust), 1.0 / math.sqrt(2.0 * max(variance, _LEAST))
+    used = exhausted = 0.0
+    for k in range(len(limits)):
+        used += probabilities[k] * force / limits[k]
+        exhausted += probabilities[k] * 0.5 * math.erfc((share * limits[k] - force) * per_stddev)
+    return Reserve(1.0 - used, exhausted)

@@ -15,6 +15,7 @@ Arrays over tracks are left, right; element 0 is the foremost.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,42 @@ from trackslip_common.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 
-_FARTHEST = 0.5  # m, at which all strength is mobilised: a reversal need not undo more
-_STILL = 1e-9  # m, m/s, below which nothing slides
+FARTHEST = 0.5  # m, at which all strength is mobilised: a reversal need not undo more
+STILL = 1e-9  # m, m/s, below which nothing slides
+_ALL = 40.0  # |j|/K, at which 1 − e^(−|j|/K) is 1 to the last bit
+_HALVINGS = 6
+
+
+class Contact(NamedTuple):
+    """Where the tracks touch the ground."""
+
+    x_e: FloatArray  # (n,) of the elements' centres, from the front, m
+    half_tread: float  # m
+
+
+class Rolling(NamedTuple):
+    """How the machine moves."""
+
+    twist: FloatArray  # (3,)
+    tracks: FloatArray  # (2,) u
+
+
+class Path(NamedTuple):
+    """Where the soil under each element was ``dt`` ago; (2, n) each."""
+
+    place: NDArray[np.int64]  # in front of it, the element
+    following: NDArray[np.int64]  # behind it, the next one
+    part: FloatArray  # of the way from the one to the other
+    scale: FloatArray  # of j there: down to 0 at the leading edge
+    time: FloatArray  # for which the soil was under the track, s
+    middle: FloatArray  # x of the middle of its way, m
+
+
+class SlidingError(NamedTuple):
+    """By how much sliding velocities are off, and were so while the tracks rolled over the soil."""
+
+    along: FloatArray  # (2,) of each track's s_x, m/s
+    across: FloatArray  # (2,) of v_y and φ̇ in s_y
 
 
 def element_places(length: float, elements: int) -> FloatArray:
@@ -33,71 +68,106 @@ def element_places(length: float, elements: int) -> FloatArray:
 
 
 @compiled
-def carry(
-    j: FloatArray, twist: FloatArray, tracks: FloatArray, x_e: FloatArray, half_tread: float, dt: float
-) -> FloatArray:
-    """J (2, n, 2) after dt > 0 of steady motion, of any length.
+def mobilised(ratio: float) -> float:
+    """1 − e^(−ratio) for a ratio ≥ 0, to 1e-14; of plain arithmetic, so that loops over it are vectorised.
 
-    Each element's soil is followed back to where it was, between two centres, or to the leading edge, where
-    it was not yet sheared.
+    e^−y − 1 of y = ratio/64 by its series, then doubled six times: e^(−2y) − 1 = m (2 + m).
+    """
+    y = min(ratio, _ALL) * 0.5**_HALVINGS
+    m = 1.0 - y / 7.0 * (1.0 - y / 8.0 * (1.0 - y / 9.0 * (1.0 - y / 10.0 * (1.0 - y / 11.0))))
+    m = 1.0 - y / 4.0 * (1.0 - y / 5.0 * (1.0 - y / 6.0 * m))
+    m = -y * (1.0 - y / 2.0 * (1.0 - y / 3.0 * m))
+    for _ in range(_HALVINGS):
+        m *= 2.0 + m
+    return -m
+
+
+@compiled
+def sliding_along(rolling: Rolling, k: int, half_tread: float) -> float:
+    """s_x of track k."""
+    return float(rolling.twist[0] - rolling.twist[2] * half_tread * (1.0 - 2.0 * k) - rolling.tracks[k])
+
+
+@compiled
+def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
+    """Follow each element's soil back to where it was, between two centres, or to the leading edge, where it
+    was not yet sheared.
     """
     n = len(x_e)
     dx = x_e[0] - x_e[1]
-    after = np.empty_like(j)
+    shape = (2, n)
+    path = Path(
+        np.empty(shape, np.int64),
+        np.empty(shape, np.int64),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+    )
     for k in range(2):
         u = tracks[k]
-        s_x = twist[0] - twist[2] * half_tread * (1.0 - 2.0 * k) - u
         for i in range(n):  # from the leading edge
             e = i if u >= 0.0 else n - 1 - i
             xi = (i + 0.5) * dx
             way = min(abs(u) * dt, xi)
-            time = way / abs(u) if way == xi else dt
             place = (xi - way) / dx - 0.5  # in elements behind the first centre
             first = max(math.floor(place), 0)
             part = max(place - first, 0.0)
-            scale = min(1.0, 2.0 * (place + 0.5))  # down to 0 at the edge
             at = first if u >= 0.0 else n - 1 - first
-            behind = at if part == 0.0 else (at + 1 if u >= 0.0 else at - 1)
-            middle = x_e[e] + math.copysign(0.5 * way, u)
-            for axis in range(2):
-                before = scale * ((1.0 - part) * j[k, at, axis] + part * j[k, behind, axis])
-                slide = s_x if axis == 0 else twist[1] + twist[2] * middle
-                after[k, e, axis] = before + slide * time
-            slid = math.hypot(after[k, e, 0], after[k, e, 1])
-            after[k, e] *= min(1.0, _FARTHEST / max(slid, _STILL))
+            path.place[k, e] = at
+            path.following[k, e] = at if part == 0.0 else (at + 1 if u >= 0.0 else at - 1)
+            path.part[k, e] = part
+            path.scale[k, e] = min(1.0, 2.0 * (place + 0.5))
+            path.time[k, e] = way / abs(u) if way == xi else dt
+            path.middle[k, e] = x_e[e] + math.copysign(0.5 * way, u)
+    return path
+
+
+@compiled
+def carried(j: FloatArray, path: Path, k: int, e: int, axis: int) -> float:
+    """What j (2, n, 2) was where the soil under an element was, m."""
+    before, behind = j[k, path.place[k, e], axis], j[k, path.following[k, e], axis]
+    return float(path.scale[k, e] * ((1.0 - path.part[k, e]) * before + path.part[k, e] * behind))
+
+
+@compiled
+def carry(j: FloatArray, rolling: Rolling, contact: Contact, dt: float) -> FloatArray:
+    """J (2, n, 2) after dt > 0 of steady motion, of any length."""
+    n, twist = len(contact.x_e), rolling.twist
+    path = path_of(rolling.tracks, contact.x_e, dt)
+    after = np.empty_like(j)
+    for k in range(2):
+        s_x = sliding_along(rolling, k, contact.half_tread)
+        for e in range(n):
+            time = path.time[k, e]
+            j_x = carried(j, path, k, e, 0) + s_x * time
+            j_y = carried(j, path, k, e, 1) + (twist[1] + twist[2] * path.middle[k, e]) * time
+            scale = min(1.0, FARTHEST / max(math.hypot(j_x, j_y), STILL))
+            after[k, e, 0], after[k, e, 1] = scale * j_x, scale * j_y
     return after
 
 
 @compiled
 def shares(
-    j: FloatArray,
-    twist: FloatArray,
-    tracks: FloatArray,
-    along: FloatArray,
-    across: FloatArray,
-    x_e: FloatArray,
-    half_tread: float,
-    moduli: FloatArray,
-    q: FloatArray,
+    j: FloatArray, rolling: Rolling, error: SlidingError, contact: Contact, moduli: FloatArray, q: FloatArray
 ) -> None:
-    """Fill q (2, moduli) for sliding velocities that are off, and were so while the tracks rolled over.
-
-    ``along`` (2,) is the error of each track's s_x; ``across`` (2,) are those of v_y and φ̇ in s_y.
-    """
+    """Fill q (2, moduli) for sliding velocities that are off by ``error``."""
+    x_e, twist = contact.x_e, rolling.twist
     n = len(x_e)
     dx = x_e[0] - x_e[1]
     q[:] = 0.0
     for k in range(2):
-        u = tracks[k]
-        s_x = twist[0] - twist[2] * half_tread * (1.0 - 2.0 * k) - u + along[k]
+        u = rolling.tracks[k]
+        s_x = sliding_along(rolling, k, contact.half_tread) + error.along[k]
+        of_track, per_modulus = q[k], 1.0 / moduli
         for e in range(n):
             xi = (e + 0.5) * dx if u >= 0.0 else (n - 0.5 - e) * dx
-            time = xi / max(abs(u), _STILL)
-            s_y = twist[1] + across[0] + (twist[2] + across[1]) * x_e[e]
+            time = xi / max(abs(u), STILL)
+            s_y = twist[1] + error.across[0] + (twist[2] + error.across[1]) * x_e[e]
             middle = x_e[e] + math.copysign(0.5 * xi, u)
-            j_x = j[k, e, 0] + along[k] * time
-            j_y = j[k, e, 1] + (across[0] + across[1] * middle) * time
+            j_x = j[k, e, 0] + error.along[k] * time
+            j_y = j[k, e, 1] + (error.across[0] + error.across[1] * middle) * time
             slid = math.hypot(j_x, j_y)
-            share = -s_x / max(math.hypot(s_x, s_y), _STILL) / n
+            share = -s_x / max(math.hypot(s_x, s_y), STILL) / n
             for m in range(len(moduli)):
-                q[k, m] -= share * math.expm1(-slid / moduli[m])
+                of_track[m] += share * mobilised(slid * per_modulus[m])

@@ -14,19 +14,21 @@ that are to be put right had their say.
 
 import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import SlipSeed
-from trackslip_estimation.soil.strength_posterior import StrengthSummary
-from trackslip_estimation.soil.thrust import Thrust
+from trackslip_estimation.soil.strength_summary import StrengthSummary
 from trackslip_estimation.terramechanics.traction import slip_of_thrust
 
 FloatArray = NDArray[np.float64]
 
+_STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _INTERVAL = 2.0 * 1.6449  # standard deviations from 5 to 95 %
 
 
@@ -42,55 +44,107 @@ class SeedParameters(Parameters):
     thrust_stddev: float = parameter("what pressures leave out of a thrust", unit="N", gt=0.0)
 
 
-class SlipSeeder:
-    """Waits for the end of a turn, and for straight motion to settle."""
+class Thrust(NamedTuple):
+    """Of both tracks; (2,) each."""
 
-    def __init__(self, p: SeedParameters, contact_length: float) -> None:
-        self._p = p
-        self._length = contact_length
-        self._due = False  # there was a turn, and no seed since
-        self._soil: StrengthSummary | None = None  # when straight motion began
-        self._time = self._way = 0.0  # s, m: straight on
+    force: FloatArray  # N
+    variance: FloatArray  # N²
 
-    def step(
-        self,
-        stamp_ns: int,
-        dt: float,
-        motion: Motion,
-        tracks: FloatArray,
-        thrust: Thrust | None,
-        soil: StrengthSummary | None,
-    ) -> SlipSeed | None:
-        """One moment; the seed where one is due and can be told. ``tracks`` (2,) r ω, m/s."""
-        if motion is not Motion.STRAIGHT:
-            self._due |= motion is Motion.TURNING
-            self._time, self._way, self._soil = 0.0, 0.0, soil
-            return None
-        self._time += dt
-        self._way += abs(float(np.mean(tracks))) * dt
-        settled = self._time >= self._p.settling_time
-        settled = settled and self._way >= self._p.settling_lengths * self._length
-        if not (self._due and settled) or thrust is None or not (self._soil and self._soil.identifiable):
-            return None
-        found = slips_of(thrust, np.sign(tracks), self._soil, self._p, self._length)
-        if found is None:
-            return None
-        self._due = False
-        return SlipSeed(stamp_ns, *found)
+
+_STRENGTH = np.dtype(
+    [
+        ("shear_modulus", "f8"),  # m
+        ("shear_modulus_interval", "f8", 2),
+        ("thrust_limit", "f8"),  # N
+        ("thrust_limit_interval", "f8", 2),
+        ("effective_samples", "f8"),
+        ("largest_thrust", "f8"),  # N, with which the soil still gives a slip; 0 where it is not identifiable
+    ]
+)
+SEEDER = np.dtype(
+    [
+        ("is_due", "i8"),  # there was a turn, and no seed since
+        ("time", "f8"),  # s: straight on
+        ("distance", "f8"),  # m: straight on
+        ("newest", _STRENGTH),  # of the newest state
+        ("in_turn", _STRENGTH),  # when straight motion began
+    ]
+)
+
+
+def set_strength(seeder: Any, found: StrengthSummary) -> None:
+    """The strength of the newest state, into a SEEDER."""
+    newest = seeder["newest"]
+    for name in ("shear_modulus", "thrust_limit"):
+        newest[name], newest[f"{name}_interval"] = getattr(found, name), getattr(found, f"{name}_interval")
+    newest["effective_samples"] = found.effective_samples
+    largest = found.thrust_limit / math.exp(_log_stddev(found.thrust_limit_interval))
+    newest["largest_thrust"] = largest if found.identifiable else 0.0
+
+
+def seed_of(seeder: Any, sample: Any, thrust: Any, p: SeedParameters, length: float) -> SlipSeed:
+    """The seed that is due at a SAMPLE with its THRUST."""
+    soil = seeder["in_turn"]
+    strength = StrengthSummary(
+        float(soil["shear_modulus"]),
+        tuple(soil["shear_modulus_interval"].tolist()),
+        float(soil["thrust_limit"]),
+        tuple(soil["thrust_limit_interval"].tolist()),
+        float(soil["effective_samples"]),
+        identifiable=True,
+        reason="",
+    )
+    known = Thrust(thrust["force"], thrust["variance"])
+    return SlipSeed(int(sample["stamp_ns"]), *slips_of(known, np.sign(sample["tracks"]), strength, p, length))
+
+
+@compiled
+def is_seed_due(seeder: Any, sample: Any, thrust: Any, p: Any) -> bool:
+    """After one more SAMPLE with its THRUST: whether there was a turn, and slips have settled since.
+
+    ``p``: record of SoilEstimatorParameters.
+    """
+    if sample.motion != _STRAIGHT:
+        seeder.is_due = seeder.is_due or sample.motion == _TURNING
+        seeder.time = seeder.distance = 0.0
+        _copy_strength(seeder.in_turn, seeder.newest)
+        return False
+    seeder.time += sample.dt
+    seeder.distance += abs(0.5 * (sample.tracks[0] + sample.tracks[1])) * sample.dt
+    settled = seeder.time >= p.seed.settling_time
+    settled = settled and seeder.distance >= p.seed.settling_lengths * p.vehicle.contact_length
+    if not (seeder.is_due and settled and thrust.is_known):
+        return False
+    for k in range(2):
+        stddev = math.sqrt(thrust.variance[k] + p.seed.thrust_stddev**2)
+        if not (
+            abs(thrust.force[k]) + stddev < seeder.in_turn.largest_thrust and abs(sample.tracks[k]) > 0.0
+        ):
+            return False
+    seeder.is_due = False
+    return True
+
+
+@compiled
+def _copy_strength(to: Any, source: Any) -> None:
+    to.shear_modulus, to.thrust_limit = source.shear_modulus, source.thrust_limit
+    for k in range(2):
+        to.shear_modulus_interval[k] = source.shear_modulus_interval[k]
+        to.thrust_limit_interval[k] = source.thrust_limit_interval[k]
+    to.effective_samples, to.largest_thrust = source.effective_samples, source.largest_thrust
 
 
 def slips_of(
     thrust: Thrust, direction: FloatArray, soil: StrengthSummary, p: SeedParameters, length: float
-) -> tuple[FloatArray, FloatArray] | None:
+) -> tuple[FloatArray, FloatArray]:
     """(2,) i and (2, 2) C; ``direction`` of travel of each track, 1 or −1.
 
-    None where the soil may give no such thrust: no slip belongs to it.
+    Raises:
+        InputError: the soil cannot give such a thrust.
     """
     force, stddev = thrust.force * direction, np.sqrt(thrust.variance + p.thrust_stddev**2)
     limit, modulus = soil.thrust_limit, soil.shear_modulus
     of_limit = math.exp(_log_stddev(soil.thrust_limit_interval))
-    if not (np.abs(force) + stddev < limit / of_limit).all():
-        return None
 
     def slips(forces: FloatArray, largest: float) -> FloatArray:
         return slip_of_thrust(forces, largest, modulus, length)

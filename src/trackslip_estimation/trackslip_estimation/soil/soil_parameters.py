@@ -10,11 +10,11 @@ from trackslip_common.parameters import Parameters, flat_fields, from_flat, para
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
-from trackslip_estimation.soil.moments import MomentParameters
 from trackslip_estimation.soil.pressure_watch import WatchParameters
 from trackslip_estimation.soil.slip_seed import SeedParameters
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.thrust import ThrustParameters
+from trackslip_estimation.soil.time_synchronizer import SynchronizerParameters
 
 NODE = "soil_estimator"
 PARAMETERS = "soil_estimator/parameters"  # topic that carries them into bags
@@ -26,7 +26,7 @@ class SoilEstimatorParameters(Parameters):
     """Everything the soil estimator can be told."""
 
     vehicle: Vehicle
-    moments: MomentParameters
+    moments: SynchronizerParameters
     thrust: ThrustParameters
     watch: WatchParameters
     dynamics: DynamicsParameters

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much way a straight costs on each soil, held against the way that the machine was seen to lose.
+"""How much distance a straight segment costs on each soil, against what the machine was seen to lose.
 
     K, F_max   of a hypothesis: a few of them, spread over the grid of the posterior   m, N
     U, ΣF      mean track speed; thrust of both tracks                                 m/s, N
     v_x        speed of C with which a hypothesis pulls ΣF: F_max (q_L + q_R) = ΣF     m/s
     j, q       the soil sheared under the tracks, F/F_max: ``shear_field``             m, 1
-    λ          way lost: ∫(U − v_x) dt                                                 m
+    λ          slip distance: ∫(U − v_x) dt                                            m
 
 The slips of a straight are small, and an estimate of them is late: the soil under the tracks is first that of
 the turn before, which pulls without any slip, and fresh a contact length later. What is known well at each
-moment is the thrust, and over a straight the way: from one good position to another the tracks rolled
+moment is the thrust, and over a straight the distance: from one good position to another the tracks rolled
 farther than the machine came. So each hypothesis drives the straight with the slips that it needs for the
-measured thrusts, and is judged by λ alone, which grows almost in proportion to K.
+measured thrusts, and is evaluated by λ alone, which grows almost in proportion to K.
 """
 
 import math
@@ -21,9 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.soil.records import Place
-from trackslip_estimation.soil.shear_field import carry, element_places, shares
+from trackslip_estimation.soil.records import PoseWithCovariance
+from trackslip_estimation.soil.shear_field import (
+    FARTHEST,
+    STILL,
+    Contact,
+    Rolling,
+    carried,
+    mobilised,
+    path_of,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -33,7 +40,14 @@ _CLOSE_PULL, _CLOSE_SLIP = 1e-3, 1e-5  # of q_L + q_R; of a slip
 _TRIALS = 40  # about ten are needed
 
 
-class Lost(NamedTuple):
+class Soils(NamedTuple):
+    """Of hypotheses: each K with each F_max."""
+
+    moduli: FloatArray  # (m,) m
+    limits: FloatArray  # (l,) N
+
+
+class SlipDistance(NamedTuple):
     """What a straight cost."""
 
     measured: float  # λ, m
@@ -44,140 +58,159 @@ class Lost(NamedTuple):
 class Hypotheses:
     """Soils that are driven on, and how the others lie between them."""
 
-    def __init__(self, vehicle: Vehicle, elements: int, moduli: FloatArray, limits: FloatArray) -> None:
-        self.x_e = element_places(vehicle.contact_length, elements)
-        self.half_tread = 0.5 * vehicle.tread
-        self.moduli = np.geomspace(moduli[0], moduli[-1], _MODULI)
-        self.limits = np.geomspace(limits[0], limits[-1], _LIMITS)
-        self._by_modulus = _between(self.moduli, moduli)
-        self._by_limit = _between(-1.0 / self.limits, -1.0 / limits)
+    def __init__(self, contact: Contact, moduli: FloatArray, limits: FloatArray) -> None:
+        self.contact = contact
+        self.soils = Soils(
+            np.geomspace(moduli[0], moduli[-1], _MODULI), np.geomspace(limits[0], limits[-1], _LIMITS)
+        )
+        self._by_modulus = _between(self.soils.moduli, moduli)
+        self._by_limit = _between(-1.0 / self.soils.limits, -1.0 / limits)
 
     def on_grid(self, values: FloatArray) -> FloatArray:
         """(moduli, limits) of the whole grid, from those driven on."""
         return np.asarray(self._by_modulus @ values @ self._by_limit.T)
 
 
-class Straight:
-    """A straight that the machine is on."""
+class StraightSegment:
+    """A straight that the machine is on, as each hypothesis drives it."""
 
-    def __init__(self, hypotheses: Hypotheses, displacement: FloatArray, start: Place) -> None:
+    def __init__(self, hypotheses: Hypotheses, displacement: FloatArray, start: PoseWithCovariance) -> None:
         """Begun at ``start`` with ``displacement`` (2, n, 2), j under the tracks."""
-        self._soils, self._start, self._end = hypotheses, start, start
-        shape = (len(hypotheses.moduli), len(hypotheses.limits))
+        self._hypotheses, self._start, self._end = hypotheses, start, start
+        shape = tuple(map(len, hypotheses.soils))
         self._j = np.tile(displacement, (*shape, 1, 1, 1))
         self._expected = np.zeros(shape)
-        self._rolled = self._came = 0.0
+        self._rolled = self._travelled = 0.0
 
     @property
     def rolled(self) -> float:
-        """Way of the tracks, m."""
+        """Distance of the tracks, m."""
         return abs(self._rolled)
 
-    def roll(self, dt: float, tracks: FloatArray, twist: FloatArray, thrust: float, place: Place) -> None:
-        """On to ``place`` in dt s, with ``thrust`` of both tracks together.
+    def add(self, dt: float, rolling: Rolling, thrust: float) -> None:
+        """``dt`` s on, with ``thrust`` of both tracks together. Of the twist, v_x is each hypothesis' own."""
+        s, distance = self._hypotheses, float(rolling.tracks.mean()) * dt
+        self._expected += distance * drive(self._j, rolling, thrust, s.soils, s.contact, dt)
+        self._rolled += distance
 
-        Of the twist, v_x is each hypothesis' own.
-        """
-        s, way = self._soils, float(tracks.mean()) * dt
-        slips = drive(self._j, twist, tracks, thrust, s.moduli, s.limits, s.x_e, s.half_tread, dt)
-        self._expected += way * slips
-        self._rolled += way
-        self.arrive(place)
+    def set_end(self, pose: PoseWithCovariance) -> None:
+        """Be there, as is better known by now: a machine that stands is seen again and again."""
+        self._travelled += self._end.distance_to(pose)
+        self._end = pose
 
-    def arrive(self, place: Place) -> None:
-        """Be at ``place``, as is better known by now: a machine that stands is seen again and again."""
-        self._came += self._end.way_to(place)
-        self._end = place
-
-    def lost(self) -> Lost:
+    def slip_distance(self) -> SlipDistance:
         """λ until now."""
         forward = math.copysign(1.0, self._rolled)
-        expected = self._soils.on_grid(forward * self._expected)
-        variance = self._start.along() + self._end.along()
-        return Lost(forward * (self._rolled - self._came), expected, variance)
+        expected = self._hypotheses.on_grid(forward * self._expected)
+        variance = self._start.variance_along() + self._end.variance_along()
+        return SlipDistance(forward * (self._rolled - self._travelled), expected, variance)
+
+
+class _Pulling(NamedTuple):
+    """What one hypothesis' pull over a step rests on, whatever its slip; (2, n) over tracks and elements."""
+
+    before: FloatArray  # j_x carried along, m
+    across: FloatArray  # j_y at the end of the step, m
+    time: FloatArray  # for which the soil was under the track, s
+    s_y: FloatArray  # m/s
+    shares: FloatArray  # room for the elements' shares of q
 
 
 @compiled
-def _tried(
-    slip: float,
-    j: FloatArray,
-    twist: FloatArray,
-    tracks: FloatArray,
-    modulus: FloatArray,
-    x_e: FloatArray,
-    half_tread: float,
-    dt: float,
-) -> tuple[float, FloatArray]:
-    """q_L + q_R in the sense of travel after dt s with a mean slip, and j then."""
-    U = (tracks[0] + tracks[1]) / 2.0
-    own = np.array((U * (1.0 - slip), twist[1], twist[2]))
-    q, none = np.empty((2, 1)), np.zeros(2)
-    after = carry(j, own, tracks, x_e, half_tread, dt)
-    shares(after, own, tracks, none, none, x_e, half_tread, modulus, q)
-    return math.copysign(1.0, U) * (q[0, 0] + q[1, 0]), after
+def drive(
+    j: FloatArray, rolling: Rolling, thrust: float, soils: Soils, contact: Contact, dt: float
+) -> FloatArray:
+    """Mean slips (moduli, limits) of the hypotheses, whose j (moduli, limits, 2, n, 2) are carried on."""
+    n, half_tread = len(contact.x_e), contact.half_tread
+    path = path_of(rolling.tracks, contact.x_e, dt)
+    shape = (2, n)
+    pulling = _Pulling(np.empty(shape), np.empty(shape), path.time, np.empty(shape), np.empty(shape))
+    for k in range(2):
+        for e in range(n):
+            pulling.s_y[k, e] = rolling.twist[1] + rolling.twist[2] * contact.x_e[e]
+    slips = np.empty((len(soils.moduli), len(soils.limits)))
+    forward = math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1])
+    for a in range(slips.shape[0]):
+        for b in range(slips.shape[1]):
+            own, wanted = j[a, b], forward * thrust / soils.limits[b]
+            for k in range(2):
+                for e in range(n):
+                    s_y = rolling.twist[1] + rolling.twist[2] * path.middle[k, e]
+                    pulling.before[k, e] = carried(own, path, k, e, 0)
+                    pulling.across[k, e] = carried(own, path, k, e, 1) + s_y * path.time[k, e]
+            slip = _needed_slip(wanted, pulling, rolling, half_tread, soils.moduli[a])
+            _leave(own, slip, pulling, rolling, half_tread)
+            slips[a, b] = slip
+    return slips
 
 
 @compiled
-def _needed(
-    wanted: float,
-    j: FloatArray,
-    twist: FloatArray,
-    tracks: FloatArray,
-    modulus: FloatArray,
-    x_e: FloatArray,
-    half_tread: float,
-    dt: float,
-) -> tuple[float, FloatArray]:
-    """Mean slip that pulls ``wanted``, and j after dt s with it.
+def _sliding_along(slip: float, rolling: Rolling, half_tread: float, k: int) -> float:
+    """s_x of track k where C goes with a mean slip."""
+    U = 0.5 * (rolling.tracks[0] + rolling.tracks[1])
+    return float(U * (1.0 - slip) - rolling.twist[2] * half_tread * (1.0 - 2.0 * k) - rolling.tracks[k])
+
+
+@compiled
+def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, modulus: float) -> float:
+    """q_L + q_R in the sense of travel after the step with a mean slip."""
+    n, per_modulus = pulling.time.shape[1], 1.0 / modulus
+    total = 0.0
+    for k in range(2):
+        s_x = _sliding_along(slip, rolling, half_tread, k)
+        before, across, time = pulling.before[k], pulling.across[k], pulling.time[k]
+        s_y, shares = pulling.s_y[k], pulling.shares[k]
+        for e in range(n):
+            j_x = before[e] + s_x * time[e]
+            slid = min(math.sqrt(j_x * j_x + across[e] * across[e]), FARTHEST)
+            sliding = max(math.sqrt(s_x * s_x + s_y[e] * s_y[e]), STILL)
+            shares[e] = np.divide(mobilised(slid * per_modulus), sliding)  # / would look for zeros
+        for e in range(n):
+            total -= s_x * shares[e]
+    return float(math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1]) * total / n)
+
+
+@compiled
+def _needed_slip(
+    wanted: float, pulling: _Pulling, rolling: Rolling, half_tread: float, modulus: float
+) -> float:
+    """Mean slip that pulls ``wanted``.
 
     More slip pulls more, so false position (Illinois) closes in on it, or on the step of the pull at slip 0
     where the soil is sheared already.
     """
     low, high = -_MOST_SLIP, _MOST_SLIP
-    f, after = _tried(low, j, twist, tracks, modulus, x_e, half_tread, dt)
-    f_low = f - wanted
+    f_low = _pull(low, pulling, rolling, half_tread, modulus) - wanted
     if f_low >= 0.0:
-        return low, after
-    f, after = _tried(high, j, twist, tracks, modulus, x_e, half_tread, dt)
-    f_high = f - wanted
+        return low
+    f_high = _pull(high, pulling, rolling, half_tread, modulus) - wanted
     if f_high <= 0.0:
-        return high, after
+        return high
     slip, was_low, was_high = high, False, False
     for _ in range(_TRIALS):
         slip = (low * f_high - high * f_low) / (f_high - f_low)
-        f, after = _tried(slip, j, twist, tracks, modulus, x_e, half_tread, dt)
-        if abs(f - wanted) < _CLOSE_PULL or high - low < _CLOSE_SLIP:
+        f = _pull(slip, pulling, rolling, half_tread, modulus) - wanted
+        if abs(f) < _CLOSE_PULL or high - low < _CLOSE_SLIP:
             break
-        if f < wanted:
-            low, f_low = slip, f - wanted
+        if f < 0.0:
+            low, f_low = slip, f
             f_high *= 0.5 if was_low else 1.0
         else:
-            high, f_high = slip, f - wanted
+            high, f_high = slip, f
             f_low *= 0.5 if was_high else 1.0
-        was_low, was_high = f < wanted, f >= wanted
-    return slip, after
+        was_low, was_high = f < 0.0, f >= 0.0
+    return slip
 
 
 @compiled
-def drive(
-    j: FloatArray,
-    twist: FloatArray,
-    tracks: FloatArray,
-    thrust: float,
-    moduli: FloatArray,
-    limits: FloatArray,
-    x_e: FloatArray,
-    half_tread: float,
-    dt: float,
-) -> FloatArray:
-    """Mean slips (moduli, limits) of the hypotheses, whose j (moduli, limits, 2, n, 2) are carried on."""
-    slips = np.empty((len(moduli), len(limits)))
-    forward = math.copysign(1.0, tracks[0] + tracks[1])
-    for a in range(len(moduli)):
-        for b in range(len(limits)):
-            wanted, modulus = forward * thrust / limits[b], moduli[a : a + 1]
-            slips[a, b], j[a, b] = _needed(wanted, j[a, b], twist, tracks, modulus, x_e, half_tread, dt)
-    return slips
+def _leave(j: FloatArray, slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float) -> None:
+    """Set j (2, n, 2) after the step with a mean slip."""
+    for k in range(2):
+        s_x = _sliding_along(slip, rolling, half_tread, k)
+        for e in range(pulling.time.shape[1]):
+            j_x, j_y = pulling.before[k, e] + s_x * pulling.time[k, e], pulling.across[k, e]
+            scale = min(1.0, FARTHEST / max(math.hypot(j_x, j_y), STILL))
+            j[k, e, 0], j[k, e, 1] = scale * j_x, scale * j_y
 
 
 def _between(nodes: FloatArray, places: FloatArray) -> FloatArray:

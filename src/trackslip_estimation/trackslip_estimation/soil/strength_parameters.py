@@ -19,7 +19,7 @@ class StrengthParameters(Parameters):
     limit_cells: int = parameter("cells of the grid over ln F_max", ge=8, le=256)
     elements: int = parameter("pieces of a track's contact", ge=4, le=100)
     interval: float = parameter("time over which samples are averaged to one", unit="s", gt=0.0, le=1.0)
-    slowest_track: float = parameter("track speed below which its slip says nothing", unit="m/s", gt=0.0)
+    slowest_track: float = parameter("track speed below which its slip is not used", unit="m/s", gt=0.0)
     correlation_time: float = parameter(
         "time after which slip errors in turns are new ones", unit="s", gt=0.0
     )
@@ -30,11 +30,15 @@ class StrengthParameters(Parameters):
     thrust_stddev: float = parameter("what the shear model leaves out of a thrust", unit="N", gt=0.0)
     thrust_share_stddev: float = parameter("the same that lasts, as share of F_max", ge=0.0)
     thrust_scale_stddev: float = parameter("thrust error that never averages: efficiency", ge=0.0, lt=1.0)
-    shortest_straight: float = parameter("straight from which on it is judged by its way", unit="m", gt=0.0)
-    longest_straight: float = parameter("straight that is judged at once", unit="m", gt=0.0)
-    way_stddev: float = parameter("what the shear model leaves out of a straight's way", unit="m", ge=0.0)
+    shortest_straight: float = parameter(
+        "straight from which on its slip distance is evaluated", unit="m", gt=0.0
+    )
+    longest_straight: float = parameter("straight that is evaluated at once", unit="m", gt=0.0)
+    way_stddev: float = parameter(
+        "what the shear model leaves out of a straight's slip distance", unit="m", ge=0.0
+    )
     degrees_of_freedom: float = parameter("of the Student-t errors; few forgive outliers", ge=1.0)
-    change_distance: float = parameter("mean way on one soil", unit="m", gt=0.0)
+    change_distance: float = parameter("mean distance on one soil", unit="m", gt=0.0)
     widest_ratio: float = parameter("upper over lower end of an interval up to which it counts", gt=1.0)
 
     def __post_init__(self) -> None:

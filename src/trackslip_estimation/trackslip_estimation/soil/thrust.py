@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Thrust of both tracks from differential pressure (3.25), (3.27), with its variance.
+"""Thrust of both tracks from differential pressure (3.25), (3.27), with its variance, compiled.
 
     ΔP, b      differential pressure, offset of its transducer                Pa
     ω          sprocket speed                                                 rad/s
@@ -14,15 +14,34 @@ average.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
+from trackslip_estimation.terramechanics.hydraulics import speed_of_flow, thrust_of_pressure
 
 FloatArray = NDArray[np.float64]
+
+OFFSETS = np.dtype([("mean", "f8", 2), ("variance", "f8", 2), ("stood", "f8")])  # Pa, Pa², s
+THRUST = np.dtype(
+    [
+        ("is_known", "i8"),  # from pressures of this moment; else held
+        ("force", "f8", 2),  # N
+        ("variance", "f8", 2),  # N², without the error of the efficiency
+    ]
+)
+MOTOR = np.dtype(
+    [
+        ("driving", "f8"),  # N of thrust per Pa, while the motor drives
+        ("driven", "f8"),  # the same, while the track drives the motor
+        ("largest_thrust", "f8"),  # N, at the pressure of the relief valve
+        ("full_flow_speed", "f8"),  # rad/s of the sprocket at the whole flow, without leakage
+    ]
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,84 +54,76 @@ class ThrustParameters(Parameters):
     offset_stddev: float = parameter("offset of a transducer, before it is learned", unit="Pa", gt=0.0)
     offset_limit: float = parameter("beyond it a standing pressure is trapped, no offset", unit="Pa", gt=0.0)
     offset_residue: float = parameter("what standing cannot tell from an offset", unit="Pa", gt=0.0)
-    offset_drift: float = parameter("walk of an offset", unit="Pa/√s", ge=0.0)
+    offset_drift: float = parameter("random walk of an offset", unit="Pa/√s", ge=0.0)
     settling_time: float = parameter("standing with closed spools, before offsets show", unit="s", ge=0.0)
     closed_spool: float = parameter("spool position below which a valve is closed", gt=0.0, lt=1.0)
-    unseen_walk: float = parameter("of a thrust while its pressure is not known", unit="N/√s", gt=0.0)
+    unseen_walk: float = parameter(
+        "random walk of a thrust while its pressure is not known", unit="N/√s", gt=0.0
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class Thrust:
-    """Of both tracks; (2,) each."""
-
-    force: FloatArray  # N
-    variance: FloatArray  # N², without the error of the efficiency
-
-    def total_variance(self, efficiency_stddev: float) -> FloatArray:
-        """N², with the error of the efficiency."""
-        return self.variance + np.square(efficiency_stddev * self.force)
+def motor_of(vehicle: Vehicle) -> NDArray[Any]:
+    """(1,) MOTOR."""
+    driving, driven = (float(thrust_of_pressure(1.0, way, vehicle)) for way in (1.0, -1.0))
+    largest = float(thrust_of_pressure(vehicle.relief_pressure, 1.0, vehicle))
+    full_flow = float(speed_of_flow(vehicle.pump_flow, 1.0, vehicle)) / vehicle.volumetric_efficiency
+    return np.array([(driving, driven, largest, full_flow)], MOTOR)
 
 
-class PressureOffsets:
-    """Offsets of the two transducers: a walk that is seen while the machine stands."""
-
-    def __init__(self, p: ThrustParameters) -> None:
-        self._p = p
-        self.mean = np.zeros(2)
-        self._variance = np.full(2, p.offset_stddev**2)
-        self._stood = 0.0  # s with closed spools
-
-    @property
-    def variance(self) -> FloatArray:
-        """(2,) Pa²; a slope or a little trapped oil looks like an offset, however long it is looked at."""
-        return self._variance + self._p.offset_residue**2
-
-    def step(self, standing: FloatArray | None, dt: float) -> None:
-        """``dt`` s later: the pressures (2,) of a machine that stands with closed spools, else None."""
-        p = self._p
-        self._variance = np.minimum(self._variance + p.offset_drift**2 * dt, p.offset_stddev**2)
-        self._stood = 0.0 if standing is None else self._stood + dt
-        if standing is None or self._stood < p.settling_time:
-            return
-        gain = self._variance / (self._variance + p.pressure_stddev**2)
-        gain = np.where(np.abs(standing) <= p.offset_limit, gain, 0.0)
-        self.mean = self.mean + gain * (standing - self.mean)
-        self._variance = (1.0 - gain) * self._variance
+def new_offsets(p: ThrustParameters) -> NDArray[Any]:
+    """(1,) OFFSETS before the machine has stood."""
+    return np.array([(np.zeros(2), np.full(2, p.offset_stddev**2), 0.0)], OFFSETS)
 
 
-class ThrustMeter:
-    """Pressures to thrusts, with offsets that are learned on the way."""
+def unknown_thrust(motor: Any) -> NDArray[Any]:
+    """(1,) THRUST before the first pressure; ``motor``: MOTOR."""
+    return np.array([(0, np.zeros(2), np.full(2, motor["largest_thrust"] ** 2))], THRUST)
 
-    def __init__(self, p: ThrustParameters, vehicle: Vehicle) -> None:
-        self._p = p
-        self.offsets = PressureOffsets(p)
-        self._driving, self._driven = (float(thrust_of_pressure(1.0, way, vehicle)) for way in (1.0, -1.0))
-        self._largest = float(thrust_of_pressure(vehicle.relief_pressure, 1.0, vehicle))
 
-    def measure(self, pressures: FloatArray, speeds: FloatArray) -> Thrust:
-        """F and σ² of pressures (2,), Pa, at sprocket speeds (2,), rad/s; a speed may be nan."""
-        corrected = pressures - self.offsets.mean
-        variances = self.offsets.variance + self._p.pressure_stddev**2
-        left, right = map(self._of_track, corrected.tolist(), variances.tolist(), speeds.tolist())
-        return Thrust(np.array((left[0], right[0])), np.array((left[1], right[1])))
+@compiled
+def update_offsets(offsets: Any, pressures: FloatArray, stands: bool, dt: float, p: Any) -> None:
+    """``dt`` s later: a random walk that is seen while the machine stands with closed spools.
 
-    def _of_track(self, pressure: float, variance: float, speed: float) -> tuple[float, float]:
-        """F and σ² of one track."""
-        forward = 0.5 if math.isnan(speed) else _below(speed / self._p.speed_stddev)
+    ``p``: record of ThrustParameters.
+    """
+    offsets.stood = offsets.stood + dt if stands else 0.0
+    for k in range(2):
+        variance = min(offsets.variance[k] + p.offset_drift**2 * dt, p.offset_stddev**2)
+        if stands and offsets.stood >= p.settling_time and abs(pressures[k]) <= p.offset_limit:
+            gain = variance / (variance + p.pressure_stddev**2)
+            offsets.mean[k] += gain * (pressures[k] - offsets.mean[k])
+            variance *= 1.0 - gain
+        offsets.variance[k] = variance
+
+
+@compiled
+def measure_thrust(
+    thrust: Any, pressures: FloatArray, speeds: FloatArray, offsets: Any, p: Any, motor: Any
+) -> None:
+    """Set F and σ² from pressures (2,), Pa, at sprocket speeds (2,), rad/s; a speed may be nan."""
+    thrust.is_known = True
+    for k in range(2):
+        # A slope or a little trapped oil looks like an offset, however long it is looked at.
+        variance = offsets.variance[k] + p.offset_residue**2 + p.pressure_stddev**2
+        pressure = pressures[k] - offsets.mean[k]
+        forward = 0.5 if math.isnan(speeds[k]) else _below(speeds[k] / p.speed_stddev)
         positive = _below(pressure / math.sqrt(variance))
         drives = forward * positive + (1.0 - forward) * (1.0 - positive)
-        slope = drives * self._driving + (1.0 - drives) * self._driven
-        either = drives * (1.0 - drives) * ((self._driving - self._driven) * pressure) ** 2
-        return slope * pressure, slope**2 * variance + either
-
-    def unseen(self, before: Thrust | None, dt: float) -> Thrust:
-        """``dt`` s after ``before`` without pressures: the same, less certain, up to what relief allows."""
-        if before is None:
-            return Thrust(np.zeros(2), np.full(2, self._largest**2))
-        grown = before.variance + self._p.unseen_walk**2 * dt
-        return Thrust(before.force, np.minimum(grown, self._largest**2))
+        slope = drives * motor.driving + (1.0 - drives) * motor.driven
+        either = drives * (1.0 - drives) * ((motor.driving - motor.driven) * pressure) ** 2
+        thrust.force[k] = slope * pressure
+        thrust.variance[k] = slope**2 * variance + either
 
 
+@compiled
+def hold_thrust(thrust: Any, dt: float, p: Any, motor: Any) -> None:
+    """``dt`` s later without pressures: the same, less certain, up to what relief allows."""
+    thrust.is_known = False
+    for k in range(2):
+        thrust.variance[k] = min(thrust.variance[k] + p.unseen_walk**2 * dt, motor.largest_thrust**2)
+
+
+@compiled
 def _below(z: float) -> float:
     """Probability that a standard normal variable lies below z."""
     return 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))

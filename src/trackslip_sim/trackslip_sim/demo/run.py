@@ -115,7 +115,7 @@ def _conclude(options: argparse.Namespace, session: Session, path: Path, console
     result.save(output / "summary.json")
     picture = output / "demo.png"
     draw(result, f"{options.scenario}, {options.soil}, {options.duration:g} s", picture)
-    console.print(f"replayed and drawn in {time.monotonic() - began:.1f} s")
+    console.print(f"replayed and plotted in {time.monotonic() - began:.1f} s")
     for name, file in (("picture", picture), ("numbers", output / "summary.json"), ("bag", path)):
         console.print(f"{name:<8} {file}", soft_wrap=True)
     return ExitCode.DONE if result.passes else ExitCode.FAILED

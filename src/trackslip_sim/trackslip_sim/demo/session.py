@@ -24,7 +24,7 @@ _LATE = 30.0  # s after the drive should have ended
 
 
 class Session:
-    """One drive; afterwards ``emitted``, ``received`` and ``drive_start_ns`` tell of it."""
+    """One drive; afterwards ``emitted``, ``received`` and ``drive_start_ns`` describe it."""
 
     def __init__(self, processes: Processes, console: Console, check: Callable[[], None]) -> None:
         self._check = check  # raises KeyboardInterrupt, if it was asked for
@@ -111,5 +111,5 @@ class Session:
         """The user's wish, or a node that has ended, is the end of the demo."""
         self._check()
         for name, code in self._processes.ended().items():
-            last = (self._processes.log(name).splitlines() or ["(it said nothing)"])[-1]
+            last = (self._processes.log(name).splitlines() or ["(no output)"])[-1]
             raise DemoFailure(f"{name} ended with exit code {code}: {last}")

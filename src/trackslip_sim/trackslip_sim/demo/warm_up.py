@@ -1,27 +1,83 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiles what the emulator and the soil estimator call: ``python -m trackslip_sim.demo.warm_up``.
+"""Compiles kernels, so that no first run has to: ``python -m trackslip_sim.demo.warm_up [FAMILY…]``.
 
-``make setup`` runs it beside a short replay, which compiles the slip estimator; what is compiled already is
-only loaded. The studies and the thesis' own truth compile their kernels when they are first run.
+What is compiled already is only loaded. ``make setup`` asks for what the demo needs, beside a short replay,
+which compiles the slip estimator; the studies and the thesis' own truth compile theirs when first run.
 """
 
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from trackslip_estimation.box.fit import Rectangle, ray_cast
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.log import make_log, run_whole
+from trackslip_estimation.slip.measurements import Sprockets
 from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.truth.simulate import simulate
+from trackslip_sim.study.slip.drive import make_drive
+from trackslip_sim.study.slip.evaluate import evaluate
+from trackslip_sim.study.slip.parameters import TRUTHS, cells, load_study_parameters
+from trackslip_sim.truth.simulate import MODES, simulate
 
+_SHORT = 0.1  # s
 _ROLLING = 4.0  # s of the slalom, half of them straight on
 
 
-def main() -> None:
-    """Drive a short way, and estimate the soil along it."""
-    soil = SoilEstimator(load_soil_parameters())
-    truth = simulate(load_scenario("slalom").stretched(_ROLLING))
-    for given in soil_inputs(truth, soil.parameters.vehicle, load_slip_parameters().motion, Sensing()):
-        soil.advance(given)
+def main(families: Sequence[str]) -> None:
+    """Run the kernels of these families, or of all, and print the processor time that each took."""
+    for name in families or FAMILIES:
+        begin = time.process_time()
+        FAMILIES[name]()
+        print(f"{name}: {time.process_time() - begin:.1f} s", flush=True)
 
+
+def _truth() -> None:
+    scenario = load_scenario("straight").stretched(_SHORT)
+    for mode in MODES:
+        simulate(scenario, mode=mode)
+
+
+def _box() -> None:
+    ray_cast(np.array([[5.0, 0.0, 0.0]]), Rectangle(1.0, 1.0), np.zeros(1))
+
+
+def _slip() -> None:
+    p = load_slip_parameters({"start": "initial_pose"})
+    estimator = SlipEstimator(p)
+    samples = [Sprockets("sprockets", k * 10_000_000, 1.0, 1.0, (0.01 * k, 0.01 * k)) for k in range(3)]
+    log = make_log(to_records(samples, estimator.sources), p)
+    estimator.process_records(log.begin)
+    run_whole(log.rest, estimator.window, estimator.config)
+
+
+def _study() -> None:
+    estimator = load_slip_parameters()
+    study = load_study_parameters({"duration": 2.0, "settling": 1.0, "seeds": 1})
+    drive = make_drive(study, estimator, study.soils[0])
+    for name in TRUTHS:
+        cell = next(cell for cell in cells(study) if cell.truth == name)
+        evaluate(cell, drive, study, estimator)
+
+
+def _soil() -> None:
+    estimator = SoilEstimator(load_soil_parameters())
+    truth = simulate(load_scenario("slalom").stretched(_ROLLING))
+    motion = load_slip_parameters().motion
+    for given in soil_inputs(truth, estimator.parameters.vehicle, motion, Sensing()):
+        estimator.advance(given)
+
+
+FAMILIES: Mapping[str, Callable[[], None]] = MappingProxyType(
+    {"slip": _slip, "truth": _truth, "box": _box, "soil": _soil, "study": _study}
+)
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -38,6 +38,14 @@ class CanDevice:
         self.frames_emitted: Counter[str] = Counter()
         self.stamps: deque[int] = deque(maxlen=_STAMPS_KEPT)
         self._frames = frames
+        self._limits = {
+            signal.name: (
+                -math.inf if signal.minimum is None else signal.minimum,
+                math.inf if signal.maximum is None else signal.maximum,
+            )
+            for name in (SPOOLS, PRESSURES)
+            for signal in frames.by_name[name].signals
+        }
         self._counts_per_rad = COUNTS * belt_ratio / (2.0 * math.pi)
         self._sprockets = sprockets
         self._hydraulics = hydraulics
@@ -47,6 +55,11 @@ class CanDevice:
         """Begin anew, after a loss of power: the first cycle comes at ``start_ns``."""
         self._next_ns = start_ns
         self._alive_counter = 0
+
+    @property
+    def next_ns(self) -> int:
+        """Time of the next cycle."""
+        return self._next_ns
 
     def step(self, now_ns: int) -> list[tuple[int, bytes]]:
         """(arbitration id, payload) of every frame due by now and not yet sent."""
@@ -69,15 +82,14 @@ class CanDevice:
                 "right_count": self._count(sprockets.right_position),
             },
             SPOOLS: self._saturated(
-                SPOOLS, {"left_spool": hydraulics.left_spool, "right_spool": hydraulics.right_spool}
+                {"left_spool": hydraulics.left_spool, "right_spool": hydraulics.right_spool}
             ),
             PRESSURES: self._saturated(
-                PRESSURES,
                 {
                     "left_pressure": hydraulics.left_pressure,
                     "right_pressure": hydraulics.right_pressure,
                     "supply_pressure": hydraulics.supply_pressure,
-                },
+                }
             ),
         }
 
@@ -85,12 +97,7 @@ class CanDevice:
         """Raw count of an encoder whose sprocket stands at ``position``, rad."""
         return math.floor(position * self._counts_per_rad) % COUNTS
 
-    def _saturated(self, name: str, values: Mapping[str, float]) -> Mapping[str, float]:
+    def _saturated(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values limited to the ranges of the DBC."""
-        limited = {}
-        for signal_name, value in values.items():
-            signal = self._frames.by_name[name].get_signal_by_name(signal_name)
-            low = -math.inf if signal.minimum is None else signal.minimum
-            high = math.inf if signal.maximum is None else signal.maximum
-            limited[signal_name] = min(max(value, low), high)
-        return limited
+        limits = self._limits
+        return {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in values.items()}

@@ -3,6 +3,11 @@
 
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+NEVER_NS = 2**62  # a time that does not come
 
 _NS_PER_S = 1_000_000_000
 
@@ -14,7 +19,8 @@ class _Burst:
     data: bytes
     start_ns: int
     baud: int
-    taken: int = 0
+    read: int = 0  # characters of it
+    reads_ns: tuple[int, ...] = ()  # see ``BaudLine.next_read_ns``
 
 
 class BaudLine:
@@ -44,20 +50,50 @@ class BaudLine:
         self.busy_until_ns = start_ns + self.transfer_ns(len(data))
 
     def cut(self, now_ns: int) -> None:
-        """Lose all that has not been taken: the transmitter has lost power."""
+        """Lose all that has not been read: the transmitter has lost power."""
         self._bursts.clear()
         self.busy_until_ns = now_ns
 
-    def take(self, now_ns: int) -> bytes:
-        """The characters whose last bit has arrived by now and that were not taken before."""
+    def next_read_ns(self, now_ns: int, tick_ns: int) -> int:
+        """When to call ``read`` next, of all times whole ticks from now, for the same result as at each tick.
+
+        A receiver that bounds the start of what it got by the time of each read needs two of a burst: the
+        one that came closest behind a character's last bit, and the first that has all.
+        """
+        if not self._bursts:
+            return NEVER_NS
+        burst = self._bursts[0]
+        if len(self._bursts) > 1:
+            return now_ns + tick_ns
+        if not burst.reads_ns:
+            first_ns = (now_ns - burst.start_ns) % tick_ns
+            reads_ns = _reads_of(len(burst.data), burst.baud, self.bits_per_char, first_ns, tick_ns)
+            burst.reads_ns = tuple(burst.start_ns + read_ns for read_ns in reads_ns)
+        for read_ns in burst.reads_ns:
+            if read_ns > now_ns:
+                return read_ns
+        return now_ns + tick_ns
+
+    def read(self, now_ns: int) -> bytes:
+        """The characters whose last bit has arrived by now and that were not read before."""
         arrived = bytearray()
         while self._bursts:
             burst = self._bursts[0]
             bits = (now_ns - burst.start_ns) * burst.baud // _NS_PER_S
             complete = min(len(burst.data), max(0, bits // self.bits_per_char))
-            arrived += burst.data[burst.taken : complete]
-            burst.taken = max(burst.taken, complete)
+            arrived += burst.data[burst.read : complete]
+            burst.read = max(burst.read, complete)
             if complete < len(burst.data):
                 break
             self._bursts.popleft()
         return bytes(arrived)
+
+
+@lru_cache(maxsize=256)
+def _reads_of(count: int, baud: int, bits: int, first_ns: int, tick_ns: int) -> tuple[int, int]:
+    """The two reads of ``count`` characters, ns after the first begins; ticks go on from ``first_ns``."""
+    end_ns = -(-count * bits * _NS_PER_S // baud)
+    ticks = np.arange(first_ns, end_ns + tick_ns, tick_ns)
+    complete = np.minimum(ticks * baud // _NS_PER_S // bits, count)
+    late = np.where(complete > 0, ticks - complete * bits * _NS_PER_S // baud, NEVER_NS)
+    return int(ticks[late.argmin()]), int(ticks[np.searchsorted(complete, count)])

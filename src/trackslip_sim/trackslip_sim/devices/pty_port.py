@@ -55,13 +55,13 @@ class PtyPort:
             return b""
 
     def write(self, data: bytes) -> int:
-        """Hand to the client; the number of bytes that it, or the kernel for it, could take."""
-        taken = 0
+        """Hand to the client; the number of bytes that it, or the kernel for it, accepted."""
+        sent = 0
         with contextlib.suppress(BlockingIOError):
-            while self.plugged and taken < len(data):
-                taken += os.write(self._master, data[taken:])
-        self.bytes_lost += len(data) - taken
-        return taken
+            while self.plugged and sent < len(data):
+                sent += os.write(self._master, data[sent:])
+        self.bytes_lost += len(data) - sent
+        return sent
 
     def close(self) -> None:
         """Unplug: the client sees the device disappear; safe to call twice."""

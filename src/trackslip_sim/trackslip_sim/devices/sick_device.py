@@ -36,7 +36,9 @@ Measure = Callable[[int], FloatArray]  # stamp of the first ray → (361,) m
 _ACK_DELAY_NS = 5_000_000
 _REPLY_DELAY_NS = 20_000_000
 _RATE_KEPT_NS = 5_000_000  # after the reply to a change of rate has left
-_RATE_SETTLES_NS = 200_000_000  # deaf for so long after a change of rate: hosts are told to pause 250 ms
+_RATE_SETTLES_NS = (
+    200_000_000  # ignores all for so long after a change of rate: manuals ask hosts to pause 250 ms
+)
 _STAMPS_KEPT = 10_000
 _NS_PER_S = 1_000_000_000
 _IDENTITY = {"pls": b"PLS101-312", "lms": b"LMS200;30106"}
@@ -95,7 +97,7 @@ class SickDevice:
         self._boot(now_ns)
 
     def receive(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
-        """Take what the host wrote; ``host_baud`` None: its rate is not known, taken to be right."""
+        """Process what the host wrote; ``host_baud`` None: its rate is not known, assumed to be right."""
         self._advance(now_ns)
         if not self._awake or now_ns < self._occupied_until_ns or host_baud not in (None, self.baud):
             self.bytes_ignored += len(data)
@@ -104,18 +106,24 @@ class SickDevice:
         bad_before = self._tally.total[bad_crc]
         for event in self._parser.feed(data, now_ns):
             if isinstance(event, Telegram):
-                self._obey(event.payload, now_ns)
+                self._apply_command(event.payload, now_ns)
         if self._tally.total[bad_crc] > bad_before:
             self._line.send(bytes((Control.NAK.value,)), now_ns + _ACK_DELAY_NS)
 
     def step(self, now_ns: int) -> bytes:
         """Live until now; gives the bytes that have arrived at the host since the last step."""
         self._advance(now_ns)
-        arrived = self._line.take(now_ns)
+        arrived = self._line.read(now_ns)
         while self._leaving and self._leaving[0][0] <= now_ns:
             self.stamps.append(self._leaving.popleft()[1])
             self.scans_emitted += 1
         return arrived
+
+    def next_ns(self, now_ns: int, tick_ns: int) -> int:
+        """When to call ``step`` next, of all times whole ticks from now; see ``BaudLine.next_read_ns``."""
+        if self._mode is Mode.NOTHING:
+            return now_ns + tick_ns
+        return min(self._complete_ns(), self._line.next_read_ns(now_ns, tick_ns))
 
     def _boot(self, at_ns: int) -> None:
         self._ready_ns = at_ns + round(self._start.boot_delay * _NS_PER_S)
@@ -133,14 +141,17 @@ class SickDevice:
             self._parser.set_baud(baud)
         if not self._awake and now_ns >= self._ready_ns:
             self._awake = True
-            self._say(bytes((ReplyCode.POWER_ON,)) + _IDENTITY[self._parameters.model], self._ready_ns)
+            self._send(bytes((ReplyCode.POWER_ON,)) + _IDENTITY[self._parameters.model], self._ready_ns)
         while self._mode is not Mode.NOTHING or self._scan_requested:
-            free_ns = self._line.busy_until_ns
-            turns = max(1, -((self._ready_ns - free_ns) // self._turn_ns))
-            complete_ns = self._ready_ns + turns * self._turn_ns
+            complete_ns = self._complete_ns()
             if complete_ns > now_ns:
                 return
             self._send_scan(complete_ns)
+
+    def _complete_ns(self) -> int:
+        """When the next scan to be sent is."""
+        turns = max(1, -((self._ready_ns - self._line.busy_until_ns) // self._turn_ns))
+        return self._ready_ns + turns * self._turn_ns
 
     def _send_scan(self, complete_ns: int) -> None:
         stamp_ns = complete_ns - self._turn_ns
@@ -152,13 +163,13 @@ class SickDevice:
         self._leaving.append((self._line.busy_until_ns, stamp_ns))
         self._scan_requested = False
 
-    def _obey(self, command: bytes, now_ns: int) -> None:
+    def _apply_command(self, command: bytes, now_ns: int) -> None:
         """Acknowledge a command, carry it out, reply."""
         self._line.send(bytes((Control.ACK.value,)), now_ns + _ACK_DELAY_NS)
         if command in (commands.REQUEST_VALUES_LMS, commands.REQUEST_VALUES_PLS):
             self._scan_requested = True
             return
-        self._say(self._reply(command), now_ns + _REPLY_DELAY_NS)
+        self._send(self._reply(command), now_ns + _REPLY_DELAY_NS)
         self._occupied_until_ns = self._line.busy_until_ns
         if command == commands.RESET:
             self._boot(self._occupied_until_ns)
@@ -200,5 +211,5 @@ class SickDevice:
     def _may_set_rate(self) -> bool:
         return self._in_installation or self._parameters.model == "lms"
 
-    def _say(self, payload: bytes, at_ns: int) -> None:
+    def _send(self, payload: bytes, at_ns: int) -> None:
         self._line.send(frame(payload + bytes((self.status,)), FROM_SENSOR), at_ns)

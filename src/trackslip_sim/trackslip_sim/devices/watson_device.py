@@ -85,7 +85,11 @@ class WatsonDevice:
             self.stamps.append(self._next_ns)
             ticks = 1 if self._binary else _TICKS_PER_LINE
             self._next_ns += TICK_NS * max(ticks, -(-self._line.transfer_ns(len(sent)) // TICK_NS))
-        return self._line.take(now_ns)
+        return self._line.read(now_ns)
+
+    def next_ns(self, now_ns: int, tick_ns: int) -> int:
+        """When to call ``step`` next, of all times whole ticks from now; see ``BaudLine.next_read_ns``."""
+        return min(self._next_ns, self._line.next_read_ns(now_ns, tick_ns))
 
     def _boot(self, now_ns: int, space_window_ns: int) -> None:
         """Send the banner and listen for the two spaces."""

@@ -53,9 +53,9 @@ class Cables:
         except can.CanError as error:
             raise OSError(f"CAN: {error}") from error
         watson, sick = self._ports[WATSON], self._ports[SICK]
-        excavator.hear_watson(watson.read(), now_ns)
+        excavator.receive_watson(watson.read(), now_ns)
         watson.write(excavator.step_watson(now_ns))
-        excavator.hear_sick(sick.read(), now_ns, sick.baud)
+        excavator.receive_sick(sick.read(), now_ns, sick.baud)
         sent = excavator.step_sick(now_ns)
         if sick.baud == excavator.sick.baud:
             sick.write(sent)

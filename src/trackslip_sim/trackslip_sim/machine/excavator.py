@@ -28,6 +28,7 @@ from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
+from trackslip_sim.truth.window import TruthWindow
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T", bound=Parameters)
@@ -51,10 +52,11 @@ class EmulatedExcavator:
     Each device is set up as its driver's defaults in ``config/`` expect it, and fails as ``faults`` says.
     """
 
-    def __init__(self, p: EmulatorParameters, truth: Truth, start_ns: int) -> None:
+    def __init__(self, p: EmulatorParameters, truth: Truth | TruthWindow, start_ns: int) -> None:
+        window = truth if isinstance(truth, TruthWindow) else TruthWindow((truth,), truth.duration)
         self.drive_start_ns = start_ns + round(p.lead_in * 1e9)
-        self.end_ns = self.drive_start_ns + round(truth.duration * 1e9)
-        self.sensors = MachineSensors(truth, p.noise, self.drive_start_ns, p.seed)
+        self.end_ns = self.drive_start_ns + round(window.duration * 1e9)
+        self.sensors = MachineSensors(window, p.noise, self.drive_start_ns, p.seed)
         self.faults = Faults(load_scenario(p.scenario).faults, self.drive_start_ns)
         can = default_parameters(CanDriverParameters, "can_driver")
         watson = default_parameters(WatsonParameters, "watson_imu")
@@ -80,10 +82,19 @@ class EmulatedExcavator:
         self._bus = FaultyBus(CAN, self.faults, p.seed)
         self._lines = {sensor: FaultySerial(sensor, self.faults, p.seed) for sensor in (WATSON, SICK)}
 
+    def next_ns(self, now_ns: int, tick_ns: int) -> int:
+        """When to call the steps next, of all times whole ticks from now, for the same result as at each."""
+        if self.faults:
+            return now_ns + tick_ns
+        if now_ns >= self.end_ns:
+            return self._watson_line.next_read_ns(now_ns, tick_ns)
+        devices = self.watson.next_ns(now_ns, tick_ns), self.sick.next_ns(now_ns, tick_ns)
+        return min(self.can.next_ns, *devices)
+
     def step_can(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Frames due by now."""
         frames = self.can.step(min(now_ns, self.end_ns)) if self._powered(CAN, now_ns) else []
-        return self._bus.carry(frames, now_ns)
+        return self._bus.transmit(frames, now_ns)
 
     def step_watson(self, now_ns: int) -> bytes:
         """Characters that have left by now; the last line drains after the end."""
@@ -92,23 +103,23 @@ class EmulatedExcavator:
         elif now_ns < self.end_ns:
             sent = self.watson.step(now_ns)
         else:
-            sent = self._watson_line.take(now_ns)
-        return self._lines[WATSON].carry(sent, now_ns)
+            sent = self._watson_line.read(now_ns)
+        return self._lines[WATSON].transmit(sent, now_ns)
 
     def step_sick(self, now_ns: int) -> bytes:
         """Characters that have left by now."""
         self.sick.status = self._readings.status(now_ns)
         on = self._powered(SICK, now_ns) and now_ns < self.end_ns
-        return self._lines[SICK].carry(self.sick.step(now_ns) if on else b"", now_ns)
+        return self._lines[SICK].transmit(self.sick.step(now_ns) if on else b"", now_ns)
 
-    def hear_watson(self, data: bytes, now_ns: int) -> None:
+    def receive_watson(self, data: bytes, now_ns: int) -> None:
         """What the host has written to the inertial unit."""
-        if data and self._hears(WATSON, now_ns):
+        if data and self._can_receive(WATSON, now_ns):
             self.watson.receive(data, now_ns)
 
-    def hear_sick(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
+    def receive_sick(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
         """What the host has written to the scanner, and at which rate."""
-        if data and self._hears(SICK, now_ns):
+        if data and self._can_receive(SICK, now_ns):
             self.sick.receive(data, now_ns, host_baud)
 
     def emitted(self) -> dict[str, int]:
@@ -134,7 +145,7 @@ class EmulatedExcavator:
             self._power_on[sensor](now_ns)
         return sensor not in self._without_power
 
-    def _hears(self, sensor: str, now_ns: int) -> bool:
+    def _can_receive(self, sensor: str, now_ns: int) -> bool:
         return self._powered(sensor, now_ns) and self.faults.at(sensor, WRONG_BAUD, now_ns) is None
 
 

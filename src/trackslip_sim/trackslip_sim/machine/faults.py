@@ -156,6 +156,10 @@ class Faults:
         self._start_ns = drive_start_ns
         self.added = 0
 
+    def __bool__(self) -> bool:
+        """Whether any is known, at work or still to come."""
+        return bool(self._faults)
+
     def add(self, fault: Fault, now_ns: int) -> None:
         """One more; those that are over are forgotten."""
         now = self.time(now_ns)
@@ -169,6 +173,8 @@ class Faults:
 
     def at(self, sensor: str, kind: str, now_ns: int) -> Fault | None:
         """The fault of that kind at work now; the latest, where there are several."""
+        if not self._faults:
+            return None
         now = self.time(now_ns)
         for fault in reversed(self._faults):
             if fault.sensor == sensor and fault.kind == kind and _covers(fault, now):

@@ -26,7 +26,11 @@ class _HeldBack(Generic[T]):
         self._held: list[T] = []
         self._burst = 0
 
-    def carry(self, things: Sequence[T], fault: Fault | None, now: float) -> list[T]:
+    def __bool__(self) -> bool:
+        """Whether it holds anything."""
+        return bool(self._held)
+
+    def transmit(self, things: Sequence[T], fault: Fault | None, now: float) -> list[T]:
         """What comes out now (s)."""
         self._held += things
         burst = 0 if fault is None else int((now - fault.start) / fault.value)
@@ -46,13 +50,15 @@ class FaultySerial:
         self._bytes = _BadBytes(sensor, faults, np.random.default_rng(seed))
         self._held: _HeldBack[int] = _HeldBack()
 
-    def carry(self, data: bytes, now_ns: int) -> bytes:
+    def transmit(self, data: bytes, now_ns: int) -> bytes:
         """What arrives now of what was sent; what an unplugged port loses is the port's affair."""
+        if not self._faults and not self._held:
+            return data
         if self._faults.at(self._sensor, f.WRONG_BAUD, now_ns) is not None:
             data = self._bytes.noise(len(data))
         bursts = self._faults.at(self._sensor, f.BURSTS, now_ns)
-        data = self._bytes.spoil(data, now_ns)
-        return bytes(self._held.carry(data, bursts, self._faults.time(now_ns)))
+        data = self._bytes.corrupt(data, now_ns)
+        return bytes(self._held.transmit(data, bursts, self._faults.time(now_ns)))
 
 
 class FaultyBus:
@@ -66,8 +72,10 @@ class FaultyBus:
         self._held: _HeldBack[Frame] = _HeldBack()
         self._off = False
 
-    def carry(self, frames: Sequence[Frame], now_ns: int) -> list[Frame]:
+    def transmit(self, frames: Sequence[Frame], now_ns: int) -> list[Frame]:
         """What is on the bus now of what was sent."""
+        if not (self._faults or self._held or self._off):
+            return list(frames)
         was_off, self._off = self._off, self._at(f.BUS_OFF, now_ns) is not None
         if self._off:
             return [] if was_off else [BUS_OFF_FRAME]
@@ -76,8 +84,8 @@ class FaultyBus:
             frames = []
         elif lost is not None:
             frames = [frame for frame in frames if self._random.random() >= lost.value]
-        frames = [(name, self._bytes.spoil(data, now_ns)[:_FRAME_LENGTH]) for name, data in frames]
-        out = self._held.carry(frames, self._at(f.BURSTS, now_ns), self._faults.time(now_ns))
+        frames = [(name, self._bytes.corrupt(data, now_ns)[:_FRAME_LENGTH]) for name, data in frames]
+        out = self._held.transmit(frames, self._at(f.BURSTS, now_ns), self._faults.time(now_ns))
         return [RESTARTED_FRAME, *out] if was_off else out
 
     def _at(self, kind: str, now_ns: int) -> Fault | None:
@@ -92,7 +100,7 @@ class _BadBytes:
         self._faults = faults
         self._random = random
 
-    def spoil(self, data: bytes, now_ns: int) -> bytes:
+    def corrupt(self, data: bytes, now_ns: int) -> bytes:
         """The bytes as they arrive."""
         if not data:
             return data

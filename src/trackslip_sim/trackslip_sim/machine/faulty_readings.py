@@ -56,7 +56,10 @@ class FaultyReadings:
     def hydraulics(self, stamp_ns: int) -> HydraulicsSample:
         """Pressures with more noise."""
         sample = self._fresh("hydraulics", f.CAN, stamp_ns, self._sensors.hydraulics)
-        left, right, supply = self._noise(f.CAN, stamp_ns, 3) * self._full.pressure
+        noise = self._noise(f.CAN, stamp_ns, 3)
+        if noise is None:
+            return sample
+        left, right, supply = noise * self._full.pressure
         return sample._replace(
             left_pressure=sample.left_pressure + float(left),
             right_pressure=sample.right_pressure + float(right),
@@ -67,6 +70,8 @@ class FaultyReadings:
         """All channels with more noise."""
         sample = self._fresh("imu", f.WATSON, stamp_ns, self._sensors.imu)
         noise = self._noise(f.WATSON, stamp_ns, 9)
+        if noise is None:
+            return sample
         field = sample.magnetic_field
         return sample._replace(
             acceleration=_added(sample.acceleration, noise[0:3] * self._full.acceleration),
@@ -77,7 +82,8 @@ class FaultyReadings:
     def ranges(self, stamp_ns: int) -> FloatArray:
         """(361,) m; nan where dazzled."""
         ranges = self._fresh("ranges", f.SICK, stamp_ns, self._scan)
-        ranges = np.maximum(ranges + self._noise(f.SICK, stamp_ns, len(ranges)) * self._full.range, 0.0)
+        noise = self._noise(f.SICK, stamp_ns, len(ranges))
+        ranges = np.maximum(ranges if noise is None else ranges + noise * self._full.range, 0.0)
         if occlusion := self._faults.at(f.SICK, f.OCCLUSION, stamp_ns):
             angles = np.linspace(-np.pi / 2.0, np.pi / 2.0, len(ranges))
             ranges = np.where(np.abs(angles) <= occlusion.value / 2.0, np.minimum(ranges, _NEAR), ranges)
@@ -98,10 +104,10 @@ class FaultyReadings:
             self._held[name] = read(stamp_ns)
         return self._held[name]  # type: ignore[return-value]  # each name holds one type
 
-    def _noise(self, sensor: str, stamp_ns: int, count: int) -> FloatArray:
-        """(count,) of full scale."""
+    def _noise(self, sensor: str, stamp_ns: int, count: int) -> FloatArray | None:
+        """(count,) of full scale; None: there is none."""
         fault = self._faults.at(sensor, f.NOISE, stamp_ns)
-        return np.zeros(count) if fault is None else fault.value * self._random.standard_normal(count)
+        return None if fault is None else fault.value * self._random.standard_normal(count)
 
 
 def _added(vector: Vector, noise: FloatArray) -> Vector:

@@ -14,7 +14,7 @@ import numpy as np
 
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.motion import MotionParameters, MotionState, Speeds, classify
-from trackslip_estimation.soil.records import Hydraulics, Odometry, Place, Slips, SoilInput
+from trackslip_estimation.soil.records import Hydraulics, Odometry, PoseWithCovariance, Slips, SoilInput
 from trackslip_estimation.soil.tracks import frame_speeds
 from trackslip_sim.truth.record import FloatArray, Truth
 
@@ -58,8 +58,8 @@ def soil_inputs(
         speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]), 0.0, differenced=False)
         state = classify(state, speeds, step, limits)
         twist = twists[k] + (error if np.abs(tracks[k]).max() > _SLOWEST else 0.0)
-        place = Place(poses[k] + np.append(astray, 0.0), doubt)
-        yield Odometry(stamp_ns, twist, np.diag(np.square(deviations)), place)
+        pose = PoseWithCovariance(poses[k] + np.append(astray, 0.0), doubt)
+        yield Odometry(stamp_ns, twist, np.diag(np.square(deviations)), pose)
         yield Slips(stamp_ns, np.append(_slips(twist, tracks[k], vehicle), 0.0), state.motion)
         left, right = sensing.pressure_stddev * rng.standard_normal(2) + sensing.offsets
         yield Hydraulics(
@@ -74,5 +74,6 @@ def soil_inputs(
 def _slips(twist: FloatArray, tracks: FloatArray, vehicle: Vehicle) -> FloatArray:
     """(2,) of left and right; 0 while the track stands."""
     rolls = np.abs(tracks) > _SLOWEST
-    share = np.divide(frame_speeds(twist, vehicle), tracks, out=np.ones(2), where=rolls)
+    frames = np.array(frame_speeds(twist, vehicle.tread))
+    share: FloatArray = np.divide(frames, tracks, out=np.ones(2), where=rolls)
     return 1.0 - share

@@ -1,26 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """A drive recorded faster than real time: the emulator's bytes through the drivers' protocols into a bag.
 
-The same devices, protocols, conversions and localizer as live, on a clock that is only counted. There are no
-ports and no processes, so each message is logged at the tick at which its last byte arrives.
+The same devices, protocols, conversions and localizer as live, on a clock that is only counted: it goes from
+tick to tick, past those at which no device has anything to say. There are no ports and no processes, so each
+message is logged at the tick at which its last byte arrives.
 """
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from trackslip_bags.messages import make, serialize
-from trackslip_bags.reader import absolute
+from trackslip_bags.messages import make
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import config_file
 from trackslip_common.tally import Tally
-from trackslip_common.topics import TOPICS
 from trackslip_drivers import conversions as of_sensors
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.protocols.can_frames import FrameSet
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
-from trackslip_drivers.protocols.sick_session import SickSession
+from trackslip_drivers.protocols.sick_session import Phase, SickSession
 from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
 from trackslip_drivers.records import ScanSample, SprocketSample
@@ -32,75 +31,98 @@ from trackslip_estimation.box.parameters import BoxNodeParameters
 from trackslip_estimation.box.scan import Scan
 from trackslip_estimation.slip import conversions as of_estimates
 from trackslip_estimation.slip.measurements import PoseFix
+from trackslip_sim.machine.bag_messages import Recording, Serialize, like, sensor_serializers
 from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
-from trackslip_sim.machine.truth_estimates import as_estimate, forces_message, soil_message
+from trackslip_sim.machine.message_columns import Columns, stamp_columns
+from trackslip_sim.machine.truth_messages import (
+    certain_odometry,
+    odometry_columns,
+    soil_message,
+    stamped,
+    track_forces_columns,
+    track_slip_columns,
+)
 from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.window import KEPT, TruthWindow
 
 START_NS = 1_000_000_000  # of the counted clock
 _TICK_NS = 2_000_000
 _TRUTH_NS = 10_000_000
 _FORCES_NS = 100_000_000
 _SOIL_NS = 1_000_000_000
+_WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes, while the window still has the truth
+_DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
 _BODY_FRAME, _SITE_FRAME = "base_link", "odom"
 
 
-def record_drive(p: EmulatorParameters, truth: Truth, path: Path) -> dict[str, int]:
+def record_drive(p: EmulatorParameters, truth: Truth | TruthWindow, path: Path) -> dict[str, int]:
     """Write what the sensors see of the drive, and the truth; returns the messages per topic.
 
     Raises:
         InputError: the bag exists already.
     """
+    window = truth if isinstance(truth, TruthWindow) else TruthWindow((truth,), truth.duration)
     with BagWriter(path) as bag:
-        host = _Host(EmulatedExcavator(p, truth, START_NS), truth, bag)
+        host = _Host(p, window, bag)
         now_ns = START_NS
-        while now_ns <= host.excavator.end_ns + round(1e9):
+        while now_ns <= host.excavator.end_ns + _DRAIN_NS:
             host.step(now_ns)
-            now_ns += _TICK_NS
+            now_ns = host.next_ns(now_ns)
+        host.recording.write()
     return bag.counts
 
 
 class _Host:
     """The computer on the vehicle, with its ports joined straight to the devices."""
 
-    def __init__(self, excavator: EmulatedExcavator, truth: Truth, bag: BagWriter) -> None:
-        self.excavator = excavator
-        self._truth = truth
-        self._bag = bag
+    def __init__(self, p: EmulatorParameters, window: TruthWindow, bag: BagWriter) -> None:
+        self.excavator = EmulatedExcavator(p, window, START_NS)
+        self._window = window
         self._tally = Tally()
         can = default_parameters(CanDriverParameters, "can_driver")
         self._can = ExcavatorCan(can, FrameSet(config_file(can.dbc_file)), self._tally)
-        self._watson = default_parameters(WatsonParameters, "watson_imu")
-        layout = Layout(self._watson.channels, self._watson.formats, self._watson.full_scales)
-        self._imu = WatsonStream(layout, self._watson.serial_baud, 0, self._tally)
+        watson = default_parameters(WatsonParameters, "watson_imu")
+        layout = Layout(watson.channels, watson.formats, watson.full_scales)
+        self._imu = WatsonStream(layout, watson.serial_baud, 0, self._tally)
         self._sick = default_parameters(SickParameters, "sick_pls")
         self._session = SickSession(self._sick, self._tally)
         self._baud = self._session.baud
         box = default_parameters(BoxNodeParameters, box_parameters.NODE, *box_parameters.DEFAULT_FILES)
         self._vehicle = box.vehicle
         self._localizer = BoxLocalizer(box, box.vehicle)
+        serializers = sensor_serializers(watson, _BODY_FRAME) | self._truth_serializers()
+        self.recording = Recording(bag, serializers)
+        self._written_ns = START_NS
 
     def step(self, now_ns: int) -> None:
         """All that arrives by now."""
+        add = self.recording.add
         for frame in self.excavator.step_can(now_ns):
-            self._on_frame(frame, now_ns)
-        for sample in self._imu.feed(self.excavator.step_watson(now_ns), now_ns):
-            p = self._watson
-            stddevs = (p.linear_acceleration_stddev, p.angular_velocity_stddev)
-            self._write("imu/data_raw", of_sensors.imu(make, sample, p.frame_id, *stddevs), now_ns)
-            field = of_sensors.magnetic_field(make, sample, p.frame_id, p.magnetic_field_stddev)
-            if field is not None:
-                self._write("imu/mag", field, now_ns)
+            sample = self._can.receive(*frame, now_ns)
+            if sample is not None:
+                add("sprockets" if isinstance(sample, SprocketSample) else "hydraulics", sample, now_ns)
+        sent = self.excavator.step_watson(now_ns)
+        for line in self._imu.feed(sent, now_ns) if sent else ():
+            add("imu/data_raw", line, now_ns)
+            if line.magnetic_field is not None:
+                add("imu/mag", line, now_ns)
         self._talk_to_scanner(now_ns)
-        if (now_ns - START_NS) % _TRUTH_NS == 0 and now_ns <= self.excavator.end_ns:
-            self._tell_truth(now_ns)
+        since_ns = now_ns - START_NS
+        if since_ns % _TRUTH_NS == 0 and now_ns <= self.excavator.end_ns:
+            self._record_truth(now_ns, since_ns)
+        if now_ns - self._written_ns >= _WRITE_NS:
+            self.recording.write()
+            self._written_ns = now_ns
 
-    def _on_frame(self, frame: tuple[int, bytes], now_ns: int) -> None:
-        sample = self._can.receive(*frame, now_ns)
-        if isinstance(sample, SprocketSample):
-            self._write("sprockets", of_sensors.joint_state(make, sample, _BODY_FRAME), now_ns)
-        elif sample is not None:
-            self._write("hydraulics", of_sensors.track_hydraulics(make, sample, _BODY_FRAME), now_ns)
+    def next_ns(self, now_ns: int) -> int:
+        """The next tick at which there may be anything to do."""
+        if self._session.phase is not Phase.STREAMING:
+            return now_ns + _TICK_NS
+        wanted_ns = self.excavator.next_ns(now_ns, _TICK_NS)
+        ticks = max(1, -((now_ns - wanted_ns) // _TICK_NS))
+        until_truth = _TRUTH_NS - (now_ns - START_NS) % _TRUTH_NS
+        return now_ns + min(ticks * _TICK_NS, until_truth)
 
     def _talk_to_scanner(self, now_ns: int) -> None:
         arrived = self.excavator.step_sick(now_ns)
@@ -110,30 +132,44 @@ class _Host:
             self._on_scan(scan.sample, now_ns)
         action = self._session.step(now_ns)
         self._baud = action.baud or self._baud
-        self.excavator.hear_sick(action.write, now_ns, self._baud)
+        self.excavator.receive_sick(action.write, now_ns, self._baud)
 
     def _on_scan(self, scan: ScanSample, now_ns: int) -> None:
         message = of_sensors.laser_scan(make, scan, self._sick.frame_id)
-        self._write("scan", message, now_ns)
+        self.recording.add("scan", message, now_ns)
         ranges = np.asarray(message.ranges, dtype=np.float64)  # as rounded on the way to the localizer
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
         fix = self._localizer.locate(Scan(scan.stamp_ns, ranges, *geometry))
         if isinstance(fix, BoxFix):
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
-            self._write("box_pose", of_estimates.pose_with_covariance(make, pose, _SITE_FRAME), now_ns)
+            message = of_estimates.pose_with_covariance(make, pose, _SITE_FRAME)
+            self.recording.add("box_pose", message, now_ns)
 
-    def _tell_truth(self, now_ns: int) -> None:
-        at = self._truth.at(self.excavator.sensors.time(now_ns))
-        estimate = as_estimate(at, now_ns)
-        message = of_estimates.odometry(make, estimate, _SITE_FRAME, _BODY_FRAME)
-        self._write("truth/odometry", message, now_ns)
-        self._write("truth/track_slip", of_estimates.track_slip(make, estimate, _BODY_FRAME), now_ns)
-        if (now_ns - START_NS) % _FORCES_NS == 0:
-            forces = forces_message(make, at, now_ns, self._vehicle, _BODY_FRAME)
-            self._write("truth/track_forces", forces, now_ns)
-        if (now_ns - START_NS) % _SOIL_NS == 0:
+    def _record_truth(self, now_ns: int, since_ns: int) -> None:
+        """Stamps; what the truth is then is looked up when it is written."""
+        self._window.advance(self.excavator.sensors.time(now_ns))
+        self.recording.add("truth/odometry", now_ns, now_ns)
+        self.recording.add("truth/track_slip", now_ns, now_ns)
+        if since_ns % _FORCES_NS == 0:
+            self.recording.add("truth/track_forces", now_ns, now_ns)
+        if since_ns % _SOIL_NS == 0:
+            at = self._window.truth.at(self.excavator.sensors.time(now_ns))
             soil = soil_message(make, at, now_ns, self._vehicle, _BODY_FRAME)
-            self._write("truth/soil", soil, now_ns)
+            self.recording.add("truth/soil", soil, now_ns)
 
-    def _write(self, topic: str, message: Any, now_ns: int) -> None:
-        self._bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), now_ns)
+    def _truth_serializers(self) -> dict[str, Serialize]:
+        def at(columns: Callable[[Truth], Columns]) -> Callable[[Sequence[int]], Columns]:
+            def of_stamps(stamps_ns: Sequence[int]) -> Columns:
+                times = [self.excavator.sensors.time(stamp_ns) for stamp_ns in stamps_ns]
+                return {**stamp_columns(stamps_ns), **columns(self._window.truth.interpolate(times))}
+
+            return of_stamps
+
+        slip, forces = (
+            stamped(make, f"trackslip_msgs/msg/{name}", _BODY_FRAME) for name in ("TrackSlip", "TrackForces")
+        )
+        return {
+            "truth/odometry": like(certain_odometry(make, _SITE_FRAME, _BODY_FRAME), at(odometry_columns)),
+            "truth/track_slip": like(slip, at(track_slip_columns)),
+            "truth/track_forces": like(forces, at(lambda truth: track_forces_columns(truth, self._vehicle))),
+        }

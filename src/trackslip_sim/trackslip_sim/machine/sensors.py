@@ -6,7 +6,9 @@ b_g     constant bias of the gyro                              rad/s
 B       earth's field, horizontal (to the north, +y of the site) and downward   T
 """
 
+from bisect import bisect_right
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.vehicle import GRAVITY
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
-from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.window import TruthWindow
 
 FloatArray = NDArray[np.float64]
 
@@ -32,17 +34,37 @@ class SensorNoise(Parameters):
     field_down: float = parameter("earth's field, downward", unit="T")
 
 
-class MachineSensors:
-    """Readings at any stamp of a drive that begins at ``drive_start_ns``; standing before and after."""
+class Measurable(NamedTuple):
+    """What there is to measure at one time; names and units as in ``Truth``, and the specific force."""
 
-    def __init__(self, truth: Truth, noise: SensorNoise, drive_start_ns: int, seed: int) -> None:
-        self._truth = truth
+    left_angle: float
+    right_angle: float
+    left_speed: float
+    right_speed: float
+    left_pressure: float
+    right_pressure: float
+    left_spool: float
+    right_spool: float
+    supply_pressure: float
+    yaw: float
+    yaw_rate: float
+    a_x: float
+    a_y: float
+
+
+class MachineSensors:
+    """Readings at any stamp of a drive that begins at ``drive_start_ns``; standing before and after.
+
+    Stamps may go back by as much as the window keeps.
+    """
+
+    def __init__(self, window: TruthWindow, noise: SensorNoise, drive_start_ns: int, seed: int) -> None:
+        self._window = window
         self._noise = noise
         self._start_ns = drive_start_ns
         self._random = np.random.default_rng(seed)
-        v_x_rate, v_y_rate = np.gradient(truth.v_x, truth.t), np.gradient(truth.v_y, truth.t)
-        self._a_x: FloatArray = v_x_rate - truth.v_y * truth.yaw_rate
-        self._a_y: FloatArray = v_y_rate + truth.v_x * truth.yaw_rate
+        self._looked_ns: int | None = None
+        self._tabulate()
 
     def time(self, stamp_ns: int) -> float:
         """Seconds of the drive."""
@@ -50,51 +72,75 @@ class MachineSensors:
 
     def pose_at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """True x, y, yaw at times of the drive, s."""
-        truth = self._truth
+        self._advance(float(times[-1]))
+        truth = self._window.truth
         x, y, yaw = (np.interp(times, truth.t, column) for column in (truth.x, truth.y, truth.yaw))
         return x, y, yaw
 
     def sprockets(self, stamp_ns: int) -> SprocketSample:
         """Without noise: the encoder's rounding is the device's."""
-        at = self._truth.at(self.time(stamp_ns))
-        return SprocketSample(
-            stamp_ns, *(float(v[0]) for v in (at.left_angle, at.right_angle, at.left_speed, at.right_speed))
-        )
+        at = self._at(stamp_ns)
+        return SprocketSample(stamp_ns, at.left_angle, at.right_angle, at.left_speed, at.right_speed)
 
     def hydraulics(self, stamp_ns: int) -> HydraulicsSample:
         """Pressures with transducer noise, spools without."""
-        at = self._truth.at(self.time(stamp_ns))
-        noise = self._noise.pressure_stddev * self._random.standard_normal(3)
+        at = self._at(stamp_ns)
+        left, right, supply = (self._noise.pressure_stddev * self._random.standard_normal(3)).tolist()
         return HydraulicsSample(
             stamp_ns,
-            float(at.left_pressure[0] + noise[0]),
-            float(at.right_pressure[0] + noise[1]),
-            float(at.left_spool[0]),
-            float(at.right_spool[0]),
-            float(at.supply_pressure[0] + noise[2]),
+            at.left_pressure + left,
+            at.right_pressure + right,
+            at.left_spool,
+            at.right_spool,
+            at.supply_pressure + supply,
         )
 
     def imu(self, stamp_ns: int) -> ImuSample:
         """Level ground: no roll, no pitch."""
-        t, truth, noise = self.time(stamp_ns), self._truth, self._noise
-        driving = 0.0 <= t <= truth.duration
-        a_x, a_y, yaw, rate = (
-            float(np.interp(t, truth.t, column))
-            for column in (self._a_x, self._a_y, truth.yaw, truth.yaw_rate)
-        )
-        if not driving:
-            a_x = a_y = rate = 0.0
+        at, noise = self._at(stamp_ns), self._noise
+        driving = 0.0 <= self.time(stamp_ns) <= self._window.duration
+        a_x, a_y, rate = (at.a_x, at.a_y, at.yaw_rate) if driving else (0.0, 0.0, 0.0)
         acceleration = np.array((a_x, a_y, GRAVITY)) + noise.acceleration_stddev * self._normal()
         rates = np.array((0.0, 0.0, rate + noise.gyro_bias)) + noise.gyro_stddev * self._normal()
         north = noise.field_horizontal
-        field = np.array((north * np.sin(yaw), north * np.cos(yaw), -noise.field_down))
+        field = np.array((north * np.sin(at.yaw), north * np.cos(at.yaw), -noise.field_down))
         field += noise.field_stddev * self._normal()
         return ImuSample(stamp_ns, _vector(acceleration), _vector(rates), _vector(field), over_range=False)
+
+    def _at(self, stamp_ns: int) -> Measurable:
+        """As ``Truth.interpolate``, of one time."""
+        if stamp_ns != self._looked_ns:
+            t = self.time(stamp_ns)
+            self._advance(t)
+            times, table = self._times, self._table
+            k = bisect_right(times, t) - 1
+            if k < 0 or k == len(times) - 1:
+                row = table[max(k, 0)]
+            else:
+                row = (table[k + 1] - table[k]) / (times[k + 1] - times[k]) * (t - times[k]) + table[k]
+            self._looked_ns, self._found = stamp_ns, Measurable._make(row.tolist())
+        return self._found
+
+    def _advance(self, t: float) -> None:
+        if self._window.advance(t):
+            self._tabulate()
+
+    def _tabulate(self) -> None:
+        """The window's stretch as rows of ``Measurable``."""
+        truth = self._window.truth
+        named = [getattr(truth, name) for name in Measurable._fields[:-2]]
+        v_x_rate, v_y_rate = np.zeros(len(truth)), np.zeros(len(truth))
+        if len(truth) > 1:
+            v_x_rate, v_y_rate = np.gradient(truth.v_x, truth.t), np.gradient(truth.v_y, truth.t)
+        forces = v_x_rate - truth.v_y * truth.yaw_rate, v_y_rate + truth.v_x * truth.yaw_rate
+        self._times: list[float] = truth.t.tolist()
+        self._table: FloatArray = np.column_stack([*named, *forces])
+        self._looked_ns = None
 
     def _normal(self) -> FloatArray:
         return self._random.standard_normal(3)
 
 
 def _vector(values: FloatArray) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
+    x, y, z = values.tolist()
     return x, y, z

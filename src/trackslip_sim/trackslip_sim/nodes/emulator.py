@@ -13,11 +13,18 @@ from trackslip_common.nodes.failures import cause
 from trackslip_common.nodes.health import ERROR, OK, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
-from trackslip_estimation.slip import conversions
 from trackslip_sim.machine.cables import Cables
 from trackslip_sim.machine.excavator import EmulatedExcavator, drive
 from trackslip_sim.machine.faults import Fault, parse_fault
-from trackslip_sim.machine.truth_estimates import as_estimate, forces_message, soil_message
+from trackslip_sim.machine.message_columns import set_fields, stamp_columns
+from trackslip_sim.machine.truth_messages import (
+    certain_odometry,
+    odometry_columns,
+    soil_message,
+    stamped,
+    track_forces_columns,
+    track_slip_columns,
+)
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
 
 _TICK_NS = 2_000_000  # how finely the serial lines are dripped
@@ -117,7 +124,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
                     excavator.faults.add(self._ordered.get(), now_ns)
                 cables.exchange(excavator, now_ns)
                 while truth_ns <= min(now_ns, excavator.end_ns):
-                    self._tell_truth(excavator, truth_ns)
+                    self._publish_truth(excavator, truth_ns)
                     truth_ns += _TRUTH_PERIOD_NS
                 self._finished = now_ns > excavator.end_ns + _DRAIN_NS
                 tick_ns += _TICK_NS * max(1, (time.monotonic_ns() - tick_ns) // _TICK_NS)
@@ -126,16 +133,22 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             self._trouble = f"stopped: {cause(error)}"
             self.get_logger().error(self._trouble)
 
-    def _tell_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
-        at = self._truth.at(excavator.sensors.time(stamp_ns))
-        estimate = as_estimate(at, stamp_ns)
-        self._odometry.publish(conversions.odometry(make, estimate, *_FRAMES))
-        self._track_slip.publish(conversions.track_slip(make, estimate, _FRAMES[1]))
-        since_ns, ground = stamp_ns - excavator.drive_start_ns, (self.settings.vehicle, _FRAMES[1])
+    def _publish_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
+        at, vehicle = self._truth.at(excavator.sensors.time(stamp_ns)), self.settings.vehicle
+        stamp = stamp_columns([stamp_ns])
+        odometry = certain_odometry(make, *_FRAMES)
+        set_fields(odometry, {**stamp, **odometry_columns(at)})
+        self._odometry.publish(odometry)
+        track_slip = stamped(make, "trackslip_msgs/msg/TrackSlip", _FRAMES[1])
+        set_fields(track_slip, {**stamp, **track_slip_columns(at)})
+        self._track_slip.publish(track_slip)
+        since_ns = stamp_ns - excavator.drive_start_ns
         if since_ns % _FORCES_PERIOD_NS < _TRUTH_PERIOD_NS:
-            self._track_forces.publish(forces_message(make, at, stamp_ns, *ground))
+            forces = stamped(make, "trackslip_msgs/msg/TrackForces", _FRAMES[1])
+            set_fields(forces, {**stamp, **track_forces_columns(at, vehicle)})
+            self._track_forces.publish(forces)
         if since_ns % _SOIL_PERIOD_NS < _TRUTH_PERIOD_NS:
-            self._soil.publish(soil_message(make, at, stamp_ns, *ground))
+            self._soil.publish(soil_message(make, at, stamp_ns, vehicle, _FRAMES[1]))
 
 
 def main() -> None:

@@ -88,20 +88,29 @@ class Scenario:
                     break
         return dataclasses.replace(self, segments=tuple(segments))
 
-    def commands(self, step: float) -> FloatArray:
-        """Commanded (left, right) sprocket speeds (n, 2), rad/s, at the starts of n steps.
+    def steps(self, step: float) -> int:
+        """How many steps (s) it takes.
 
         Raises:
-            InputError: the scenario is shorter than one step.
+            InputError: the scenario is shorter than one.
         """
         count = round(self.duration / step)
         if count < 1:
             raise InputError(
                 f"scenario '{self.name}': {self.duration!r} s is shorter than a step; accepted: >= {step:g} s"
             )
+        return count
+
+    def commands(self, step: float, begin: int = 0, end: int | None = None) -> FloatArray:
+        """Commanded (left, right) sprocket speeds (n, 2), rad/s, in the steps from ``begin`` up to ``end``.
+
+        Raises:
+            InputError: the scenario is shorter than one step.
+        """
+        count = self.steps(step)
         ends = np.cumsum([segment.duration for segment in self.segments])
-        starts = (np.arange(count) + 0.5) * step
-        index = np.minimum(np.searchsorted(ends, starts), len(ends) - 1)
+        middles = (np.arange(begin, count if end is None else end) + 0.5) * step
+        index = np.minimum(np.searchsorted(ends, middles), len(ends) - 1)
         speeds = np.array([[segment.left, segment.right] for segment in self.segments], dtype=np.float64)
         chosen: FloatArray = speeds[index]
         return chosen

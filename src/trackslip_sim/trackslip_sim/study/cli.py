@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip study``: chapter 6 of the thesis again, with numbers: errors, bounds, honesty."""
+"""``trackslip study``: chapter 6 of the thesis again, with numbers: errors, bounds, consistency."""
 
 import argparse
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
 from trackslip_common.errors import ExitCode, InputError
+from trackslip_sim.study.engine import Study
 from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
-from trackslip_sim.study.slip.run import SlipStudy
+from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import shown
@@ -21,32 +22,7 @@ EXAMPLE = (
 )
 
 
-class Study(Protocol):
-    """What the command needs of a study."""
-
-    UNIT: ClassVar[str]  # of the progress bar: what its pieces are
-    PARAMETERS: ClassVar[Mapping[str, str]]  # option → parameter
-
-    def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:
-        """Check parameters and texts of ``--set``."""
-
-    def __len__(self) -> int:
-        """How many pieces it has."""
-
-    def run(self, cache: Path, jobs: int, *, fresh: bool) -> Iterator[Any]:
-        """The pieces, as they are finished; those in the cache are not computed again."""
-
-    def rows(self, pieces: Sequence[Any]) -> Sequence[Any]:
-        """The rows of its tables, dataclasses."""
-
-    def markdown(self, rows: Sequence[Any]) -> str:
-        """Its tables."""
-
-    def write(self, rows: Sequence[Any], folder: Path) -> None:
-        """Its files, into a folder."""
-
-
-_STUDIES: Mapping[str, type[Study]] = MappingProxyType({"slip": SlipStudy, "soil": SoilStudy})
+_STUDIES: Mapping[str, type[Study[Any, Any]]] = MappingProxyType({"slip": SlipStudy, "soil": SoilStudy})
 _OPTIONS = sorted({option for study in _STUDIES.values() for option in study.PARAMETERS})
 
 
@@ -98,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _study(args: argparse.Namespace) -> Study:
+def _study(args: argparse.Namespace) -> Study[Any, Any]:
     """With the options that were given, of which each must be one of its own."""
     kind = _STUDIES[args.estimator]
     given = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}

@@ -12,59 +12,87 @@ Arrays over tracks and elements are (2, elements): left, right; element 0 is the
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from trackslip_common.compiled import compiled
-from trackslip_sim.truth.ground import soil_at
+from trackslip_sim.truth.ground import SoilMap, soil_at
 from trackslip_sim.truth.record import FloatArray, IntArray
 
-FORGET = 10.0  # |j| is kept below this many K: all strength is mobilised there (5e-5 short of it)
+MAX_SHEAR = 10.0  # |j| is kept below this many K: all strength is mobilised there (5e-5 short of it)
+
+
+class Tracks(NamedTuple):
+    """Both contacts; they do not change during a run."""
+
+    x_e: FloatArray  # (n,) m
+    load: FloatArray  # (2, n) N
+    element_area: float  # m²
+    half_tread: float  # m
+
+
+class Shear(NamedTuple):
+    """State of the soil under the elements."""
+
+    j: FloatArray  # (2, n, 2) m
+    soil: IntArray  # (2, n) index into the map's table
+    strength: FloatArray  # (2, n) f, N
+
+
+class ShearSums(NamedTuple):
+    """Derivatives of the shear forces' potential Σ f ρ by the sliding velocity, summed per track."""
+
+    force: FloatArray  # (2, 3) Σ of g s_x, g s_y, g s_y x_e with g = f/ρ; the soil's force is minus that
+    curvature: FloatArray  # (2, 6) second derivatives, Σ of h_xx, h_xy, h_xy x_e, h_yy, h_yy x_e, h_yy x_e²
+
+
+def unsheared(elements: int) -> Shear:
+    """Soil on which nothing has driven."""
+    return Shear(np.zeros((2, elements, 2)), np.zeros((2, elements), np.int64), np.zeros((2, elements)))
 
 
 @compiled
-def mobilise(
-    j: FloatArray, load: FloatArray, area: float, soil: IntArray, table: FloatArray, strength: FloatArray
-) -> None:
-    """Fill ``strength`` (2, n) N from the shear displacements ``j`` (2, n, 2) m and loads (2, n) N."""
+def mobilise(shear: Shear, tracks: Tracks, ground: SoilMap) -> None:
+    """Fill the strengths from the shear displacements."""
     for k in range(2):
-        for e in range(load.shape[1]):
-            row = table[soil[k, e]]
-            slid = math.sqrt(j[k, e, 0] ** 2 + j[k, e, 1] ** 2)
-            strength[k, e] = (row[0] * area + load[k, e] * row[1]) * -math.expm1(-slid / row[2])
+        for e in range(len(tracks.x_e)):
+            soil = shear.soil[k, e]
+            cohesion, tan_friction, modulus = (
+                ground.table[soil, 0],
+                ground.table[soil, 1],
+                ground.table[soil, 2],
+            )
+            slid = math.sqrt(shear.j[k, e, 0] ** 2 + shear.j[k, e, 1] ** 2)
+            full = cohesion * tracks.element_area + tracks.load[k, e] * tan_friction
+            shear.strength[k, e] = full * -math.expm1(-slid / modulus)
 
 
 @compiled
-def find_soils(
-    pose: FloatArray,
-    x_e: FloatArray,
-    half_tread: float,
-    edges: FloatArray,
-    patch_soil: IntArray,
-    soil: IntArray,
-) -> None:
-    """Fill ``soil`` (2, n) with the soil's index under each element; ``pose`` is x, y, yaw."""
+def find_soils(pose: FloatArray, tracks: Tracks, ground: SoilMap, shear: Shear) -> None:
+    """Fill the soils under the elements; ``pose`` is x, y, yaw."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     for k in range(2):
-        y_e = half_tread * (1.0 - 2.0 * k)
-        for e in range(len(x_e)):
-            x = pose[0] + cos * x_e[e] - sin * y_e
-            y = pose[1] + sin * x_e[e] + cos * y_e
-            soil[k, e] = soil_at(x, y, edges, patch_soil)
+        y_e = tracks.half_tread * (1.0 - 2.0 * k)
+        for e in range(len(tracks.x_e)):
+            x = pose[0] + cos * tracks.x_e[e] - sin * y_e
+            y = pose[1] + sin * tracks.x_e[e] + cos * y_e
+            shear.soil[k, e] = soil_at(x, y, ground)
 
 
 @compiled
-def carry(j: FloatArray, q: FloatArray, x_e: FloatArray, half_tread: float, step: float) -> None:
-    """Advance j (2, n, 2) by one step: it grows by s and is carried rearwards (forwards in reverse) at |u|.
+def carry(shear: Shear, q: FloatArray, tracks: Tracks, step: float) -> None:
+    """Advance j by one step: it grows by s and is carried rearwards (forwards in reverse) at |u|.
 
     Implicit upwind differences, swept from the leading edge, where j = 0: bounded at any step, and in
     steady motion the midpoint rule for ∫ s dx/|u|.
     """
+    j, x_e = shear.j, tracks.x_e
     n = len(x_e)
     dx = x_e[0] - x_e[1]
     for k in range(2):
         u = q[3 + k]
-        s_x = q[0] - q[2] * half_tread * (1.0 - 2.0 * k) - u
+        s_x = q[0] - q[2] * tracks.half_tread * (1.0 - 2.0 * k) - u
         ahead = 0.5 * dx if u > 0.0 else (-0.5 * dx if u < 0.0 else 0.0)
         share = abs(u) * step / dx
         before_x, before_y = 0.0, 0.0
@@ -79,11 +107,12 @@ def carry(j: FloatArray, q: FloatArray, x_e: FloatArray, half_tread: float, step
 
 
 @compiled
-def forget(j: FloatArray, soil: IntArray, table: FloatArray) -> None:
-    """Shorten each j (2, n, 2) to at most ``FORGET`` K, so that a reversal need not undo a long slide."""
+def limit_shear(shear: Shear, ground: SoilMap) -> None:
+    """Shorten each j to at most ``MAX_SHEAR`` K, so that a reversal need not undo a long slide."""
+    j = shear.j
     for k in range(2):
         for e in range(j.shape[1]):
-            limit = FORGET * table[soil[k, e], 2]
+            limit = MAX_SHEAR * ground.table[shear.soil[k, e], 2]
             slid = math.sqrt(j[k, e, 0] ** 2 + j[k, e, 1] ** 2)
             if slid > limit:
                 j[k, e, 0] *= limit / slid
@@ -91,53 +120,35 @@ def forget(j: FloatArray, soil: IntArray, table: FloatArray) -> None:
 
 
 @compiled
-def shear_sums(
-    q: FloatArray,
-    strength: FloatArray,
-    x_e: FloatArray,
-    half_tread: float,
-    floor: float,
-    force: FloatArray,
-    curvature: FloatArray,
-) -> None:
-    """Derivatives of the shear forces' potential Σ f ρ by the sliding velocity, summed per track.
-
-    ``force`` (2, 3): Σ g s_x, Σ g s_y, Σ g s_y x_e with g = f/ρ; the soil's force is minus that.
-    ``curvature`` (2, 6): second derivatives, Σ of h_xx, h_xy, h_xy x_e, h_yy, h_yy x_e, h_yy x_e².
-    """
-    force[:] = 0.0
-    curvature[:] = 0.0
+def shear_sums(q: FloatArray, shear: Shear, tracks: Tracks, floor: float, sums: ShearSums) -> None:
+    """Fill ``sums`` at q; ``floor`` is s₀."""
     for k in range(2):
-        s_x = q[0] - q[2] * half_tread * (1.0 - 2.0 * k) - q[3 + k]
-        for e in range(len(x_e)):
-            x = x_e[e]
+        s_x = q[0] - q[2] * tracks.half_tread * (1.0 - 2.0 * k) - q[3 + k]
+        f_x, f_y, moment = 0.0, 0.0, 0.0
+        h_xx, h_xy, h_xyx, h_yy, h_yyx, h_yyxx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for e in range(len(tracks.x_e)):
+            x = tracks.x_e[e]
             s_y = q[1] + q[2] * x
             rho = math.sqrt(s_x * s_x + s_y * s_y + floor * floor)
-            g = strength[k, e] / rho
+            g = shear.strength[k, e] / rho
             bend = g / (rho * rho)
-            force[k, 0] += g * s_x
-            force[k, 1] += g * s_y
-            force[k, 2] += g * s_y * x
-            h_xy = -bend * s_x * s_y
-            h_yy = g - bend * s_y * s_y
-            curvature[k, 0] += g - bend * s_x * s_x
-            curvature[k, 1] += h_xy
-            curvature[k, 2] += h_xy * x
-            curvature[k, 3] += h_yy
-            curvature[k, 4] += h_yy * x
-            curvature[k, 5] += h_yy * x * x
+            f_x += g * s_x
+            f_y += g * s_y
+            moment += g * s_y * x
+            xy = -bend * s_x * s_y
+            yy = g - bend * s_y * s_y
+            h_xx += g - bend * s_x * s_x
+            h_xy += xy
+            h_xyx += xy * x
+            h_yy += yy
+            h_yyx += yy * x
+            h_yyxx += yy * x * x
+        sums.force[k, 0], sums.force[k, 1], sums.force[k, 2] = f_x, f_y, moment
+        bends = sums.curvature
+        bends[k, 0], bends[k, 1], bends[k, 2] = h_xx, h_xy, h_xyx
+        bends[k, 3], bends[k, 4], bends[k, 5] = h_yy, h_yyx, h_yyxx
 
 
 def element_positions(length: float, elements: int) -> FloatArray:
     """Centres of the elements (n,), m, from the front."""
     return length * (0.5 - (np.arange(elements) + 0.5) / elements)
-
-
-def element_loads(
-    weight: float, tread: float, x_e: FloatArray, length: float, load_x: float, load_y: float
-) -> FloatArray:
-    """Weight on each element (2, n), N: linear along the track, split between them by moments."""
-    along = (1.0 + 12.0 * load_x * x_e / length**2) / len(x_e)
-    split = np.array([0.5 + load_y / tread, 0.5 - load_y / tread])
-    loads: FloatArray = weight * split[:, None] * along[None, :]
-    return loads

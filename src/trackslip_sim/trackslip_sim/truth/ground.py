@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,14 +39,20 @@ class Patch:
                 )
 
 
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """Arrays for the kernel: soil 0 lies where no patch does; later patches cover earlier ones."""
+class SoilMap(NamedTuple):
+    """The ground as kernels read it: soil 0 lies where no patch does; later patches cover earlier ones."""
 
-    soils: tuple[Soil, ...]
     table: FloatArray  # (soils, 4): c Pa, tan ϕ, K m, μ_r
     edges: FloatArray  # (patches, 4): from_x, to_x, from_y, to_y
     patch_soil: IntArray  # (patches,), index into table
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The soils of a run, and where each lies."""
+
+    soils: tuple[Soil, ...]
+    map: SoilMap
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -70,18 +77,19 @@ def build_ground(base: Soil, patches: Sequence[Patch], soils: dict[str, Soil]) -
         [s.cohesion, math.tan(s.friction_angle), s.value("shear_modulus"), s.value("mu_r")] for s in records
     ]
     edges = [[patch.from_x, patch.to_x, patch.from_y, patch.to_y] for patch in patches]
-    return Ground(
-        soils=tuple(records),
+    soil_map = SoilMap(
         table=np.array(table, dtype=np.float64),
         edges=np.array(edges, dtype=np.float64).reshape(-1, 4),
         patch_soil=np.array([names.index(patch.soil) for patch in patches], dtype=np.int64),
     )
+    return Ground(tuple(records), soil_map)
 
 
 @compiled
-def soil_at(x: float, y: float, edges: FloatArray, patch_soil: IntArray) -> int:
+def soil_at(x: float, y: float, ground: SoilMap) -> int:
     """Index of the soil at a point of the site frame."""
-    for k in range(len(patch_soil) - 1, -1, -1):
+    edges = ground.edges
+    for k in range(len(ground.patch_soil) - 1, -1, -1):
         if edges[k, 0] <= x < edges[k, 1] and edges[k, 2] <= y < edges[k, 3]:
-            return int(patch_soil[k])
+            return int(ground.patch_soil[k])
     return 0

@@ -20,9 +20,9 @@ from trackslip_estimation.terramechanics.resistance import longitudinal_resistan
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.scenarios.scenario import Scenario
-from trackslip_sim.truth.lag import kept_error, spools, top_speed
+from trackslip_sim.truth.lag import spools, valves_of
 from trackslip_sim.truth.record import FloatArray, Truth
-from trackslip_sim.truth.rows import WIDTH, Column, to_truth
+from trackslip_sim.truth.rows import WIDTH, Column, Recorder
 from trackslip_sim.truth.settings import TruthSettings
 
 
@@ -48,9 +48,9 @@ def simulate_kinematic(
         InputError: the soil lacks K or μ_r.
     """
     step, every = settings.step, settings.steps_per_sample
-    top = top_speed(vehicle)
-    spool = spools(scenario.commands(step), top, kept_error(settings))
-    u = spool * top * vehicle.rolling_radius
+    valves = valves_of(vehicle, settings)
+    spool = spools(scenario.commands(step), valves, np.zeros(2))
+    u = spool * valves.top_speed * vehicle.rolling_radius
     difference = u[:, 1] - u[:, 0]
     v_x = (1.0 - turning.common_slip) * u.mean(axis=1) - 0.5 * turning.speed_loss * np.abs(difference)
     yaw_rate = turning.efficiency * difference / vehicle.tread
@@ -80,7 +80,7 @@ def simulate_kinematic(
         rows[:, c.THRUST + k], rows[:, c.DRIVE + k] = force, force
         rows[:, c.RESISTANCE + k] = longitudinal_resistance(v, soil.value("mu_r"), vehicle.weight)
         rows[:, c.SPOOL + k] = spool[:, k]
-    return to_truth(rows[::every], (soil.name,), vehicle, settings, vehicle.relief_pressure)
+    return Recorder(vehicle, settings, vehicle.relief_pressure, (soil.name,)).truth(rows[::every])
 
 
 def _integral(rate: FloatArray, step: float) -> FloatArray:

@@ -2,6 +2,7 @@
 """Valves and pumps: from commanded sprocket speed to what the oil allows."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,25 +13,30 @@ from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.settings import TruthSettings
 
 
-def top_speed(vehicle: Vehicle) -> float:
-    """Sprocket speed at full pump flow, rad/s."""
-    return float(speed_of_flow(vehicle.pump_flow, 1.0, vehicle))
+class Valves(NamedTuple):
+    """How spools follow commands, and tracks the spools."""
+
+    top_speed: float  # rad/s, of a sprocket at full pump flow
+    kept: float  # part of a spool's distance from its command that is left after one step
+    radius: float  # m, of the sprockets
 
 
-def kept_error(settings: TruthSettings) -> float:
-    """Part of a spool's distance from its command that is left after one step."""
-    return math.exp(-settings.step / settings.valve_time_constant)
+def valves_of(vehicle: Vehicle, settings: TruthSettings) -> Valves:
+    """The valves of a vehicle under the settings' step."""
+    return Valves(
+        top_speed=float(speed_of_flow(vehicle.pump_flow, 1.0, vehicle)),
+        kept=math.exp(-settings.step / settings.valve_time_constant),
+        radius=vehicle.rolling_radius,
+    )
 
 
 @compiled
-def spools(commands: FloatArray, top: float, keep: float) -> FloatArray:
-    """Spool positions (n + 1, 2), -1 … 1, from rest, under commanded speeds (n, 2), rad/s.
-
-    ``top`` is the speed of full flow, rad/s; ``keep`` the part of an error left after one step.
-    """
-    positions = np.zeros((len(commands) + 1, 2))
-    for i in range(len(commands)):
-        for k in range(2):
-            wanted = min(max(commands[i, k] / top, -1.0), 1.0)
-            positions[i + 1, k] = wanted + (positions[i, k] - wanted) * keep
+def spools(commands: FloatArray, valves: Valves, start: FloatArray) -> FloatArray:
+    """Spool positions (n + 1, 2), -1 … 1, from ``start`` (2,), under commanded speeds (n, 2), rad/s."""
+    positions = np.empty((len(commands) + 1, 2))
+    for k in range(2):
+        positions[0, k] = start[k]
+        for i in range(len(commands)):
+            wanted = min(max(commands[i, k] / valves.top_speed, -1.0), 1.0)
+            positions[i + 1, k] = wanted + (positions[i, k] - wanted) * valves.kept
     return positions

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.compiled import compiled
-from trackslip_sim.truth.contact import shear_sums
+from trackslip_sim.truth.contact import Shear, ShearSums, Tracks, shear_sums
 from trackslip_sim.truth.record import FloatArray
 
 SIZE = 5
@@ -29,11 +29,10 @@ FLAT = 0.1  # of its initial slope: where the search along a Newton step ends
 class Machine(NamedTuple):
     """Numbers of the vehicle as the kernel needs them; SI units."""
 
+    step: float  # s, Δt
     mass: float
     yaw_inertia: float
-    half_tread: float
     track_mass: float
-    element_area: float
     drive_limit: float  # N, thrust at relief pressure, motor driving
     brake_limit: float  # N, the same with the motor driven
     drive_stiffness: float  # N per m/s of lag behind the oil
@@ -42,57 +41,47 @@ class Machine(NamedTuple):
     slip_floor: float
 
 
-class Sums(NamedTuple):
-    """Work space and results of one evaluation; see ``shear_sums``."""
+class Newton(NamedTuple):
+    """One step being solved: what it is given, work space, and what came out."""
 
-    force: FloatArray
-    curvature: FloatArray
-    gradient: FloatArray  # (5,)
-    matrix: FloatArray  # (5, 5)
+    start: FloatArray  # (5,) q₀
+    target: FloatArray  # (2,) m/s, track speeds that the oil would give
+    limits: FloatArray  # (2, 2) N, lowest and highest thrust of each motor
+    rolling: FloatArray  # (2,) R_j, N
+    sums: ShearSums
+    gradient: FloatArray  # (5,) force left unbalanced
+    matrix: FloatArray  # (5, 5) second derivatives, upper triangle
+    change: FloatArray  # (5,) the Newton step
+    trial: FloatArray  # (5,) q along it
     drive: FloatArray  # (2,) N, thrust of the motors
 
 
-def new_sums() -> Sums:
+def new_step() -> Newton:
     """Work space for ``solve_step``."""
-    return Sums(
-        np.zeros((2, 3)),
-        np.zeros((2, 6)),
-        np.zeros(SIZE),
-        np.zeros((SIZE, SIZE)),
-        np.zeros(2),
-    )
+    sums = ShearSums(np.zeros((2, 3)), np.zeros((2, 6)))
+    given = np.zeros(SIZE), np.zeros(2), np.zeros((2, 2)), np.zeros(2)
+    return Newton(*given, sums, np.zeros(5), np.zeros((5, 5)), np.zeros(5), np.zeros(5), np.zeros(2))
 
 
 @compiled
-def evaluate(
-    q: FloatArray,
-    start: FloatArray,
-    target: FloatArray,
-    limits: FloatArray,
-    strength: FloatArray,
-    rolling: FloatArray,
-    x_e: FloatArray,
-    machine: Machine,
-    step: float,
-    sums: Sums,
-) -> None:
-    """Fill ``sums`` at q; its ``gradient`` (5,) is the force left unbalanced."""
-    shear_sums(q, strength, x_e, machine.half_tread, machine.sliding_floor, sums.force, sums.curvature)
-    gradient = sums.gradient
+def evaluate(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, newton: Newton) -> None:
+    """Fill ``sums``, ``gradient`` and ``drive`` at q."""
+    shear_sums(q, shear, tracks, machine.sliding_floor, newton.sums)
+    force, gradient = newton.sums.force, newton.gradient
     for i in range(SIZE):
-        gradient[i] = inertia_of(i, machine) / step * (q[i] - start[i])
+        gradient[i] = inertia_of(i, machine) / machine.step * (q[i] - newton.start[i])
     for k in range(2):
-        arm = machine.half_tread * (1.0 - 2.0 * k)
+        arm = tracks.half_tread * (1.0 - 2.0 * k)
         v = q[0] - q[2] * arm
         rho = math.sqrt(v * v + machine.rolling_floor**2)
-        along = sums.force[k, 0] + rolling[k] * v / rho
+        along = force[k, 0] + newton.rolling[k] * v / rho
         gradient[0] += along
-        gradient[1] += sums.force[k, 1]
-        gradient[2] += sums.force[k, 2] - arm * along
-        lag = target[k] - q[3 + k]
-        drive = min(max(machine.drive_stiffness * lag, limits[k, 0]), limits[k, 1])
-        gradient[3 + k] -= sums.force[k, 0] + drive
-        sums.drive[k] = drive
+        gradient[1] += force[k, 1]
+        gradient[2] += force[k, 2] - arm * along
+        lag = newton.target[k] - q[3 + k]
+        drive = min(max(machine.drive_stiffness * lag, newton.limits[k, 0]), newton.limits[k, 1])
+        gradient[3 + k] -= force[k, 0] + drive
+        newton.drive[k] = drive
 
 
 @compiled
@@ -104,26 +93,19 @@ def inertia_of(i: int, machine: Machine) -> float:
 
 
 @compiled
-def assemble(
-    q: FloatArray,
-    target: FloatArray,
-    limits: FloatArray,
-    rolling: FloatArray,
-    machine: Machine,
-    step: float,
-    sums: Sums,
-) -> None:
-    """Fill ``sums.matrix`` with the second derivatives (5, 5) at q, where ``evaluate`` has been."""
-    matrix = sums.matrix
-    matrix[:] = 0.0
+def assemble(q: FloatArray, machine: Machine, tracks: Tracks, newton: Newton) -> None:
+    """Fill ``matrix`` at q, where ``evaluate`` has been."""
+    matrix, bends = newton.matrix, newton.sums.curvature
     for i in range(SIZE):
-        matrix[i, i] = inertia_of(i, machine) / step
+        for column in range(i, SIZE):
+            matrix[i, column] = inertia_of(i, machine) / machine.step if i == column else 0.0
     for k in range(2):
-        arm = machine.half_tread * (1.0 - 2.0 * k)
-        h_xx, h_xy, h_xyx, h_yy, h_yyx, h_yyxx = sums.curvature[k]
+        arm = tracks.half_tread * (1.0 - 2.0 * k)
+        h_xx, h_xy, h_xyx = bends[k, 0], bends[k, 1], bends[k, 2]
+        h_yy, h_yyx, h_yyxx = bends[k, 3], bends[k, 4], bends[k, 5]
         v = q[0] - q[2] * arm
         rho = math.sqrt(v * v + machine.rolling_floor**2)
-        roll = rolling[k] * machine.rolling_floor**2 / rho**3
+        roll = newton.rolling[k] * machine.rolling_floor**2 / rho**3
         matrix[0, 0] += h_xx + roll
         matrix[0, 1] += h_xy
         matrix[0, 2] += h_xyx - arm * (h_xx + roll)
@@ -133,8 +115,8 @@ def assemble(
         matrix[0, 3 + k] -= h_xx
         matrix[1, 3 + k] -= h_xy
         matrix[2, 3 + k] -= h_xyx - arm * h_xx
-        push = machine.drive_stiffness * (target[k] - q[3 + k])
-        yields = not limits[k, 0] < push < limits[k, 1]
+        push = machine.drive_stiffness * (newton.target[k] - q[3 + k])
+        yields = not newton.limits[k, 0] < push < newton.limits[k, 1]
         matrix[3 + k, 3 + k] += h_xx + (0.0 if yields else machine.drive_stiffness)
 
 
@@ -142,7 +124,8 @@ def assemble(
 def solve_symmetric(matrix: FloatArray, right: FloatArray, result: FloatArray) -> None:
     """Positive definite A x = b by L D Lᵀ in place; only the upper triangle of A is read."""
     n = len(right)
-    result[:] = right
+    for i in range(n):
+        result[i] = right[i]
     for i in range(n):
         for row in range(i + 1, n):
             factor = matrix[i, row] / matrix[i, i]
@@ -156,30 +139,21 @@ def solve_symmetric(matrix: FloatArray, right: FloatArray, result: FloatArray) -
 
 
 @compiled
-def solve_step(
-    q: FloatArray,
-    target: FloatArray,
-    strength: FloatArray,
-    rolling: FloatArray,
-    x_e: FloatArray,
-    machine: Machine,
-    step: float,
-    sums: Sums,
-) -> int:
-    """Advance q by one step towards the track speeds ``target`` (2,); returns the iterations used.
+def solve_step(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, newton: Newton) -> int:
+    """Advance q by one step towards the track speeds ``target``; returns the iterations used.
 
     Newton's method; where its step overshoots, the minimum along it is bracketed by the slope.
     """
-    start = q.copy()
-    limits = relief_limits(start, machine)
-    change = np.empty(SIZE)
-    evaluate(q, start, target, limits, strength, rolling, x_e, machine, step, sums)
+    for i in range(SIZE):
+        newton.start[i] = q[i]
+    set_relief_limits(q, machine, newton.limits)
+    evaluate(q, machine, tracks, shear, newton)
     for iteration in range(MAX_ITERATIONS):
-        if np.max(np.abs(sums.gradient)) < TOLERANCE:
+        if balanced(newton.gradient):
             return iteration
-        assemble(q, target, limits, rolling, machine, step, sums)
-        solve_symmetric(sums.matrix, sums.gradient, change)
-        slope = -np.dot(sums.gradient, change)
+        assemble(q, machine, tracks, newton)
+        solve_symmetric(newton.matrix, newton.gradient, newton.change)
+        slope = slope_along(newton)
         low_slope, high_slope = slope, 0.0
         low, high, part = 0.0, 1.0, 1.0
         for attempt in range(MAX_ATTEMPTS):
@@ -187,25 +161,44 @@ def solve_step(
                 part = low + (high - low) * low_slope / (low_slope - high_slope)
             elif attempt:
                 part = 0.5 * (low + high)
-            evaluate(q - part * change, start, target, limits, strength, rolling, x_e, machine, step, sums)
-            here = -np.dot(sums.gradient, change)
+            for i in range(SIZE):
+                newton.trial[i] = q[i] - part * newton.change[i]
+            evaluate(newton.trial, machine, tracks, shear, newton)
+            here = slope_along(newton)
             if abs(here) <= -FLAT * slope or (here < 0.0 and part == 1.0):
                 break
             if here > 0.0:
                 high, high_slope = part, here
             else:
                 low, low_slope = part, here
-        q -= part * change
+        for i in range(SIZE):
+            q[i] = newton.trial[i]
     return MAX_ITERATIONS
 
 
 @compiled
-def relief_limits(q: FloatArray, machine: Machine) -> FloatArray:
-    """Lowest and highest thrust of each motor (2, 2), N: a driven motor holds more than it can drive."""
-    limits = np.empty((2, 2))
+def balanced(gradient: FloatArray) -> bool:
+    """Whether all forces are."""
+    count = 0
+    for force in gradient:
+        count += abs(force) < TOLERANCE
+    return count == len(gradient)
+
+
+@compiled
+def slope_along(newton: Newton) -> float:
+    """Of what is minimised, by the part of the Newton step that is gone."""
+    slope = 0.0
+    for i in range(SIZE):
+        slope -= newton.gradient[i] * newton.change[i]
+    return slope
+
+
+@compiled
+def set_relief_limits(q: FloatArray, machine: Machine, limits: FloatArray) -> None:
+    """Fill the lowest and highest thrust of each motor (2, 2), N: driven it holds more."""
+    more = machine.brake_limit - machine.drive_limit
     for k in range(2):
         speed = q[3 + k] / machine.slip_floor
-        more = machine.brake_limit - machine.drive_limit
         limits[k, 0] = -machine.drive_limit - more * min(max(speed, 0.0), 1.0)
         limits[k, 1] = machine.drive_limit + more * min(max(-speed, 0.0), 1.0)
-    return limits

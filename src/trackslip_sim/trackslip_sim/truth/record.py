@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,12 @@ class Truth:
         """Name of the soil under C at one sample."""
         return self.soil_names[int(self.soil_index[index])]
 
+    def since(self, t: float) -> Truth:
+        """The samples from time ``t`` on, s, and the one before them."""
+        first = max(0, int(np.searchsorted(self.t, t)) - 1)
+        columns = {name: getattr(self, name)[first:] for name in COLUMNS}
+        return Truth(**columns, soil_index=self.soil_index[first:], soil_names=self.soil_names)
+
     def interpolate(self, times: ArrayLike) -> Truth:
         """The truth at the given times (m,), s: linear between samples, held beyond the ends.
 
@@ -79,3 +86,12 @@ class Truth:
 COLUMNS = tuple(
     field.name for field in dataclasses.fields(Truth) if field.name not in ("soil_index", "soil_names")
 )
+
+
+def joined(pieces: Sequence[Truth]) -> Truth:
+    """Pieces of one run, each behind the one before, as one record."""
+    if len(pieces) == 1:
+        return pieces[0]
+    columns = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in COLUMNS}
+    soil_index = np.concatenate([piece.soil_index for piece in pieces])
+    return Truth(**columns, soil_index=soil_index, soil_names=pieces[0].soil_names)

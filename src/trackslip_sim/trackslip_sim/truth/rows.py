@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every truth mode computes, as rows of numbers, and the record made of them."""
 
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import pressure_of_thrust
+from trackslip_sim.truth.ground import SoilMap, soil_at
 from trackslip_sim.truth.record import FloatArray, Truth
 from trackslip_sim.truth.settings import TruthSettings
 
@@ -36,6 +38,13 @@ class Column(IntEnum):
 WIDTH = 23
 
 
+def start_row(ground: SoilMap) -> FloatArray:
+    """The row (1, WIDTH) of a machine at rest at the origin."""
+    row = np.zeros((1, WIDTH))
+    row[0, Column.SOIL] = soil_at(0.0, 0.0, ground)
+    return row
+
+
 class UnsolvedStepError(ArithmeticError):
     """A step of the integration did not balance its forces: a fault of the solver, not of the user."""
 
@@ -53,57 +62,62 @@ def refuse_unsolved(rows: FloatArray, limit: int) -> None:
         )
 
 
-def to_truth(
-    rows: FloatArray,
-    soil_names: tuple[str, ...],
-    vehicle: Vehicle,
-    settings: TruthSettings,
-    relief_pressure: float,
-) -> Truth:
-    """The record of rows (n, WIDTH), ``settings.sample_period`` apart.
+@dataclass(frozen=True)
+class Recorder:
+    """What makes records of a run's rows."""
 
-    Pressures are those of the motors' thrust, with the efficiency against the flow of power; the supply
-    stands by above the higher of them, as far as the relief valve lets it.
-    """
-    rows = np.asfortranarray(rows)  # columns in one piece: each look at the truth would copy them otherwise
-    c = Column
-    v_x, yaw_rate = rows[:, c.V_X], rows[:, c.YAW_RATE]
-    left, right = rows[:, c.TRACK_SPEED], rows[:, c.TRACK_SPEED + 1]
-    floor, half = settings.slip_floor, 0.5 * vehicle.tread
-    # The clip acts only in a step in which a track reverses: its limit is that of the step's start.
-    left_pressure, right_pressure = (
-        np.clip(pressure_of_thrust(rows[:, c.DRIVE + k], track, vehicle), -relief_pressure, relief_pressure)
-        for k, track in enumerate((left, right))
-    )
-    higher = np.maximum(np.abs(left_pressure), np.abs(right_pressure))
-    return Truth(
-        t=np.arange(len(rows), dtype=np.float64) * settings.sample_period,
-        x=rows[:, c.X],
-        y=rows[:, c.Y],
-        yaw=rows[:, c.YAW],
-        v_x=v_x,
-        v_y=rows[:, c.V_Y],
-        yaw_rate=yaw_rate,
-        left_angle=rows[:, c.ANGLE],
-        right_angle=rows[:, c.ANGLE + 1],
-        left_speed=left / vehicle.rolling_radius,
-        right_speed=right / vehicle.rolling_radius,
-        left_slip=_slip(v_x - half * yaw_rate, left, floor),
-        right_slip=_slip(v_x + half * yaw_rate, right, floor),
-        slip_angle=np.arctan(_ratio(rows[:, c.V_Y], v_x, floor)),
-        left_thrust=rows[:, c.THRUST],
-        right_thrust=rows[:, c.THRUST + 1],
-        left_resistance=rows[:, c.RESISTANCE],
-        right_resistance=rows[:, c.RESISTANCE + 1],
-        turning_moment=rows[:, c.MOMENT] * np.sign(yaw_rate),
-        left_pressure=left_pressure,
-        right_pressure=right_pressure,
-        left_spool=rows[:, c.SPOOL],
-        right_spool=rows[:, c.SPOOL + 1],
-        supply_pressure=np.minimum(higher + settings.standby_pressure, relief_pressure),
-        soil_index=rows[:, c.SOIL].astype(np.int64),
-        soil_names=soil_names,
-    )
+    vehicle: Vehicle
+    settings: TruthSettings
+    relief_pressure: float  # Pa
+    soil_names: tuple[str, ...]
+
+    def truth(self, rows: FloatArray, first: int = 0) -> Truth:
+        """The record of rows (n, WIDTH), ``settings.sample_period`` apart, of which ``first`` is the number.
+
+        Pressures are those of the motors' thrust, with the efficiency against the flow of power; the supply
+        stands by above the higher of them, as far as the relief valve lets it.
+        """
+        rows = np.asfortranarray(
+            rows
+        )  # columns in one piece: each look at the truth would copy them otherwise
+        c, vehicle, settings, relief = Column, self.vehicle, self.settings, self.relief_pressure
+        v_x, yaw_rate = rows[:, c.V_X], rows[:, c.YAW_RATE]
+        left, right = rows[:, c.TRACK_SPEED], rows[:, c.TRACK_SPEED + 1]
+        floor, half = settings.slip_floor, 0.5 * vehicle.tread
+        # The clip acts only in a step in which a track reverses: its limit is that of the step's start.
+        left_pressure, right_pressure = (
+            np.clip(pressure_of_thrust(rows[:, c.DRIVE + k], track, vehicle), -relief, relief)
+            for k, track in enumerate((left, right))
+        )
+        higher = np.maximum(np.abs(left_pressure), np.abs(right_pressure))
+        return Truth(
+            t=np.arange(first, first + len(rows), dtype=np.float64) * settings.sample_period,
+            x=rows[:, c.X],
+            y=rows[:, c.Y],
+            yaw=rows[:, c.YAW],
+            v_x=v_x,
+            v_y=rows[:, c.V_Y],
+            yaw_rate=yaw_rate,
+            left_angle=rows[:, c.ANGLE],
+            right_angle=rows[:, c.ANGLE + 1],
+            left_speed=left / vehicle.rolling_radius,
+            right_speed=right / vehicle.rolling_radius,
+            left_slip=_slip(v_x - half * yaw_rate, left, floor),
+            right_slip=_slip(v_x + half * yaw_rate, right, floor),
+            slip_angle=np.arctan(_ratio(rows[:, c.V_Y], v_x, floor)),
+            left_thrust=rows[:, c.THRUST],
+            right_thrust=rows[:, c.THRUST + 1],
+            left_resistance=rows[:, c.RESISTANCE],
+            right_resistance=rows[:, c.RESISTANCE + 1],
+            turning_moment=rows[:, c.MOMENT] * np.sign(yaw_rate),
+            left_pressure=left_pressure,
+            right_pressure=right_pressure,
+            left_spool=rows[:, c.SPOOL],
+            right_spool=rows[:, c.SPOOL + 1],
+            supply_pressure=np.minimum(higher + settings.standby_pressure, relief),
+            soil_index=rows[:, c.SOIL].astype(np.int64),
+            soil_names=self.soil_names,
+        )
 
 
 def _slip(ground_speed: FloatArray, track_speed: FloatArray, floor: float) -> FloatArray:

@@ -6,6 +6,7 @@ shear displacement integrates along each track's contact (Wong & Chiang 2001). S
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,15 +14,45 @@ from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
-from trackslip_sim.scenarios.scenario import Scenario
-from trackslip_sim.truth.contact import carry, element_loads, element_positions, find_soils, forget, mobilise
-from trackslip_sim.truth.ground import Ground, soil_at
-from trackslip_sim.truth.lag import kept_error, top_speed
-from trackslip_sim.truth.motion import MAX_ITERATIONS, Machine, Sums, new_sums, solve_step
+from trackslip_sim.truth.contact import (
+    Shear,
+    Tracks,
+    carry,
+    element_positions,
+    find_soils,
+    limit_shear,
+    mobilise,
+    unsheared,
+)
+from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
+from trackslip_sim.truth.lag import Valves, spools, valves_of
+from trackslip_sim.truth.motion import MAX_ITERATIONS, SIZE, Machine, Newton, new_step, solve_step
 from trackslip_sim.truth.pose import move
-from trackslip_sim.truth.record import FloatArray, IntArray, Truth
-from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, to_truth
+from trackslip_sim.truth.record import FloatArray
+from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, start_row
 from trackslip_sim.truth.settings import TruthSettings
+
+
+class Model(NamedTuple):
+    """What does not change during a run."""
+
+    machine: Machine
+    tracks: Tracks
+    ground: SoilMap
+    valves: Valves
+    every: int  # steps between two rows
+
+
+class State(NamedTuple):
+    """What goes on from step to step."""
+
+    pose: FloatArray  # (3,) x, y, yaw
+    q: FloatArray  # (5,) as in ``motion``
+    before: FloatArray  # (5,) q of the step before
+    angle: FloatArray  # (2,) rad, of the sprockets
+    spool: FloatArray  # (2,) -1 … 1
+    shear: Shear
+    newton: Newton
 
 
 @compiled
@@ -32,145 +63,114 @@ def turn_axes(q: FloatArray, step: float) -> None:
 
 
 @compiled
-def write_row(
-    row: FloatArray,
-    pose: FloatArray,
-    q: FloatArray,
-    angle: FloatArray,
-    spool: FloatArray,
-    rolling: FloatArray,
-    soil: int,
-    machine: Machine,
-    sums: Sums,
-) -> None:
-    """Fill one row, still all zero, but for the iterations."""
-    row[Column.X : Column.V_X] = pose
-    row[Column.V_X : Column.TRACK_SPEED] = q[:3]
-    row[Column.TRACK_SPEED : Column.ANGLE] = q[3:]
-    row[Column.ANGLE : Column.THRUST] = angle
-    row[Column.SPOOL : Column.SOIL] = spool
-    row[Column.SOIL] = soil
-    row[Column.DRIVE :] = sums.drive
-    row[Column.MOMENT] = sums.force[0, 2] + sums.force[1, 2]
+def write_row(row: FloatArray, model: Model, state: State, iterations: int) -> None:
+    """Fill one row, still all zero."""
+    q, force = state.q, state.newton.sums.force
+    for i in range(3):
+        row[Column.X + i], row[Column.V_X + i] = state.pose[i], q[i]
+    row[Column.SOIL] = soil_at(state.pose[0], state.pose[1], model.ground)
+    row[Column.MOMENT] = force[0, 2] + force[1, 2]
+    row[Column.ITERATIONS] = iterations
     for k in range(2):
-        v = q[0] - q[2] * machine.half_tread * (1.0 - 2.0 * k)
-        thrust = -sums.force[k, 0]
-        resistance = rolling[k] * v / math.sqrt(v * v + machine.rolling_floor**2)
+        row[Column.TRACK_SPEED + k], row[Column.ANGLE + k] = q[3 + k], state.angle[k]
+        row[Column.SPOOL + k], row[Column.DRIVE + k] = state.spool[k], state.newton.drive[k]
+        v = q[0] - q[2] * model.tracks.half_tread * (1.0 - 2.0 * k)
+        thrust = -force[k, 0]
+        resistance = state.newton.rolling[k] * v / math.sqrt(v * v + model.machine.rolling_floor**2)
         row[Column.THRUST + k], row[Column.RESISTANCE + k] = thrust, resistance
         row[Column.POWER] += thrust * q[3 + k]
-        row[Column.LOSS] += (q[3 + k] - v) * thrust + q[1] * sums.force[k, 1] + q[2] * sums.force[k, 2]
+        row[Column.LOSS] += (q[3 + k] - v) * thrust + q[1] * force[k, 1] + q[2] * force[k, 2]
         row[Column.LOSS] += resistance * v
 
 
 @compiled
-def integrate(
-    commands: FloatArray,
-    every: int,
-    step: float,
-    keep: float,
-    top: float,
-    radius: float,
-    x_e: FloatArray,
-    load: FloatArray,
-    table: FloatArray,
-    edges: FloatArray,
-    patch_soil: IntArray,
-    machine: Machine,
-    sums: Sums,
-) -> FloatArray:
-    """Rows (1 + steps // every, WIDTH) from rest at the origin under ``commands`` (steps, 2), rad/s.
-
-    ``keep`` is the part of a spool's error left after one step, ``top`` the speed of full flow, rad/s.
-    """
-    n = len(x_e)
-    pose, angle, spool, q = np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(5)
-    rolling, j, strength = np.zeros(2), np.zeros((2, n, 2)), np.zeros((2, n))
-    soil = np.zeros((2, n), dtype=np.int64)
-    rows = np.zeros((1 + len(commands) // every, WIDTH))
+def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
+    """Drive on under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps."""
+    tracks, newton, q = model.tracks, state.newton, state.q
+    step, radius = model.machine.step, model.valves.radius
+    rows = np.zeros(((len(spool) - 1) // model.every, WIDTH))
     worst = 0
-    rows[0, Column.SOIL] = soil_at(0.0, 0.0, edges, patch_soil)
-    for i in range(len(commands)):
-        find_soils(pose, x_e, machine.half_tread, edges, patch_soil, soil)
-        mobilise(j, load, machine.element_area, soil, table, strength)
+    for i in range(len(spool) - 1):
+        find_soils(state.pose, tracks, model.ground, state.shear)
+        mobilise(state.shear, tracks, model.ground)
         for k in range(2):
-            wanted = min(max(commands[i, k] / top, -1.0), 1.0)
-            spool[k] = wanted + (spool[k] - wanted) * keep
-            rolling[k] = 0.0
-            for e in range(n):
-                rolling[k] += table[soil[k, e], 3] * load[k, e]  # μ_r
-        before = q.copy()
+            state.spool[k] = spool[i + 1, k]
+            newton.target[k] = spool[i + 1, k] * model.valves.top_speed * radius
+            newton.rolling[k] = 0.0
+            for e in range(len(tracks.x_e)):
+                newton.rolling[k] += model.ground.table[state.shear.soil[k, e], 3] * tracks.load[k, e]  # μ_r
+        for n in range(SIZE):
+            state.before[n] = q[n]
         turn_axes(q, step)
-        worst = max(worst, solve_step(q, spool * top * radius, strength, rolling, x_e, machine, step, sums))
-        carry(j, q, x_e, machine.half_tread, step)
-        forget(j, soil, table)
-        move(pose, before, q, step)
-        angle += 0.5 * step * (before[3:] + q[3:]) / radius
-        if (i + 1) % every == 0:
-            row = rows[(i + 1) // every]
-            here = soil_at(pose[0], pose[1], edges, patch_soil)
-            write_row(row, pose, q, angle, spool, rolling, here, machine, sums)
-            row[Column.ITERATIONS], worst = worst, 0
+        worst = max(worst, solve_step(q, model.machine, tracks, state.shear, newton))
+        carry(state.shear, q, tracks, step)
+        limit_shear(state.shear, model.ground)
+        move(state.pose, state.before, q, step)
+        for k in range(2):
+            state.angle[k] += 0.5 * step * (state.before[3 + k] + q[3 + k]) / radius
+        if (i + 1) % model.every == 0:
+            write_row(rows[(i + 1) // model.every - 1], model, state, worst)
+            worst = 0
     return rows
 
 
-def simulate(scenario: Scenario, ground: Ground, vehicle: Vehicle, settings: TruthSettings) -> Truth:
-    """Mode ``shear`` of ``truth.simulate``.
+class ShearDrive:
+    """A machine at rest at the origin, to be driven on piece by piece.
 
     Raises:
         InputError: the load leaves a track, or its front or rear, without ground pressure.
     """
-    relief = scenario.relief_pressure or vehicle.relief_pressure
-    commands = scenario.commands(settings.step)
-    rows = run(commands, ground, vehicle, settings, relief, settings.steps_per_sample)
-    return to_truth(rows, ground.names, vehicle, settings, relief)
+
+    def __init__(
+        self, ground: Ground, vehicle: Vehicle, settings: TruthSettings, relief_pressure: float
+    ) -> None:
+        _check_load(vehicle, settings)
+        self.relief_pressure = relief_pressure
+        self._model = Model(
+            _machine(vehicle, settings, relief_pressure),
+            _tracks(vehicle, settings),
+            ground.map,
+            valves_of(vehicle, settings),
+            settings.steps_per_sample,
+        )
+        still = (np.zeros(3), np.zeros(SIZE), np.zeros(SIZE), np.zeros(2), np.zeros(2))
+        self._state = State(*still, unsheared(settings.elements), new_step())
+
+    def first(self) -> FloatArray:
+        """The row (1, WIDTH) at the start."""
+        return start_row(self._model.ground)
+
+    def drive(self, commands: FloatArray) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s.
+
+        Raises:
+            UnsolvedStepError: see there.
+        """
+        commands = np.ascontiguousarray(commands, dtype=np.float64)
+        spool = spools(commands, self._model.valves, self._state.spool)
+        rows: FloatArray = integrate(spool, self._model, self._state)
+        refuse_unsolved(rows, MAX_ITERATIONS)
+        return rows
 
 
-def run(
-    commands: FloatArray,
-    ground: Ground,
-    vehicle: Vehicle,
-    settings: TruthSettings,
-    relief_pressure: float,
-    every: int,
-) -> FloatArray:
-    """``integrate`` with its arguments drawn from the records; one row every ``every`` steps.
-
-    Raises:
-        InputError: the load leaves a track, or its front or rear, without ground pressure.
-        UnsolvedStepError: see there.
-    """
-    _check_load(vehicle, settings)
-    x_e = element_positions(vehicle.contact_length, settings.elements)
-    load = element_loads(
-        vehicle.weight, vehicle.tread, x_e, vehicle.contact_length, settings.load_x, settings.load_y
-    )
-    rows = integrate(
-        np.ascontiguousarray(commands, dtype=np.float64),
-        every,
-        settings.step,
-        kept_error(settings),
-        top_speed(vehicle),
-        vehicle.rolling_radius,
-        x_e,
-        load,
-        ground.table,
-        ground.edges,
-        ground.patch_soil,
-        _machine(vehicle, settings, relief_pressure),
-        new_sums(),
-    )
-    refuse_unsolved(rows, MAX_ITERATIONS)
-    return rows
+def _tracks(vehicle: Vehicle, settings: TruthSettings) -> Tracks:
+    """Weight is linear along the track, and split between the tracks by moments."""
+    length, n = vehicle.contact_length, settings.elements
+    x_e = element_positions(length, n)
+    along = (1.0 + 12.0 * settings.load_x * x_e / length**2) / n
+    offset = settings.load_y / vehicle.tread
+    split = np.array([0.5 + offset, 0.5 - offset])
+    load = vehicle.weight * split[:, None] * along[None, :]
+    return Tracks(x_e, load, length * vehicle.track_width / n, 0.5 * vehicle.tread)
 
 
 def _machine(vehicle: Vehicle, settings: TruthSettings, relief_pressure: float) -> Machine:
     limit = float(thrust_of_pressure(relief_pressure, 1.0, vehicle))
     return Machine(
+        step=settings.step,
         mass=vehicle.mass,
         yaw_inertia=vehicle.yaw_inertia,
-        half_tread=0.5 * vehicle.tread,
         track_mass=settings.track_mass,
-        element_area=vehicle.contact_length * vehicle.track_width / settings.elements,
         drive_limit=limit,
         brake_limit=limit / vehicle.motor_efficiency**2,
         drive_stiffness=limit / settings.drive_sag,

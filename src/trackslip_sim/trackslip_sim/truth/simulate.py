@@ -1,24 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The single entry to the truth: a scenario in, the true motion out.
+"""The single entry to the truth: a scenario in, the true motion out, whole or piece by piece.
 
 Mode   shear      shear displacement along the contact (the truth of the evaluations)
        thesis     the thesis' own forward simulation, §6.2.1
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
+from typing import Protocol
 
 from trackslip_common.errors import InputError
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import Vehicle
 from trackslip_sim.scenarios.scenario import Scenario
-from trackslip_sim.truth import shear, thesis
 from trackslip_sim.truth.ground import Ground, build_ground
-from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.record import FloatArray, Truth, joined
+from trackslip_sim.truth.rows import Recorder
 from trackslip_sim.truth.settings import TruthSettings, load_settings, load_vehicle
+from trackslip_sim.truth.shear import ShearDrive
+from trackslip_sim.truth.thesis import ThesisDrive
 
-Mode = Callable[[Scenario, Ground, Vehicle, TruthSettings], Truth]
-MODES: Mapping[str, Mode] = MappingProxyType({"shear": shear.simulate, "thesis": thesis.simulate})
+PIECE = 60.0  # s
+
+
+class Mode(Protocol):
+    """A machine at rest at the origin, to be driven on piece by piece."""
+
+    relief_pressure: float  # Pa
+
+    def __init__(
+        self, ground: Ground, vehicle: Vehicle, settings: TruthSettings, relief_pressure: float
+    ) -> None:
+        """Raise ``InputError`` where vehicle, soils and settings do not go together."""
+
+    def first(self) -> FloatArray:
+        """The row (1, WIDTH) at the start."""
+
+    def drive(self, commands: FloatArray) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s."""
+
+
+MODES: Mapping[str, type[Mode]] = MappingProxyType({"shear": ShearDrive, "thesis": ThesisDrive})
 
 
 def simulate(
@@ -37,6 +59,24 @@ def simulate(
     Raises:
         InputError: mode or soil is unknown, a soil lacks a value, or the load leaves the contact.
     """
+    return joined(
+        list(simulate_in_pieces(scenario, soil=soil, mode=mode, vehicle=vehicle, settings=settings))
+    )
+
+
+def simulate_in_pieces(
+    scenario: Scenario,
+    *,
+    soil: str | None = None,
+    mode: str = "shear",
+    vehicle: Vehicle | None = None,
+    settings: TruthSettings | None = None,
+) -> Iterator[Truth]:
+    """``simulate``, at most ``PIECE`` s at a time, one behind the other: memory does not grow with the drive.
+
+    Raises:
+        InputError: as ``simulate``, before the first piece is computed.
+    """
     if mode not in MODES:
         raise InputError(f"mode: '{mode}' is unknown; accepted: {', '.join(MODES)}")
     soils = load_soils()
@@ -44,4 +84,26 @@ def simulate(
     if name not in soils:
         raise InputError(f"soil: '{name}' is unknown; accepted: {', '.join(soils)}")
     ground = build_ground(soils[name], scenario.patches, soils)
-    return MODES[mode](scenario, ground, vehicle or load_vehicle(), settings or load_settings())
+    vehicle, settings = vehicle or load_vehicle(), settings or load_settings()
+    relief = scenario.relief_pressure or vehicle.relief_pressure
+    machine = MODES[mode](ground, vehicle, settings, relief)
+    recorder = Recorder(vehicle, settings, machine.relief_pressure, ground.names)
+    return _drive(scenario, machine, recorder)
+
+
+def _drive(scenario: Scenario, machine: Mode, recorder: Recorder) -> Iterator[Truth]:
+    settings = recorder.settings
+    steps = scenario.steps(settings.step)
+    piece = max(1, round(PIECE / settings.sample_period)) * settings.steps_per_sample
+    done = 1
+    start = recorder.truth(machine.first())
+    for begin in range(0, steps, piece):
+        rows = machine.drive(scenario.commands(settings.step, begin, min(begin + piece, steps)))
+        truth = recorder.truth(rows, done)
+        yield joined([start, truth]) if begin == 0 else truth
+        done += len(rows)
+
+
+def duration_of(scenario: Scenario, settings: TruthSettings) -> float:
+    """Time of the last sample of a simulated scenario, s."""
+    return scenario.steps(settings.step) // settings.steps_per_sample * settings.sample_period

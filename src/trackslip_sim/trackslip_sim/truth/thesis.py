@@ -22,12 +22,11 @@ import numpy as np
 from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.strength import thrust_limit
-from trackslip_sim.scenarios.scenario import Scenario
-from trackslip_sim.truth.ground import Ground, soil_at
-from trackslip_sim.truth.lag import kept_error, spools, top_speed
+from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
+from trackslip_sim.truth.lag import Valves, spools, valves_of
 from trackslip_sim.truth.pose import move
-from trackslip_sim.truth.record import FloatArray, IntArray, Truth
-from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, to_truth
+from trackslip_sim.truth.record import FloatArray
+from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, start_row
 from trackslip_sim.truth.settings import TruthSettings
 
 TOLERANCE = 1e-6  # N left unbalanced, moments over half the tread
@@ -38,6 +37,7 @@ MAX_HALVINGS = 30
 class Body(NamedTuple):
     """Numbers of the vehicle as the kernel needs them; SI units."""
 
+    step: float
     mass: float
     yaw_inertia: float
     half_tread: float
@@ -47,149 +47,183 @@ class Body(NamedTuple):
     slip_floor: float
 
 
-@compiled
-def balance(
-    q: FloatArray,
-    start: FloatArray,
-    u: FloatArray,
-    soil: FloatArray,
-    body: Body,
-    step: float,
-    out: FloatArray,
-) -> None:
-    """Fill ``out`` at q = (v_x, v_y, φ̇); ``soil`` is F_max, K, μ_r, μ_l.
+class Model(NamedTuple):
+    """What does not change during a run; the ground's table is F_max N, K m, μ_r, μ_l of each soil."""
 
-    0, 1: unbalanced force, and moment over ½ B. 2, 3: derivatives of the force by v_x, and over ½ B by φ̇.
-    4: of the moment's share by φ̇. 5, 6: thrusts. 7, 8: resistances. 9: turning moment.
-    """
-    h = body.half_tread
+    body: Body
+    ground: SoilMap
+    valves: Valves
+    every: int  # steps between two rows
+
+
+class Balance(NamedTuple):
+    """One step being solved: what it is given, and the forces at the velocity looked at last."""
+
+    start: FloatArray  # (3,) q before the step
+    trial: FloatArray  # (3,) q looked at
+    u: FloatArray  # (2,) m/s
+    soil: FloatArray  # (4,) F_max, K, μ_r, μ_l
+    force: FloatArray  # (2,) unbalanced force, and moment over ½ B
+    slope: FloatArray  # (3,) of the force by v_x and over ½ B by φ̇, of the moment's share by φ̇
+    thrust: FloatArray  # (2,)
+    resistance: FloatArray  # (2,)
+    moment: FloatArray  # (1,) turning moment
+
+
+class State(NamedTuple):
+    """What goes on from step to step."""
+
+    pose: FloatArray  # (3,) x, y, yaw
+    q: FloatArray  # (3,) v_x, v_y, φ̇
+    angle: FloatArray  # (2,) rad, of the sprockets
+    spool: FloatArray  # (2,) -1 … 1
+    step: Balance
+
+
+@compiled
+def balance(q: FloatArray, body: Body, at: Balance) -> None:
+    """Fill the forces, their slopes, thrusts, resistances and moment at q."""
+    h, start, soil, force, slope = body.half_tread, at.start, at.soil, at.force, at.slope
     inertia = body.yaw_inertia / h
-    out[0], out[1] = body.mass * (q[0] - start[0]) / step, inertia * (q[2] - start[2]) / step
-    out[2], out[3], out[4] = body.mass / step, 0.0, inertia / step
+    force[0], force[1] = body.mass * (q[0] - start[0]) / body.step, inertia * (q[2] - start[2]) / body.step
+    slope[0], slope[1], slope[2] = body.mass / body.step, 0.0, inertia / body.step
     for k in range(2):
         side = 1.0 - 2.0 * k
         v = q[0] - side * h * q[2]
-        reach = body.length / (max(abs(u[k]), body.slip_floor) * soil[1])  # of one m/s, in i l/K
-        x = (u[k] - v) * reach
+        reach = body.length / (max(abs(at.u[k]), body.slip_floor) * soil[1])  # of one m/s, in i l/K
+        x = (at.u[k] - v) * reach
         size = abs(x)
         if size < 1e-4:
-            share, slope = 0.5 * size, 0.5 - size / 3.0
+            share, bend = 0.5 * size, 0.5 - size / 3.0
         else:
             share = 1.0 + math.expm1(-size) / size
-            slope = (1.0 - share - math.exp(-size)) / size
+            bend = (1.0 - share - math.exp(-size)) / size
         rho = math.sqrt(v * v + body.rolling_floor**2)
         limit = 0.5 * soil[2] * body.weight
-        out[5 + k] = math.copysign(soil[0] * share, x)
-        out[7 + k] = limit * v / rho
-        bend = soil[0] * slope * reach + limit * body.rolling_floor**2 / rho**3
-        out[0] += out[7 + k] - out[5 + k]
-        out[1] -= side * (out[7 + k] - out[5 + k])
-        out[2] += bend
-        out[3] -= side * bend
-        out[4] += h * bend
+        at.thrust[k] = math.copysign(soil[0] * share, x)
+        at.resistance[k] = limit * v / rho
+        steep = soil[0] * bend * reach + limit * body.rolling_floor**2 / rho**3
+        force[0] += at.resistance[k] - at.thrust[k]
+        force[1] -= side * (at.resistance[k] - at.thrust[k])
+        slope[0] += steep
+        slope[1] -= side * steep
+        slope[2] += h * steep
     moment = soil[3] * body.weight * body.length / 3.0
     tightness = q[2] * h / max(abs(start[0]), body.slip_floor)
-    out[9] = moment * min(max(tightness, -1.0), 1.0)
-    out[1] += out[9] / h
+    at.moment[0] = moment * min(max(tightness, -1.0), 1.0)
+    force[1] += at.moment[0] / h
     if abs(tightness) < 1.0:
-        out[4] += moment / max(abs(start[0]), body.slip_floor)
+        slope[2] += moment / max(abs(start[0]), body.slip_floor)
 
 
 @compiled
-def solve(q: FloatArray, u: FloatArray, soil: FloatArray, body: Body, step: float, out: FloatArray) -> int:
+def solve(q: FloatArray, body: Body, at: Balance) -> int:
     """Advance q by one implicit step: Newton's, halved until less is unbalanced; returns the iterations."""
-    start, trial = q.copy(), q.copy()
-    balance(q, start, u, soil, body, step, out)
+    trial = at.trial
+    for i in range(3):
+        at.start[i] = trial[i] = q[i]
+    balance(q, body, at)
     for iteration in range(MAX_ITERATIONS):
-        left_over = math.hypot(out[0], out[1])
+        force, moment = at.force[0], at.force[1]
+        left_over = math.hypot(force, moment)
         if left_over < TOLERANCE:
             return iteration
-        a, b, c, d = out[2], body.half_tread * out[3], out[3], out[4]
+        a, b, c, d = at.slope[0], body.half_tread * at.slope[1], at.slope[1], at.slope[2]
         scale = a * d - b * c
-        dv, dw = (d * out[0] - b * out[1]) / scale, (a * out[1] - c * out[0]) / scale
+        dv, dw = (d * force - b * moment) / scale, (a * moment - c * force) / scale
         part = 1.0
         for _ in range(MAX_HALVINGS):
             trial[0], trial[2] = q[0] - part * dv, q[2] - part * dw
-            balance(trial, start, u, soil, body, step, out)
-            if math.hypot(out[0], out[1]) < left_over:
+            balance(trial, body, at)
+            if math.hypot(at.force[0], at.force[1]) < left_over:
                 break
             part *= 0.5
-        q[:] = trial
+        for i in range(3):
+            q[i] = trial[i]
     return MAX_ITERATIONS
 
 
 @compiled
-def write_row(
-    row: FloatArray, pose: FloatArray, q: FloatArray, u: FloatArray, out: FloatArray, body: Body
-) -> None:
-    """Fill one row but for angle, spool, soil and iterations."""
-    row[Column.X : Column.V_X] = pose
-    row[Column.V_X : Column.TRACK_SPEED] = q
-    row[Column.TRACK_SPEED : Column.ANGLE] = u
-    row[Column.THRUST : Column.RESISTANCE] = out[5:7]
-    row[Column.RESISTANCE : Column.MOMENT] = out[7:9]
-    row[Column.MOMENT] = out[9]
-    power = np.dot(out[5:7], u)
-    left, right = out[5] - out[7], out[6] - out[8]
-    gain = q[0] * (left + right) + q[2] * (body.half_tread * (right - left) - out[9])
+def write_row(row: FloatArray, state: State, body: Body, counts: tuple[int, int]) -> None:
+    """Fill one row; ``counts`` are the soil and the iterations."""
+    q, at = state.q, state.step
+    for i in range(3):
+        row[Column.X + i], row[Column.V_X + i] = state.pose[i], q[i]
+    for k in range(2):
+        row[Column.TRACK_SPEED + k], row[Column.ANGLE + k] = at.u[k], state.angle[k]
+        row[Column.THRUST + k], row[Column.DRIVE + k] = at.thrust[k], at.thrust[k]
+        row[Column.RESISTANCE + k], row[Column.SPOOL + k] = at.resistance[k], state.spool[k]
+    row[Column.MOMENT] = at.moment[0]
+    power = at.thrust[0] * at.u[0] + at.thrust[1] * at.u[1]
+    left, right = at.thrust[0] - at.resistance[0], at.thrust[1] - at.resistance[1]
+    gain = q[0] * (left + right) + q[2] * (body.half_tread * (right - left) - at.moment[0])
     row[Column.POWER], row[Column.LOSS] = power, power - gain
-    row[Column.DRIVE :] = out[5:7]
+    row[Column.SOIL], row[Column.ITERATIONS] = counts
 
 
 @compiled
-def integrate(
-    spool: FloatArray,
-    every: int,
-    step: float,
-    top_track_speed: float,
-    radius: float,
-    table: FloatArray,
-    edges: FloatArray,
-    patch_soil: IntArray,
-    body: Body,
-) -> FloatArray:
-    """Rows (n, WIDTH) from rest at the origin under spools (1 + steps, 2); ``table`` as in ``balance``."""
-    q, pose, angle, out = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(10)
-    rows = np.zeros((1 + (len(spool) - 1) // every, WIDTH))
-    rows[0, Column.SOIL] = soil_at(0.0, 0.0, edges, patch_soil)
+def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
+    """Drive on under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps."""
+    body, q, at = model.body, state.q, state.step
+    top = model.valves.top_speed * model.valves.radius
+    before = np.zeros(3)
+    rows = np.zeros(((len(spool) - 1) // model.every, WIDTH))
     worst = 0
     for i in range(1, len(spool)):
-        here = soil_at(pose[0], pose[1], edges, patch_soil)
-        soil, u, before = table[here], spool[i] * top_track_speed, q.copy()
-        worst = max(worst, solve(q, u, soil, body, step, out))
+        here = soil_at(state.pose[0], state.pose[1], model.ground)
+        for n in range(3):
+            before[n] = q[n]
+        for n in range(4):
+            at.soil[n] = model.ground.table[here, n]
+        for k in range(2):
+            at.u[k], state.spool[k] = spool[i, k] * top, spool[i, k]
+        worst = max(worst, solve(q, body, at))
         # tan α = -sign(φ̇) φ̇² l/(4 g μ_l), erratum 6
-        q[1] = -q[0] * q[2] * abs(q[2]) * body.length * body.mass / (4.0 * body.weight * soil[3])
-        move(pose, before, q, step)
-        angle += 0.5 * step * (spool[i - 1] + spool[i]) * top_track_speed / radius
-        if i % every == 0:
-            row = rows[i // every]
-            write_row(row, pose, q, u, out, body)
-            row[Column.ANGLE : Column.THRUST] = angle
-            row[Column.SPOOL : Column.SOIL] = spool[i]
-            row[Column.SOIL], row[Column.ITERATIONS], worst = here, worst, 0
+        q[1] = -q[0] * q[2] * abs(q[2]) * body.length * body.mass / (4.0 * body.weight * at.soil[3])
+        move(state.pose, before, q, body.step)
+        for k in range(2):
+            state.angle[k] += 0.5 * body.step * (spool[i - 1, k] + spool[i, k]) * top / model.valves.radius
+        if i % model.every == 0:
+            write_row(rows[i // model.every - 1], state, body, (here, worst))
+            worst = 0
     return rows
 
 
-def simulate(scenario: Scenario, ground: Ground, vehicle: Vehicle, settings: TruthSettings) -> Truth:
-    """Mode ``thesis`` of ``truth.simulate``; relief pressure plays no part in it.
+class ThesisDrive:
+    """A machine at rest at the origin, to be driven on piece by piece; relief pressure plays no part in it.
 
     Raises:
         InputError: a soil lacks μ_l.
     """
-    top = top_speed(vehicle)
-    rows = integrate(
-        spools(scenario.commands(settings.step), top, kept_error(settings)),
-        settings.steps_per_sample,
-        settings.step,
-        top * vehicle.rolling_radius,
-        vehicle.rolling_radius,
-        _table(ground, vehicle),
-        ground.edges,
-        ground.patch_soil,
-        _body(vehicle, settings),
-    )
-    refuse_unsolved(rows, MAX_ITERATIONS)
-    return to_truth(rows, ground.names, vehicle, settings, vehicle.relief_pressure)
+
+    def __init__(
+        self, ground: Ground, vehicle: Vehicle, settings: TruthSettings, relief_pressure: float
+    ) -> None:
+        del relief_pressure
+        self.relief_pressure = vehicle.relief_pressure
+        self._model = Model(
+            _body(vehicle, settings),
+            ground.map._replace(table=_table(ground, vehicle)),
+            valves_of(vehicle, settings),
+            settings.steps_per_sample,
+        )
+        work = Balance(*(np.zeros(size) for size in (3, 3, 2, 4, 2, 3, 2, 2, 1)))
+        self._state = State(np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(2), work)
+
+    def first(self) -> FloatArray:
+        """The row (1, WIDTH) at the start."""
+        return start_row(self._model.ground)
+
+    def drive(self, commands: FloatArray) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s.
+
+        Raises:
+            UnsolvedStepError: see there.
+        """
+        spool = spools(commands, self._model.valves, self._state.spool)
+        rows: FloatArray = integrate(spool, self._model, self._state)
+        refuse_unsolved(rows, MAX_ITERATIONS)
+        return rows
 
 
 def _table(ground: Ground, vehicle: Vehicle) -> FloatArray:
@@ -209,6 +243,7 @@ def _table(ground: Ground, vehicle: Vehicle) -> FloatArray:
 
 def _body(vehicle: Vehicle, settings: TruthSettings) -> Body:
     return Body(
+        step=settings.step,
         mass=vehicle.mass,
         yaw_inertia=vehicle.yaw_inertia,
         half_tread=0.5 * vehicle.tread,

@@ -3,6 +3,7 @@
 
 import argparse
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
@@ -10,9 +11,8 @@ from trackslip_common.errors import ExitCode
 from trackslip_tools.cli import publish, replay_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.replay.output import summary, text, write_estimates
-from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.soil import replay_soil
+from trackslip_tools.replay.output import EstimateWriter, summary, text
+from trackslip_tools.replay.run import Part, replay
 
 EXAMPLE = "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.pose_timeouts=[3.0]"
 
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     with open_bag(args.bag) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
@@ -44,13 +44,18 @@ def run(args: argparse.Namespace) -> int:
         p = replay_options.parameters_of(bag, args.params, args.set)
         replay_options.require_named(bag, p, filters, reference)
         of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
-        result = replay(bag, p, filters, reference)
-        result.soil = replay_soil(bag, result.inputs, result.estimates, filters, of_soil)
-    if args.output is not None:
-        write_estimates(args.output, result, p)
+        with EstimateWriter(args.output, p) if args.output else nullcontext() as writer:
+            watch = writer.add if writer else _ignore
+            result = replay(bag, p, filters, reference, of_soil, watch)
+            if writer and result.soil is not None:
+                writer.add_soil(result.soil)
     print(text(result, waited_s()))
     if args.output is not None:
         print(f"estimates: {args.output}")
     if args.json is not None:
         write_json(args.json, summary(result, waited_s()))
-    return ExitCode.DONE if result.estimates else ExitCode.FAILED
+    return ExitCode.DONE if len(result.estimates) else ExitCode.FAILED
+
+
+def _ignore(_: Part) -> None:
+    """Nothing is written."""

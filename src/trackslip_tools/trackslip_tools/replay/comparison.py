@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_fields import headings_of
-from trackslip_estimation.slip.estimator import Estimate
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import Rows
 
@@ -122,11 +121,13 @@ class LiveComparer:
         )
 
 
-def odometry_rows(estimates: Sequence[Estimate]) -> Rows:
-    """(n,) rows of ``odometry`` that the live node publishes for these estimates."""
+def odometry_rows(estimates: Rows) -> Rows:
+    """(n,) rows of ``odometry`` that the live node publishes for (n,) of ``ESTIMATE``."""
     rows = np.zeros(len(estimates), _dtype(_ODOMETRY))
-    for k, e in enumerate(estimates):
-        rows[k] = (e.stamp_ns, *e.pose, *e.outputs.twist, e.pose_covariance, e.outputs.twist_covariance)
+    rows["stamp_ns"], rows["covariance"] = estimates["stamp_ns"], estimates["pose_covariance"]
+    rows["twist_covariance"] = estimates["twist_covariance"]
+    for k, (place, speed) in enumerate((("x", "v_x"), ("y", "v_y"), ("heading", "yaw_rate"))):
+        rows[place], rows[speed] = estimates["pose"][:, k], estimates["twist"][:, k]
     rows["heading"] = carried_headings(rows["heading"])
     return rows
 
@@ -139,11 +140,12 @@ def carried_headings(headings: NDArray[np.float64]) -> NDArray[np.float64]:
     return headings_of(quaternions)
 
 
-def slip_rows(estimates: Sequence[Estimate]) -> Rows:
-    """(n,) rows of ``track_slip`` that the live node publishes for these estimates."""
+def slip_rows(estimates: Rows) -> Rows:
+    """(n,) rows of ``track_slip`` that the live node publishes for (n,) of ``ESTIMATE``."""
     rows = np.zeros(len(estimates), _dtype(_SLIPS))
-    for k, e in enumerate(estimates):
-        rows[k] = (e.stamp_ns, *e.outputs.slips, e.outputs.slip_covariance)
+    rows["stamp_ns"], rows["covariance"] = estimates["stamp_ns"], estimates["slip_covariance"]
+    for k, name in enumerate(_SLIPS[:3]):
+        rows[name] = estimates["slips"][:, k]
     return rows
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Vehicle
-from trackslip_tools.replay.arrivals import Kind, Rows
+from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
+from trackslip_tools.replay.arrivals import Rows
 
 FloatArray = NDArray[np.float64]
 
@@ -59,32 +60,42 @@ class DrivenCollector:
 
     def add(self, rows: Rows) -> None:
         """More rows of ``ARRIVAL``."""
-        of_sprockets, of_gyro = (rows[rows["kind"] == kind] for kind in (Kind.SPROCKETS, Kind.YAW_RATE))
-        numbers = np.column_stack((of_sprockets["speeds"], of_sprockets["positions"]))
-        of_sprockets = of_sprockets[(np.abs(numbers) < _LARGEST).all(axis=1)]
-        rates, variances = of_gyro["z"][:, 0], of_gyro["R"][:, 0, 0]
+        self._sprockets.append(_sprocketed(rows[rows["kind"] == SPROCKETS]))
+        of_gyro = rows[rows["kind"] == YAW_RATE]
+        rates, variances = of_gyro["value"][:, 0], of_gyro["noise"][:, 0, 0]
         sound = (np.abs(rates) < _LARGEST) & (variances > 0.0) & (variances < _LARGEST**2)
-        self._sprockets.append(_only(of_sprockets, "stamp_ns", "speeds", "positions", "has_positions"))
-        self._gyro.append(_only(of_gyro[sound], "stamp_ns", "z"))
+        self._gyro.append(_records(of_gyro["stamp_ns"][sound], rate=rates[sound]))
 
     def sprockets(self) -> Sprocketed | None:
         """None where there are none."""
         rows = _by_stamp(self._sprockets)
         if not len(rows):
             return None
-        positions = rows["positions"] if rows["has_positions"].all() else None
+        positions = None if np.isnan(rows["positions"]).any() else rows["positions"]
         return Sprocketed(rows["stamp_ns"], rows["speeds"], positions)
 
     def gyro(self) -> Gyro | None:
         """None where there is none."""
         rows = _by_stamp(self._gyro)
-        return Gyro(rows["stamp_ns"], rows["z"][:, 0]) if len(rows) else None
+        return Gyro(rows["stamp_ns"], rows["rate"]) if len(rows) else None
 
 
-def _only(rows: Rows, *names: str) -> Rows:
-    found = np.empty(len(rows), [(name, rows.dtype[name]) for name in names])
-    for name in names:
-        found[name] = rows[name]
+def _sprocketed(rows: Rows) -> Rows:
+    """Speeds and positions of the samples that are numbers; positions may be missing as a pair."""
+    speeds, positions = (
+        np.column_stack((rows[f"left_{name}"], rows[f"right_{name}"])) for name in ("speed", "angle")
+    )
+    sound = (np.abs(speeds) < _LARGEST).all(axis=1)
+    sound &= (np.abs(positions) < _LARGEST).all(axis=1) | np.isnan(positions).all(axis=1)
+    return _records(rows["stamp_ns"][sound], speeds=speeds[sound], positions=positions[sound])
+
+
+def _records(stamps_ns: NDArray[np.int64], **columns: FloatArray) -> Rows:
+    fields = [(name, np.float64, column.shape[1:]) for name, column in columns.items()]
+    found = np.empty(len(stamps_ns), [("stamp_ns", np.int64), *fields])
+    found["stamp_ns"] = stamps_ns
+    for name, column in columns.items():
+        found[name] = column
     return found
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters, Thin
-from trackslip_tools.replay.arrivals import Kind, Rows
+from trackslip_estimation.slip.records import POSE
+from trackslip_tools.replay.arrivals import Rows
 
 
 class Filtering:
@@ -47,13 +48,13 @@ class _Thinned:
         stays = np.ones(len(rows), np.bool_)
         stays[own[~kept]] = False
         own = own[kept]
-        if self._sigma is not None and own.size and (rows["kind"][own] == Kind.POSE_FIX).all():
+        if self._sigma is not None and own.size and (rows["kind"][own] == POSE).all():
             rows = rows.copy()
-            rows["z"][own, :2] += self._rng.normal(0.0, self._sigma, (own.size, 2))
-            covariances = rows["R"][own]
+            rows["value"][own, :2] += self._rng.normal(0.0, self._sigma, (own.size, 2))
+            covariances = rows["noise"][own]
             covariances[:, :2, :] = covariances[:, :, :2] = 0.0
             covariances[:, 0, 0] = covariances[:, 1, 1] = self._sigma**2
-            rows["R"][own] = covariances
+            rows["noise"][own] = covariances
         return rows[stays]
 
     def _kept(self, stamps_ns: list[int]) -> NDArray[np.bool_]:

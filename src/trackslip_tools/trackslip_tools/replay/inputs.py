@@ -7,12 +7,12 @@
         batch.tables["truth/odometry"].rows   # (m,) named columns of message_fields, in log order
     stream.counts, stream.messages, stream.duration_s     # known by then
 
-``inputs_of(batch.rows, stream.sources, stream.reloads)`` makes the estimator's own measurements of the rows.
+``to_measurements`` makes the estimator's own records of the rows.
 ``read_inputs`` reads a whole bag of moderate length at once.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -32,19 +32,19 @@ from trackslip_estimation.slip.measurements import (
     RESET,
     SET_POSE,
     UNFREEZE,
-    Input,
     Reload,
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, reloadable
 from trackslip_tools.replay.arrivals import (
     ARRIVAL,
+    IS_COMMAND,
+    IS_RELOAD,
     POSE_READER,
     SLIP_READER,
     SPROCKET_READER,
-    Kind,
     Rows,
     SourceReader,
-    inputs_of,
+    to_measurements,
     yaw_rate_reader,
 )
 from trackslip_tools.replay.filtering import Filtering
@@ -61,6 +61,7 @@ class Logged(NamedTuple):
 
     log_times_ns: NDArray[np.int64]  # (n,)
     rows: Rows  # (n,) of the record class that ``message_fields`` has for the type
+    table: TopicTable  # for what the rows do not hold
 
 
 class Batch(NamedTuple):
@@ -97,6 +98,11 @@ class InputStream:
         self.messages: Counter[str] = Counter()  # by topic, all that was read
         self.counts = JournalCounts()
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """All that are read, of those that the bag has."""
+        return frozenset(self._names.values())
 
     @property
     def duration_s(self) -> float:
@@ -173,7 +179,7 @@ class InputStream:
 
     def _logged(self, stretch: Stretch) -> dict[str, Logged]:
         return {
-            self._names[topic]: Logged(table.log_times_ns, table.rows(RECORDS[table.type_name]))
+            self._names[topic]: Logged(table.log_times_ns, table.rows(RECORDS[table.type_name]), table)
             for topic, table in stretch.items()
             if self._names[topic] in self._tables
         }
@@ -189,7 +195,7 @@ class _ParameterChanges:
     def rows(self, table: TopicTable, source: int) -> Rows:
         """(n,) ARRIVAL of the messages that change something; what they change is added to the reloads."""
         rows = np.zeros(len(table), ARRIVAL)
-        rows["kind"], rows["source"], rows["log_time_ns"] = Kind.RELOAD, source, table.log_times_ns
+        rows["kind"], rows["source"], rows["log_time_ns"] = IS_RELOAD, source, table.log_times_ns
         changes = np.zeros(len(table), np.bool_)
         for k in range(len(table)):
             before = bag_parameters(self._bag) if self._before is None else self._before
@@ -206,13 +212,18 @@ class _ParameterChanges:
 class Inputs:
     """A whole bag's inputs."""
 
-    origin_ns: int = 0  # log time of the bag's first message
+    sources: tuple[str, ...] = ()
     rows: Rows = field(default_factory=lambda: np.empty(0, ARRIVAL))  # in live order
-    inputs: list[Input] = field(default_factory=list)  # the same as measurements and commands
+    reloads: list[Reload] = field(default_factory=list)
     series: dict[str, Series] = field(default_factory=dict)  # by topic
     messages: Counter[str] = field(default_factory=Counter)  # by topic, all that was read
     counts: JournalCounts = field(default_factory=JournalCounts)
     duration_s: float = 0.0  # of the stamps
+
+    def measurements(self, numbers: Mapping[str, int]) -> Rows:
+        """(n,) MEASUREMENT without the commands; ``numbers``: the estimator's of each source."""
+        measured = self.rows[self.rows["kind"] < IS_COMMAND]
+        return to_measurements(measured, self.sources, numbers)
 
 
 def read_inputs(
@@ -224,16 +235,15 @@ def read_inputs(
         InputError: as ``InputStream``.
     """
     stream = InputStream(bag, p, filters, series)
-    collector = SeriesCollector(frozenset((ODOMETRY, TRACK_SLIP)))
+    collector = SeriesCollector()
     parts = [np.empty(0, ARRIVAL)]
     for batch in stream:
         parts.append(batch.rows)
         for topic, logged in batch.tables.items():
             collector.add(topic, logged.rows)
     rows = np.concatenate(parts)
-    inputs = inputs_of(rows, stream.sources, stream.reloads)
     found = (collector.series(), stream.messages, stream.counts, stream.duration_s)
-    return Inputs(bag.start_ns, rows, inputs, *found)
+    return Inputs(stream.sources, rows, stream.reloads, *found)
 
 
 def _readers(p: SlipEstimatorParameters) -> dict[str, SourceReader]:

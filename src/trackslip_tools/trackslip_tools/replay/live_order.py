@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_tools.replay.arrivals import ARRIVAL, Kind, Rows
+from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND, Rows
 
 IntArray = NDArray[np.int64]
 
@@ -103,7 +103,7 @@ def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
     is_row = named >= 0
     found[is_row] = rows[named[is_row]]
     commands = np.zeros(int((~is_row).sum()), ARRIVAL)
-    commands["kind"] = Kind.COMMAND
+    commands["kind"] = IS_COMMAND
     for name in ("source", "stamp_ns", "log_time_ns"):
         commands[name] = lines[name][~is_row]
     found[~is_row] = commands

@@ -12,39 +12,70 @@ from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.estimator import Estimate, make_step
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.inputs import ODOMETRY, REPORTS, TRACK_SLIP
-from trackslip_tools.replay.run import Replay, message_of
+from trackslip_tools.replay.run import Part, Replay
+from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
 
 _NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
 
 
-def write_estimates(path: Path, result: Replay, p: SlipEstimatorParameters) -> None:
-    """The estimates, the report on each measurement, and the parameters, each logged at its stamp.
+class EstimateWriter:
+    """A bag of the estimates, the report on each measurement and the parameters, each logged at its stamp.
 
     Raises:
         InputError: the path exists already.
     """
-    with BagWriter(path) as bag:
 
-        def write(topic: str, message: Any, stamp_ns: int) -> None:
-            bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
+    def __init__(self, path: Path, p: SlipEstimatorParameters) -> None:
+        self._bag, self._p = BagWriter(path), p
+        self._sequence = 0
+        self._logged_ns: int | None = None
 
-        if result.steps:
-            text = make("std_msgs/msg/String", data=parameters_text(to_flat(p), SLIP_NODE))
-            logged_ns = min((r.stamp_ns for r, _ in result.steps if r.stamp_ns), default=0)
-            write(PARAMETERS_TOPIC, text, logged_ns)
-        for sequence, (report, estimate) in enumerate(result.steps):
-            logged_ns = report.stamp_ns or logged_ns  # commands have no stamp
-            write(REPORTS, conversions.measurement_report(make, report, sequence), logged_ns)
+    def __enter__(self) -> "EstimateWriter":
+        self._bag.__enter__()
+        return self
+
+    def __exit__(self, *raised: Any) -> None:
+        self._bag.__exit__(*raised)
+
+    def add(self, part: Part) -> None:
+        """More of a replay."""
+        names = map(part.sources.__getitem__, part.arrivals["source"].tolist())
+        for record, source in zip(part.results, names, strict=True):
+            report, estimate = make_step(record.item(), source)
+            self._begin(report.stamp_ns)
+            self._logged_ns = report.stamp_ns or self._logged_ns  # commands have no stamp
+            message = conversions.measurement_report(make, report, self._sequence)
+            self._write(REPORTS, message, self._logged_ns or 0)
+            self._sequence += 1
             if estimate is not None:
                 for topic in (ODOMETRY, TRACK_SLIP):
-                    write(topic, message_of(topic, estimate, p), estimate.stamp_ns)
-        if result.soil is not None:
-            for topic, message, stamp_ns in soil_messages(result.soil):
-                write(topic, message, stamp_ns)
+                    self._write(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
+
+    def add_soil(self, soil: SoilReplay) -> None:
+        """What the soil estimator gave, when all is done."""
+        for topic, message, stamp_ns in soil_messages(soil):
+            self._write(topic, message, stamp_ns)
+
+    def _begin(self, stamp_ns: int) -> None:
+        """With the parameters, at the first stamp."""
+        if self._logged_ns is None and stamp_ns:
+            text = make("std_msgs/msg/String", data=parameters_text(to_flat(self._p), SLIP_NODE))
+            self._write(PARAMETERS_TOPIC, text, stamp_ns)
+
+    def _write(self, topic: str, message: Any, stamp_ns: int) -> None:
+        self._bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
+
+
+def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:
+    """The message that the live node publishes for an estimate on ``odometry`` or ``track_slip``."""
+    if topic == ODOMETRY:
+        return conversions.odometry(make, estimate, p.odom_frame, p.base_frame)
+    return conversions.track_slip(make, estimate, p.base_frame)
 
 
 def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
@@ -61,7 +92,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
     rmse["slip"] = result.slip_rmse
     content = {
         "duration_s": result.duration_s,
-        "messages": dict(sorted(result.inputs.messages.items())),
+        "messages": dict(sorted(result.messages.items())),
         "rejected": result.rejected.by_source(),
         "final": _final(result),
         "reference": result.reference,
@@ -80,7 +111,7 @@ def text(result: Replay, elapsed_s: float) -> str:
     """The summary as lines for a terminal; ``elapsed_s`` is what the user waited for."""
     speed = result.duration_s / elapsed_s
     lines = [f"{result.duration_s:.1f} s replayed in {elapsed_s:.1f} s ({speed:.0f} × real time)"]
-    lines += [f"  {topic:<24}{n:>8} messages" for topic, n in sorted(result.inputs.messages.items())]
+    lines += [f"  {topic:<24}{n:>8} messages" for topic, n in sorted(result.messages.items())]
     for source, reasons in result.rejected.by_source().items():
         lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]
     final = _final(result)
@@ -96,11 +127,11 @@ def text(result: Replay, elapsed_s: float) -> str:
 
 
 def _final(result: Replay) -> dict[str, float] | None:
-    estimates = result.estimates
-    if not estimates:
+    if not len(result.estimates):
         return None
-    x, y, yaw = (float(v) for v in estimates[-1].pose)
-    left, right, _ = (float(v) for v in estimates[-1].outputs.slips)
+    last = result.estimates[-1]
+    x, y, yaw = last["pose"].tolist()
+    left, right, _ = last["slips"].tolist()
     return {"x": x, "y": y, "yaw": yaw, "left_slip": left, "right_slip": right}
 
 

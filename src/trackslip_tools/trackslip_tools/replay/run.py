@@ -1,27 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One replay: inputs in live order through the estimator, then the comparison and the scores."""
+"""One replay: a bag's inputs in live order through both estimators, then the comparison and the scores.
 
-import gc
+Batch by batch, in bounded memory: what is kept of the estimates is what the scores need.
+"""
+
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_bags.messages import make
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
-from trackslip_estimation.slip import conversions
-from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
-from trackslip_estimation.slip.measurements import Outcome, Report
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Command, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import ESTIMATE, RESULT
+from trackslip_estimation.soil.records import HYDRAULICS
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, Rows, to_measurements
 from trackslip_tools.replay.comparison import LiveComparer, LiveComparison, odometry_rows, slip_rows
-from trackslip_tools.replay.dead_reckoning import DrivenCollector, Path, dead_reckon
-from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, Inputs, read_inputs
-from trackslip_tools.replay.quick import quick_steps
+from trackslip_tools.replay.dead_reckoning import DrivenCollector, Path, Sprocketed, dead_reckon
+from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, InputStream, Logged
 from trackslip_tools.replay.scoring import (
     Score,
     in_order,
@@ -31,11 +35,31 @@ from trackslip_tools.replay.scoring import (
     score,
     slip_rmse,
 )
-from trackslip_tools.replay.series import Series, series_of
-from trackslip_tools.replay.soil import SoilReplay
+from trackslip_tools.replay.series import Series, SeriesCollector, series_of
+from trackslip_tools.replay.soil import SOIL_TOPICS, SoilReplay, SoilRun
 
 TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
+
+KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "pose_covariance", "slips")], align=True)
+
+
+class Part(NamedTuple):
+    """What some seconds of a bag gave."""
+
+    sources: tuple[str, ...]
+    arrivals: Rows  # (n,) ARRIVAL in live order
+    results: Rows  # (n,) RESULT, what became of them
+    tables: dict[str, Logged]  # what was logged by then of other topics
+
+    @property
+    def estimates(self) -> Rows:
+        """(m,) ESTIMATE that were published."""
+        estimates: Rows = self.results["estimate"][self.results["published"]]
+        return estimates
+
+
+Watch = Callable[[Part], None]
 
 
 @dataclass
@@ -44,10 +68,12 @@ class Replay:
 
     duration_s: float
     elapsed_s: float
-    inputs: Inputs
-    steps: list[tuple[Report, Estimate | None]]
+    messages: Counter[str]  # by topic, all that was read
+    estimates: Rows  # (n,) KEPT, what the estimator published
     rejected: Tally
     reference: str | None = None
+    series: dict[str, Series] = field(default_factory=dict)  # of truth and reference
+    sprockets: Sprocketed | None = None  # where there is a reference
     scores: dict[str, Score | None] = field(default_factory=dict)
     nees: float | None = None
     slip_rmse: float | None = None
@@ -55,46 +81,105 @@ class Replay:
     paths: dict[str, Path] = field(default_factory=dict)
     soil: SoilReplay | None = None  # where the bag has hydraulics
 
-    @property
-    def estimates(self) -> list[Estimate]:
-        """What the estimator published."""
-        return [estimate for _, estimate in self.steps if estimate is not None]
 
-
-@contextmanager
-def _collector_paused() -> Iterator[None]:
-    """What a replay makes stays and holds no cycles; a third of the time would go to searching it."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
-
-
-@_collector_paused()
-def replay(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None) -> Replay:
-    """Run the estimator over a bag.
+def replay(
+    bag: Bag,
+    p: SlipEstimatorParameters,
+    filters: InputFilters,
+    reference: str | None,
+    of_soil: SoilEstimatorParameters | None = None,
+    watch: Watch = lambda _: None,
+) -> Replay:
+    """Run the estimators over a bag, the soil's where it has parameters; ``watch`` sees each part.
 
     Raises:
-        InputError: the bag lacks what is needed.
+        InputError: the bag lacks what is needed, or is damaged inside.
     """
     began = time.monotonic()
     reference = reference or own_reference(bag)
-    wanted = (ODOMETRY, TRACK_SLIP, TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
-    inputs = read_inputs(bag, p, filters, wanted)
-    measurements = inputs.inputs
-    steps = quick_steps(measurements, p) or list(map(SlipEstimator(p).advance, measurements))
-    rejected = Tally()
-    for report, _ in steps:
-        if report.outcome is not Outcome.ACCEPTED:
-            rejected.add(report.source, report.outcome)
-    result = Replay(inputs.duration_s, time.monotonic() - began, inputs, steps, rejected, reference)
-    _score(result, p)
-    if ODOMETRY in inputs.series and not filters.changes_inputs:
-        result.live = _compare(result)
+    scored = frozenset(filter(None, (TRUE_SLIP, TRUE_ODOMETRY, reference)))
+    of_both = (ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
+    stream = InputStream(bag, p, filters, scored.union(of_both))
+    collector = _Collector(stream, scored, compares=not filters.changes_inputs)
+    soil = (
+        SoilRun(bag.start_ns, filters, of_soil)
+        if of_soil is not None and HYDRAULICS in stream.topics
+        else None
+    )
+    for part in run_estimator(stream, SlipEstimator(p)):
+        collector.add(part)
+        if soil is not None:
+            published = part.results["published"]
+            soil.add(part.estimates, part.arrivals["log_time_ns"][published], part.tables)
+        watch(part)
+    result = collector.result(p, reference)
+    result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
+    result.elapsed_s = time.monotonic() - began
     return result
+
+
+def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Part]:
+    """Part by part of a bag; commands and changes of parameters act where they came."""
+    for batch in stream:
+        rows = batch.rows
+        results = np.zeros(len(rows), RESULT)
+        begin = 0
+        for end in (*np.flatnonzero(rows["kind"] >= IS_COMMAND).tolist(), len(rows)):
+            given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
+            results[begin:end] = estimator.process_records(given)
+            if end < len(rows):
+                is_reload = rows["kind"][end] == IS_RELOAD
+                command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))
+                estimator.apply_command(stream.reloads[rows["reload"][end]] if is_reload else command)
+                results["stamp_ns"][end] = rows["stamp_ns"][end]
+                results["nis"][end] = results["gate"][end] = np.nan
+            begin = end + 1
+        yield Part(stream.sources, rows, results, batch.tables)
+
+
+class _Collector:
+    """What is kept of the parts."""
+
+    def __init__(self, stream: InputStream, scored: frozenset[str], *, compares: bool) -> None:
+        self._stream, self._scored = stream, scored
+        self._estimates, self._series = GrowingRows(KEPT), SeriesCollector()
+        self._driven, self._rejected = DrivenCollector(), Tally()
+        self._comparer, self._compares = LiveComparer(), compares
+
+    def add(self, part: Part) -> None:
+        """More of the bag."""
+        estimates = part.estimates
+        self._estimates.add(estimates)
+        refused = part.results["outcome"] != Outcome.ACCEPTED
+        pairs = np.column_stack((part.arrivals["source"][refused], part.results["outcome"][refused]))
+        for (source, outcome), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
+            self._rejected.add(part.sources[source], Outcome(outcome), int(count))
+        if self._scored:
+            self._driven.add(part.arrivals)
+        for topic in self._scored & part.tables.keys():
+            self._series.add(topic, part.tables[topic].rows)
+        if self._compares:
+            self._compare(part.tables, estimates)
+
+    def result(self, p: SlipEstimatorParameters, reference: str | None) -> Replay:
+        """When all was added."""
+        stream = self._stream
+        estimates, series = self._estimates.rows(), self._series.series()
+        found = Replay(stream.duration_s, 0.0, stream.messages, estimates, self._rejected, reference, series)
+        _score(found, p, self._driven)
+        if self._compares and stream.messages[ODOMETRY]:
+            found.live = self._comparer.result(stream.counts)
+        return found
+
+    def _compare(self, tables: dict[str, Logged], estimates: Rows) -> None:
+        """Every live number against the replayed one of the same stamp."""
+        nothing = np.empty(0, ESTIMATE)
+        if ODOMETRY in self._stream.topics:
+            live = tables[ODOMETRY].rows if ODOMETRY in tables else nothing
+            self._comparer.add_odometry(live, odometry_rows(estimates))
+        if TRACK_SLIP in self._stream.topics:
+            live = tables[TRACK_SLIP].rows if TRACK_SLIP in tables else nothing
+            self._comparer.add_slips(live, slip_rows(estimates))
 
 
 def own_reference(bag: Bag) -> str | None:
@@ -102,17 +187,15 @@ def own_reference(bag: Bag) -> str | None:
     return next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
 
 
-def _score(result: Replay, p: SlipEstimatorParameters) -> None:
+def _score(result: Replay, p: SlipEstimatorParameters, driven: DrivenCollector) -> None:
     """Paths of filter and dead reckoning, and their errors against the reference."""
     estimates = in_order(result.estimates)
-    if estimates:
+    if len(estimates):
         result.paths["filter"] = path_of(estimates)
-    result.slip_rmse = slip_error(result.inputs, estimates, p.vehicle.tread)
-    series = result.inputs.series.get(result.reference or "")
+    result.slip_rmse = slip_error(result.series, estimates, p.vehicle.tread)
+    series = result.series.get(result.reference or "")
     if series is None:
         return
-    driven = DrivenCollector()
-    driven.add(result.inputs.rows)
     sprockets, gyro = driven.sprockets(), driven.gyro()
     reference = reference_path(series, 0 if sprockets is None else int(sprockets.stamps_ns[0]))
     if sprockets is not None and len(reference.stamps_ns):
@@ -120,21 +203,20 @@ def _score(result: Replay, p: SlipEstimatorParameters) -> None:
         result.paths["dead_reckoning"] = dead_reckon(p.vehicle, sprockets, *start)
         if gyro is not None:
             result.paths["encoder_gyro"] = dead_reckon(p.vehicle, sprockets, *start, gyro)
-    result.paths["reference"] = reference
+    result.paths["reference"], result.sprockets = reference, sprockets
     for name in ("dead_reckoning", "encoder_gyro", "filter"):
         result.scores[name] = score(result.paths[name], reference) if name in result.paths else None
-    if estimates:
+    if len(estimates):
         result.nees = mean_nees(estimates, reference)
 
 
-def slip_error(inputs: Inputs, estimates: list[Estimate], tread: float) -> float | None:
+def slip_error(series: dict[str, Series], estimates: Rows, tread: float) -> float | None:
     """Of estimates in order, against the true slips, where the bag has them; while the machine moves."""
-    slips, odometry = (inputs.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
-    if slips is None or odometry is None or not estimates:
+    slips, odometry = (series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
+    if slips is None or odometry is None or not len(estimates):
         return None
-    found = np.array([e.outputs.slips for e in estimates])
-    stamps = np.array([e.stamp_ns for e in estimates], dtype=np.int64)
-    own = series_of(stamp_ns=stamps, left_slip=found[:, 0], right_slip=found[:, 1])
+    left, right = estimates["slips"][:, 0], estimates["slips"][:, 1]
+    own = series_of(stamp_ns=estimates["stamp_ns"], left_slip=left, right_slip=right)
     return slip_rmse(own, moving_slips(odometry, slips, tread))
 
 
@@ -144,20 +226,3 @@ def reference_path(series: Series, from_ns: int) -> Path:
     poses = covered.columns("x", "y", "heading")
     poses[:, 2] = np.unwrap(poses[:, 2])
     return Path(covered.stamps_ns, poses)
-
-
-def _compare(result: Replay) -> LiveComparison:
-    """Every live number against the replayed one of the same stamp."""
-    comparer, estimates = LiveComparer(), in_order(result.estimates)
-    series = result.inputs.series
-    comparer.add_odometry(series[ODOMETRY].rows, odometry_rows(estimates))
-    if TRACK_SLIP in series:
-        comparer.add_slips(series[TRACK_SLIP].rows, slip_rows(estimates))
-    return comparer.result(result.inputs.counts)
-
-
-def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:
-    """The message that the live node publishes for an estimate on ``odometry`` or ``track_slip``."""
-    if topic == ODOMETRY:
-        return conversions.odometry(make, estimate, p.odom_frame, p.base_frame)
-    return conversions.track_slip(make, estimate, p.base_frame)

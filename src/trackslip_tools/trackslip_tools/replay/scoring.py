@@ -6,15 +6,13 @@ P      covariance that was claimed   (3, 3)
 NEES   eᵀ P⁻¹ e, on average 3 if P is consistent
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.slip.estimator import Estimate
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.series import Series
+from trackslip_tools.replay.series import Rows, Series
 
 FloatArray = NDArray[np.float64]
 
@@ -31,17 +29,20 @@ class Score:
     heading: float  # rad
 
 
-def in_order(estimates: Sequence[Estimate]) -> list[Estimate]:
-    """By stamp; of two with the same one, before and after a restart, the later one counts."""
-    by_stamp = {e.stamp_ns: e for e in estimates}
-    return [by_stamp[stamp] for stamp in sorted(by_stamp)]
+def in_order(estimates: Rows) -> Rows:
+    """(n,) estimates by stamp; of two with the same one, before and after a restart, the later one counts."""
+    stamps_ns = estimates["stamp_ns"]
+    if (np.diff(stamps_ns) > 0).all():
+        return estimates
+    _, from_the_end = np.unique(stamps_ns[::-1], return_index=True)
+    return estimates[::-1][from_the_end]
 
 
-def path_of(estimates: Sequence[Estimate]) -> Path:
-    """The published poses as a path with continuous heading."""
-    poses = np.array([e.pose for e in estimates])
+def path_of(estimates: Rows) -> Path:
+    """The poses of (n,) estimates as a path with continuous heading."""
+    poses = estimates["pose"].copy()
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return Path(np.array([e.stamp_ns for e in estimates], dtype=np.int64), poses)
+    return Path(estimates["stamp_ns"].copy(), poses)
 
 
 def score(path: Path, reference: Path) -> Score | None:
@@ -53,9 +54,9 @@ def score(path: Path, reference: Path) -> Score | None:
     return Score(len(errors), _rms(position), _rms(heading))
 
 
-def mean_nees(estimates: Sequence[Estimate], reference: Path) -> float | None:
+def mean_nees(estimates: Rows, reference: Path) -> float | None:
     """Mean NEES of (x, y, heading), each sample with the covariance of the estimate nearest in time."""
-    return nees(path_of(estimates), np.array([e.pose_covariance for e in estimates]), reference)
+    return nees(path_of(estimates), estimates["pose_covariance"], reference)
 
 
 def nees(path: Path, covariances: FloatArray, reference: Path) -> float | None:

@@ -1,34 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
 """The soil estimator over a replay: its inputs are the replayed slips and the hydraulics of the bag."""
 
-from collections import Counter, defaultdict, deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make
-from trackslip_bags.reader import Bag
-from trackslip_bags.tables import TopicTable, read_tables
-from trackslip_common.message_fields import RECORDS, ForceFields, SoilFields, read
+from trackslip_bags.tables import TopicTable
+from trackslip_common.message_fields import ForceFields, SoilFields, dtype_of, read
 from trackslip_common.tally import Tally
-from trackslip_common.topics import TOPICS
-from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.soil import conversions
 from trackslip_estimation.soil.conversions import FORCES, SOIL
-from trackslip_estimation.soil.records import HYDRAULICS, Hydraulics, TrackForces, inputs_of
-from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
+from trackslip_estimation.soil.records import (
+    FORCES as FORCES_RECORD,
+)
+from trackslip_estimation.soil.records import (
+    HYDRAULICS,
+    IS_HYDRAULICS,
+    IS_ODOMETRY,
+    IS_SLIPS,
+    SOIL_INPUT,
+    SlipSeed,
+)
+from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
-from trackslip_tools.replay.arrivals import Kind
-from trackslip_tools.replay.inputs import Inputs, absolute_time
-from trackslip_tools.replay.series import Series, SeriesCollector
+from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.inputs import Logged
+from trackslip_tools.replay.series import Rows, Series, SeriesCollector
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 TRUE_FORCES, TRUE_SOIL = "truth/track_forces", "truth/soil"
-_READ = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)
+SOIL_TOPICS = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)  # that a replay reads
 _TOLERANCE = 1e-9  # relative, between a live and a replayed number
 
 
@@ -55,76 +62,112 @@ class SoilReplay:
     """What the soil estimator made of a replay."""
 
     parameters: SoilEstimatorParameters
-    outputs: list[SoilOutput] = field(default_factory=list)
+    forces: Rows = field(default_factory=lambda: np.empty(0, FORCES_RECORD))  # (n,)
+    states: list[SoilState] = field(default_factory=list)
+    seeds: list[SlipSeed] = field(default_factory=list)
     rejected: Tally = field(default_factory=Tally)
-    messages: Counter[str] = field(default_factory=Counter)
     series: dict[str, Series] = field(default_factory=dict)  # by topic, what the bag holds of live and truth
     live_classes: dict[int, FloatArray] = field(default_factory=dict)  # stamp → probabilities, live
     live: SoilComparison | None = None
 
     @property
-    def forces(self) -> list[TrackForces]:
-        """Those for ``track_forces``."""
-        return [output for output in self.outputs if isinstance(output, TrackForces)]
-
-    @property
-    def states(self) -> list[SoilState]:
-        """Those for ``soil``."""
-        return [output for output in self.outputs if isinstance(output, SoilState)]
+    def outputs(self) -> list[SoilOutput]:
+        """All that is published, by stamp."""
+        return SoilOutputs(self.forces, self.states, self.seeds).in_order()
 
 
-def replay_soil(
-    bag: Bag, inputs: Inputs, estimates: list[Estimate], filters: InputFilters, p: SoilEstimatorParameters
-) -> SoilReplay | None:
-    """Run the soil estimator over what a replay published; None where the bag has no hydraulics.
+class SoilRun:
+    """The soil estimator over what a replay publishes, piece by piece; ``start_ns`` is that of the bag."""
 
-    Raises:
-        InputError: the bag is damaged inside.
-    """
-    result = SoilReplay(p)
-    readings = _read(bag, inputs, filters, result)
-    if not result.messages[HYDRAULICS]:
-        return None
-    estimator = SoilEstimator(p)
-    result.rejected = estimator.tally
-    log_times = _log_times(inputs)
-    for estimate in estimates:
-        published_ns = log_times[estimate.stamp_ns].pop(0)
-        while readings and readings[0][0] <= published_ns:
-            result.outputs += estimator.advance(readings.popleft()[1])
-        for half in inputs_of(estimate):
-            result.outputs += estimator.advance(half)
-    for _, reading in readings:
-        result.outputs += estimator.advance(reading)
-    if result.series.keys() & {FORCES, SOIL} and not filters.changes_inputs:
-        result.live = _compare(result)
-    return result
+    def __init__(self, start_ns: int, filters: InputFilters, p: SoilEstimatorParameters) -> None:
+        self._start_ns, self._filters = start_ns, filters
+        self._estimator = SoilEstimator(p)
+        self._waiting, self._logged_ns = np.empty(0, SOIL_INPUT), np.empty(0, np.int64)  # readings
+        self._published_ns = 0  # log time up to which estimates were published
+        self._forces = GrowingRows(FORCES_RECORD)
+        self._states: list[SoilState] = []
+        self._seeds: list[SlipSeed] = []
+        self._series, self._classes = SeriesCollector(), dict[int, FloatArray]()
+
+    def add(self, estimates: Rows, logged_ns: IntArray, tables: dict[str, Logged]) -> None:
+        """More of the bag: (n,) ESTIMATE, the log times of the samples with which they come, and tables.
+
+        A reading in a later piece was logged after the estimates of this one.
+        """
+        for topic, logged in tables.items():
+            if topic == HYDRAULICS:
+                self._wait(logged)
+            elif topic in SOIL_TOPICS:
+                self._series.add(topic, logged.rows)
+            if topic == SOIL:
+                self._classes |= _classes(logged.table)
+        if len(estimates):
+            self._advance(estimates, logged_ns)
+
+    def result(self) -> SoilReplay:
+        """When all was added."""
+        self._feed(self._waiting)
+        found = SoilReplay(
+            self._estimator.parameters,
+            self._forces.rows(),
+            self._states,
+            self._seeds,
+            self._estimator.tally,
+            self._series.series(),
+            self._classes,
+        )
+        if found.series.keys() & {FORCES, SOIL} and not self._filters.changes_inputs:
+            found.live = _compare(found)
+        return found
+
+    def _wait(self, logged: Logged) -> None:
+        """Readings that are not withheld wait for the estimates that they precede."""
+        t, hidden = (logged.log_times_ns - self._start_ns) * 1e-9, np.zeros(len(logged.rows), np.bool_)
+        for withhold in self._filters.withhold:
+            if withhold.topic == HYDRAULICS:
+                hidden |= (withhold.start_s <= t) & (t < withhold.stop_s)
+        self._waiting = np.concatenate((self._waiting, _reading_inputs(logged.rows[~hidden])))
+        self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~hidden]))
+
+    def _advance(self, estimates: Rows, logged_ns: IntArray) -> None:
+        """As a live estimator has them: a reading before the first estimate that is published later."""
+        published_ns = np.maximum.accumulate(np.maximum(logged_ns, self._published_ns))
+        self._published_ns = int(published_ns[-1])
+        before = np.searchsorted(published_ns, np.maximum.accumulate(self._logged_ns))
+        ready = int(np.searchsorted(before, len(estimates)))
+        given = np.zeros(ready + 2 * len(estimates), SOIL_INPUT)
+        others = np.ones(len(given), np.bool_)
+        others[2 * before[:ready] + np.arange(ready)] = False
+        given[~others], given[others] = self._waiting[:ready], estimate_inputs(estimates)
+        self._waiting, self._logged_ns = self._waiting[ready:], self._logged_ns[ready:]
+        self._feed(given)
+
+    def _feed(self, given: Rows) -> None:
+        for outputs in self._estimator.advance_all(given):
+            self._forces.add(outputs.forces)
+            self._states += outputs.states
+            self._seeds += outputs.seeds
 
 
-def _read(
-    bag: Bag, inputs: Inputs, filters: InputFilters, result: SoilReplay
-) -> deque[tuple[int, Hydraulics]]:
-    """Log time and reading of the hydraulics; the live and true outputs go into the result."""
-    names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
-    wanted = [topic for topic, name in names.items() if name in _READ]
-    readings: deque[tuple[int, Hydraulics]] = deque()
-    collector = SeriesCollector()
-    limits = [absolute_time(bag, t) for t in (filters.start_s, filters.stop_s)]
-    for stretch in read_tables(bag, wanted, *limits):
-        for topic, table in stretch.items():
-            name = names[topic]
-            result.messages[name] += len(table)
-            rows = table.rows(RECORDS[TOPICS[name].type_name])
-            if name == HYDRAULICS:
-                for logged_ns, row in zip(table.log_times_ns.tolist(), rows.tolist(), strict=True):
-                    if not filters.hides(name, (logged_ns - inputs.origin_ns) * 1e-9):
-                        readings.append((logged_ns, Hydraulics(*row)))
-            else:
-                collector.add(name, rows)
-            if name == SOIL:
-                result.live_classes |= _classes(table)
-    result.series = collector.series()
-    return readings
+def _reading_inputs(rows: Rows) -> Rows:
+    """(n,) SOIL_INPUT of (n,) records of ``HydraulicsFields``."""
+    found = np.zeros(len(rows), SOIL_INPUT)
+    found["source"], found["stamp_ns"] = IS_HYDRAULICS, rows["stamp_ns"]
+    for k, side in enumerate(("left", "right")):
+        found["pressures"][:, k], found["spools"][:, k] = rows[f"{side}_pressure"], rows[f"{side}_spool"]
+    return found
+
+
+def estimate_inputs(estimates: Rows) -> Rows:
+    """(2 n,) SOIL_INPUT, of each of (n,) ESTIMATE the odometry and the slips."""
+    found = np.zeros((len(estimates), 2), SOIL_INPUT)
+    found["stamp_ns"] = estimates["stamp_ns"][:, np.newaxis]
+    odometry, slips = found[:, 0], found[:, 1]
+    odometry["source"], slips["source"] = IS_ODOMETRY, IS_SLIPS
+    for name in ("twist", "twist_covariance", "pose", "pose_covariance"):
+        odometry[name] = estimates[name]
+    slips["slips"], slips["motion"] = estimates["slips"], estimates["motion"]
+    return found.ravel()
 
 
 def _classes(table: TopicTable) -> dict[int, FloatArray]:
@@ -133,42 +176,49 @@ def _classes(table: TopicTable) -> dict[int, FloatArray]:
     return {t: np.asarray(m.class_probabilities) for t, m in zip(stamps_ns, messages, strict=True)}
 
 
-def _log_times(inputs: Inputs) -> dict[int, list[int]]:
-    """Log times of the sprocket samples at each stamp: an estimate is published as its sample comes."""
-    times: dict[int, list[int]] = defaultdict(list)
-    rows = inputs.rows[inputs.rows["kind"] == Kind.SPROCKETS]
-    for stamp_ns, logged_ns in zip(rows["stamp_ns"].tolist(), rows["log_time_ns"].tolist(), strict=True):
-        times[stamp_ns].append(logged_ns)
-    return times
-
-
 def _compare(result: SoilReplay) -> SoilComparison:
     """Every live number against the replayed one, between the first and last stamp of both on a topic."""
     compared = unmatched = 0
     largest = 0.0
-    for topic, outputs in ((FORCES, result.forces), (SOIL, result.states)):
-        recorded = result.series.get(topic)
-        if recorded is None or not outputs:
+    for topic, own in ((FORCES, _force_rows(result.forces)), (SOIL, _soil_rows(result))):
+        live = result.series.get(topic)
+        if live is None or not len(live) or not len(own):
             continue
-        first = max(int(recorded.stamps_ns[0]), outputs[0].stamp_ns)
-        last = min(int(recorded.stamps_ns[-1]), outputs[-1].stamp_ns)
-        live = {int(row["stamp_ns"]): row for row in recorded.rows}
-        theirs = {stamp for stamp in live if first <= stamp <= last}
-        mine = {output.stamp_ns: output for output in outputs if first <= output.stamp_ns <= last}
-        unmatched += len(theirs ^ mine.keys())
+        first, last = max(live.stamps_ns[0], own["stamp_ns"][0]), min(live.stamps_ns[-1], own["stamp_ns"][-1])
+        theirs, mine = (_between(rows, first, last) for rows in (live.rows, own))
+        _, in_theirs, in_mine = np.intersect1d(theirs["stamp_ns"], mine["stamp_ns"], return_indices=True)
+        unmatched += len(theirs) + len(mine) - 2 * len(in_mine)
         compared += len(theirs)
-        for stamp in theirs & mine.keys():
-            message = conversions.message_of(make, mine[stamp], result.parameters.base_frame)
-            own = np.array(read(ForceFields if topic == FORCES else SoilFields, message), dtype=np.float64)
-            largest = max(largest, _difference(np.array(live[stamp].tolist(), dtype=np.float64), own))
-            if topic == SOIL:
-                classes = np.asarray(message.class_probabilities)
-                largest = max(largest, _difference(result.live_classes[stamp], classes))
+        for name in own.dtype.names or ():
+            largest = max(largest, _difference(theirs[name][in_theirs], mine[name][in_mine]))
+    own_classes = {s.stamp_ns: np.array(list(s.classes.values())) for s in result.states}
+    for stamp_ns in own_classes.keys() & result.live_classes.keys():
+        largest = max(largest, _difference(result.live_classes[stamp_ns], own_classes[stamp_ns]))
     return SoilComparison(compared, unmatched, largest)
+
+
+def _force_rows(forces: Rows) -> Rows:
+    """(n,) records of ``ForceFields``, as messages carry them."""
+    rows = np.empty(len(forces), dtype_of(ForceFields))
+    rows["stamp_ns"] = forces["stamp_ns"]
+    for name, column in conversions.force_columns(forces).items():
+        rows[name] = column
+    return rows
+
+
+def _soil_rows(result: SoilReplay) -> Rows:
+    """(n,) records of ``SoilFields``, as messages carry them."""
+    messages = (conversions.soil_estimate(make, s, result.parameters.base_frame) for s in result.states)
+    return np.array([tuple(read(SoilFields, m)) for m in messages], dtype=dtype_of(SoilFields))
+
+
+def _between(rows: Rows, first_ns: int, last_ns: int) -> Rows:
+    return rows[(first_ns <= rows["stamp_ns"]) & (rows["stamp_ns"] <= last_ns)]
 
 
 def _difference(a: FloatArray, b: FloatArray) -> float:
     """Largest relative difference; nothing equals nothing."""
+    a, b = a.astype(np.float64), b.astype(np.float64)
     if a.shape != b.shape or (np.isnan(a) != np.isnan(b)).any():
         return float("inf")
     scale = np.maximum(np.abs(np.nan_to_num(a)), 1.0)

@@ -14,10 +14,11 @@ from trackslip_tools.replay.soil import SoilReplay
 
 def soil_messages(result: SoilReplay) -> Iterator[tuple[str, Any, int]]:
     """Topic, message and stamp of the parameters and of each output."""
-    if result.outputs:
+    outputs = result.outputs
+    if outputs:
         text = parameters_text(to_flat(result.parameters), NODE)
-        yield PARAMETERS, make("std_msgs/msg/String", data=text), result.outputs[0].stamp_ns
-    for output in result.outputs:
+        yield PARAMETERS, make("std_msgs/msg/String", data=text), outputs[0].stamp_ns
+    for output in outputs:
         message = conversions.message_of(make, output, result.parameters.base_frame)
         yield conversions.topic_of(output), message, output.stamp_ns
 

@@ -42,6 +42,7 @@ class Drive:
     scored: IntArray  # (s,) those of them after settling
     moving: BoolArray  # (s,) whether the slips mean something
     turning: BoolArray  # (s,) moving, and in a turn
+    fix_size: int  # numbers of a fix: 3, or 2 where the heading is not used
 
     @property
     def fixes(self) -> BoolArray:
@@ -98,6 +99,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
         scored=scored,
         moving=moving,
         turning=moving & (rows.drives["motion"]["motion"][scored] == Motion.TURNING),
+        fix_size=3 if estimator.poses()[_first(estimator.poses(), "pose_sources")].use_heading else 2,
     )
 
 

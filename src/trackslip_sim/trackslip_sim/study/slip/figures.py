@@ -68,7 +68,7 @@ def monte_carlo(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
         chosen = [row for row in rows if row.truth == truth]
         title = f"RMSE on the {truth} truth; dotted: the posterior Cramér–Rao bound"
         yield f"study_rmse_{truth}", _over_sigma(chosen, title, _RMSE, _draw_rmse)
-        title = f"NEES on the {truth} truth; tinted: 95 % of the means of {chosen[0].seeds} honest runs"
+        title = f"NEES on the {truth} truth; tinted: 95 % of the means of {chosen[0].seeds} consistent runs"
         yield f"study_nees_{truth}", _over_sigma(chosen, title, _NEES, _draw_nees)
 
 

@@ -6,8 +6,8 @@
     h, H, R   what is measured of x, its Jacobian, its noise                 (m,), (m, n), (m, m)
     J⁻¹       posterior Cramér–Rao bound (Tichavský et al. 1998)             (n, n)
 
-``Rows`` are measurements in the order of their stamps, after a start at stamp 0, each with what the sprockets did
-up to it.
+``Rows`` are measurements in the order of their stamps, after a start at stamp 0, each with what the sprockets
+did up to it.
 """
 
 from typing import NamedTuple
@@ -66,7 +66,9 @@ def scratch() -> Scratch:
 
 
 @compiled
-def bound(rows: Rows, states: FloatArray, start: FloatArray, P: FloatArray, config: RecordArray) -> FloatArray:
+def bound(
+    rows: Rows, states: FloatArray, start: FloatArray, P: FloatArray, config: RecordArray
+) -> FloatArray:
     """J⁻¹ after each row (k, n, n): J_k = (F J⁻¹ Fᵀ + Q)⁻¹ + Hᵀ R⁻¹ H, linearised at the truth.
 
     ``states`` (k, n) is the truth at the rows, ``start`` (n,) before the first, P what a filter knows of it.
@@ -125,8 +127,7 @@ def nearest(
     prior: tuple[FloatArray, FloatArray],
     config: RecordArray,
 ) -> FloatArray:
-    """States (k, n) at ``poses`` (k, 3) with v_x and φ̇ of ``twists`` (k, 2), least far from a prior x as its P
-    counts it.
+    """States (k, n) at ``poses`` (k, 3) with v_x and φ̇ of ``twists`` (k, 2), nearest to a prior x by its P.
 
     The lateral speed, some mm/s, stays the model's: at a small φ̇ it would ask for any x_I.
     """

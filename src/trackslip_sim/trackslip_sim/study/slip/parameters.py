@@ -7,7 +7,8 @@ from itertools import product
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Parameters, from_flat, parameter
+from trackslip_common.parameters import from_flat, parameter
+from trackslip_sim.study.parameters import GridParameters
 
 NODE = "study"
 SHEAR, MATCHED = "shear", "matched"
@@ -17,22 +18,15 @@ _SHORTEST = 1.0  # s to be scored
 
 
 @dataclass(frozen=True, kw_only=True)
-class StudyParameters(Parameters):
+class StudyParameters(GridParameters):
     """The drive, its sensors, and the grid."""
 
     scenario: str = parameter("name in config/scenarios, or a file")
     duration: float = parameter("of the drive, the scenario repeated or cut", unit="s", gt=1.0, le=3600.0)
     settling: float = parameter("time at the start that is not scored", unit="s", ge=0.0)
     truths: tuple[str, ...] = parameter("how the truth comes about", choices=TRUTHS)
-    soils: tuple[str, ...] = parameter("names in config/soils.yaml")
     filters: tuple[str, ...] = parameter("which filters", choices=FILTERS)
-    sigma_xy: tuple[float, ...] = parameter("noise of the fixes, x and y", unit="m", gt=0.0, le=100.0)
     sigma_omega: tuple[float, ...] = parameter("noise of the gyro", unit="rad/s", gt=0.0, le=100.0)
-    sigma_heading: float = parameter("noise of the fixes' heading", unit="rad", gt=0.0, le=3.0)
-    seeds: int = parameter("runs of each cell", ge=1, le=100_000)
-    sprocket_rate: float = parameter("sprocket samples", unit="Hz", ge=1.0, le=1000.0)
-    gyro_rate: float = parameter("yaw rates", unit="Hz", ge=1.0, le=1000.0)
-    fix_rate: float = parameter("poses", unit="Hz", ge=1.0, le=1000.0)
 
     def __post_init__(self) -> None:
         """Check also what belongs together.

@@ -2,7 +2,7 @@
 """What a cell of the study comes to.
 
 e      error against the truth
-NEES   eᵀ P⁻¹ e of pose or slips, on average their number if P is honest
+NEES   eᵀ P⁻¹ e of pose or slips, on average their number if P is consistent
 NIS    νᵀ S⁻¹ ν of a measurement, on average its number
 N      runs; the χ² bounds are those of a mean over N runs
 """

@@ -6,29 +6,23 @@ from dataclasses import dataclass
 from itertools import product
 
 from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import Parameters, from_flat, parameter
+from trackslip_common.parameters import from_flat, parameter
 from trackslip_common.soils import load_soils, soil
 from trackslip_sim.scenarios.scenario import Scenario, load_scenario
+from trackslip_sim.study.parameters import GridParameters
 from trackslip_sim.truth.ground import build_ground
 
 NODE = "soil_study"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SoilStudyParameters(Parameters):
+class SoilStudyParameters(GridParameters):
     """The drives, their sensors, and the grid."""
 
     scenarios: tuple[str, ...] = parameter("names in config/scenarios, or files")
     duration: float = parameter("of each drive, repeated or cut; 0: as it is", unit="s", ge=0.0, le=3600.0)
     stand: float = parameter("standing before each drive", unit="s", ge=1.0, le=600.0)
-    soils: tuple[str, ...] = parameter("names in config/soils.yaml")
     drawn: bool = parameter("also machines drawn from what the estimator expects")
-    sigma_xy: tuple[float, ...] = parameter("noise of the fixes, x and y", unit="m", gt=0.0, le=100.0)
-    sigma_heading: float = parameter("noise of the fixes' heading", unit="rad", gt=0.0, le=3.0)
-    seeds: int = parameter("runs of each cell", ge=1, le=100_000)
-    sprocket_rate: float = parameter("sprocket samples and pressures", unit="Hz", ge=1.0, le=1000.0)
-    gyro_rate: float = parameter("yaw rates", unit="Hz", ge=1.0, le=1000.0)
-    fix_rate: float = parameter("poses", unit="Hz", ge=1.0, le=1000.0)
     fix_delay: float = parameter("until a pose arrives", unit="s", ge=0.0, le=10.0)
     offset_stddev: float = parameter("offset of a pressure transducer", unit="Pa", ge=0.0)
     load_stddev: float = parameter("centre of gravity of a drawn machine", unit="m", ge=0.0)

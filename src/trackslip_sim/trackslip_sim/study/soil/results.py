@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the runs of a cell come to: medians, the worst, and how many intervals hold the truth.
 
-An honest interval from 5 to 95 % holds it in nine of ten runs.
+A consistent interval from 5 to 95 % holds it in nine of ten runs.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -72,37 +72,23 @@ def summary(cell: SoilCell, results: Sequence[Result]) -> AnyRow:
 
 
 def _soil(cell: SoilCell, results: Sequence[Result]) -> SoilRow:
-    limit, limit_worst = _errors(r.limit for r in results)
-    modulus, modulus_worst = _errors(r.modulus for r in results)
-    mu_r, mu_r_worst = _errors(r.mu_r for r in results)
-    moment, moment_worst = _spread(r.moment_error for r in results)
-    driving, driving_worst = _spread(r.driving_error for r in results)
-    braking, braking_worst = _spread(r.braking_error for r in results)
-    residue, residue_worst = _spread(r.offset_residue for r in results)
+    values: dict[str, Any] = {**asdict(cell), "seeds": len(results)}
+    for name, of in (("F_max", "limit"), ("K", "modulus"), ("mu_r", "mu_r")):
+        ratios = [abs(getattr(r, of) - 1.0) for r in results]  # over the truth
+        values[f"{name}_error"], values[f"{name}_worst"] = _spread(ratios)
+        values[f"{name}_inside"] = _inside(getattr(r, f"{of}_interval") for r in results)
+    for name, of in (("M_r", "moment"), ("driving_thrust", "driving"), ("braking_thrust", "braking")):
+        errors = [getattr(r, f"{of}_error") for r in results]
+        values[f"{name}_error"], values[f"{name}_worst"] = _spread(errors)
+    residue, worst = _spread(r.offset_residue for r in results)
     return SoilRow(
-        **asdict(cell),
-        seeds=len(results),
-        F_max_error=limit,
-        F_max_worst=limit_worst,
-        F_max_inside=_inside(r.limit_interval for r in results),
-        K_error=modulus,
-        K_worst=modulus_worst,
-        K_inside=_inside(r.modulus_interval for r in results),
+        **values,
+        M_r_inside=_inside(r.moment_interval for r in results),
         K_ratio=float(np.median([r.modulus_interval[1] / r.modulus_interval[0] for r in results])),
         identifiable=sum(r.identifiable for r in results),
         class_probability=float(np.median([r.probability for r in results])),
-        mu_r_error=mu_r,
-        mu_r_worst=mu_r_worst,
-        mu_r_inside=_inside(r.mu_r_interval for r in results),
-        M_r_error=moment,
-        M_r_worst=moment_worst,
-        M_r_inside=_inside(r.moment_interval for r in results),
-        driving_thrust_error=driving,
-        driving_thrust_worst=driving_worst,
-        braking_thrust_error=braking,
-        braking_thrust_worst=braking_worst,
         offset_residue=residue,
-        offset_residue_worst=residue_worst,
+        offset_residue_worst=worst,
     )
 
 
@@ -119,11 +105,6 @@ def _change(cell: SoilCell, results: Sequence[Result]) -> ChangeRow:
         wrong_before=wrong,
         wrong_before_worst=wrong_worst,
     )
-
-
-def _errors(found: Iterable[float]) -> tuple[float, float]:
-    """Of numbers over their truth."""
-    return _spread(abs(value - 1.0) for value in found)
 
 
 def _spread(values: Iterable[float]) -> tuple[float, float]:

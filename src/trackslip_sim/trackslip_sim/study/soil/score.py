@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run of the soil estimator held against its truth.
+"""A run of the soil estimator compared with its truth.
 
 F_j      thrust of the soil on a track                                    N
 M_r      moment of the lateral resistance, μ_l W l/3 of the mobilised μ_l N m
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.classes import limit_of
+from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.records import TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilState
-from trackslip_estimation.soil.thrust import PressureOffsets
+from trackslip_estimation.soil.thrust import new_offsets, update_offsets
 from trackslip_sim.study.soil.trial import (
     START_NS,
     Readings,
@@ -39,7 +40,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Interval = tuple[float, float]
 
-RECOGNISED = 0.8  # probability of a class that is taken for certain
+RECOGNISED = 0.8  # probability of a class that is regarded as certain
 _NAN = float("nan")
 _TAIL = 1.645  # standard deviations: a normal variable is within with 90 %
 _STEADY = 2.0  # s for which a turn has lasted
@@ -137,11 +138,13 @@ def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin
 
 
 def _offset_residue(readings: Readings, setting: Setting, stand: float) -> float:
-    """What the estimator's learning of offsets leaves after standing."""
-    offsets, period = PressureOffsets(setting.soil.thrust), 1.0 / setting.study.sprocket_rate
+    """What the estimator's calibration of offsets leaves after standing."""
+    p, period = setting.soil.thrust, 1.0 / setting.study.sprocket_rate
+    offsets, numbers = new_offsets(p)[0], record_of(p)[0]
     for reading in readings.pressures[: round(stand / period)]:
-        offsets.step(np.array((reading.left_pressure, reading.right_pressure)), period)
-    return float(np.abs(offsets.mean - readings.offsets).max())
+        pressures = np.array((reading.left_pressure, reading.right_pressure))
+        update_offsets(offsets, pressures, True, period, numbers)
+    return float(np.abs(offsets["mean"] - readings.offsets).max())
 
 
 def change_of(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:

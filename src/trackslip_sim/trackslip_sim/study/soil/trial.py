@@ -116,9 +116,8 @@ def estimates(trial: Trial, truth: Truth, setting: Setting | None = None) -> Ite
 def outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
     """All that the soil estimator publishes."""
     slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
-    pressures = iter(readings.pressures)
-    for measurement in readings.arrivals:
-        _, estimate = slip_estimator.advance(measurement)
+    pressures, steps = iter(readings.pressures), slip_estimator.process_all(readings.arrivals)
+    for measurement, (_, estimate) in zip(readings.arrivals, steps, strict=True):
         if isinstance(measurement, Sprockets):
             yield from soil_estimator.advance(next(pressures))
             for given in () if estimate is None else inputs_of(estimate):

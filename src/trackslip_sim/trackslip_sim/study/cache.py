@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finished pieces of a study in a file, so that a study that was interrupted goes on.
 
-A piece, a row of a table or a run, is found again only while everything that it rests on is the same: what
-its key names, and the sources of estimators, truth and study.
+A piece is found again only while everything that it rests on is the same: what its key names, and the sources
+of estimators, truth and study.
 """
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -15,7 +15,6 @@ from typing import Any, Generic, TypeVar
 
 from trackslip_common.errors import InputError
 
-T = TypeVar("T")
 R = TypeVar("R")
 
 
@@ -59,19 +58,6 @@ class Cache(Generic[R]):
             self._pieces[entry["key"]] = self._kind(**values)
         except (ValueError, KeyError, TypeError, AttributeError):  # cut short, or of another kind or version
             return
-
-
-def resumed(
-    keys: Mapping[T, str], cache: Cache[R], compute: Callable[[Sequence[T]], Iterator[R]]
-) -> Iterator[R]:
-    """The pieces in the order of their keys; only those that are not in the cache are computed."""
-    found = {key: cache.get(key) for key in keys.values()}
-    computed = compute([item for item, key in keys.items() if found[key] is None])
-    for key, piece in found.items():
-        if piece is None:
-            piece = next(computed)
-            cache.add(key, piece)
-        yield piece
 
 
 def key_of(parts: Mapping[str, Any], *modules: ModuleType) -> str:

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the soil estimator does with every sample, compiled: synchronize, measure thrusts, filter, average.
+
+What is done but a few times a second, the strength posterior and the state of the soil, is not: for it the
+loop stops, with the sample open, and goes on when it is called again.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_common.vehicle import GRAVITY
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.soil import dynamics, pressure_watch, time_synchronizer
+from trackslip_estimation.soil.dynamics import DYNAMICS, MU_R, new_dynamics
+from trackslip_estimation.soil.flow_check import volumetric_efficiency
+from trackslip_estimation.soil.pressure_watch import NO_FAULT, WATCH, PressureFault
+from trackslip_estimation.soil.records import FORCES, RESTARTED
+from trackslip_estimation.soil.reserve import Reserve, thrust_reserve
+from trackslip_estimation.soil.slip_seed import SEEDER, is_seed_due
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_estimation.soil.strength_average import AVERAGE, GATHERING, gather
+from trackslip_estimation.soil.thrust import (
+    MOTOR,
+    OFFSETS,
+    THRUST,
+    hold_thrust,
+    measure_thrust,
+    motor_of,
+    new_offsets,
+    unknown_thrust,
+    update_offsets,
+)
+from trackslip_estimation.soil.time_synchronizer import SAMPLE, TimeSynchronizer, new_synchronizer
+from trackslip_estimation.soil.tracks import frame_speeds, track_speed
+
+FloatArray = NDArray[np.float64]
+
+_STANDING, _STRAIGHT = int(Motion.STANDING), int(Motion.STRAIGHT)
+_LIKELY = 0.5  # probability
+_ROOM = 256  # forces that are kept until they are fetched
+
+# Why the loop stopped
+TAKEN, FULL, RESTART, OPEN = range(4)  # all inputs are taken; no more room; the clock went back; see ``OPEN``
+
+KNOWN = np.dtype(
+    [
+        ("has_begun", "i8"),
+        ("newest_ns", "i8"),  # stamp of the newest sample
+        ("motor", MOTOR),
+        ("offsets", OFFSETS),
+        ("thrust", THRUST),  # seen, or as it was last seen
+        ("watch", WATCH),
+        ("dynamics", DYNAMICS),
+        ("mu", "f8", 2),  # μ_r, mobilised μ_l
+        ("mu_variance", "f8", 2),  # the error of the efficiency included
+        ("volumetric_efficiency", "f8"),
+        ("average", AVERAGE),
+        ("seeder", SEEDER),
+        ("effective_samples", "f8"),  # of the strength posterior
+        ("spinning", "f8", 2),  # s for which each track has spun at the limit of the soil
+        ("forces", "i8"),  # how many are there to be published
+        # Of the sample in hand
+        ("sample", SAMPLE),
+        ("is_open", "i8"),  # it waits for what is not done here …
+        ("gathered", "i8"),  # … with the average, see ``strength_average``
+        ("soil_due", "i8"),  # … with the state of the soil
+        ("forces_due", "i8"),
+        ("seed_due", "i8"),
+    ]
+)
+
+
+class State(NamedTuple):
+    """All that the loop works on; it never grows."""
+
+    known: NDArray[Any]  # (1,) KNOWN
+    faults: NDArray[np.int64]  # (n,) samples whose pressures were not used, by PressureFault
+    synchronizer: TimeSynchronizer
+    limits: FloatArray  # (l,) F_max of the cells, N
+    limit_probabilities: FloatArray  # (l,) of the newest state
+    forces: NDArray[Any]  # (n,) FORCES, room for what is published
+
+
+class Stop(NamedTuple):
+    """Where the loop stopped."""
+
+    reason: int
+    taken: int  # inputs
+    forces: int  # that are there to be published
+
+
+def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
+    """At the start."""
+    faults = np.zeros(len(PressureFault), np.int64)
+    forces = np.zeros(_ROOM, FORCES)
+    return State(initial(p), faults, new_synchronizer(), limits, np.zeros_like(limits), forces)
+
+
+def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
+    """(1,) KNOWN before the first sample."""
+    known, motor = np.zeros(1, KNOWN), motor_of(p.vehicle)
+    known["motor"], known["thrust"] = motor, unknown_thrust(motor[0])
+    known["offsets"], known["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
+    known["volumetric_efficiency"] = np.nan
+    return known
+
+
+@compiled
+def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any]) -> Stop:
+    """Take inputs (n,) SOIL_INPUT from ``first`` on until something else is to be done, or none is left.
+
+    ``numbers``: (1,) record of SoilEstimatorParameters.
+    """
+    p, known, synchronizer = numbers[0], state.known[0], state.synchronizer
+    known.forces = 0
+    while True:
+        while known.is_open or time_synchronizer.is_ready(synchronizer, p.moments):
+            if known.forces == len(state.forces):
+                return Stop(FULL, first, known.forces)
+            if not known.is_open:
+                time_synchronizer.take(synchronizer, p.moments, known.sample)
+                _step(known, state.faults, p)
+                known.is_open = known.gathered != GATHERING or known.soil_due or known.seed_due
+                if known.is_open:
+                    return Stop(OPEN, first, known.forces)
+            known.is_open = False
+            if known.forces_due:
+                _publish_forces(state, p)
+        if first == len(inputs):
+            return Stop(TAKEN, first, known.forces)
+        first += 1
+        if time_synchronizer.add(synchronizer, inputs[first - 1], p.moments) == RESTARTED:
+            return Stop(RESTART, first, known.forces)
+
+
+@compiled
+def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
+    """Use one sample."""
+    sample = known.sample
+    before_ns = known.newest_ns if known.has_begun else sample.stamp_ns
+    known.has_begun, known.newest_ns = True, sample.stamp_ns
+    sample.dt = (sample.stamp_ns - before_ns) * 1e-9
+    left, right = frame_speeds(sample.twist, p.vehicle.tread)
+    sample.tracks[0], sample.tracks[1] = (
+        track_speed(left, sample.slips[0]),
+        track_speed(right, sample.slips[1]),
+    )
+    fault = pressure_watch.evaluate(known.watch, sample, p.watch, p.vehicle.relief_pressure)
+    is_closed = max(abs(sample.spools[0]), abs(sample.spools[1])) < p.thrust.closed_spool
+    stands = fault == NO_FAULT and is_closed and sample.motion == _STANDING
+    update_offsets(known.offsets, sample.pressures, stands, sample.dt, p.thrust)
+    if fault == NO_FAULT:
+        _measure(known, sample, p)
+    else:
+        faults[fault] += 1
+        hold_thrust(known.thrust, sample.dt, p.thrust, known.motor)
+    dynamics.step(known.dynamics, sample, known.thrust, p)
+    for k in range(2):
+        mean, variance = known.dynamics.mean[MU_R + k], known.dynamics.covariance[MU_R + k, MU_R + k]
+        known.mu[k], known.mu_variance[k] = mean, variance + (p.thrust.efficiency_stddev * mean) ** 2
+    known.gathered = gather(known.average, sample, known.thrust, p.strength)
+    known.seed_due = is_seed_due(known.seeder, sample, known.thrust, p)
+    known.soil_due = _passes(before_ns, sample.stamp_ns, p.soil_period)
+    known.forces_due = _passes(before_ns, sample.stamp_ns, p.forces_period)
+
+
+@compiled
+def _measure(known: Any, sample: Any, p: Any) -> None:
+    """Thrusts from pressures that can be true; on straights they show the flow, too."""
+    speeds = np.empty(2)  # of the sprockets, rad/s
+    for k in range(2):
+        speeds[k] = sample.tracks[k] / p.vehicle.rolling_radius
+    if sample.motion == _STRAIGHT:
+        known.volumetric_efficiency = volumetric_efficiency(
+            known.volumetric_efficiency, sample.spools, speeds, known.motor.full_flow_speed, sample.dt
+        )
+    measure_thrust(known.thrust, sample.pressures, speeds, known.offsets, p.thrust, known.motor)
+
+
+@compiled
+def _passes(before_ns: int, now_ns: int, period: float) -> bool:
+    """Whether a multiple of the period lies in (before, now]; always at the first sample."""
+    period_ns = round(period * 1e9)
+    return before_ns == now_ns or before_ns // period_ns != now_ns // period_ns
+
+
+@compiled
+def _publish_forces(state: State, p: Any) -> None:
+    """Those of the sample in hand."""
+    known = state.known[0]
+    sample, thrust, forces = known.sample, known.thrust, state.forces[known.forces]
+    known.forces += 1
+    forces.stamp_ns = sample.stamp_ns
+    half_weight = 0.5 * (p.vehicle.mass * GRAVITY)
+    mu_r, variance = known.mu[0], known.mu_variance[0]
+    for k, sign in enumerate(dynamics.expected_signs(sample.twist, sample.twist_covariance, p)):
+        force = thrust.force[k]
+        forces.thrust[k] = force
+        forces.thrust_variance[k] = thrust.variance[k] + (p.thrust.efficiency_stddev * force) ** 2
+        forces.resistance[k] = half_weight * mu_r * sign
+        forces.resistance_variance[k] = half_weight**2 * (variance * sign**2 + mu_r**2 * (1.0 - sign**2))
+        reserve = _reserve(state, force, forces.thrust_variance[k], p)
+        forces.reserve[k] = reserve.share
+        spins = abs(sample.slips[k]) > p.high_slip and reserve.exhausted > _LIKELY
+        known.spinning[k] = known.spinning[k] + p.forces_period if spins else 0.0
+
+
+@compiled
+def _reserve(state: State, force: float, variance: float, p: Any) -> Reserve:
+    """Of a track, with F_max as in the newest state; unknown before it has shown."""
+    if state.known[0].effective_samples < 1.0:
+        return Reserve(math.nan, 0.0)
+    return thrust_reserve(force, variance, state.limits, state.limit_probabilities, 1.0 - p.low_reserve)

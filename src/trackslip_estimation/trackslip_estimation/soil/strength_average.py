@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Averages of the samples that the strength posterior uses, compiled."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.compiled import compiled
+
+_LARGEST = 1e6  # m/s, and what else there is but thrusts: beyond it is no measurement
+_LARGEST_THRUST = 1e9  # N
+_LONGEST = 1.0  # s between two samples; beyond it, what the tracks did meanwhile is not known
+_ROUNDING = 1e-12  # (m/s)², (rad/s)²: by which a covariance may miss being one
+
+AVERAGE = np.dtype(
+    [
+        ("dt", "f8"),  # s, of all samples in it
+        ("tracks", "f8", 2),  # m/s; while it is not complete, here and below sums over time
+        ("twist", "f8", 3),
+        ("twist_covariance", "f8", (3, 3)),
+        ("force", "f8", 2),  # N, nan where it is not known
+        ("variance", "f8", 2),  # N²
+        ("motion", "i8"),  # of the last sample in it, as its pose
+        ("pose", "f8", 3),
+        ("pose_covariance", "f8", (3, 3)),
+    ]
+)
+GATHERING, COMPLETE, BROKEN, LOST = range(4)  # what became of a sample; see ``gather``
+
+
+@compiled
+def gather(average: Any, sample: Any, thrust: Any, p: Any) -> int:
+    """Add a SAMPLE with its THRUST to an AVERAGE; ``p``: record of StrengthParameters.
+
+    COMPLETE where the average is one now: it must be cleared before the next sample. BROKEN where the sample
+    is not usable, LOST where what the tracks did since the one before is not known either; the average then
+    is clear.
+    """
+    if not _is_usable(sample):
+        is_lost = not 0.0 < sample.dt <= _LONGEST
+        if is_lost:
+            clear(average)
+        return LOST if is_lost else BROKEN
+    _add(average, sample, thrust)
+    if average.dt < p.interval * (1.0 - 1e-6):
+        return GATHERING
+    _complete(average, sample)
+    return COMPLETE
+
+
+@compiled
+def _is_usable(sample: Any) -> bool:
+    """Whether a SAMPLE is in time, finite, and its covariance can be one."""
+    if not 0.0 < sample.dt <= _LONGEST:
+        return False
+    for k in range(2):
+        if not abs(sample.tracks[k]) < _LARGEST:
+            return False
+    C = sample.twist_covariance
+    for i in range(3):
+        if not abs(sample.twist[i]) < _LARGEST:
+            return False
+        for j in range(3):
+            if not abs(C[i, j]) < _LARGEST:
+                return False
+    # Pivots of C + _ROUNDING I: all are positive where all eigenvalues of C are above −_ROUNDING.
+    first = C[0, 0] + _ROUNDING
+    if not first > 0.0:
+        return False
+    second = C[1, 1] + _ROUNDING - C[1, 0] ** 2 / first
+    if not second > 0.0:
+        return False
+    across = C[2, 1] - C[2, 0] * C[1, 0] / first
+    return bool(C[2, 2] + _ROUNDING - C[2, 0] ** 2 / first - across**2 / second > 0.0)
+
+
+@compiled
+def clear(average: Any) -> None:
+    """An AVERAGE of nothing."""
+    average.dt = 0.0
+    for k in range(2):
+        average.tracks[k] = average.force[k] = average.variance[k] = 0.0
+    for i in range(3):
+        average.twist[i] = 0.0
+        for j in range(3):
+            average.twist_covariance[i, j] = 0.0
+
+
+@compiled
+def _add(average: Any, sample: Any, thrust: Any) -> None:
+    """One more SAMPLE, with its THRUST."""
+    dt = sample.dt
+    average.dt += dt
+    for k in range(2):
+        average.tracks[k] += dt * sample.tracks[k]
+        average.force[k] += dt * (thrust.force[k] if thrust.is_known else math.nan)
+        average.variance[k] += dt * thrust.variance[k]
+    for i in range(3):
+        average.twist[i] += dt * sample.twist[i]
+        for j in range(3):
+            average.twist_covariance[i, j] += dt * sample.twist_covariance[i, j]
+
+
+@compiled
+def _complete(average: Any, sample: Any) -> None:
+    """From sums to means."""
+    dt = average.dt
+    average.motion = sample.motion
+    for k in range(2):
+        average.tracks[k] /= dt
+        average.force[k] /= dt
+        average.variance[k] /= dt
+        likely = 0.0 < average.variance[k] < _LARGEST_THRUST**2 and abs(average.force[k]) < _LARGEST_THRUST
+        if not likely:
+            average.force[k] = math.nan
+    for i in range(3):
+        average.twist[i] /= dt
+        average.pose[i] = sample.pose[i]
+        for j in range(3):
+            average.twist_covariance[i, j] /= dt
+            average.pose_covariance[i, j] = sample.pose_covariance[i, j]

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a distribution over (ln K, ln F_max) comes to: medians, intervals, and whether they say something."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.soil.strength_grid import StrengthGrid
+from trackslip_estimation.soil.strength_parameters import StrengthParameters
+
+FloatArray = NDArray[np.float64]
+
+_SHARES = (0.05, 0.5, 0.95)
+_EDGE = 1.2  # how near an interval may come to an end of the grid
+
+
+@dataclass(frozen=True)
+class StrengthSummary:
+    """The posterior in numbers: medians, and the interval from 5 to 95 %."""
+
+    shear_modulus: float  # m
+    shear_modulus_interval: tuple[float, float]
+    thrust_limit: float  # N
+    thrust_limit_interval: tuple[float, float]
+    effective_samples: float
+    identifiable: bool
+    reason: str  # why not; empty where it is
+
+
+def summarize(grid: StrengthGrid, cells: FloatArray, effective_samples: float) -> StrengthSummary:
+    """Of probabilities (moduli, limits) of the cells."""
+    k_low, modulus, k_high = np.exp(_quantiles(grid.of_moduli(cells), grid.modulus_edges)).tolist()
+    f_low, limit, f_high = np.exp(_quantiles(grid.of_limits(cells), grid.limit_edges)).tolist()
+    moduli, limits = (k_low, k_high), (f_low, f_high)
+    reason = _reason(grid.parameters, moduli, limits, effective_samples)
+    return StrengthSummary(modulus, moduli, limit, limits, effective_samples, not reason, reason)
+
+
+def _reason(
+    p: StrengthParameters, moduli: tuple[float, float], limits: tuple[float, float], effective_samples: float
+) -> str:
+    """Why the posterior does not identify the soil; empty where it does."""
+    (k_low, k_high), (f_low, f_high) = moduli, limits
+    if effective_samples < 1.0:
+        return "too little driving yet"
+    if f_high > p.widest_ratio * f_low:
+        return "F_max: thrusts far below it tell no more than K/F_max; a turn would"
+    if k_high > p.widest_ratio * k_low:
+        return "K: the slips are within their own errors"
+    if k_low < _EDGE * p.lowest_modulus or k_high * _EDGE > p.highest_modulus:
+        return "K: at the end of the range looked for"
+    return ""
+
+
+def _quantiles(mass: FloatArray, edges: FloatArray) -> FloatArray:
+    """Where the cumulated mass (n,), spread evenly within each cell, passes each of _SHARES."""
+    return np.interp(_SHARES, np.concatenate(((0.0,), np.cumsum(mass))) / mass.sum(), edges)

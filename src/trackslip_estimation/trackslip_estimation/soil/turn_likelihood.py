@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well each (K, F_max) explains one pair of thrusts, with errors in slip and thrust, compiled.
+
+    q        F/F_max of each track, see ``shear_field``                              1
+    U        upper triangular, U Uᵀ the twist's covariance: errors (v_x, v_y, φ̇) = U z
+    z        error of v_x alone, the first of them, in its standard deviations       1
+    J        change of q for one standard deviation of either of the others          1
+    R        what thrust and model leave open, and F_max² J Jᵀ                       N²
+    d²       least z² + (F − F_max q(z))ᵀ R⁻¹ (F − F_max q(z)) over z
+
+A slip error is as good an excuse for a thrust as an error of the thrust: d is the distance from what was
+measured to the curve q(z), not along one axis, so that weak slips bias nothing. The curve bends within the
+errors of slip, so it is walked along, as straight pieces between a few z. Errors of φ̇ shift the tracks along
+their curves in opposite ways.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.soil.shear_field import Contact, Rolling, SlidingError, shares
+
+FloatArray = NDArray[np.float64]
+
+_DEPENDENT = 1e-9  # least share of a determinant: below it rounding decides
+_NODES = np.linspace(-4.0, 4.0, 17)  # z
+
+
+class Turn(NamedTuple):
+    """What was seen for a moment of a turn."""
+
+    j: FloatArray  # (2, n, 2) under the tracks, m
+    rolling: Rolling
+    spread: FloatArray  # (3, 3) U
+    force: FloatArray  # (2,) N, nan where it is not known: this leaves its track out
+    variance: FloatArray  # (2,) N²
+    share_stddev: float  # of F_max, what the model leaves open
+
+
+class Curves(NamedTuple):
+    """q along z and its slopes, for each K."""
+
+    q: FloatArray  # (nodes, 2, moduli)
+    J: FloatArray  # (2, nodes − 1, 2, moduli), between the nodes
+
+
+@compiled
+def curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
+    """For each K what the tracks would pull, with errors of the twist."""
+    j, rolling, spread = turn.j, turn.rolling, turn.spread
+    nodes, count, half_tread = len(_NODES), len(moduli), contact.half_tread
+    q, J = np.empty((nodes, 2, count)), np.empty((2, nodes - 1, 2, count))
+    none = np.zeros(2)
+    for m in range(nodes):
+        along = np.full(2, _NODES[m] * spread[0, 0])
+        shares(j, rolling, SlidingError(along, none), contact, moduli, q[m])
+    high, low = np.empty((2, count)), np.empty((2, count))
+    for c in range(2):
+        across = spread[1:, c + 1].copy()
+        shares(j, rolling, SlidingError(none, across), contact, moduli, high)
+        shares(j, rolling, SlidingError(none, -across), contact, moduli, low)
+        for k in range(2):
+            along_k = spread[0, c + 1] - spread[2, c + 1] * half_tread * (1.0 - 2.0 * k)
+            for m in range(nodes - 1):
+                per_metre = 1.0 / ((_NODES[m + 1] - _NODES[m]) * spread[0, 0])
+                for a in range(count):
+                    slope = (q[m + 1, k, a] - q[m, k, a]) * per_metre
+                    J[c, m, k, a] = 0.5 * (high[k, a] - low[k, a]) + slope * along_k
+    return Curves(q, J)
+
+
+@compiled
+def squared_distances(curves: Curves, turn: Turn, limits: FloatArray) -> FloatArray:
+    """d² (moduli, limits) of the thrusts that are known; the curves of the others are lost.
+
+    For each piece of the curve the loop over F_max is plain arithmetic, so that it is vectorised (``/`` would
+    look for zeros). All is over F_max², and times the determinant of R until the end.
+    """
+    q, J = curves.q, curves.J
+    count, own = q.shape[2], turn.share_stddev**2
+    force, variance = np.zeros(2), np.ones(2)
+    for k in range(2):
+        if math.isfinite(turn.force[k]):
+            force[k], variance[k] = turn.force[k], turn.variance[k]
+        else:
+            q[:, k] = 0.0
+            J[:, :, k] = 0.0
+    per_limit = 1.0 / limits
+    force_left, force_right = force[0] * per_limit, force[1] * per_limit
+    variance_left = variance[0] * per_limit**2 + own
+    variance_right = variance[1] * per_limit**2 + own
+    squares = np.full((count, len(limits)), np.inf)
+    for a in range(count):
+        best = squares[a]
+        for m in range(len(_NODES) - 1):
+            z, dz = _NODES[m], _NODES[m + 1] - _NODES[m]
+            q_left, q_right = q[m, 0, a], q[m, 1, a]
+            d_left, d_right = q_left - q[m + 1, 0, a], q_right - q[m + 1, 1, a]
+            J_ll = J[0, m, 0, a] ** 2 + J[1, m, 0, a] ** 2
+            J_rr = J[0, m, 1, a] ** 2 + J[1, m, 1, a] ** 2
+            lr = J[0, m, 0, a] * J[0, m, 1, a] + J[1, m, 0, a] * J[1, m, 1, a]
+            for b in range(len(limits)):
+                ll, rr = variance_left[b] + J_ll, variance_right[b] + J_rr
+                product = ll * rr
+                determinant = max(product - lr * lr, _DEPENDENT * product)
+                left, right = force_left[b] - q_left, force_right[b] - q_right
+                w_left, w_right = rr * d_left - lr * d_right, ll * d_right - lr * d_left
+                bend = dz * dz * determinant + d_left * w_left + d_right * w_right
+                fall = z * dz * determinant + left * w_left + right * w_right
+                start = rr * left * left - 2.0 * lr * left * right + ll * right * right
+                t = min(max(np.divide(-fall, bend), 0.0), 1.0)
+                square = z * z + np.divide(start + t * (2.0 * fall + t * bend), determinant)
+                best[b] = min(best[b], square)
+    return squares

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records on their way into a bag: serialized many at a time, and written in the order in which they came."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import absolute
+from trackslip_bags.writer import BagWriter
+from trackslip_common.topics import TOPICS
+from trackslip_drivers import conversions
+from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
+from trackslip_drivers.watson_parameters import WatsonParameters
+from trackslip_sim.machine.message_columns import Columns, MessageColumns, stamp_columns
+
+Serialize = Callable[[Sequence[Any]], Iterable[bytes]]
+"""The records of one topic to their messages."""
+
+
+class Recording:
+    """What is to be written; ``serializers`` has those topics whose records are not messages already."""
+
+    def __init__(self, bag: BagWriter, serializers: Mapping[str, Serialize]) -> None:
+        self._bag = bag
+        self._serializers = serializers
+        self._order: list[tuple[str, int]] = []
+        self._records: defaultdict[str, list[Any]] = defaultdict(list)
+
+    def add(self, topic: str, record: Any, log_time_ns: int) -> None:
+        """One record, behind all that came before."""
+        self._order.append((topic, log_time_ns))
+        self._records[topic].append(record)
+
+    def write(self) -> None:
+        """Write all that was added, and forget it."""
+        messages = {
+            topic: iter(self._serializers.get(topic, _one_by_one)(records))
+            for topic, records in self._records.items()
+        }
+        known = {topic: (absolute(topic), TOPICS[topic].type_name) for topic in messages}
+        for topic, log_time_ns in self._order:
+            self._bag.write(*known[topic], next(messages[topic]), log_time_ns)
+        self._order.clear()
+        self._records.clear()
+
+
+def _one_by_one(messages: Sequence[Any]) -> Iterable[bytes]:
+    return map(serialize, messages)
+
+
+def like(blank: Any, columns: Callable[[Sequence[Any]], Columns]) -> Serialize:
+    """Of messages that are as ``blank`` but for the columns of their records."""
+    layout = MessageColumns(blank)
+    return lambda records: layout.serialize(columns(records))
+
+
+def sensor_serializers(watson: WatsonParameters, base_frame: str) -> dict[str, Serialize]:
+    """Of the drivers' records; what is the same in all messages comes from the drivers' own conversions."""
+    none = (0.0, 0.0, 0.0)
+    still = ImuSample(0, none, none, none, over_range=False)
+    stddevs = (watson.linear_acceleration_stddev, watson.angular_velocity_stddev)
+    joint_state = conversions.blank_joint_state(make, base_frame)
+    hydraulics = conversions.track_hydraulics(make, HydraulicsSample(0, *none, 0.0, 0.0), base_frame)
+    imu = conversions.imu(make, still, watson.frame_id, *stddevs)
+    field = conversions.magnetic_field(make, still, watson.frame_id, watson.magnetic_field_stddev)
+    return {
+        "sprockets": like(joint_state, _sprockets),
+        "hydraulics": like(hydraulics, _hydraulics),
+        "imu/data_raw": like(imu, _imu),
+        "imu/mag": like(field, _field),
+    }
+
+
+def _sprockets(samples: Sequence[SprocketSample]) -> Columns:
+    return {
+        **stamp_columns([s.stamp_ns for s in samples]),
+        "position": np.array([(s.left_position, s.right_position) for s in samples]),
+        "velocity": np.array([(s.left_velocity, s.right_velocity) for s in samples]),
+    }
+
+
+def _hydraulics(samples: Sequence[HydraulicsSample]) -> Columns:
+    names = ("left_pressure", "right_pressure", "left_spool", "right_spool", "supply_pressure")
+    columns = {name: np.array([getattr(s, name) for s in samples]) for name in names}
+    return {**stamp_columns([s.stamp_ns for s in samples]), **columns}
+
+
+def _imu(samples: Sequence[ImuSample]) -> Columns:
+    return {
+        **stamp_columns([s.stamp_ns for s in samples]),
+        **_vectors("angular_velocity", [s.angular_velocity for s in samples]),
+        **_vectors("linear_acceleration", [s.acceleration for s in samples]),
+    }
+
+
+def _field(samples: Sequence[ImuSample]) -> Columns:
+    return {
+        **stamp_columns([s.stamp_ns for s in samples]),
+        **_vectors("magnetic_field", [s.magnetic_field for s in samples]),
+    }
+
+
+def _vectors(name: str, vectors: Sequence[Any]) -> Columns:
+    return dict(zip((f"{name}.x", f"{name}.y", f"{name}.z"), np.array(vectors).T, strict=True))

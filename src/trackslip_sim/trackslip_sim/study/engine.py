@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all studies have in common: a grid of cells, computed piece by piece, resumed, and put into tables."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar, Generic, TypeVar
+
+from trackslip_sim.study.cache import Cache, key_of
+
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+
+
+class Study(ABC, Generic[Piece, Result]):
+    """One grid. A cell of it is a row of a table, and consists of one or more pieces.
+
+    Attributes:
+        cells: the pieces of each cell, in the order of the grid; pieces are dataclasses.
+    """
+
+    UNIT: ClassVar[str]  # of the progress bar: what its pieces are
+    PARAMETERS: ClassVar[Mapping[str, str]]  # option → parameter
+    RESULT: ClassVar[type[Any]]  # what comes of a piece, a dataclass
+    SOURCES: ClassVar[Sequence[ModuleType]]  # a result rests on all files in the folders of these
+    FILE: ClassVar[str]  # of the tables
+
+    cells: Mapping[Any, Sequence[Piece]]
+
+    @abstractmethod
+    def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:
+        """Check parameters and texts of ``--set``; raise ``InputError`` where one is refused."""
+
+    @abstractmethod
+    def rests_on(self, piece: Piece) -> Mapping[str, Any]:
+        """All parameters and files that its result rests on, beside the piece itself."""
+
+    @abstractmethod
+    def compute(self, pieces: Sequence[Piece], jobs: int | None) -> Iterator[Result]:
+        """The results in the order of the pieces, ``jobs`` at a time."""
+
+    @abstractmethod
+    def row(self, cell: Any, results: Sequence[Result]) -> Any:
+        """The row of a cell, a dataclass."""
+
+    @abstractmethod
+    def markdown(self, rows: Sequence[Any]) -> str:
+        """The tables."""
+
+    def __len__(self) -> int:
+        """How many pieces it has."""
+        return sum(map(len, self.cells.values()))
+
+    def run(self, path: Path, jobs: int | None = None, *, fresh: bool = False) -> Iterator[Result]:
+        """The results as they are finished, in the order of the pieces; those in the cache are not computed.
+
+        Raises:
+            InputError: the cache cannot be used, or a piece cannot be driven.
+        """
+        cache: Cache[Result] = Cache(path, self.RESULT, fresh)
+        pieces = [piece for of_cell in self.cells.values() for piece in of_cell]
+        keys = [self._key(piece) for piece in pieces]
+        missing = {key: piece for key, piece in zip(keys, pieces, strict=True) if cache.get(key) is None}
+        computed = self.compute(list(missing.values()), jobs)
+        for key in dict.fromkeys(keys):
+            result = cache.get(key)
+            if result is None:
+                result = next(computed)
+                cache.add(key, result)
+            yield result
+
+    def rows(self, results: Sequence[Result]) -> list[Any]:
+        """One of each cell."""
+        found = iter(results)
+        return [self.row(cell, [next(found) for _ in of_cell]) for cell, of_cell in self.cells.items()]
+
+    def write(self, rows: Sequence[Any], folder: Path) -> None:
+        """The tables as a file."""
+        (folder / self.FILE).write_text(self.markdown(rows), encoding="utf-8")
+
+    def _key(self, piece: Any) -> str:
+        return key_of({"piece": asdict(piece), **self.rests_on(piece)}, *self.SOURCES)

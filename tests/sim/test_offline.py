@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drives recorded faster than real time: nothing is lost by skipping, by streaming, or by writing columns."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trackslip_bags.messages import deserialize, make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_common.topics import TOPICS
+from trackslip_drivers import conversions
+from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
+from trackslip_drivers.watson_parameters import WatsonParameters
+from trackslip_sim.devices.line import NEVER_NS, BaudLine
+from trackslip_sim.machine import offline
+from trackslip_sim.machine.bag_messages import sensor_serializers
+from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
+from trackslip_sim.machine.message_columns import MessageColumns, set_fields, stamp_columns
+from trackslip_sim.machine.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.truth.settings import load_settings
+from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_pieces
+from trackslip_sim.truth.window import KEPT, TruthWindow
+
+PARAMETERS = load_emulator_parameters({"lead_in": 6.0, "seed": 5})
+SCENARIO = load_scenario("patches").stretched(4.0)
+MS = 1_000_000
+WATSON = default_parameters(WatsonParameters, "watson_imu")
+
+
+def messages(path: Path) -> list[tuple[str, int, bytes]]:
+    with open_bag(path) as bag:
+        return [(m.topic, m.log_time_ns, bytes(m.raw)) for m in bag.messages()]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, int, bytes]]:
+    path = tmp_path_factory.mktemp("offline") / "bag"
+    record_drive(PARAMETERS, simulate(SCENARIO), path)
+    return messages(path)
+
+
+def test_skipped_ticks_change_nothing(
+    recorded: list[tuple[str, int, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(EmulatedExcavator, "next_ns", lambda _, now_ns, tick_ns: now_ns + tick_ns)
+    record_drive(PARAMETERS, simulate(SCENARIO), tmp_path / "bag")
+    assert messages(tmp_path / "bag") == recorded
+    assert {topic for topic, _, _ in recorded} >= {"/scan", "/box_pose", "/imu/data_raw", "/truth/soil"}
+
+
+def test_a_truth_in_pieces_gives_the_same_bag(
+    recorded: list[tuple[str, int, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trackslip_sim.truth.simulate.PIECE", 0.7)
+    monkeypatch.setattr("trackslip_sim.truth.window.KEPT", 2.0)
+    monkeypatch.setattr(offline, "_WRITE_NS", 1000 * MS)
+    window = TruthWindow(simulate_in_pieces(SCENARIO), duration_of(SCENARIO, load_settings()))
+    record_drive(PARAMETERS, window, tmp_path / "bag")
+    assert messages(tmp_path / "bag") == recorded
+    assert window.truth.t[0] > 1.0  # what is past has been forgotten
+
+
+def test_a_window_keeps_what_was_just_passed() -> None:
+    pieces = list(simulate_in_pieces(load_scenario("straight").stretched(130.0), mode="thesis"))
+    window = TruthWindow(iter(pieces), 130.0)
+    assert not window.advance(59.0)
+    assert window.advance(119.0)
+    assert window.truth.t[0] <= 119.0 - KEPT + 60.0
+    assert window.truth.t[-1] == pytest.approx(120.0)
+    assert window.advance(1000.0)
+    assert not window.advance(1000.0)
+    assert window.truth.t[-1] == pytest.approx(130.0)
+    np.testing.assert_allclose(np.diff(window.truth.t), 0.005, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 45, 730])
+@pytest.mark.parametrize("baud", [9600, 38400])
+def test_two_reads_bound_the_start_as_well_as_all(count: int, baud: int) -> None:
+    for start_ns in (0, 300_000, 1_999_999):
+        all_reads, few = BaudLine(baud, 10), BaudLine(baud, 10)
+        for line in (all_reads, few):
+            line.send(bytes(count), start_ns)
+        bounds: dict[str, list[int]] = {"all": [], "few": []}
+        ends = dict.fromkeys(bounds, 0)
+        for name, line in (("all", all_reads), ("few", few)):
+            now_ns, got = 2 * MS, 0
+            while got < count:
+                got += len(line.read(now_ns))
+                if got:
+                    bounds[name].append(now_ns - got * 10_000_000_000 // baud)
+                ends[name] = now_ns
+                now_ns = (
+                    now_ns + 2 * MS if name == "all" else min(line.next_read_ns(now_ns, 2 * MS), NEVER_NS)
+                )
+        assert min(bounds["few"]) == min(bounds["all"])
+        assert ends["few"] == ends["all"]
+        assert len(bounds["few"]) <= 3
+        assert few.next_read_ns(ends["few"], 2 * MS) == NEVER_NS
+
+
+def test_columns_make_the_messages_of_the_drivers_own_conversions() -> None:
+    rng = np.random.default_rng(0)
+    numbers = rng.standard_normal((50, 9))
+    stamps = rng.integers(0, 2**40, 50).tolist()
+    vectors = [tuple(tuple(part) for part in row.reshape(3, 3).tolist()) for row in numbers]
+    sprockets = [SprocketSample(s, *row[:4]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
+    pressures = [HydraulicsSample(s, *row[:5]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
+    lines = [ImuSample(s, *parts, over_range=False) for s, parts in zip(stamps, vectors, strict=True)]
+    stddevs = (WATSON.linear_acceleration_stddev, WATSON.angular_velocity_stddev)
+    expected = {
+        "sprockets": [conversions.joint_state(make, s, "base_link") for s in sprockets],
+        "hydraulics": [conversions.track_hydraulics(make, s, "base_link") for s in pressures],
+        "imu/data_raw": [conversions.imu(make, s, WATSON.frame_id, *stddevs) for s in lines],
+        "imu/mag": [
+            conversions.magnetic_field(make, s, WATSON.frame_id, WATSON.magnetic_field_stddev) for s in lines
+        ],
+    }
+    records = {"sprockets": sprockets, "hydraulics": pressures, "imu/data_raw": lines, "imu/mag": lines}
+    for topic, serializer in sensor_serializers(WATSON, "base_link").items():
+        assert list(serializer(records[topic])) == [serialize(message) for message in expected[topic]]
+
+
+def test_columns_of_every_kind_of_field() -> None:
+    """Text, a list of texts, arrays, sequences, small numbers before large ones."""
+    blank = make(
+        "trackslip_msgs/msg/SoilEstimate",
+        class_names=["sand", "dry_clay"],
+        class_probabilities=[0.25, 0.75],
+        reason="none",
+    )
+    blank.header.frame_id = "map"
+    columns = {
+        **stamp_columns([1_500_000_000, 7]),
+        "mu_r": np.array([0.1, 0.2]),
+        "identifiable": np.array([True, False]),
+        "class_probabilities": np.array([[0.5, 0.5], [1.0, 0.0]]),
+    }
+    first, second = (deserialize(raw, blank.__msgtype__) for raw in MessageColumns(blank).serialize(columns))
+    assert (first.header.stamp.sec, first.header.stamp.nanosec, second.header.stamp.nanosec) == (
+        1,
+        500_000_000,
+        7,
+    )
+    assert (first.mu_r, second.mu_r, first.identifiable, second.identifiable) == (0.1, 0.2, True, False)
+    assert list(second.class_probabilities) == [1.0, 0.0]
+    assert (first.reason, first.class_names, first.header.frame_id) == ("none", ["sand", "dry_clay"], "map")
+    assert serialize(second)[:8] != serialize(first)[:8]
+
+
+def test_one_row_of_columns_makes_a_live_message() -> None:
+    message = make(TOPICS["truth/odometry"].type_name)
+    set_fields(message, {**stamp_columns([3_000_000_001]), "twist.twist.angular.z": np.array([0.5])})
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 1)
+    assert message.twist.twist.angular.z == 0.5
