@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a topic holds over time, for scoring: named columns, by stamp."""
 
-from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_fields import headings_of
+from trackslip_tools.replay.growing import GrowingRows
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]
@@ -59,17 +59,18 @@ class SeriesCollector:
 
     def __init__(self, detailed: frozenset[str] = frozenset()) -> None:
         self._detailed = detailed
-        self._parts: dict[str, list[Rows]] = defaultdict(list)
+        self._parts: dict[str, GrowingRows] = {}
 
     def add(self, topic: str, rows: Rows) -> None:
         """More of a topic: records of a class of ``message_fields``."""
-        self._parts[topic].append(_reduced(rows, topic in self._detailed))
+        found = reduced(rows, detailed=topic in self._detailed)
+        self._parts.setdefault(topic, GrowingRows(found.dtype)).add(found)
 
     def series(self) -> dict[str, Series]:
         """Each in the order of the stamps; of several rows with the same stamp the last."""
         found = {}
         for topic in list(self._parts):
-            rows = np.concatenate(self._parts.pop(topic))
+            rows = self._parts.pop(topic).rows()
             stamps_ns = rows["stamp_ns"]
             if (np.diff(stamps_ns) <= 0).any():
                 _, from_the_end = np.unique(stamps_ns[::-1], return_index=True)
@@ -78,7 +79,7 @@ class SeriesCollector:
         return found
 
 
-def _reduced(rows: Rows, detailed: bool) -> Rows:
+def reduced(rows: Rows, *, detailed: bool = False) -> Rows:
     """What scoring needs of them: 8 h of 100 Hz are to fit into memory."""
     names = rows.dtype.names or ()
     if "qx" not in names and "left_slip" not in names:
