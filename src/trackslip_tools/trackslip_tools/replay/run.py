@@ -233,4 +233,4 @@ def reference_path(series: Series, from_ns: int) -> Path:
     covered = series.since(from_ns)
     poses = covered.columns("x", "y", "heading")
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return Path(covered.stamps_ns, poses)
+    return Path(covered.stamps_ns.copy(), poses)

@@ -42,7 +42,7 @@ class Series:
 
     def since(self, start_ns: int) -> "Series":
         """What is not before a stamp."""
-        return Series(self.rows[self.stamps_ns >= start_ns])
+        return Series(self.rows[np.searchsorted(self.stamps_ns, start_ns) :])
 
 
 def series_of(**columns: Any) -> Series:
