@@ -150,7 +150,8 @@ def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:
 def _errors(path: Path, reference: Path) -> FloatArray:
     """(k, 3) at the samples of the reference that the path covers, heading in (−π, π]."""
     inside = _inside(path, reference)
-    stamps_ns, errors = reference.stamps_ns[inside], -reference.poses[inside]
+    stamps_ns = reference.stamps_ns[inside]
+    errors = np.negative(reference.poses[inside], dtype=np.float64)
     for first in range(0, len(errors), _BLOCK):
         part = slice(first, first + _BLOCK)
         errors[part] += path.at(stamps_ns[part])
