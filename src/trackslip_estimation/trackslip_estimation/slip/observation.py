@@ -6,7 +6,7 @@
     l      place of a sensor in base_link                (2,), m
     c      record of ``config.CONFIG``
 
-Yaw rate: z = φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L, i_R).
+Yaw rate: z = s_g φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L, i_R).
 Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R.
 """
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.models.dispatch import slips, slips_jacobian, twist, twist_jacobian
-from trackslip_estimation.slip.models.model import GYRO_BIAS, YAW, X, Y
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, YAW, X, Y
 from trackslip_estimation.slip.motion import rounding, steady_speeds
 from trackslip_estimation.slip.records import POSE, SLIPS, YAW_RATE
 
@@ -72,7 +72,7 @@ def expected(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
         return x[X : X + rows].copy()
     twist_ = twist(x, left, right, c)
     if kind == YAW_RATE:
-        return np.array((twist_[2] + x[GYRO_BIAS],))
+        return np.array((x[GYRO_SCALE] * twist_[2] + x[GYRO_BIAS],))
     return slips(x, twist_, left, right, c)[:2].copy()
 
 
@@ -84,8 +84,8 @@ def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
     left, right = speeds
     J = twist_jacobian(x, left, right, c)
     if kind == YAW_RATE:
-        H = J[2:].copy()
-        H[0, GYRO_BIAS] = 1.0
+        H = x[GYRO_SCALE] * J[2:]
+        H[0, GYRO_BIAS], H[0, GYRO_SCALE] = 1.0, twist(x, left, right, c)[2]
         return H
     return slips_jacobian(twist(x, left, right, c), J, left, right, c)[:2].copy()
 

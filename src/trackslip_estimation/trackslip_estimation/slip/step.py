@@ -22,7 +22,7 @@ from trackslip_estimation.slip.coasting import begin_coast, inflate, reset_veloc
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import COUPLED, linearize, move, twist, twist_jacobian
-from trackslip_estimation.slip.models.model import GYRO_BIAS, SIZE, YAW
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SIZE, YAW
 from trackslip_estimation.slip.motion import Motion, update_motion
 from trackslip_estimation.slip.observation import (
     add_rounding,
@@ -142,7 +142,8 @@ def use(state: Any, measurement: Any, c: Any, update: Any) -> None:
     nis, log_determinant = correct(kind, x, P, (z, R), (left, right), c)
     accepted = nis <= gate
     if kind == YAW_RATE and np.isfinite(limit):
-        rate, variance = z[0] - prior_x[GYRO_BIAS], R[0, 0] + prior_P[GYRO_BIAS, GYRO_BIAS]
+        rate = (z[0] - prior_x[GYRO_BIAS]) / prior_x[GYRO_SCALE]
+        variance = R[0, 0] + prior_P[GYRO_BIAS, GYRO_BIAS]
         if nis <= limit:
             state.streaks[source].count = 0
         elif other_ground(rate, state.streaks[source], (left, right), c):
@@ -176,17 +177,27 @@ def correct(
     speeds: tuple[float, float],
     c: Any,
 ) -> tuple[float, float]:
-    """x and P given z and R (``measured``), which sprocket ``speeds`` predict; returns NIS and ln |S|."""
+    """x and P given z and R (``measured``), which sprocket ``speeds`` predict; returns NIS and ln |S|.
+
+    A yaw rate leaves s_g as it was (Schmidt): it cannot show it, for κ and ε explain the same, and what would
+    seem to be learned is their errors. Fixes show s_g through what it is correlated with.
+    """
     z, R = measured
+    scale, scale_variance = x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE]
     if c.sigma_points:
         points, weights = daf.sigma_points(x, P, c.kappa, c.active)
         Z = np.empty((weights.size, z.size))
         for i in range(weights.size):
             Z[i] = expected(kind, points[i], z.size, speeds, c)
-        return daf.correct(x, P, (points, weights), measured, Z, YAW)
+        nis, log_determinant = daf.correct(x, P, (points, weights), measured, Z, YAW)
+        if kind == YAW_RATE:
+            x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE] = scale, scale_variance
+        return nis, log_determinant
     innovation = z - expected(kind, x, z.size, speeds, c)
     if kind == POSE and z.size > YAW:
         innovation[YAW] = wrap(innovation[YAW])
     nis, log_determinant = ekf.correct(x, P, innovation, jacobian(kind, x, z.size, speeds, c), R)
     x[YAW] = wrap(x[YAW])
+    if kind == YAW_RATE:
+        x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE] = scale, scale_variance
     return nis, log_determinant

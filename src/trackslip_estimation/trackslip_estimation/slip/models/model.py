@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
+X, Y, YAW, GYRO_BIAS, GYRO_SCALE = range(5)  # site frame, m, m, rad; rad/s; 1
 POSE = slice(X, YAW + 1)
-SIZE = 10  # of every state record; a model with a smaller state leaves the rest at zero
+SIZE = 12  # of every state record; a model with a smaller state leaves the rest at zero
 
 
 class Part(NamedTuple):
@@ -30,6 +30,7 @@ class Part(NamedTuple):
 COMMON = (
     Part("pose", POSE, "m, m, rad", "x, y, heading of the track-contact centre in the site frame"),
     Part("gyro_bias", slice(GYRO_BIAS, GYRO_BIAS + 1), "rad/s", "what a gyro shows of no rotation"),
+    Part("gyro_scale", slice(GYRO_SCALE, GYRO_SCALE + 1), "1", "what a gyro shows of 1 rad/s, without its bias"),
 )
 
 

@@ -2,7 +2,7 @@
 """What the models share that know how the vehicle turns: two equations for its speeds, and their errors.
 
 x, y, φ    position of the track-contact centre C, heading            m, m, rad (site frame)
-b_g        bias of the yaw-rate gyro                                  rad/s
+b_g, s_g   bias and scale of the yaw-rate gyro                        rad/s, 1
 m_v, m_ω   velocity errors: v and ω beyond a model's two equations    m/s, rad/s
 a, b       how the vehicle turns: each model has its own pair
 i₀         slip common to both tracks                                 1
@@ -31,15 +31,15 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, SIZE, Part, Prior
+from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, GYRO_SCALE, SIZE, Part, Prior
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
-SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
+SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(5, 11)
 VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
 TURNING_PAIR = slice(FIRST, SECOND + 1)  # each model's own two numbers of how the vehicle turns
-ACTIVE = 10  # numbers of the state
+ACTIVE = 11  # numbers of the state
 PARTS = (
     *COMMON,
     Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),
@@ -87,6 +87,7 @@ class SpeedNoise(Parameters):
     initial_gyro_bias_stddev: float = parameter(
         "standard deviation of b_g at the start", unit="rad/s", gt=0.0
     )
+    initial_gyro_scale_stddev: float = parameter("standard deviation of s_g about 1 at the start", ge=0.0)
 
 
 def prior(n: SpeedNoise, tread: float) -> Prior:
@@ -95,8 +96,10 @@ def prior(n: SpeedNoise, tread: float) -> Prior:
     stddev[SPEED_ERROR], stddev[YAW_RATE_ERROR] = n.standing_velocity_error, n.standing_velocity_error / tread
     stddev[COMMON_SLIP] = n.initial_common_slip_stddev
     stddev[ROTATION_OFFSET] = n.initial_rotation_offset_stddev
-    stddev[GYRO_BIAS] = n.initial_gyro_bias_stddev
-    return Prior(np.zeros(SIZE), stddev)
+    mean = np.zeros(SIZE)
+    stddev[GYRO_BIAS], stddev[GYRO_SCALE] = n.initial_gyro_bias_stddev, n.initial_gyro_scale_stddev
+    mean[GYRO_SCALE] = 1.0
+    return Prior(mean, stddev)
 
 
 def process_noise_density(n: SpeedNoise, motion: MotionState) -> FloatArray:
