@@ -25,13 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.free_slips import LEFT_SLIP
-from trackslip_estimation.slip.models.model import GYRO_BIAS, YAW, X
+from trackslip_estimation.slip.models.model import GYRO_BIAS
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
 from trackslip_estimation.slip.observation import expected
-from trackslip_estimation.slip.records import POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.records import SLIPS, YAW_RATE
 
 FloatArray = NDArray[np.float64]
 
@@ -99,9 +98,6 @@ def widen(
     if kind == SLIPS and has_velocity_errors(c):
         P[COMMON_SLIP, COMMON_SLIP] += innovation.mean() ** 2
         return
-    if kind == POSE and z.size > YAW:
-        innovation[YAW] = wrap(innovation[YAW])
-    first = LEFT_SLIP if kind == SLIPS else X
     for i in range(innovation.size):
         for j in range(innovation.size):
-            P[first + i, first + j] += innovation[i] * innovation[j]
+            P[LEFT_SLIP + i, LEFT_SLIP + j] += innovation[i] * innovation[j]
