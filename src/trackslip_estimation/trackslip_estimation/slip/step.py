@@ -33,6 +33,7 @@ from trackslip_estimation.slip.models.dispatch import (
     twist_jacobian,
 )
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.speed import YAW_RATE_ERROR
 from trackslip_estimation.slip.motion import Motion, update_motion
 from trackslip_estimation.slip.observation import (
     add_rounding,
@@ -168,6 +169,8 @@ def use(state: Any, measurement: Any, c: Any, update: Any) -> None:
     if kind == YAW_RATE and np.isfinite(limit):
         rate = (z[0] - prior_x[GYRO_BIAS]) / prior_x[GYRO_SCALE]
         variance = R[0, 0] + prior_P[GYRO_BIAS, GYRO_BIAS]
+        if adapts:  # what the tracks may err by
+            variance += prior_P[YAW_RATE_ERROR, YAW_RATE_ERROR]
         if surprise <= limit:
             state.streaks[source].count = 0
         elif other_ground(rate, state.streaks[source], (left, right), c):
