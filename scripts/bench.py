@@ -23,6 +23,7 @@ from trackslip_bags.reader import Bag, open_bag
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_sim.truth.bench import drive_seconds
+from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.run import replay
 
 RUNS = 3
@@ -79,10 +80,10 @@ def _graph(directory: Path) -> None:
 
 def _estimator_us(bag: Bag, p: SlipEstimatorParameters) -> float:
     """µs a measurement takes, late ones and what is done again for them included."""
-    inputs = replay(bag, p, InputFilters(), None).inputs
-    measurements = inputs.inputs
     estimator = SlipEstimator(p)
-    seconds = _seconds(lambda: [estimator.advance(measurement) for measurement in measurements])
+    measurements = read_inputs(bag, p, InputFilters(), ()).measurements(estimator.sources)
+    one_by_one = [measurements[k : k + 1] for k in range(len(measurements))]
+    seconds = _seconds(lambda: [estimator.process_records(measurement) for measurement in one_by_one])
     return 1e6 * seconds / len(measurements)
 
 

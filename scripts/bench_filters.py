@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of the filters beside filterpy's EKF, in one run on one thread: ``make bench`` prints the rows.
 
-All run the same measurements through the same model. filterpy is given its compiled functions, so that its
-own algebra is what is timed; it is compared where it is installed (``requirements/bench.txt``).
+All run the same measurements through the same model. filterpy is given our compiled functions, so that its own
+algebra is what is timed; it is compared where it is installed (``requirements/bench.txt``).
 """
 
 import importlib
@@ -13,100 +13,107 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_estimation.slip.batch import Row, make_log, run
-from trackslip_estimation.slip.filter import Filter
-from trackslip_estimation.slip.models import dispatch as equations
-from trackslip_estimation.slip.models.model import DRIVEN, SPROCKETS, Gaussian, rate_measured
-from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
-from trackslip_estimation.slip.parameters import load_slip_parameters, make_filter
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.log import make_log, run_log, run_whole
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.models.dispatch import linearize
+from trackslip_estimation.slip.observation import comparable_speeds, expected, jacobian, observed
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.slip.records import SPROCKETS, to_records
 
 ROWS = 20_000
-STRETCH = 0.01  # s
+STEP_NS = 5_000_000  # from one measurement to the next
 REPEATS = 3  # of which the fastest counts
 
 
 def rows() -> list[tuple[str, str, str, str]]:
-    """What, here, beside, bar: µs of a row; half of them sprockets that predict, half a gyro, updated."""
+    """What, here, beside, bar: µs of a measurement; half of them sprockets that predict, half a gyro, updated."""
     drive = _drive()
-    log, start = make_log(drive), _filter("turning", "ekf").initial(np.zeros(3), np.eye(3) * 1e-3)
     found = {}
     for model in ("turning", "icr", "free_slips"):
         for kind in ("ekf", "daf"):
-            filter_ = _filter(model, kind)
-            begin = filter_.initial(np.zeros(3), np.eye(3) * 1e-3)
-            run(log, filter_, begin)  # compiles, the first time
-            found[model, kind] = min(_timed(run, log, filter_, begin) for _ in range(REPEATS)) / ROWS
-    beside = _beside(drive, start, found["turning", "ekf"])
+            p = load_slip_parameters({"model": model, "filter": kind})
+            log = make_log(to_records(drive, SlipEstimator(p).sources), p)
+            _run(log, p)  # compiles, the first time
+            found[model, kind] = min(_timed(_run, log, p) for _ in range(REPEATS)) / ROWS
+    beside = _beside(drive, found["turning", "ekf"])
     table = [
         (
             f"{kind.upper()} of model {model}, batch",
             f"{1e6 * seconds:.1f} µs",
             beside if (model, kind) == ("turning", "ekf") else "",
-            "≤ 4 µs, ≥ 8 ×" if (model, kind) == ("turning", "ekf") else "",
+            "≤ 2.5 µs, ≥ 8 ×" if (model, kind) == ("turning", "ekf") else "",
         )
         for (model, kind), seconds in found.items()
     ]
-    seconds = min(_timed(_step, _filter("turning", "ekf"), start, drive) for _ in range(REPEATS)) / ROWS
-    return [*table, ("EKF of model turning, a call from Python", f"{1e6 * seconds:.1f} µs", "", "")]
+    estimator = SlipEstimator(load_slip_parameters())
+    seconds = _timed(_one_by_one, estimator, drive) / ROWS
+    return [*table, ("a live measurement in order", f"{1e6 * seconds:.1f} µs", "", "≤ 30 µs")]
 
 
-def _filter(model: str, kind: str) -> Filter:
-    return make_filter(load_slip_parameters({"model": model, "filter": kind}))
-
-
-def _drive() -> list[Row]:
-    """A slalom; every other row a reading of the gyro at the stamp of the sprockets before it."""
-    drive = []
+def _drive() -> list[Measurement]:
+    """A slalom; every other measurement a gyro's, halfway between two samples of the sprockets."""
+    drive: list[Measurement] = [PoseFix("box_pose", 0, np.zeros(3), np.eye(3) * 1e-3)]
+    left = right = 0.0
     for k in range(ROWS):
-        sway = math.sin(k * STRETCH / 4.0)
-        speeds = Speeds(2.0 - sway, 2.0 + sway, STRETCH, differenced=True)
-        measured = DRIVEN if k % 2 == 0 else rate_measured(0.2 * sway, 1e-4)
-        drive.append(Row(STRETCH / 2.0, speeds, MotionState(Motion.TURNING, changing=False), 0, measured))
+        sway = math.sin(k * STEP_NS * 1e-9 / 4.0)
+        left += (2.0 - sway) * STEP_NS * 1e-9
+        right += (2.0 + sway) * STEP_NS * 1e-9
+        if k % 2:
+            drive.append(YawRate("imu/data_raw", (k + 1) * STEP_NS, 0.2 * sway, 1e-4))
+        else:
+            drive.append(Sprockets("sprockets", (k + 1) * STEP_NS, 2.0 - sway, 2.0 + sway, (left, right)))
     return drive
 
 
-def _step(filter_: Filter, state: Gaussian, drive: list[Row]) -> None:
-    for row in drive:
-        state = filter_.step(state, row.speeds, row.dt, row.motion, row.measured).updated
+def _run(log: Any, p: SlipEstimatorParameters) -> int:
+    return sum(len(block.states) for block in run_log(log, p))
 
 
-def _beside(drive: list[Row], start: Gaussian, ours: float) -> str:
+def _one_by_one(estimator: SlipEstimator, drive: list[Measurement]) -> None:
+    for measurement in drive:
+        estimator.process(measurement)
+
+
+def _beside(drive: list[Measurement], ours: float) -> str:
     if importlib.util.find_spec("filterpy") is None:
         return "filterpy is not installed"
     kalman = importlib.import_module("filterpy.kalman")
     some = drive[: ROWS // 10]
-    seconds = min(_timed(_filterpy, kalman, start, some) for _ in range(REPEATS)) / len(some)
+    seconds = min(_filterpy(kalman, some) for _ in range(REPEATS)) / len(some)
     return f"filterpy {1e6 * seconds:.0f} µs, {seconds / ours:.0f} ×"
 
 
-def _filterpy(kalman: Any, start: Gaussian, drive: list[Row]) -> None:
-    """The same rows through ``filterpy.kalman.ExtendedKalmanFilter``."""
-    c = _filter("turning", "ekf").constants[0]
-    their = kalman.ExtendedKalmanFilter(start.mean.size, 1)
-    their.x, their.P = start.mean.copy(), start.covariance.copy()
-    for row in drive:
-        left, right, stretch, counted = row.speeds
-        kind, z, R = row.measured
-        motion, changing, departure = int(row.motion.motion), int(row.motion.changing), row.motion.departure
-        moved = equations.move(their.x, left, right, row.dt, motion, c)
-        their.F = equations.transition(their.x, left, right, row.dt, motion, c)
-        their.Q = equations.process_noise(
-            their.x, their.P, left, right, row.dt, motion, changing, departure, c
-        )
+def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
+    """Seconds of the same measurements through ``filterpy.kalman.ExtendedKalmanFilter``."""
+    p = load_slip_parameters()
+    estimator = SlipEstimator(p)
+    log = make_log(to_records(drive, estimator.sources), p)
+    estimator.process_records(log.begin)
+    states = run_whole(log.rest, estimator.window, estimator.config).states[1:]  # what the sprockets did
+    c, start = estimator.config[0], estimator.window.states[0]
+    their = kalman.ExtendedKalmanFilter(start["mean"].size, 1)
+    their.x, their.P = start["mean"].copy(), start["covariance"].copy()
+    began = time.perf_counter()
+    for measurement, drive_ in zip(log.rest, states, strict=True):
+        moved, their.F, their.Q = linearize(their.x, their.P, drive_, STEP_NS * 1e-9, c)
         their.predict()
         their.x = moved
+        kind = int(measurement["kind"])
         if kind == SPROCKETS:  # they drive, and measure nothing
             continue
-        R = equations.noise(kind, their.x, R, left, right, stretch, counted, c)
-        arguments = (left, right, c)
+        z, R = observed(measurement, False, c)
+        speeds = comparable_speeds(kind, drive_, c)[:2]
+        arguments = (1, speeds, c)
         their.update(
             z,
-            lambda x, *a, kind=kind: equations.jacobian(kind, x, *a),
-            lambda x, *a, kind=kind: equations.expected(kind, x, *a),
+            lambda x, *a, kind=kind: jacobian(kind, x, *a),
+            lambda x, *a, kind=kind: expected(kind, x, *a),
             R,
             arguments,
             arguments,
         )
+    return time.perf_counter() - began
 
 
 def _timed(function: Any, *arguments: Any) -> float:

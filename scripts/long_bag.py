@@ -14,6 +14,8 @@ from pathlib import Path
 from struct import Struct
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.layout import Layout
 from trackslip_bags.messages import make, serialize
@@ -32,9 +34,11 @@ from trackslip_common.message_fields import (
 )
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.estimator import make_step
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.replay.inputs import ODOMETRY, REPORTS, TRACK_SLIP
-from trackslip_tools.replay.run import message_of, replay
+from trackslip_tools.replay.output import message_of
+from trackslip_tools.replay.run import Part, replay
 
 _STAMP, _POSITIONS, _NUMBER = Struct("<iI"), Struct("<2d"), Struct("<Q")
 _XY, _Q = Struct("<2d"), Struct("<4d")
@@ -101,9 +105,14 @@ def lengthen(bag: Bag, output: Path, seconds: float, *, live: bool) -> None:
 def _live(bag: Bag) -> Iterator[BagMessage]:
     """What the slip estimator publishes over the bag, logged as its measurement is."""
     p = load_slip_parameters(bag_parameters(bag))
-    result = replay(bag, p, InputFilters(), None)
-    log_times = result.inputs.rows["log_time_ns"].tolist()
-    for sequence, ((report, estimate), logged_ns) in enumerate(zip(result.steps, log_times, strict=True)):
+    parts: list[Part] = []
+    replay(bag, p, InputFilters(), None, watch=parts.append)
+    arrivals, results = (
+        np.concatenate([getattr(of, name) for of in parts]) for name in ("arrivals", "results")
+    )
+    for sequence, (arrival, found) in enumerate(zip(arrivals, results, strict=True)):
+        report, estimate = make_step(found.item(), parts[0].sources[arrival["source"]])
+        logged_ns = int(arrival["log_time_ns"])
         message = conversions.measurement_report(make, report, sequence)
         yield BagMessage(f"/{REPORTS}", TOPICS[REPORTS].type_name, logged_ns, serialize(message))
         if estimate is None:

@@ -163,7 +163,7 @@ def test_all_that_a_user_asks_is_done_told_and_given_back(programs, observer):
     values = {entry.key: entry.value for entry in silent.values}
     assert values["restarts"] == "1"
     assert int(values["sprockets too_late"]) == 4
-    assert "if honest" in values["box_pose nis"]
+    assert "if consistent" in values["box_pose nis"]
 
     told = [r.source for r in machine.reports if r.source.startswith("slip_estimator/")]
     names = ("freeze", "unfreeze", "set_pose", "parameters", "parameters", "reset")

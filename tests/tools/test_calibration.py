@@ -155,7 +155,7 @@ def test_a_gyro_upside_down_is_told_by_headings_and_by_the_tracks(scale: float) 
         (
             (STAND, STRAIGHT, STRAIGHT),
             ("gyro_scale", "pose_delay", "imu_roll", "imu_pitch"),
-            "rad tell something",
+            "rad in all; needed",
         ),
         ((STAND, STRAIGHT, STRAIGHT), ("turning_efficiency", "effective_tread", "gyro_delay"), "turns"),
         (

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fixtures.arrival_rows import measurements_of
 
 from trackslip_bags import chunks
 from trackslip_bags.input_filters import InputFilters, Thin, Withhold
@@ -15,8 +16,7 @@ from trackslip_common.message_fields import OdometryFields, dtype_of
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import (
     RESET,
-    Command,
-    Input,
+    Measurement,
     Outcome,
     PoseFix,
     Report,
@@ -24,7 +24,7 @@ from trackslip_estimation.slip.measurements import (
     YawRate,
 )
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_tools.replay.arrivals import ARRIVAL, Kind, inputs_of
+from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND
 from trackslip_tools.replay.inputs import InputStream, read_inputs
 
 P = load_slip_parameters()
@@ -68,7 +68,7 @@ def test_the_length_of_the_batches_changes_nothing(
 
 def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path) -> None:
     """In log order, for the bag has no journal."""
-    expected: list[Input] = []
+    expected: list[Measurement] = []
     with open_bag(emulated_bag) as bag:
         for message in bag.messages(["sprockets", "imu/data_raw", "box_pose"]):
             content, source = bag.deserialize(message.raw, message.type_name), message.topic[1:]
@@ -78,8 +78,7 @@ def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path
                 expected.append(conversions.pose_fix(content, source))
             else:
                 expected.append(conversions.yaw_rate(content, source, P.yaw_rate_stddev**2))
-        stream = InputStream(bag, P, InputFilters())
-        found = [m for batch in stream for m in inputs_of(batch.rows, stream.sources, stream.reloads)]
+        found = measurements_of(read_inputs(bag, P, InputFilters(), ()))
     assert list(map(repr, found)) == list(map(repr, expected))
     assert {type(m) for m in found} == {Sprockets, YawRate, PoseFix}
 
@@ -104,19 +103,19 @@ def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path:
     late_ns = (rng.random(len(given.rows)) * 3e8).astype(np.int64)
     order = np.argsort(given.rows["log_time_ns"] + late_ns, kind="stable")
     times_ns = (given.rows["log_time_ns"] + late_ns)[order]
-    live = [given.inputs[k] for k in order]
+    live = given.rows[order]
     lines = [
-        (int(t), Report(m.source, m.stamp_ns, Outcome.ACCEPTED))
-        for t, m in zip(times_ns.tolist(), live, strict=True)
+        (int(t), Report(given.sources[row["source"]], int(row["stamp_ns"]), Outcome.ACCEPTED))
+        for t, row in zip(times_ns, live, strict=True)
     ]
     lines[2000] = (lines[2000][0], Report(RESET, 0, Outcome.ACCEPTED))
     with open_bag(journaled(tmp_path / "bag", emulated_bag, lines)) as bag:
         found = read_inputs(bag, P, InputFilters(), ())
-    expected = [*live[:2000], Command(RESET, 0), *live[2001:]]
-    assert list(map(repr, found.inputs)) == list(map(repr, expected))
+    np.testing.assert_array_equal(np.delete(found.rows, 2000), np.delete(live, 2000))
     assert found.counts.lines == len(lines)
     assert (found.counts.lost_lines, found.counts.lost_inputs) == (0, 0)
-    assert Kind(found.rows[2000]["kind"]) is Kind.COMMAND
+    command = found.rows[2000]
+    assert (command["kind"], found.sources[command["source"]]) == (IS_COMMAND, RESET)
 
 
 def test_a_pose_set_with_stamp_0_does_not_stretch_the_duration(emulated_bag: Path, tmp_path: Path) -> None:

@@ -6,7 +6,8 @@ import pytest
 from fixtures.arrival_rows import rows_of
 
 from trackslip_estimation.slip.measurements import YawRate
-from trackslip_tools.replay.arrivals import Kind, Rows
+from trackslip_estimation.slip.records import YAW_RATE
+from trackslip_tools.replay.arrivals import IS_COMMAND, Rows
 from trackslip_tools.replay.live_order import HORIZON_NS, LINE, JournalCounts, LiveOrder
 
 SOURCES = ("a", "b", "gnss", "reset", "sprockets")
@@ -84,13 +85,13 @@ def test_a_line_whose_message_the_bag_lacks_is_passed_over_and_counted() -> None
 def test_repeats_are_processed_as_often_and_in_the_order_in_which_they_came() -> None:
     arrivals = [arrival("a", 1, 10, rate=0.1), arrival("a", 1, 11, rate=0.2), arrival("a", 2, 12)]
     rows, _ = ordered(arrivals, journal((20, "a", 1), (21, "a", 2), (22, "a", 1), (23, "a", 1)))
-    found = [(int(row["stamp_ns"]), float(row["z"][0])) for row in rows]
+    found = [(int(row["stamp_ns"]), float(row["value"][0])) for row in rows]
     assert found == [(1, 0.1), (2, 0.0), (1, 0.2)]
 
 
 def test_commands_come_from_their_lines() -> None:
     rows, counts = ordered([arrival("a", 1, 10)], journal((20, "reset", 7), (21, "a", 1)))
-    assert [Kind(row["kind"]) for row in rows] == [Kind.COMMAND, Kind.YAW_RATE]
+    assert rows["kind"].tolist() == [IS_COMMAND, YAW_RATE]
     assert (rows[0]["stamp_ns"], rows[0]["log_time_ns"]) == (7, 20)
     assert counts.lost_inputs == 0
 

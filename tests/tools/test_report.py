@@ -76,7 +76,7 @@ def test_slips_stand_beside_the_truth_where_the_machine_moves(run: Run) -> None:
 
 
 def test_the_smoother_is_shown_beside_the_filter(run: Run) -> None:
-    later = run.replay.estimates[1000:]
+    later = run.details.estimates[1000:]
     both = dataclasses.replace(run, smoothed=later)
     panel = titled(motion_panels([both]), "Speed")
     _, estimate, smoothed = panel.curves

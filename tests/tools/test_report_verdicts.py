@@ -3,6 +3,7 @@
 
 import dataclasses
 import re
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -10,13 +11,13 @@ import numpy as np
 import pytest
 
 from trackslip_common.tally import Tally
-from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.measurements import Input, Outcome, PoseFix, Report
-from trackslip_estimation.slip.models.model import Outputs
+from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.records import POSE, RESULT, SPROCKETS
+from trackslip_tools.replay.arrivals import ARRIVAL
 from trackslip_tools.replay.comparison import LiveComparison
-from trackslip_tools.replay.inputs import Inputs
-from trackslip_tools.replay.run import Replay
+from trackslip_tools.replay.run import KEPT, Part, Replay
+from trackslip_tools.report.details import Details
 from trackslip_tools.report.innovations import innovation_panels, innovations_of, whitened_fixes
 from trackslip_tools.report.panel import GREEN, Form
 from trackslip_tools.report.recording import Timing
@@ -48,23 +49,25 @@ def consistent_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
     """Fixes about a machine at rest whose pose is known with an error as claimed, times ``factor``."""
     rng = np.random.default_rng(3)
     own, theirs = np.diag((0.02, 0.03, 0.01)), np.diag((0.05, 0.04, 0.02))
-    outputs = Outputs(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
-    steps: list[tuple[Report, Estimate | None]] = []
-    arrivals: list[Input] = []
-    for k in range(size):
-        stamp_ns = k * 100 * MS
-        pose = factor * own @ rng.normal(size=3) + np.array((1.0, 2.0, np.pi))
-        steps.append((Report("sprockets", stamp_ns, Outcome.ACCEPTED), None))
-        estimate = Estimate(stamp_ns, pose, own @ own, outputs, Motion.STRAIGHT)
-        steps.append((Report("sprockets", stamp_ns, Outcome.ACCEPTED), estimate))
-        fix_pose = np.array((1.0, 2.0, -np.pi)) + factor * theirs @ rng.normal(size=3)
-        fix = PoseFix("box_pose", stamp_ns, fix_pose, theirs @ theirs)
-        arrivals.append(fix)
-        nis = float(rng.chisquare(3)) * factor**2
-        steps.append((Report("box_pose", stamp_ns, Outcome.ACCEPTED, nis, 21.1, 3), None))
-        steps.append((Report("box_pose", stamp_ns + 1, Outcome.GATED, 500.0, 21.1, 3), None))
-    inputs = Inputs(run.recording.start_ns, inputs=arrivals)
-    return dataclasses.replace(run, replay=Replay(1.0, 1.0, inputs, steps, Tally()))
+    sources, k = ("sprockets", "box_pose"), np.arange(size)
+    arrivals, results = np.zeros((size, 4), ARRIVAL), np.zeros((size, 4), RESULT)
+    arrivals["source"], arrivals["kind"] = (0, 0, 1, 1), (SPROCKETS, SPROCKETS, POSE, POSE)
+    arrivals["stamp_ns"] = results["stamp_ns"] = k[:, np.newaxis] * 100 * MS + (0, 0, 0, 1)
+    results["outcome"][:, 3] = Outcome.GATED
+    results["dof"][:, 2:], results["gate"][:, 2:], results["nis"][:, :2] = 3, 21.1, np.nan
+    results["nis"][:, 2], results["nis"][:, 3] = rng.chisquare(3, size) * factor**2, 500.0
+    results["published"][:, 1] = True
+    estimates = results["estimate"][:, 1]
+    estimates["stamp_ns"], estimates["motion"] = k * 100 * MS, Motion.STRAIGHT
+    estimates["pose"] = factor * rng.normal(size=(size, 3)) @ own + (1.0, 2.0, np.pi)
+    estimates["pose_covariance"] = own @ own
+    fixes = arrivals[:, 2]
+    fixes["value"] = (1.0, 2.0, -np.pi) + factor * rng.normal(size=(size, 3)) @ theirs
+    fixes["noise"] = theirs @ theirs
+    details = Details()
+    details.add(Part(sources, arrivals.ravel(), results.ravel(), {}))
+    published = np.zeros(size, KEPT)
+    return dataclasses.replace(run, replay=Replay(1.0, 1.0, Counter(), published, Tally()), details=details)
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.0])
@@ -113,7 +116,7 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
     ("name", "change", "words"),
     [
         ("Bag", lambda r: changed(r, recording={"damage": "cut short"}), "cut short"),
-        ("Position", lambda r: dataclasses.replace(r, replay=consistent_run(r, size=0).replay), "no fix"),
+        ("Position", lambda r: dataclasses.replace(r, details=Details()), "no fix"),
         ("Consistency of the pose", lambda r: changed(r, nees=30.0), "3.16 times .* too sure"),
         ("Consistency of the pose", lambda r: changed(r, nees=0.3), "0.32 times .* too modest"),
         ("Consistency of the innovations", lambda r: consistent_run(r, 2.0), "box_pose .* too sure"),
@@ -146,7 +149,7 @@ def test_rejections_are_shares_of_their_source(run: Run) -> None:
     rejected.add("box_pose", Outcome.GATED, 10)
     rejected.add("sprockets", Outcome.WAITING, 1000)
     few = changed(run, rejected=rejected)
-    share = 10 / run.replay.inputs.messages["box_pose"]
+    share = 10 / run.replay.messages["box_pose"]
     assert rejection_rows(few)[0] == ("box_pose", "gated", "10", f"{100.0 * share:.2f}")
     found = verdicts(few)["Rejections"]
     assert found.state is State.ATTENTION

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trackslip_estimation.slip.estimator import Estimate
+from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.scoring import (
     Score,
@@ -18,7 +18,7 @@ from trackslip_tools.replay.scoring import (
     score,
     slip_rmse,
 )
-from trackslip_tools.replay.series import Series, series_of
+from trackslip_tools.replay.series import Rows, Series, series_of
 
 FloatArray = NDArray[np.float64]
 
@@ -34,10 +34,13 @@ def path(times: tuple[int, ...], *poses: tuple[float, float, float]) -> Path:
     return Path(stamps(*times), np.array(poses))
 
 
-def estimate(ms: int, pose: tuple[float, float, float], covariance: FloatArray | None = None) -> Estimate:
-    nothing: Any = None  # of what scoring does not look at
-    P = np.eye(3) if covariance is None else covariance
-    return Estimate(EPOCH_NS + ms * MS, np.array(pose), P, nothing, nothing)
+def estimates(*of: tuple[int, tuple[float, float, float], FloatArray]) -> Rows:
+    """Of times in ms, poses and covariances."""
+    found = np.zeros(len(of), ESTIMATE)
+    for record, (ms, pose, covariance) in zip(found, of, strict=True):
+        record["stamp_ns"], record["pose"] = EPOCH_NS + ms * MS, pose
+        record["pose_covariance"] = covariance
+    return found
 
 
 def test_a_path_against_itself_has_no_error() -> None:
@@ -83,7 +86,8 @@ def test_heading_errors_go_the_short_way_round() -> None:
 
 
 def test_the_path_of_estimates_turns_on_through_pi() -> None:
-    made = path_of([estimate(0, (0, 0, 3.1)), estimate(100, (1, 0, -3.1))])
+    P = np.eye(3)
+    made = path_of(estimates((0, (0, 0, 3.1), P), (100, (1, 0, -3.1), P)))
     assert made.poses[1, 2] == pytest.approx(2 * math.pi - 3.1)
     assert made.at(stamps(50))[0, 2] == pytest.approx(math.pi)
 
@@ -92,21 +96,22 @@ def test_nees_by_hand() -> None:
     """(0.2, 0, 0) with σ = 0.1 is 4; the second error has correlated x and y."""
     P = np.diag((0.01, 0.01, 0.01))
     R = np.array(((0.01, 0.005, 0.0), (0.005, 0.01, 0.0), (0.0, 0.0, 0.04)))
-    own = [estimate(0, (0.2, 0, 0), P), estimate(100, (0.1, 0.1, 0.2), R)]
+    own = estimates((0, (0.2, 0, 0), P), (100, (0.1, 0.1, 0.2), R))
     reference = path((0, 100), (0, 0, 0), (0, 0, 0))
     second = 2 * 0.01 / 0.015 + 1.0  # along (1, 1) the variance is 0.015
     assert mean_nees(own, reference) == pytest.approx((4.0 + second) / 2.0)
 
 
 def test_nees_takes_the_covariance_nearest_in_time() -> None:
-    own = [estimate(t, (1, 0, 0), np.eye(3) * v) for t, v in ((0, 1.0), (100, 4.0), (300, 16.0))]
+    own = estimates(*((t, (1, 0, 0), np.eye(3) * v) for t, v in ((0, 1.0), (100, 4.0), (300, 16.0))))
     for ms, variance in ((10, 1.0), (49, 1.0), (51, 4.0), (190, 4.0), (210, 16.0), (300, 16.0)):
         assert mean_nees(own, path((ms,), (0, 0, 0))) == pytest.approx(1.0 / variance)
 
 
 def test_nees_is_none_where_nothing_is_covered() -> None:
-    assert mean_nees([estimate(0, (0, 0, 0))], path((50,), (0, 0, 0))) is None
-    assert mean_nees([estimate(0, (0, 0, 0))], path((0,), (0, 0, 0))) == 0.0
+    own = estimates((0, (0, 0, 0), np.eye(3)))
+    assert mean_nees(own, path((50,), (0, 0, 0))) is None
+    assert mean_nees(own, path((0,), (0, 0, 0))) == 0.0
 
 
 def slips(stamps_ns: Any, left: Any, right: Any) -> Series:

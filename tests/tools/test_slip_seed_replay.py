@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.arrival_rows import measurements_of
 
 from trackslip_bags import tables
 from trackslip_bags.input_filters import InputFilters
@@ -17,16 +18,17 @@ from trackslip_common.errors import InputError
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurements import Outcome, SlipFix
+from trackslip_estimation.slip.measurements import Outcome, Report, SlipFix
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.conversions import message_of
 from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay.inputs import read_inputs
-from trackslip_tools.replay.output import write_estimates
+from trackslip_tools.replay.output import EstimateWriter
 from trackslip_tools.replay.run import Replay, replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_messages
+from trackslip_tools.report.details import Details
 
 SOURCE = {"slip_sources": ["slip_seed"]}
 MODELS = ("free_slips", "turning")
@@ -51,40 +53,47 @@ def seeded(
     return write_bag(tmp_path_factory.mktemp("seeds") / "bag", [*lines, *found])
 
 
-def replayed(path: Path, **changes: Any) -> Replay:
+def replayed(path: Path, details: Details | None = None, **changes: Any) -> Replay:
+    watch = (details or Details()).add
     with open_bag(path) as bag:
-        return replay(bag, load_slip_parameters(changes), InputFilters(), None)
+        return replay(bag, load_slip_parameters(changes), InputFilters(), None, watch=watch)
+
+
+def reports_of(details: Details) -> list[Report]:
+    names = ("stamp_ns", "outcome", "nis", "gate", "dof")
+    rows = zip(details.reports["source"].tolist(), details.reports[list(names)].tolist(), strict=True)
+    return [Report(details.sources[source], row[0], Outcome(row[1]), *row[2:]) for source, row in rows]
 
 
 def numbers(result: Replay) -> list[bytes]:
-    return [
-        np.concatenate((e.pose, e.pose_covariance.ravel(), e.outputs.slips)).tobytes()
-        for e in result.estimates
-    ]
+    return [estimate.tobytes() for estimate in result.estimates]
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_replay_takes_seeds_as_the_estimator_does(seeded: Path, model: str) -> None:
-    result = replayed(seeded, **SOURCE, model=model)
-    reports = [report for report, _ in result.steps if report.source == "slip_seed"]
+    details = Details()
+    result = replayed(seeded, details, **SOURCE, model=model)
+    reports = [report for report in reports_of(details) if report.source == "slip_seed"]
     assert [report.outcome for report in reports] == [Outcome.ACCEPTED, Outcome.INVALID]
-    assert result.inputs.messages["slip_seed"] == 2
+    assert result.messages["slip_seed"] == 2
     assert result.rejected.total["slip_seed", "invalid"] == 1
     p = load_slip_parameters(SOURCE | {"model": model})
     with open_bag(seeded) as bag:
-        given = read_inputs(bag, p, InputFilters(), ()).inputs
+        given = measurements_of(read_inputs(bag, p, InputFilters(), ()))
     assert sum(isinstance(m, SlipFix) for m in given) == 2
     estimator = SlipEstimator(p)
-    estimates = [estimate for _, estimate in map(estimator.advance, given) if estimate is not None]
-    assert [e.outputs.slips.tobytes() for e in result.estimates] == [
+    estimates = [estimate for _, estimate in map(estimator.process, given) if estimate is not None]
+    assert [slips.tobytes() for slips in result.estimates["slips"]] == [
         e.outputs.slips.tobytes() for e in estimates
     ]
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_live_run_with_seeds_is_given_back(seeded: Path, model: str, tmp_path: Path) -> None:
-    result = replayed(seeded, **SOURCE, model=model)
-    write_estimates(tmp_path / "own", result, load_slip_parameters(SOURCE | {"model": model}))
+    p, details = load_slip_parameters(SOURCE | {"model": model}), Details()
+    with open_bag(seeded) as bag, EstimateWriter(tmp_path / "own", p) as writer:
+        replay(bag, p, InputFilters(), None, watch=writer.add)
+    replayed(seeded, details, **SOURCE, model=model)
     messages = []
     for path in (seeded, tmp_path / "own"):
         with open_bag(path) as bag:
@@ -92,7 +101,7 @@ def test_a_live_run_with_seeds_is_given_back(seeded: Path, model: str, tmp_path:
     with BagWriter(tmp_path / "live") as live:
         for message in sorted(messages, key=lambda m: m.log_time_ns):
             live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
-        for sequence, (report, _) in enumerate(result.steps):  # a journal in the order of arrival
+        for sequence, report in enumerate(reports_of(details)):  # a journal in the order of arrival
             raw = serialize(conversions.measurement_report(make, report, sequence))
             live.write("/measurement_reports", REPORTS, raw, LAST_NS + sequence)
     again = replayed(tmp_path / "live", **SOURCE, model=model)
@@ -115,7 +124,7 @@ def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pyt
     def seeds() -> list[bytes]:
         with open_bag(seeded) as bag:
             inputs = read_inputs(bag, load_slip_parameters(SOURCE), InputFilters(), ())
-        fixes = [m for m in inputs.inputs if isinstance(m, SlipFix)]
+        fixes = [m for m in measurements_of(inputs) if isinstance(m, SlipFix)]
         return [np.array((m.stamp_ns, *m.slips, *m.covariance.ravel())).tobytes() for m in fixes]
 
     by_column = seeds()

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
-from trackslip_common.errors import ExitCode
-from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_common.errors import ExitCode, InputError
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.log import make_log
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFix, Sprockets
-from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.slip.records import to_records
 from trackslip_tools.cli.main import main
+from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth
 
 FloatArray = NDArray[np.float64]
@@ -28,19 +31,24 @@ OUTAGE = (22 * S, 34 * S)  # of the fixes, while the machine turns both ways
 
 @pytest.fixture(scope="module")
 def outage(log: Any) -> Smoothed:
-    return smooth(without(log.measurements, PoseFix, *OUTAGE), load_slip_parameters())
+    return smoothed_of(without(log.measurements, PoseFix, *OUTAGE))
+
+
+def smoothed_of(measurements: list[Measurement], p: SlipEstimatorParameters | None = None) -> Smoothed:
+    """All blocks together."""
+    p = p or load_slip_parameters()
+    blocks = list(smooth(make_log(to_records(measurements, SlipEstimator(p).sources), p), p))
+    return Smoothed(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
 
 
 def without(found: tuple[Measurement, ...], kind: type, start_ns: int, stop_ns: int) -> list[Measurement]:
     return [m for m in found if not (isinstance(m, kind) and start_ns <= m.stamp_ns < stop_ns)]
 
 
-def errors(
-    estimates: list[Estimate], log: Any, start_ns: int = 0, stop_ns: int = 2**62
-) -> tuple[float, float]:
+def errors(estimates: Rows, log: Any, start_ns: int = 0, stop_ns: int = 2**62) -> tuple[float, float]:
     """RMS of position, m, and of heading, rad."""
-    inside = [e for e in estimates if start_ns <= e.stamp_ns < min(stop_ns, int(log.truth_ns[-1]))]
-    found = np.array([e.pose - log.true_pose(e.stamp_ns) for e in inside])
+    inside = [e for e in estimates if start_ns <= e["stamp_ns"] < min(stop_ns, int(log.truth_ns[-1]))]
+    found = np.array([e["pose"] - log.true_pose(e["stamp_ns"]) for e in inside])
     found[:, 2] = np.angle(np.exp(1j * found[:, 2]))
     position, heading = (
         np.sqrt(np.mean(np.sum(found[:, :2] ** 2, axis=1))),
@@ -62,7 +70,7 @@ def rough(found: list[Measurement], seed: int) -> list[Measurement]:
 
 def test_is_better_than_the_filter_and_much_better_inside_an_outage(log: Any) -> None:
     found = without(log.measurements, PoseFix, *OUTAGE)
-    runs = [smooth(rough(found, seed), load_slip_parameters()) for seed in range(4)]
+    runs = [smoothed_of(rough(found, seed)) for seed in range(4)]
     for span, gain in (((0, 2**62), 0.8), (OUTAGE, 0.7)):
         for number in range(2):  # position, heading
             filtered = np.mean([errors(run.filtered, log, *span)[number] for run in runs])
@@ -73,28 +81,28 @@ def test_is_better_than_the_filter_and_much_better_inside_an_outage(log: Any) ->
 def test_claims_no_more_than_it_may(log: Any, outage: Smoothed) -> None:
     """Never less sure than the filter; and the errors fit what is claimed."""
     gained = [
-        np.linalg.eigvalsh(f.pose_covariance - s.pose_covariance)[0] / np.trace(f.pose_covariance)
-        for f, s in zip(*outage, strict=True)
+        np.linalg.eigvalsh(f - s)[0] / np.trace(f)
+        for f, s in zip(*(estimates["pose_covariance"] for estimates in outage), strict=True)
     ]
     assert min(gained) > -1e-9
     weighed = []
     for e in outage.smoothed:
-        error = e.pose - log.true_pose(e.stamp_ns)
+        error = e["pose"] - log.true_pose(e["stamp_ns"])
         error[2] = np.angle(np.exp(1j * error[2]))
-        weighed.append(error @ np.linalg.solve(e.pose_covariance, error))
-    assert np.mean(weighed) < 6.0, "3 if honest; one drive's errors are few and go together"
+        weighed.append(error @ np.linalg.solve(e["pose_covariance"], error))
+    assert np.mean(weighed) < 6.0, "3 if consistent; one drive's errors are few and go together"
 
 
 def test_ends_where_the_filter_ends_in_any_order_of_arrival(log: Any, outage: Smoothed) -> None:
     found = without(log.measurements, PoseFix, *OUTAGE)
     shuffled = [found[i] for i in np.random.default_rng(3).permutation(len(found))]
-    again = smooth(shuffled, load_slip_parameters())
+    again = smoothed_of(shuffled)
     live = SlipEstimator(load_slip_parameters())
     for measurement in sorted(found, key=lambda m: m.stamp_ns):
-        live.take(measurement)
+        live.process(measurement)
     for estimates in (outage.smoothed, again.smoothed, outage.filtered):
-        np.testing.assert_allclose(estimates[-1].pose, live.estimate().pose, atol=1e-9)
-    np.testing.assert_array_equal([e.pose for e in again.smoothed], [e.pose for e in outage.smoothed])
+        np.testing.assert_allclose(estimates[-1]["pose"], live.estimate().pose, atol=1e-9)
+    np.testing.assert_array_equal(again.smoothed["pose"], outage.smoothed["pose"])
 
 
 def test_a_users_word_is_no_news_of_what_was_before(log: Any) -> None:
@@ -102,18 +110,20 @@ def test_a_users_word_is_no_news_of_what_was_before(log: Any) -> None:
     moved = log.true_pose(at_ns) + np.array((3.0, 0.0, 0.0))
     word = PoseFix(SET_POSE, at_ns, moved, np.diag((1e-4, 1e-4, 1e-4)))
     fixes = without(log.measurements, PoseFix, at_ns, 2**62)
-    told = smooth([*fixes, word], load_slip_parameters()).smoothed
-    plain = smooth([m for m in fixes if m.stamp_ns < at_ns], load_slip_parameters()).smoothed
-    before = [e.pose for e in told if e.stamp_ns < at_ns]
-    assert np.abs(np.array(before) - np.array([e.pose for e in plain])[: len(before)]).max() < 1e-6
-    assert abs(told[-1].pose[0] - log.true_pose(told[-1].stamp_ns)[0]) > 1.0
+    told = smoothed_of([*fixes, word]).smoothed
+    plain = smoothed_of([m for m in fixes if m.stamp_ns < at_ns]).smoothed
+    before = told["pose"][told["stamp_ns"] < at_ns]
+    assert np.abs(before - plain["pose"][: len(before)]).max() < 1e-6
+    assert abs(told["pose"][-1, 0] - log.true_pose(told["stamp_ns"][-1])[0]) > 1.0
 
 
 def test_silent_sprockets_leave_a_gap_and_no_nonsense(log: Any) -> None:
     gap = (20 * S, 22 * S)
-    found = smooth(without(log.measurements, Sprockets, *gap), load_slip_parameters())
-    assert not any(gap[0] <= e.stamp_ns < gap[1] for e in found.smoothed)
-    assert all(np.isfinite(e.pose).all() and np.isfinite(e.outputs.slips).all() for e in found.smoothed)
+    found = smoothed_of(without(log.measurements, Sprockets, *gap))
+    stamps_ns = found.smoothed["stamp_ns"]
+    assert not ((gap[0] <= stamps_ns) & (stamps_ns < gap[1])).any()
+    assert np.isfinite(found.smoothed["pose"]).all()
+    assert np.isfinite(found.smoothed["slips"]).all()
     filtered, smoothed = (errors(estimates, log) for estimates in found)
     assert smoothed[0] < filtered[0]
 
@@ -121,18 +131,16 @@ def test_silent_sprockets_leave_a_gap_and_no_nonsense(log: Any) -> None:
 @pytest.mark.parametrize("model", ["icr", "free_slips"])
 def test_serves_every_model_and_names_its_filter(log: Any, model: str) -> None:
     p = load_slip_parameters({"model": model, "filter": "daf"})
-    found = smooth(without(log.measurements, PoseFix, *OUTAGE), p)
+    found = smoothed_of(without(log.measurements, PoseFix, *OUTAGE), p)
     filtered, smoothed = (errors(estimates, log) for estimates in found)
     assert smoothed[0] < filtered[0]
-    again = smooth(without(log.measurements, PoseFix, *OUTAGE), replace(p, filter="ekf"))
-    np.testing.assert_array_equal(again.smoothed[100].pose, found.smoothed[100].pose)
+    again = smoothed_of(without(log.measurements, PoseFix, *OUTAGE), replace(p, filter="ekf"))
+    np.testing.assert_array_equal(again.smoothed["pose"][100], found.smoothed["pose"][100])
 
 
 def test_nothing_starts_without_a_fix(log: Any) -> None:
-    assert smooth([m for m in log.measurements if not isinstance(m, PoseFix)], load_slip_parameters()) == (
-        [],
-        [],
-    )
+    with pytest.raises(InputError, match="to start from"):
+        smoothed_of([m for m in log.measurements if not isinstance(m, PoseFix)])
 
 
 def test_the_command_writes_a_bag_and_a_summary(emulated_bag: Path, tmp_path: Path) -> None:

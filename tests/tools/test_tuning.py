@@ -11,17 +11,16 @@ import pytest
 
 from trackslip_common.config_files import node_parameters, read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flat_fields
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurement_log import read_measurements, reread, shapes_log
 from trackslip_estimation.slip.measurements import Measurement, PoseFix
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
-from trackslip_estimation.slip.timeline import key_of
+from trackslip_estimation.slip.records import POSE, SPROCKETS, to_records
+from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.dead_reckoning import Path as Track
 from trackslip_tools.replay.scoring import mean_nees, path_of, score
 from trackslip_tools.tuning.evidence import PARAMETERS, TABLE, numbers, write_evidence
 from trackslip_tools.tuning.journal import Journal
-from trackslip_tools.tuning.plan import Plan, changed, read_plan, value_of
+from trackslip_tools.tuning.plan import Plan, changed, read_plan
 from trackslip_tools.tuning.search import search
 from trackslip_tools.tuning.task import Score, Task, make_task
 from trackslip_tools.tuning.tuner import Tuner, Tuning
@@ -60,7 +59,11 @@ def task_of(drive: Callable[..., Any], seed: int = 0, **changes: Any) -> Task:
     truth = drive(SEGMENTS, seed=seed).truth
     stamps = np.array(sorted(truth), dtype=np.int64)
     poses = np.array([truth[stamp][:3] for stamp in stamps.tolist()])
-    return make_task(f"bag{seed}", measurements(drive, seed), p, Track(stamps, poses))
+    return make_task(f"bag{seed}", records(measurements(drive, seed), p), p, Track(stamps, poses))
+
+
+def records(found: Sequence[Measurement], p: SlipEstimatorParameters) -> Rows:
+    return to_records(found, SlipEstimator(p).sources)
 
 
 def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: Work | None = None) -> Tuning:
@@ -127,53 +130,6 @@ def test_an_effort_that_does_not_fit_is_refused(tmp_path: Path, text: str, words
         plan_of(tmp_path, text)
 
 
-# what a log depends on
-
-
-@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
-def test_what_does_not_shape_a_log_leaves_it_as_it_is(drive: Callable[..., Any], model: str) -> None:
-    """A parameter in the wrong list would be tuned without any effect."""
-    found = measurements(drive)
-    p = load_slip_parameters({"model": model})
-    log = read_measurements(found, p)
-    names = {
-        name: spec
-        for name, kind, spec in flat_fields(SlipEstimatorParameters)
-        if kind is float and not shapes_log(name)
-    }
-    assert len(names) > 20
-    for name, spec in names.items():
-        value = value_of(p, name)
-        others = (value * 0.9, value * 1.1, 0.1)
-        other = next(v for v in others if v != value and spec.accepts(v))
-        other_log = read_measurements(found, changed(p, {name: other}))
-        for mine, its in zip(log.log, other_log.log, strict=True):
-            np.testing.assert_array_equal(mine, its, err_msg=name)
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"pose_position_floors": 0.2},
-        {"pose_position_floors": 0.001, "pose_heading_floors": 0.05},
-        {"pose_heading_floors": 0.4},
-        {"pose_heading_ceilings": 0.01},
-        {"pose_lever_arms_x": 0.3, "pose_position_floors": 0.2},
-        {"turning.loss": 0.1},
-    ],
-)
-def test_a_log_read_again_is_one_read_anew(drive: Callable[..., Any], values: dict[str, float]) -> None:
-    """With floors below and above those it was read with, and headings that are no longer used."""
-    found = measurements(drive)
-    p = load_slip_parameters({"pose_position_floors": [0.02], "pose_heading_floors": [0.03]})
-    other = changed(p, values)
-    again = reread(read_measurements(found, p), found, other, values)
-    anew = read_measurements(found, other)
-    for mine, its in zip(again.log, anew.log, strict=True):
-        np.testing.assert_array_equal(mine, its)
-    assert again.start is anew.start
-
-
 # scores
 
 
@@ -189,8 +145,9 @@ def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
     task = task_of(drive)
     values = {"pose_position_floors": 0.1, "noise.slip_moving": 0.02}
     estimator = SlipEstimator(changed(task.p, values))
-    steps = [estimator.advance(m) for m in sorted(task.measurements, key=key_of)]
-    estimates = [estimate for _, estimate in steps if estimate is not None]
+    given = sorted(measurements(drive), key=lambda m: m.stamp_ns)
+    results = estimator.process_records(records(given, task.p))
+    estimates = results["estimate"][results["published"]]
     found = task.score(values)
     assert task.reference is not None
     expected = score(path_of(estimates), task.reference)
@@ -202,17 +159,18 @@ def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
 
 def test_a_spike_costs_no_more_than_a_wrong_measurement_may(drive: Callable[..., Any]) -> None:
     task = task_of(drive, pose_position_floors=[0.1])
-    fixes = [k for k, m in enumerate(task.measurements) if isinstance(m, PoseFix)]
-    spiked = list(task.measurements)
-    spiked[fixes[20]] = replace(spiked[fixes[20]], pose=np.array((1e3, -1e3, 0.0)))  # type: ignore[call-arg]
+    spiked = records(measurements(drive), task.p)
+    fixes = np.flatnonzero(spiked["kind"] == POSE)
+    spiked["value"][fixes[20]] = 1e3, -1e3, 0.0
     other = make_task("spiked", spiked, task.p, task.reference)
-    rows = int((task.log.log.flags[:, 0] > 0).sum())
+    rows = int((task.log.rest["kind"] != SPROCKETS).sum())
     lost = (task.score({}).log_likelihood - other.score({}).log_likelihood) * rows
     assert 5.0 < lost < 30.0
 
 
 def test_without_a_reference_there_are_no_errors(drive: Callable[..., Any]) -> None:
-    task = make_task("bag", measurements(drive), load_slip_parameters(), None)
+    p = load_slip_parameters()
+    task = make_task("bag", records(measurements(drive), p), p, None)
     assert np.isnan((task.score({}).position, task.score({}).heading, task.score({}).nees)).all()
 
 
@@ -282,7 +240,8 @@ def test_values_that_only_fit_their_own_bags_are_not_better_for_others(
     """One bag's fixes are bad, the other's good: what is found on either harms the other."""
     p = load_slip_parameters({"model": "free_slips", "pose_position_floors": [0.1]})
     tasks = [
-        make_task(f"bag{k}", measurements(drive, k, sigma), p, None) for k, sigma in enumerate((0.01, 1.0))
+        make_task(f"bag{k}", records(measurements(drive, k, sigma), p), p, None)
+        for k, sigma in enumerate((0.01, 1.0))
     ]
     result = tuned(tmp_path, tasks, plan_of(tmp_path))
     assert not result.improves_unseen

@@ -2,11 +2,12 @@
 """Messages of some topics in log order, a stretch of some seconds at a time, as bytes in one buffer.
 
 Common MCAP files (whole chunks that an index names, and an index of the messages behind each) are read chunk
-by chunk: several are unpacked into one buffer, in which the index says where each message is, so that nothing
+by chunk: several are unpacked into one buffer, in which the index gives the place of each message: nothing
 is done message by message. Memory holds one stretch, and what overlaps the next. Everything else, a damaged
 file from the first bad chunk on among them, is read message by message.
 """
 
+from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -106,34 +107,35 @@ def _by_chunk(
         parts: list[Part] = []
         for path in files:
             stream = stack.enter_context(path.open("rb"))
-            summary = make_reader(stream).get_summary()
-            parts += parts_of(stream, summary, types, len(parts))
-        inside = [
+            parts += parts_of(stream, make_reader(stream).get_summary(), types, len(parts))
+        parts = [
             part
             for part in parts
             if part.chunk.message_end_time >= start_ns
             and part.chunk.message_start_time < stop_ns
             and not part.file.numbers.keys().isdisjoint(part.chunk.message_index_offsets)
         ]
-        inside.sort(key=lambda part: part.chunk.message_start_time)
-        yield from _stretches(inside, start_ns, stop_ns)
+        waiting = deque(sorted(parts, key=lambda part: part.chunk.message_start_time))
+        parts.clear()
+        yield from _stretches(waiting, start_ns, stop_ns)
 
 
-def _stretches(parts: list[Part], start_ns: int, stop_ns: int) -> Iterator[Stretch]:
-    """The chunks are in the order of their first message: what comes before the next one's can go."""
+def _stretches(parts: deque[Part], start_ns: int, stop_ns: int) -> Iterator[Stretch]:
+    """Uses the chunks up, which are in the order of their first message: what comes before the next one's
+    can go.
+    """
     buffer, waiting = np.empty(0, np.uint8), joined([])
-    k = 0
-    while k < len(parts):
+    while parts:
         pieces, size = [buffer], buffer.size
         indexed: list[Indexed] = []
-        limit_ns, most = parts[k].chunk.message_start_time + STRETCH_NS, size + _STRETCH_BYTES
-        while k < len(parts) and parts[k].chunk.message_start_time < limit_ns and size < most:
-            content = content_of(parts[k])
-            indexed += indexed_in(parts[k], size, size + content.size)
+        limit_ns, most = parts[0].chunk.message_start_time + STRETCH_NS, size + _STRETCH_BYTES
+        while parts and parts[0].chunk.message_start_time < limit_ns and size < most:
+            part = parts.popleft()
+            content = content_of(part)
+            indexed += indexed_in(part, size, size + content.size)
             pieces.append(content)
             size += content.size
-            k += 1
-        until_ns = min(parts[k].chunk.message_start_time, stop_ns) if k < len(parts) else stop_ns
+        until_ns = min(parts[0].chunk.message_start_time, stop_ns) if parts else stop_ns
         whole = np.concatenate(pieces)
         rows = joined([waiting, messages_in(whole, indexed)])
         wanted = rows.log_times_ns >= start_ns

@@ -52,7 +52,7 @@ class Part(NamedTuple):
 
 
 class Indexed(NamedTuple):
-    """What the index behind a chunk says of one channel."""
+    """The entries of one channel in the index behind a chunk."""
 
     entries: NDArray[np.void]  # (n,) _ENTRY
     channel: int
@@ -104,7 +104,7 @@ def content_of(part: Part) -> Bytes:
     chunk = Chunk.read(ReadDataStream(BytesIO(stream.read(index.chunk_length - _HEAD.size))))
     stated = index.compression, index.compressed_size, index.uncompressed_size
     if stated != (chunk.compression, len(chunk.data), chunk.uncompressed_size):
-        raise ValueError("a chunk other than its index says")
+        raise ValueError("a chunk that differs from its index")
     if chunk.compression not in _COMPRESSIONS:
         raise ValueError("a chunk of another compression")
     records, size = get_chunk_data_stream(chunk, validate_crc=True)

@@ -137,7 +137,7 @@ class Bag:
 
 
 def open_bag(path: Path | str) -> Bag:
-    """Open any bag; a recording that was killed opens with what is whole of it, and says so in ``damage``.
+    """Open any bag; a recording that was killed opens with what is whole of it, as ``damage`` states.
 
     Raises:
         InputError: there is none, it is of another kind, or nothing of it can be read.

@@ -101,12 +101,12 @@ class TopicTable:
             for layout in self._topic.layouts(length):
                 left = left[~self._fill(rows, kind, layout, left)]
             while left.size:
-                learnt = self._topic.learn(self.raw(int(left[0])))
-                if learnt is None:
+                layout_of_first = self._topic.layout_of(self.raw(int(left[0])))
+                if layout_of_first is None:
                     self._fill_one(rows, kind, int(left[0]))
                     left = left[1:]
                 else:
-                    left = left[~self._fill(rows, kind, learnt, left)]
+                    left = left[~self._fill(rows, kind, layout_of_first, left)]
         return rows
 
     def _fill(
@@ -148,7 +148,7 @@ class _Topic:
         """Those known of messages of so many bytes."""
         return list(self._layouts.get(length, ()))
 
-    def learn(self, raw: bytes) -> Layout | None:
+    def layout_of(self, raw: bytes) -> Layout | None:
         """That of a message, which is of no known one; None where it must be read by itself."""
         if sum(map(len, self._layouts.values())) >= _LAYOUTS:
             return None

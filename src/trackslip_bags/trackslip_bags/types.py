@@ -57,7 +57,7 @@ def schema_text(type_name: str) -> str:
 
 
 def type_hash(type_name: str) -> str:
-    """The RIHS01 hash of REP-2016 by which ROS tells versions of a type apart.
+    """The RIHS01 hash of REP-2016 by which ROS distinguishes versions of a type.
 
     Raises:
         InputError: the type is unknown.

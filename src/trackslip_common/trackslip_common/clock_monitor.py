@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the clock goes on as it should: told from stamps and counts alone, so that a replay finds the same.
+"""Whether the clock goes on as it should: decided by stamps and counts alone, so that a replay finds the same.
 
-The samples of one source, the sprockets', are the clock. One of them that steps out of line is a bad stamp; many
-in a row that agree with each other are another time. Other sources carry the clock on only while the first is
-silent: when their stamps, one behind the other, have gone on for its timeout without a sample of it.
+The samples of one source, the sprockets', are the clock. One of them that steps out of line is a bad stamp;
+many in a row that agree with each other are another time. Other sources carry the clock on only while the
+first is silent: when their stamps, one behind the other, have gone on for its timeout without a sample of it.
 
 A step back into the history leaves stamps that look like late data. But late data agree with what is there
 already, while samples stamped anew tell of positions that the sprockets had elsewhere in it.
 
-``CLOCK`` is all that is remembered: compiled code keeps it in a record, ``ClockMonitor`` wraps one for Python.
+``CLOCK`` is all that is remembered: compiled code keeps it in a record; ``ClockMonitor`` is for Python.
 """
 
 from enum import IntEnum
@@ -62,11 +62,11 @@ def _add(streak: Any, stamp_ns: int, gap_ns: int, counts: bool) -> int:
 def check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contradicts: bool) -> int:
     """Status of a sample of the source that is the clock.
 
-    ``oldest_ns``: older ones have no place in the history (``NO_HORIZON``: there is none); ``contradicts``: its
-    content is not what the history has at its stamp.
+    ``oldest_ns``: older ones have no place in the history (``NO_HORIZON``: there is none); ``contradicts``:
+    its content is not what the history has at its stamp.
     """
     clock.others.count = 0
-    if clock.running and stamp_ns < max(oldest_ns, clock.head_ns - limits.gap_ns) or stamp_ns < oldest_ns:
+    if (clock.running and stamp_ns < max(oldest_ns, clock.head_ns - limits.gap_ns)) or stamp_ns < oldest_ns:
         clock.ahead.count = 0
         confirmed = _add(clock.behind, stamp_ns, limits.gap_ns, True) >= limits.confirmations
         return _BACK if confirmed else _BEHIND
@@ -75,9 +75,9 @@ def check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contrad
         clock.late.count = 0
     elif _add(clock.late, stamp_ns, limits.gap_ns, contradicts) >= limits.confirmations:
         return _BACK
-    if clock.running and stamp_ns > clock.head_ns + limits.gap_ns:
-        if _add(clock.ahead, stamp_ns, limits.gap_ns, True) < limits.confirmations:
-            return _AHEAD
+    far = clock.running and stamp_ns > clock.head_ns + limits.gap_ns
+    if far and _add(clock.ahead, stamp_ns, limits.gap_ns, True) < limits.confirmations:
+        return _AHEAD
     clock.ahead.count = 0
     clock.head_ns = max(clock.head_ns, stamp_ns) if clock.running else stamp_ns
     clock.running = True

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one door to the compiler: machine code kept on disk, released from the interpreter's lock.
 
-``compiled`` is for kernels and for what several of them call. Each such function is optimised together with all
-that it calls, so a chain of them is optimised over and over. ``inlined`` is for the parts of a longer function,
-which have one caller: they become part of it.
+``compiled`` is for kernels and for what several of them call. Each such function is optimised together with
+all that it calls, so a chain of them is optimised over and over. ``inlined`` is for the parts of a longer
+function, which have one caller: they become part of it.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast
 
 os.environ.setdefault("NUMBA_OPT", "1")  # compiles in 60 % of the time, and what it makes is as fast here
 
-import numba  # noqa: E402
+import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
 

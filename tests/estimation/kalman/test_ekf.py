@@ -9,9 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from trackslip_estimation.kalman.ekf import correct
+from trackslip_estimation.kalman.ekf import correct, propagate_covariance
 from trackslip_estimation.kalman.linear_algebra import (
     apply,
+    joseph,
+    log_determinant,
     root,
     sandwich,
     solve,
@@ -64,6 +66,24 @@ def test_compiled_algebra_is_that_of_numpy(seed: int) -> None:
     np.testing.assert_allclose(solve(root(S), A), np.linalg.solve(S, A), rtol=1e-9)
     assert weighted_square(root(S), v[:3].copy()) == pytest.approx(v[:3] @ np.linalg.solve(S, v[:3]))
     np.testing.assert_allclose(root(P), np.linalg.cholesky(P), rtol=0.0, atol=1e-12)
+    assert log_determinant(root(S)) == pytest.approx(np.linalg.slogdet(S)[1])
+    K, keep = rng.normal(size=(7, 3)), np.eye(7)
+    H = A.copy()
+    keep -= K @ H
+    np.testing.assert_allclose(joseph(P, K, H, S), keep @ P @ keep.T + K @ S @ K.T, rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_covariance_is_propagated_as_by_numpy(seed: int) -> None:
+    """F is full in its first rows and diagonal below, as that of a pose driven by states that decay."""
+    rng, n, coupled = np.random.default_rng(seed), 7, 3
+    F = np.diag(rng.normal(size=n))
+    F[:coupled] = rng.normal(size=(coupled, n)) * (rng.random((coupled, n)) < 0.7)
+    P, Q = spd(rng, n), spd(rng, n)
+    expected = F @ P @ F.T + Q
+    propagate_covariance(P, F, Q, coupled)
+    np.testing.assert_allclose(P, expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_array_equal(P, P.T)
 
 
 def test_the_root_of_a_covariance_without_full_rank() -> None:
@@ -83,7 +103,9 @@ def test_a_variance_lost_to_rounding_is_taken_as_none() -> None:
 
 def test_update_of_one_number_by_hand() -> None:
     """Prior 1 ± 2 and reading 3 ± 1: gain 4/5."""
-    x, P, nis = correct(np.ones(1), np.array(((4.0,),)), np.array((2.0,)), np.eye(1), np.eye(1))
+    x, P = np.ones(1), np.array(((4.0,),))
+    nis, log_determinant_of_s = correct(x, P, np.array((2.0,)), np.eye(1), np.eye(1))
+    assert log_determinant_of_s == pytest.approx(math.log(5.0))
     assert nis == pytest.approx(4.0 / 5.0)
     assert x[0] == pytest.approx(1.0 + 2.0 * 4.0 / 5.0)
     assert P[0, 0] == pytest.approx(4.0 / 5.0)
@@ -95,7 +117,8 @@ def test_joseph_is_the_optimal_form_and_the_information_form(m: int, seed: int) 
     rng = np.random.default_rng(seed)
     x, P = rng.normal(size=5), spd(rng, 5)
     nu, H, R = rng.normal(size=m), rng.normal(size=(m, 5)), spd(rng, m)
-    mean, covariance, nis = correct(x, P, nu, H, R)
+    mean, covariance = x.copy(), P.copy()
+    nis, log_determinant_of_s = correct(mean, covariance, nu, H, R)
     S = H @ P @ H.T + R
     K = P @ H.T @ np.linalg.inv(S)
     keep = np.eye(5) - K @ H
@@ -105,6 +128,7 @@ def test_joseph_is_the_optimal_form_and_the_information_form(m: int, seed: int) 
     information = np.linalg.inv(P) + H.T @ np.linalg.inv(R) @ H
     np.testing.assert_allclose(covariance @ information, np.eye(5), atol=1e-6)
     assert nis == pytest.approx(nu @ np.linalg.inv(S) @ nu)
+    assert log_determinant_of_s == pytest.approx(np.linalg.slogdet(S)[1])
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -116,7 +140,7 @@ def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
             P = sandwich(np.eye(4) + 0.2 * rng.normal(size=(4, 4)), P) + spd(rng, 4, 1e-3)
         m = int(rng.integers(1, 4))
         trace = np.trace(P)
-        x, P, _ = correct(x, P, rng.normal(size=m), rng.normal(size=(m, 4)), spd(rng, m))
+        correct(x, P, rng.normal(size=m), rng.normal(size=(m, 4)), spd(rng, m))
         assert np.trace(P) <= trace * (1.0 + 1e-9)
         np.testing.assert_array_equal(P, P.T)
         assert np.linalg.eigvalsh(P)[0] > 0.0
@@ -125,6 +149,6 @@ def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
 def test_a_perfect_reading_leaves_no_negative_variance() -> None:
     """The case in which P − K S Kᵀ loses all its digits."""
     P = np.array(((1e8, 1e8 - 1.0), (1e8 - 1.0, 1e8)))
-    _, P, _ = correct(np.zeros(2), P, np.zeros(1), np.array(((1.0, 0.0),)), np.array(((1e-8,),)))
+    correct(np.zeros(2), P, np.zeros(1), np.array(((1.0, 0.0),)), np.array(((1e-8,),)))
     assert np.linalg.eigvalsh(P)[0] > 0.0
     assert P[0, 0] == pytest.approx(1e-8, rel=0.2)

@@ -1,23 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The smoother against the batch solution of a linear Gaussian problem; headings and breaks."""
+"""The smoother against the batch solution of a linear Gaussian problem, and with the models; headings."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from fixtures.filter_steps import (
+    Drive,
+    FilterStep,
+    Gaussian,
+    Measured,
+    config_of,
+    filter_step,
+    moved,
+    start_of,
+    transition,
+)
 from numpy.typing import NDArray
 
-from trackslip_estimation.kalman.smoother import Step, smooth, smooth_back
-from trackslip_estimation.slip.filter import Filter
-from trackslip_estimation.slip.models.model import DRIVEN, POSE, YAW, Gaussian
+from trackslip_estimation.kalman.smoother import step_back
+from trackslip_estimation.slip.config import ConfigRecord
+from trackslip_estimation.slip.models.model import POSE, YAW
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
-from trackslip_estimation.slip.parameters import load_slip_parameters, make_filter
 
 FloatArray = NDArray[np.float64]
 
 DT, COUNT = 0.1, 60
 F = np.array(((1.0, DT, DT), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))  # position, speed, and a speed known exactly
+ANGLE = 1  # the number that is an angle; the speed stays far from π
 DRIFT = 0.3  # that speed, m/s
 NOISE = np.array((DT**2 / 2.0, DT, 0.0))  # what one random number does: Q has rank 1
 START, SPREAD = np.array((1.0, -0.5, DRIFT)), np.diag((0.5**2, 0.2**2, 0.0))
@@ -73,10 +83,29 @@ def batch(measured: FloatArray) -> tuple[FloatArray, FloatArray]:
     return mean.reshape(-1, 3), np.array(blocks)
 
 
+def smooth_back(
+    states: tuple[FloatArray, ...], transitions: FloatArray, angle: int
+) -> tuple[FloatArray, FloatArray]:
+    """(k, n) means and (k, n, n) covariances of the filter's x, P, x⁻, P⁻."""
+    x, P, x_before, P_before = states
+    smoothed = (x[-1], P[-1])
+    found = [smoothed]
+    for k in range(len(x) - 1, 0, -1):
+        smoothed = step_back(
+            (x[k - 1], P[k - 1]), (x_before[k], P_before[k]), smoothed, transitions[k], angle
+        )
+        found.append(smoothed)
+    means, covariances = zip(*reversed(found), strict=True)
+    return np.array(means), np.array(covariances)
+
+
+TRANSITIONS = np.tile(F, (COUNT, 1, 1))
+
+
 def test_equals_the_batch_solution_with_singular_noise_and_a_certain_state(
     measured: FloatArray, filtered: tuple[FloatArray, ...]
 ) -> None:
-    means, covariances = smooth_back(*filtered, np.tile(F, (COUNT, 1, 1)), np.ones(COUNT, dtype=bool))
+    means, covariances = smooth_back(filtered, TRANSITIONS, ANGLE)
     expected, expected_covariances = batch(measured)
     np.testing.assert_allclose(means, expected, atol=1e-9)
     np.testing.assert_allclose(covariances, expected_covariances, atol=1e-9)
@@ -85,7 +114,7 @@ def test_equals_the_batch_solution_with_singular_noise_and_a_certain_state(
 
 
 def test_knows_more_than_the_filter_everywhere_but_at_the_end(filtered: tuple[FloatArray, ...]) -> None:
-    means, covariances = smooth_back(*filtered, np.tile(F, (COUNT, 1, 1)), np.ones(COUNT, dtype=bool))
+    means, covariances = smooth_back(filtered, TRANSITIONS, ANGLE)
     gained = filtered[1] - covariances
     assert np.linalg.eigvalsh(gained).min() > -1e-12
     assert (gained[:-1, 0, 0] > 0.0).all()
@@ -93,37 +122,33 @@ def test_knows_more_than_the_filter_everywhere_but_at_the_end(filtered: tuple[Fl
     np.testing.assert_array_equal(covariances[:-1], np.swapaxes(covariances[:-1], 1, 2))
 
 
-def test_a_break_in_the_chain_keeps_both_sides_apart(filtered: tuple[FloatArray, ...]) -> None:
-    follows, k = np.ones(COUNT, dtype=bool), 30
-    follows[k] = False
-    transitions = np.tile(F, (COUNT, 1, 1))
-    means, covariances = smooth_back(*filtered, transitions, follows)
-    alone = smooth_back(*(part[:k] for part in filtered), transitions[:k], follows[:k])
-    np.testing.assert_array_equal(means[:k], alone[0])
-    np.testing.assert_array_equal(covariances[:k], alone[1])
-    np.testing.assert_array_equal(means[k - 1], filtered[0][k - 1])
-
-
 @pytest.fixture(scope="module", params=["turning", "icr", "free_slips"])
-def filter_(request: pytest.FixtureRequest) -> Filter:
-    return make_filter(load_slip_parameters({"model": request.param}))
+def config(request: pytest.FixtureRequest) -> ConfigRecord:
+    return config_of(model=request.param)
 
 
-def steps(filter_: Filter, heading: float) -> list[Step]:
-    """A turn that a vague filter begins at ``heading``; in the end it is told where it is."""
-    speeds, motion = Speeds(1.0, 2.0, 0.1, differenced=False), MotionState(Motion.TURNING, changing=False)
-    state = filter_.initial(np.array((0.0, 0.0, heading)), np.diag((0.1, 0.1, 0.1)))
-    found = [Step(None, state, speeds, Motion.TURNING, 0.0)]
+DRIVE = Drive(1.0, 2.0, Motion.TURNING, departure=1.0)
+
+
+def steps(config: ConfigRecord, heading: float) -> list[FilterStep]:
+    """A turn that a vague filter begins at ``heading``; in the end it gets a fix."""
+    state = start_of(config, np.array((0.0, 0.0, heading)), np.diag((0.1, 0.1, 0.1)))
+    found = [FilterStep(state, state)]
     for k in range(10):
-        before = state = filter_.step(state, speeds, 0.1, motion, DRIVEN).predicted
+        before = state = filter_step(config, state, *_one_tenth(), Measured()).predicted
         if k == 9:
             c, s = math.cos(heading), math.sin(heading)
-            state = _told(state, np.array((0.3 * c - 0.1 * s, 0.3 * s + 0.1 * c, heading + 0.4)))
-        found.append(Step(before, state, speeds, Motion.TURNING, 0.1))
+            state = _corrected(state, np.array((0.3 * c - 0.1 * s, 0.3 * s + 0.1 * c, heading + 0.4)))
+        found.append(FilterStep(before, state))
     return found
 
 
-def _told(state: Gaussian, pose: FloatArray) -> Gaussian:
+def _one_tenth() -> tuple[Speeds, float, MotionState]:
+    speeds, motion = DRIVE.parts
+    return speeds, 0.1, motion
+
+
+def _corrected(state: Gaussian, pose: FloatArray) -> Gaussian:
     """Updated with a pose of 1 mm and 1 mrad."""
     x, P = state
     K = np.linalg.solve(P[POSE, POSE] + 1e-6 * np.eye(3), P[POSE]).T
@@ -134,44 +159,45 @@ def _told(state: Gaussian, pose: FloatArray) -> Gaussian:
     return Gaussian(x, P - K @ P[POSE])
 
 
-def test_the_direction_of_the_site_frame_changes_nothing(filter_: Filter) -> None:
+def smoothed_means(passed: list[FilterStep], transitions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    parts = (
+        zip(*(step.updated for step in passed), strict=True),
+        zip(*(s.predicted for s in passed), strict=True),
+    )
+    states = tuple(np.array(column) for part in parts for column in part)
+    return smooth_back(states, transitions, YAW)
+
+
+def transitions_of(passed: list[FilterStep], config: ConfigRecord) -> FloatArray:
+    """(k, n, n) F of each step; that of the first is not used."""
+    found = [transition(step.updated.mean, DRIVE, 0.1, config) for step in passed[:-1]]
+    return np.array([np.eye(len(found[0])), *found])
+
+
+def test_the_direction_of_the_site_frame_changes_nothing(config: ConfigRecord) -> None:
     """Across ±π the same turn is smoothed as anywhere else, turned by half a turn."""
-    across = smooth(steps(filter_, math.pi - 0.05), filter_)
-    along = smooth(steps(filter_, -0.05), filter_)
+    across, along = (
+        smoothed_means(passed, transitions_of(passed, config))[0]
+        for passed in (steps(config, math.pi - 0.05), steps(config, -0.05))
+    )
     for a, b in zip(across, along, strict=True):
-        assert math.remainder(a.mean[YAW] - b.mean[YAW] - math.pi, 2.0 * math.pi) == pytest.approx(
-            0, abs=1e-9
-        )
-        assert -math.pi < a.mean[YAW] <= math.pi
-        np.testing.assert_allclose(a.mean[:YAW], -b.mean[:YAW], atol=1e-9)
-        np.testing.assert_allclose(a.mean[YAW + 1 :], b.mean[YAW + 1 :], atol=1e-9)
-    assert along[0].mean[YAW] > 0.1, "the fix at the end turns the start too"
+        assert math.remainder(a[YAW] - b[YAW] - math.pi, 2.0 * math.pi) == pytest.approx(0, abs=1e-9)
+        assert -math.pi < a[YAW] <= math.pi
+        np.testing.assert_allclose(a[:YAW], -b[:YAW], atol=1e-9)
+        np.testing.assert_allclose(a[YAW + 1 :], b[YAW + 1 :], atol=1e-9)
+    assert along[0][YAW] > 0.1, "the fix at the end turns the start too"
 
 
-def test_goes_back_by_the_derivative_of_the_very_steps(filter_: Filter) -> None:
+def test_goes_back_by_the_derivative_of_the_very_steps(config: ConfigRecord) -> None:
     """F by differences of the filter's own prediction gives the same."""
-    taken, edge = steps(filter_, 0.3), 1e-6
-    transitions = [np.eye(taken[0].filtered.mean.size)]
-    for before, step in pairwise(taken):
-        motion = MotionState(step.motion, changing=False)
-
-        def moved(mean: FloatArray, step: Step = step, motion: MotionState = motion) -> FloatArray:
-            return filter_.step(
-                Gaussian(mean, np.eye(mean.size)), step.speeds, step.dt, motion, DRIVEN
-            ).predicted.mean
-
-        mean = before.filtered.mean
+    passed, edge = steps(config, 0.3), 1e-6
+    transitions = [np.eye(passed[0].updated.mean.size)]
+    for before in passed[:-1]:
+        mean = before.updated.mean
         shifts = edge * np.eye(mean.size)
-        columns = [(moved(mean + shift) - moved(mean - shift)) / (2.0 * edge) for shift in shifts]
-        transitions.append(np.column_stack(columns))
-    before = [step.predicted or step.filtered for step in taken]
-    parts = zip(*(step.filtered for step in taken), strict=True), zip(*before, strict=True)
-    states = [np.array(column) for part in parts for column in part]
-    means, covariances = smooth_back(*states, np.array(transitions), np.arange(len(taken)) > 0)
-    smoothed = smooth(taken, filter_)
-    np.testing.assert_allclose([state.mean for state in smoothed], means, atol=1e-6)
-    np.testing.assert_allclose([state.covariance for state in smoothed], covariances, atol=1e-6)
-
-
-def test_nothing_to_smooth(filter_: Filter) -> None:
-    assert smooth([], filter_) == []
+        ends = [[moved(mean + sign * shift, DRIVE, 0.1, config) for sign in (1.0, -1.0)] for shift in shifts]
+        transitions.append(np.column_stack([(plus - minus) / (2.0 * edge) for plus, minus in ends]))
+    means, covariances = smoothed_means(passed, np.array(transitions))
+    expected, expected_covariances = smoothed_means(passed, transitions_of(passed, config))
+    np.testing.assert_allclose(means, expected, atol=1e-6)
+    np.testing.assert_allclose(covariances, expected_covariances, atol=1e-6)

@@ -8,93 +8,104 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trackslip_common.clock_monitor import Continuity, Course
+from trackslip_common.clock_monitor import ClockMonitor, StampStatus
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 S = 1_000_000_000
-GAP_NS, ROW = 5 * S, 4
+GAP_NS, CONFIRMATIONS = 5 * S, 4
 HOUR_NS = 3600 * S
 
 
-def courses(stamps: list[float], oldest: float | None = None) -> list[Course]:
-    judge = Continuity(GAP_NS, ROW)
-    return [judge.sprockets(round(s * S), None if oldest is None else round(oldest * S)) for s in stamps]
+def statuses(stamps: list[float], oldest: float | None = None) -> list[StampStatus]:
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    return [monitor.sample(round(s * S), None if oldest is None else round(oldest * S)) for s in stamps]
 
 
 def test_one_sample_far_ahead_is_refused_and_the_head_stays() -> None:
-    assert courses([1.0, 100.0, 1.1, 6.1]) == [
-        Course.IN_LINE,
-        Course.AHEAD,
-        Course.IN_LINE,
-        Course.IN_LINE,
+    assert statuses([1.0, 100.0, 1.1, 6.1]) == [
+        StampStatus.IN_LINE,
+        StampStatus.AHEAD,
+        StampStatus.IN_LINE,
+        StampStatus.IN_LINE,
     ]
 
 
 def test_samples_ahead_that_agree_are_believed() -> None:
-    found = courses([1.0, 100.0, 100.1, 100.2, 100.3, 100.4])
-    assert found == [Course.IN_LINE, *[Course.AHEAD] * (ROW - 1), *[Course.IN_LINE] * 2]
+    found = statuses([1.0, 100.0, 100.1, 100.2, 100.3, 100.4])
+    assert found == [
+        StampStatus.IN_LINE,
+        *[StampStatus.AHEAD] * (CONFIRMATIONS - 1),
+        *[StampStatus.IN_LINE] * 2,
+    ]
 
 
 @pytest.mark.parametrize("stamps", [[100.0, 300.0, 500.0, 700.0, 900.0], [100.0, 99.9, 99.8, 99.7, 99.6]])
 def test_samples_ahead_that_do_not_agree_are_not(stamps: list[float]) -> None:
-    assert set(courses([1.0, *stamps])[1:]) == {Course.AHEAD}
+    assert set(statuses([1.0, *stamps])[1:]) == {StampStatus.AHEAD}
 
 
-def test_a_sample_in_line_ends_the_row() -> None:
-    found = courses([1.0, 100.0, 100.1, 100.2, 1.1, 100.3])
-    assert found[-2:] == [Course.IN_LINE, Course.AHEAD]
-    found = courses([9.0, 1.0, 1.1, 1.2, 9.1, 1.3], oldest=7.0)
-    assert found[1:] == [*[Course.BEHIND] * 3, Course.IN_LINE, Course.BEHIND]
+def test_a_sample_in_line_ends_the_streak() -> None:
+    found = statuses([1.0, 100.0, 100.1, 100.2, 1.1, 100.3])
+    assert found[-2:] == [StampStatus.IN_LINE, StampStatus.AHEAD]
+    found = statuses([9.0, 1.0, 1.1, 1.2, 9.1, 1.3], oldest=7.0)
+    assert found[1:] == [*[StampStatus.BEHIND] * 3, StampStatus.IN_LINE, StampStatus.BEHIND]
 
 
 def test_samples_behind_that_agree_say_that_the_clock_went_back() -> None:
-    assert courses([9.0, 1.0, 1.1, 1.2, 1.3], oldest=7.0) == [
-        Course.IN_LINE,
-        *[Course.BEHIND] * (ROW - 1),
-        Course.BACK,
+    assert statuses([9.0, 1.0, 1.1, 1.2, 1.3], oldest=7.0) == [
+        StampStatus.IN_LINE,
+        *[StampStatus.BEHIND] * (CONFIRMATIONS - 1),
+        StampStatus.BACK,
     ]
 
 
-def late(judge: Continuity, stamps: list[float], contradicts: bool) -> list[Course]:
-    return [judge.sprockets(round(s * S), 0, contradicts) for s in stamps]
+def late(monitor: ClockMonitor, stamps: list[float], contradicts: bool) -> list[StampStatus]:
+    return [monitor.sample(round(s * S), 0, contradicts=contradicts) for s in stamps]
 
 
-def test_late_samples_that_tell_another_story_say_that_the_clock_went_back() -> None:
-    judge = Continuity(GAP_NS, ROW)
-    judge.sprockets(9 * S, 0)
-    assert late(judge, [8.1, 8.2], contradicts=True) == [Course.IN_LINE] * 2
-    assert late(judge, [8.3, 8.4], contradicts=False) == [Course.IN_LINE] * 2  # by chance: they neither add
-    assert late(judge, [8.5, 8.6], contradicts=True) == [Course.IN_LINE, Course.BACK]  # nor end the row
+def test_late_samples_that_contradict_say_that_the_clock_went_back() -> None:
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    monitor.sample(9 * S, 0)
+    assert late(monitor, [8.1, 8.2], contradicts=True) == [StampStatus.IN_LINE] * 2
+    assert (
+        late(monitor, [8.3, 8.4], contradicts=False) == [StampStatus.IN_LINE] * 2
+    )  # by chance: they neither add
+    assert late(monitor, [8.5, 8.6], contradicts=True) == [
+        StampStatus.IN_LINE,
+        StampStatus.BACK,
+    ]  # nor end the streak
 
 
 def test_late_samples_that_fit_in_say_nothing() -> None:
-    judge = Continuity(GAP_NS, ROW)
-    judge.sprockets(9 * S, 0)
-    assert set(late(judge, [7.0 + k / 100.0 for k in range(3 * ROW)], contradicts=False)) == {Course.IN_LINE}
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    monitor.sample(9 * S, 0)
+    assert set(late(monitor, [7.0 + k / 100.0 for k in range(3 * CONFIRMATIONS)], contradicts=False)) == {
+        StampStatus.IN_LINE
+    }
 
 
 @pytest.mark.parametrize("interruption", [[9.1], [8.0]])
-def test_a_new_head_or_a_step_down_ends_the_late_row(interruption: list[float]) -> None:
-    judge = Continuity(GAP_NS, ROW)
-    judge.sprockets(9 * S, 0)
-    row = late(judge, [8.1, 8.2, 8.3], contradicts=True)
-    assert set(row + late(judge, [*interruption, 8.4, 8.5], contradicts=True)) == {Course.IN_LINE}
+def test_a_new_head_or_a_step_down_ends_the_late_streak(interruption: list[float]) -> None:
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    monitor.sample(9 * S, 0)
+    streak = late(monitor, [8.1, 8.2, 8.3], contradicts=True)
+    assert set(streak + late(monitor, [*interruption, 8.4, 8.5], contradicts=True)) == {StampStatus.IN_LINE}
 
 
 def test_other_sources_confirm_nothing() -> None:
-    judge = Continuity(GAP_NS, ROW)
-    assert judge.other(HOUR_NS) is Course.IN_LINE  # before there is a clock to hold it against
-    judge.sprockets(S, None)
-    assert {judge.other(HOUR_NS + k) for k in range(3 * ROW)} == {Course.AHEAD}
-    assert judge.other(S + GAP_NS) is Course.IN_LINE
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    assert monitor.other(HOUR_NS) is StampStatus.IN_LINE  # before there is a clock to hold it against
+    monitor.sample(S, None)
+    assert {monitor.other(HOUR_NS + k) for k in range(3 * CONFIRMATIONS)} == {StampStatus.AHEAD}
+    assert monitor.other(S + GAP_NS) is StampStatus.IN_LINE
 
 
 def run(found: list[Measurement], **changes: Any) -> tuple[SlipEstimator, list[Outcome], list[Estimate]]:
     estimator = SlipEstimator(load_slip_parameters({"jump_confirmations": 10}, changes))
-    steps = [estimator.advance(m) for m in found]
+    steps = estimator.process_all(found)
     return estimator, [r.outcome for r, _ in steps], [e for _, e in steps if e is not None]
 
 
@@ -188,6 +199,22 @@ def test_a_clock_set_forward_goes_on_with_what_was_learned(found: list[Measureme
     for e in published[-50:]:
         reference = by_stamp[e.stamp_ns - 1_700_000_000 * S + S]
         np.testing.assert_allclose(e.pose, reference.pose, atol=0.1)
+
+
+@pytest.mark.parametrize("kind", [YawRate, PoseFix])
+@pytest.mark.parametrize("ahead", [2.2, 3.5, 5.0])
+def test_one_stamp_of_another_source_ahead_makes_no_sprocket_sample_too_late(
+    found: list[Measurement], kind: type, ahead: float
+) -> None:
+    """2.2 to 5 s ahead: beyond the window, but within the gap. The horizon is that of the sprockets alone."""
+    k = next(k for k, m in enumerate(found) if isinstance(m, kind) and m.stamp_ns > 3 * S)
+    wrong = [*found[:k], replace(found[k], stamp_ns=found[k].stamp_ns + round(ahead * S)), *found[k + 1 :]]
+    estimator, outcomes, published = run(wrong)
+    assert {Outcome.TOO_LATE, Outcome.RESTARTED, Outcome.AHEAD}.isdisjoint(outcomes)
+    assert estimator.restarts == 0
+    clean = run(found)[2]
+    assert [e.stamp_ns for e in published] == [e.stamp_ns for e in clean]
+    np.testing.assert_allclose(published[-1].pose, clean[-1].pose, atol=0.05)
 
 
 def test_a_gap_smaller_than_the_window_is_refused() -> None:

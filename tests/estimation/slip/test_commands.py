@@ -2,6 +2,7 @@
 """What a user may ask while the estimator runs, and what the watch over its sources says."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from trackslip_estimation.slip.conversions import transforms
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import (
     FREEZE,
+    RELOAD,
     RESET,
     SET_POSE,
     UNFREEZE,
@@ -29,9 +31,10 @@ from trackslip_estimation.slip.parameters import load_slip_parameters, reloadabl
 from trackslip_estimation.slip.source_watch import SourceWatch
 
 S = 1_000_000_000
+EPOCH_NS = 1_800_000_000 * S
 
 
-def word(stamp_ns: int = 0, variance: float = 1e-4) -> PoseFix:
+def manual_pose(stamp_ns: int = 0, variance: float = 1e-4) -> PoseFix:
     return PoseFix(SET_POSE, stamp_ns, np.array((5.0, -3.0, 1.0)), np.eye(3) * variance)
 
 
@@ -47,7 +50,7 @@ def running(found: list[Measurement], seconds: float = 8.0, **changes: Any) -> S
     estimator = SlipEstimator(load_slip_parameters(changes))
     for m in found:
         if m.stamp_ns <= seconds * S:
-            estimator.advance(m)
+            estimator.process(m)
     return estimator
 
 
@@ -57,11 +60,11 @@ def after(found: list[Measurement], seconds: float) -> list[Measurement]:
 
 def test_reset_begins_anew(found: list[Measurement]) -> None:
     estimator, fresh = running(found), SlipEstimator(load_slip_parameters())
-    assert estimator.advance(Command(RESET)) == (Report(RESET, 0, Outcome.ACCEPTED), None)
+    assert estimator.process(Command(RESET)) == (Report(RESET, 0, Outcome.ACCEPTED), None)
     assert not estimator.started
     assert estimator.restarts == 0
     for m in after(found, 8.0):
-        (one, mine), (other, its) = estimator.advance(m), fresh.advance(m)
+        (one, mine), (other, its) = estimator.process(m), fresh.process(m)
         assert one.outcome is other.outcome
         assert (mine is None) == (its is None)
         if mine is not None and its is not None:
@@ -70,18 +73,18 @@ def test_reset_begins_anew(found: list[Measurement]) -> None:
 
 def test_frozen_it_reckons_on_and_ignores_poses(found: list[Measurement]) -> None:
     estimator = running(found)
-    estimator.advance(Command(FREEZE))
-    steps = [estimator.advance(m) for m in after(found, 8.0)]
+    estimator.process(Command(FREEZE))
+    steps = [estimator.process(m) for m in after(found, 8.0)]
     assert {r.outcome for r, _ in steps if r.source == "box_pose"} == {Outcome.FROZEN}
     assert {r.outcome for r, _ in steps if r.source != "box_pose"} == {Outcome.ACCEPTED}
     expected = running(found)
     for m in after(found, 8.0):
         if not isinstance(m, PoseFix):
-            expected.advance(m)
+            expected.process(m)
     np.testing.assert_array_equal(estimator.estimate().pose, expected.estimate().pose)
-    estimator.advance(Command(UNFREEZE))
+    estimator.process(Command(UNFREEZE))
     last = next(m for m in reversed(found) if isinstance(m, PoseFix))
-    assert estimator.take(last).outcome is Outcome.ACCEPTED
+    assert estimator.process(last)[0].outcome is Outcome.ACCEPTED
 
 
 @pytest.mark.parametrize("stamp_s", [0.0, 7.5])
@@ -89,75 +92,117 @@ def test_a_given_pose_replaces_the_estimated_one(found: list[Measurement], stamp
     """At its stamp, or now; what was learned of the slips stays, even where the poses are frozen."""
     estimator = running(found, start="initial_pose")
     before = estimator.estimate()
-    estimator.advance(Command(FREEZE))
-    report, _ = estimator.advance(word(round(stamp_s * S)))
-    assert report == Report(SET_POSE, round(stamp_s * S), Outcome.ACCEPTED)
+    estimator.process(Command(FREEZE))
+    report, _ = estimator.process(manual_pose(round(stamp_s * S)))
+    used_ns = round((stamp_s or 8.0) * S)
+    assert (report.source, report.stamp_ns, report.outcome) == (SET_POSE, used_ns, Outcome.ACCEPTED)
+    assert report.dof == 0
     now = estimator.estimate()
-    assert np.hypot(*(now.pose - word().pose)[:2]) < (1e-9 if stamp_s == 0.0 else 0.2)
+    assert np.hypot(*(now.pose - manual_pose().pose)[:2]) < (1e-9 if stamp_s == 0.0 else 0.2)
     if stamp_s == 0.0:
-        np.testing.assert_array_equal(now.pose_covariance, word().covariance)
+        np.testing.assert_array_equal(now.pose_covariance, manual_pose().covariance)
         np.testing.assert_array_equal(now.outputs.slips, before.outputs.slips)
 
 
 def test_a_given_pose_starts_the_estimate(found: list[Measurement]) -> None:
     estimator = SlipEstimator(load_slip_parameters())
-    assert estimator.take(word()).outcome is Outcome.WAITING  # now is not known yet
-    assert estimator.take(found[0]).outcome is Outcome.WAITING
+    assert estimator.process(manual_pose())[0].outcome is Outcome.WAITING  # now is not known yet
+    assert estimator.process(found[0])[0].outcome is Outcome.WAITING
     sprockets = next(m for m in found if isinstance(m, Sprockets) and m.stamp_ns > 0)
-    assert estimator.take(sprockets).outcome is Outcome.WAITING
-    assert estimator.take(word()).outcome is Outcome.ACCEPTED
-    np.testing.assert_array_equal(estimator.estimate().pose, word().pose)
+    assert estimator.process(sprockets)[0].outcome is Outcome.WAITING
+    assert estimator.process(manual_pose())[0].outcome is Outcome.ACCEPTED
+    np.testing.assert_array_equal(estimator.estimate().pose, manual_pose().pose)
+
+
+def test_a_given_pose_without_a_stamp_is_of_now_even_after_a_reset(found: list[Measurement]) -> None:
+    """A reset keeps the clock: nothing waits, and nobody takes stamp 0 for 1.8e9 s of silence."""
+    later = [replace(m, stamp_ns=m.stamp_ns + EPOCH_NS) for m in found]
+    estimator = SlipEstimator(load_slip_parameters())
+    watch = SourceWatch(estimator.parameters.timeouts_ns())
+    before = [m for m in later if m.stamp_ns <= EPOCH_NS + 8 * S]
+    for report, _ in map(estimator.process, before):
+        watch.add(report)
+    now_ns = estimator.newest_ns
+    assert now_ns == EPOCH_NS + 8 * S
+    reset, _ = estimator.process(Command(RESET))
+    watch.clear()
+    watch.add(reset)
+    assert watch.lost(now_ns) == {}
+    assert not estimator.started
+    given, estimate = estimator.process(manual_pose())
+    watch.add(given)
+    assert (given.outcome, given.stamp_ns) == (Outcome.ACCEPTED, now_ns)
+    assert estimator.estimate().stamp_ns == now_ns
+    np.testing.assert_array_equal(estimator.estimate().pose, manual_pose().pose)
+    assert watch.lost(now_ns + S // 10) == {}
+    steps = [estimator.process(m) for m in later if m.stamp_ns > now_ns]
+    published = [e.stamp_ns for _, e in steps if e is not None]
+    assert published == sorted(published)
+    assert published[0] == now_ns + 20_000_000
+    assert estimate is None or estimate.stamp_ns == now_ns
 
 
 def test_a_given_pose_without_a_covariance_is_refused(found: list[Measurement]) -> None:
-    assert running(found).take(word(variance=0.0)).outcome is Outcome.INVALID
+    assert running(found).process(manual_pose(variance=0.0))[0].outcome is Outcome.INVALID
 
 
 def test_the_gate_changes_while_it_runs(found: list[Measurement]) -> None:
     estimator = running(found)
     timeouts = {"pose_timeouts", "yaw_rate_timeouts", "slip_timeouts"}
     assert {"gate_probability", "gate_relaxation", *timeouts} == reloadable()
-    estimator.advance(Reload({"gate_probability": 0.5, "pose_timeouts": [3.0]}))
-    reports = [estimator.take(m) for m in after(found, 8.0)]
-    assert {r.gate for r in reports if r.source == "imu/data_raw"} == {chi2.ppf(0.5, 1)}
+    estimator.process(Reload({"gate_probability": 0.5, "pose_timeouts": [3.0]}))
+    reports = [estimator.process(m)[0] for m in after(found, 8.0)]
+    (gate,) = {r.gate for r in reports if r.source == "imu/data_raw"}
+    assert gate == pytest.approx(chi2.ppf(0.5, 1))
     assert sum(r.outcome is Outcome.GATED for r in reports) > 3
     with pytest.raises(InputError, match=r"gate_probability: 2\.0 is out of range"):
-        estimator.advance(Reload({"gate_probability": 2.0}))
+        estimator.process(Reload({"gate_probability": 2.0}))
     assert estimator.parameters.gate_probability == 0.5
 
 
 # The watch
 
 
-def taken(source: str, seconds: float, nis: float = 1.0, outcome: Outcome = Outcome.ACCEPTED) -> Report:
+def processed(source: str, seconds: float, nis: float = 1.0, outcome: Outcome = Outcome.ACCEPTED) -> Report:
     return Report(source, round(seconds * S), outcome, nis, 10.0, 2)
 
 
 def test_a_source_of_which_nothing_is_taken_is_lost() -> None:
     watch = SourceWatch({"box_pose": S, "imu/data_raw": 5 * S})
     assert watch.lost(100 * S) == {}  # nothing is due before the start
-    watch.add(taken("imu/data_raw", 10.0))
+    watch.add(processed("imu/data_raw", 10.0))
     for k in range(10):
-        watch.add(taken("box_pose", 10.0 + k / 2.0, outcome=Outcome.GATED))
+        watch.add(processed("box_pose", 10.0 + k / 2.0, outcome=Outcome.GATED))
     assert watch.lost(12 * S) == {"box_pose": 2.0}
-    watch.add(taken("box_pose", 15.0))
+    watch.add(processed("box_pose", 15.0))
     assert watch.lost(round(15.5 * S)) == {"imu/data_raw": 5.5}
     watch.clear()
     assert watch.lost(99 * S) == {}
 
 
-def test_the_mean_innovation_is_told_with_its_bounds() -> None:
+def test_the_mean_innovation_is_stated_with_its_bounds() -> None:
     watch = SourceWatch({"box_pose": S})
     for k in range(20):
-        watch.add(taken("box_pose", k, nis=2.0 + (k % 2)))
+        watch.add(processed("box_pose", k, nis=2.0 + (k % 2)))
     low, high = chi2.ppf((0.025, 0.975), 2 * 11) / 11  # of the last 10 s
-    expected = f"2.55 ({low:.2f} to {high:.2f} if honest), n 11"
+    expected = f"2.55 ({low:.2f} to {high:.2f} if consistent), n 11"
     assert watch.innovations(19 * S) == {"box_pose": expected}
+
+
+@pytest.mark.parametrize("name", [RESET, FREEZE, UNFREEZE, RELOAD])
+def test_commands_have_no_time_and_say_nothing_of_silence(name: str) -> None:
+    watch = SourceWatch({"box_pose": S, "imu/data_raw": S})
+    watch.add(Report(name, 0, Outcome.ACCEPTED))
+    assert watch.lost(EPOCH_NS) == {}  # nothing is due before the start
+    watch.add(processed("box_pose", 1.8e9))
+    watch.add(Report(name, 0, Outcome.ACCEPTED))
+    assert watch.lost(EPOCH_NS + S // 2) == {}
+    assert watch.lost(EPOCH_NS + 2 * S) == {"box_pose": 2.0, "imu/data_raw": 2.0}
 
 
 def test_a_restart_clears_the_watch() -> None:
     watch = SourceWatch({"box_pose": S})
-    watch.add(taken("box_pose", 100.0))
+    watch.add(processed("box_pose", 100.0))
     watch.add(Report("sprockets", 2 * S, Outcome.RESTARTED))
     assert watch.innovations(2 * S) == {}
     assert watch.lost(round(2.5 * S)) == {}

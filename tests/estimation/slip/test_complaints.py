@@ -25,7 +25,7 @@ Log = Any  # conftest's
 
 def run(given: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[Estimate], SlipEstimator]:
     estimator = SlipEstimator(load_slip_parameters(changes))
-    steps = [estimator.advance(m) for m in given]
+    steps = [estimator.process(m) for m in given]
     return [r.outcome for r, _ in steps], [e for _, e in steps if e is not None], estimator
 
 
@@ -72,7 +72,7 @@ def test_complaint_2_nan_or_covariance_blow_up(log: Log) -> None:
 
 
 def test_complaint_3_the_gate_is_a_probability_and_lets_the_filter_recover(log: Log) -> None:
-    """Of honest innovations it refuses about one in a hundred at 0.99; a real jump it believes in the end."""
+    """It refuses of consistent innovations about one in a hundred at 0.99; and follows a real jump."""
     outcomes, _, _ = run(log.measurements, gate_probability=0.99)
     refused = sum(o is Outcome.GATED for o in outcomes) / sum(
         not isinstance(m, Sprockets) for m in log.measurements

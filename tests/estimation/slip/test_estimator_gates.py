@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator makes of surprises: spikes are refused, what insists is believed, reports are honest."""
+"""What the estimator makes of surprises: spikes are refused, what insists is believed, NIS is consistent."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, YawRate
+from trackslip_estimation.slip.models.turning import EFFICIENCY
+from trackslip_estimation.slip.parameters import load_slip_parameters
+
+FloatArray = NDArray[np.float64]
 
 S = 1_000_000_000
 Run = Callable[..., Any]
@@ -89,6 +95,80 @@ def test_a_gyro_that_insists_has_another_bias(drive: Callable[..., Any], thesis_
         assert abs(e.pose[2] - driven.truth[e.stamp_ns][2]) < 0.06
 
 
+KAPPA = 0.45
+RATE = KAPPA * 0.159 * 1.0 / 0.73  # rad/s, that of the turn
+
+
+def on_one_ground(drive: Callable[..., Any]) -> Any:
+    """10 s straight on and 15 s of a turn, in which κ is 0.45; without slip it would turn at 0.218 rad/s."""
+    slips = (1.0 - (1.5 - 0.5 * KAPPA), 1.0 - (1.5 + 0.5 * KAPPA) / 2.0)
+    return drive([(10.0, 2.0, 2.0, 0.0, 0.0, 0.0), (15.0, 1.0, 2.0, *slips, 0.0)])
+
+
+def with_rates(found: list[Measurement], added: Sequence[float], begin_s: float = 20.0) -> list[Measurement]:
+    """The gyro readings from ``begin_s`` on with these rates added, rad/s."""
+    late = [k for k, m in enumerate(found) if isinstance(m, YawRate) and m.stamp_ns > begin_s * S]
+    changed = dict(zip(late, added, strict=False))
+    return [
+        replace(m, rate=m.rate + changed[k]) if isinstance(m, YawRate) and k in changed else m
+        for k, m in enumerate(found)
+    ]
+
+
+def kappas(found: list[Measurement]) -> tuple[FloatArray, list[Outcome]]:
+    """κ after each gyro reading from 20 s on, and what became of them."""
+    estimator = SlipEstimator(load_slip_parameters())
+    learned, outcomes = [], []
+    for m in found:
+        report, _ = estimator.process(m)
+        if isinstance(m, YawRate) and m.stamp_ns > 20 * S:
+            learned.append(estimator.window.states[estimator.window.count - 1]["mean"][EFFICIENCY])
+            outcomes.append(report.outcome)
+    return np.array(learned), outcomes
+
+
+@pytest.mark.parametrize("spike", [0.10, -0.06])
+def test_one_plausible_gyro_spike_in_a_turn_leaves_what_was_learned(
+    drive: Callable[..., Any], spike: float
+) -> None:
+    """+0.10 rad/s is 20 σ, and what other ground would show: κ went from 0.446 to 0.904 with one."""
+    clean, _ = kappas(on_one_ground(drive).measurements)
+    assert clean == pytest.approx(KAPPA, abs=0.03)
+    found, outcomes = kappas(with_rates(on_one_ground(drive).measurements, [spike]))
+    assert outcomes[0] is Outcome.GATED
+    assert set(outcomes[1:]) == {Outcome.ACCEPTED}
+    np.testing.assert_allclose(found, clean, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "added",
+    [
+        [0.10, 0.10, 0.0, 0.10, 0.10, 0.0, 0.10, 0.10],  # never enough in a row
+        [0.10, 0.06, 0.10, 0.06, 0.10, 0.06],  # that do not agree
+        [0.20] * 6,  # faster than without any slip
+        [-0.30] * 6,  # against the tracks
+    ],
+)
+def test_gyro_readings_that_show_no_one_ground_are_refused(
+    drive: Callable[..., Any], added: list[float]
+) -> None:
+    clean, _ = kappas(on_one_ground(drive).measurements)
+    found, outcomes = kappas(with_rates(on_one_ground(drive).measurements, added))
+    for rate, outcome in zip(added, outcomes, strict=False):
+        assert outcome is (Outcome.GATED if rate else Outcome.ACCEPTED)
+    np.testing.assert_allclose(found, clean, atol=0.03)
+
+
+def test_as_many_gyro_readings_as_must_agree_show_other_ground(drive: Callable[..., Any]) -> None:
+    """Two are refused, the third is believed, and κ is at once that of the new ground."""
+    found, outcomes = kappas(with_rates(on_one_ground(drive).measurements, [0.10] * 20))
+    assert load_slip_parameters().gate_confirmations == 3
+    assert outcomes[:2] == [Outcome.GATED] * 2
+    assert set(outcomes[2:20]) == {Outcome.ACCEPTED}
+    assert found[1] == pytest.approx(KAPPA, abs=0.03)
+    assert found[8] == pytest.approx(KAPPA * (RATE + 0.10) / RATE, abs=0.1)
+
+
 def test_reports_state_the_gate(drive: Callable[..., Any], thesis_run: Run) -> None:
     found = drive([(2.0, 2.0, 2.0, 0.1, 0.1, 0.0)]).measurements
     for use_heading, dof in ((True, 3), (False, 2)):
@@ -99,7 +179,7 @@ def test_reports_state_the_gate(drive: Callable[..., Any], thesis_run: Run) -> N
             assert some.nis > 0.0
 
 
-def test_nis_is_honest(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_nis_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
     """300 fixes of three numbers, drawn with the noise they claim: the mean within 10⁻⁴ tails of χ²."""
     driven = drive([(60.0, 2.0, 2.0, 0.1, 0.1, 0.0)], seed=5)
     nis = np.array([r.nis for r in thesis_run(driven.measurements).reports if r.source == "box_pose"])

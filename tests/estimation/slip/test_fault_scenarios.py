@@ -15,6 +15,7 @@ import pytest
 
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 S = 1_000_000_000
@@ -58,7 +59,7 @@ def seconds_of(log: Log, m: Measurement) -> float:
 def run(log: Log, given: Iterable[Measurement], shift_ns: int = 0, **changes: Any) -> Run:
     """All that is published must be numbers; ``shift_ns``: what was added to the stamps."""
     estimator = SlipEstimator(load_slip_parameters(changes))
-    steps = [estimator.advance(m) for m in given]
+    steps = [estimator.process(m) for m in given]
     published = [e for _, e in steps if e is not None]
     for e in published:
         o = e.outputs
@@ -175,12 +176,17 @@ def test_outage(log: Log, kind: type) -> None:
 
 @pytest.mark.parametrize("seconds", [2.0, 10.0])
 def test_sprockets_silent(log: Log, seconds: float) -> None:
-    """No estimates meanwhile; what comes after is covered by its covariance, and soon right again."""
+    """After their timeout the others carry it on, coasting; its covariance covers that; soon it is right."""
     end = BEGIN + seconds
     found = run(log, changed(log, Sprockets, end, lambda _: None))
-    gap = np.diff(found.seconds).max()
-    assert seconds < gap < seconds + 0.3
+    assert found.counts == {}
+    assert 0.5 < np.diff(found.seconds).max() < 0.6
     assert found.recovery(end) < 1.0
+    coasting = [k for k, t in enumerate(found.seconds) if BEGIN + 0.6 < t < end]
+    assert {found.published[k].motion for k in coasting} == {Motion.UNKNOWN}
+    for k in coasting:
+        deviations = np.sqrt(np.diag(found.published[k].pose_covariance))
+        assert (np.abs(found.errors[k]) < 4.0 * deviations).all()
     back = int(np.argmax(found.seconds > end))
     error, covariance = found.errors[back], found.published[back].pose_covariance
     assert error @ np.linalg.solve(covariance, error) < 20.0
@@ -211,7 +217,8 @@ def test_late_within_the_window(log: Log) -> None:
     """Fixes that come 1.5 s late end in the same state as those in time."""
     late = sorted(log.measurements, key=lambda m: m.stamp_ns + 1_500_000_000 * isinstance(m, PoseFix))
     found, in_time = run(log, late), run(log, sorted(log.measurements, key=lambda m: m.stamp_ns))
-    assert found.counts == {}
+    assert set(found.counts) <= {("imu/data_raw", "GATED")}  # till the fixes come, a turn may surprise
+    assert sum(found.counts.values()) < 3
     np.testing.assert_allclose(found.errors[-1], in_time.errors[-1], atol=0.02)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Standing, straight, turning: told from the sprockets, both ways round, without flicker."""
+"""Standing, straight, turning: seen from the sprockets, both ways round, without flicker."""
 
 import math
 from collections.abc import Iterable
@@ -154,10 +154,10 @@ def test_a_gyro_is_compared_with_no_difference_that_rounding_explains(difference
     """While speeds change they are not low-passed, and one count in 10 ms is 0.05 rad/s."""
     now = Speeds(1.5, 1.5 + difference, DT, differenced=True)
     changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)
-    left, right, stretch, _ = smoothed(now, changing, LIMITS, COUNT)
+    left, right, interval, _ = smoothed(now, changing, LIMITS, COUNT)
     assert (left + right) / 2.0 == pytest.approx(1.5 + difference / 2.0)
     assert right - left == pytest.approx(difference if difference == 0.3 else 0.0)
-    assert stretch == DT
+    assert interval == DT
     assert smoothed(now._replace(differenced=False), changing, LIMITS, COUNT)[:2] == now[:2]
 
 

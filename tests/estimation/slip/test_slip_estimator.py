@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator on a small exact truth: it converges, and is honest."""
+"""The estimator on a small exact truth: it converges, and is consistent."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -54,7 +54,7 @@ def test_pose_and_twist_follow_the_truth(drive: Callable[..., Any], thesis_run: 
     assert e.outputs.twist[2] == pytest.approx(0.159 * (1.6 - 1.0) / 0.73, abs=0.01)
 
 
-def test_the_claimed_pose_covariance_is_honest(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_the_claimed_pose_covariance_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
     """Slips that walk as the filter supposes. 40 seeds at three times 5 s apart: 120 × χ²(3), nearly
     independent; the mean must lie within the 10⁻⁴ tails of 40 × χ²(3) on either side, 1.98 to 4.32.
     """
@@ -115,7 +115,7 @@ def test_what_turns_taught_holds_in_the_next_one(drive: Callable[..., Any], thes
 
 
 def test_sub_model_1b_claims_no_more_than_it_knows(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """The truth has none of the misfit that the model allows for: NEES stays below its mean of 3, and a
+    """The truth has none of the allowed velocity errors: NEES stays below its mean of 3, and a
     filter that is not absurdly humble stays above a sixth of it.
     """
     values = []
@@ -158,7 +158,7 @@ def test_it_waits_for_the_first_fix_and_starts_there(
     steps = []
     for m in late:
         started = estimator.started
-        steps.append(estimator.advance(m))
+        steps.append(estimator.process(m))
         assert started == (steps[-1][0].outcome is not Outcome.WAITING) or isinstance(m, PoseFix)
     waiting = [r for r, _ in steps if r.outcome is Outcome.WAITING]
     assert {r.source for r in waiting} == {"sprockets", "imu/data_raw"}
@@ -173,9 +173,9 @@ def test_a_given_start_is_the_first_estimate(thesis_parameters: Make) -> None:
     estimator = SlipEstimator(
         thesis_parameters(initial_x=1.0, initial_y=-2.0, initial_yaw=0.5, initial_yaw_stddev=0.1)
     )
-    assert estimator.take(YawRate("imu/data_raw", 5, 0.0, 1e-4)).outcome is Outcome.WAITING
-    assert estimator.take(PoseFix("box_pose", 6, np.zeros(3), np.eye(3))).outcome is Outcome.WAITING
-    report, estimate = estimator.advance(Sprockets("sprockets", 7, 0.0, 0.0, (0.0, 0.0)))
+    assert estimator.process(YawRate("imu/data_raw", 5, 0.0, 1e-4))[0].outcome is Outcome.WAITING
+    assert estimator.process(PoseFix("box_pose", 6, np.zeros(3), np.eye(3)))[0].outcome is Outcome.WAITING
+    report, estimate = estimator.process(Sprockets("sprockets", 7, 0.0, 0.0, (0.0, 0.0)))
     assert report.outcome is Outcome.ACCEPTED
     assert estimate is not None
     np.testing.assert_array_equal(estimate.pose, (1.0, -2.0, 0.5))

@@ -9,33 +9,40 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.soil_samples import Sample
+from fixtures.filter_steps import (
+    Gaussian,
+    config_of,
+    filter_step,
+    outputs_of,
+    slips_measured,
+    start_of,
+    state_of,
+)
 from numpy.typing import NDArray
 
 from trackslip_bags.messages import make
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.filter import Filter
-from trackslip_estimation.slip.measurement_log import read_measurements, run_log
+from trackslip_estimation.slip.log import make_log, run_log
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, SlipFix
-from trackslip_estimation.slip.models import dispatch as equations
-from trackslip_estimation.slip.models.model import SLIPS, slips_measured
+from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
-from trackslip_estimation.slip.parameters import load_slip_parameters, make_model
+from trackslip_estimation.slip.observation import add_rounding, expected, jacobian
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.records import SLIPS, to_records
 from trackslip_estimation.soil import conversions as soil_conversions
-from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.records import SlipSeed, SoilInput
-from trackslip_estimation.soil.slip_seed import SEEDER, Thrust, is_seed_due, seed_of, set_strength, slips_of
+from trackslip_estimation.soil.slip_seed import SlipSeeder, slips_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.strength_summary import StrengthSummary
+from trackslip_estimation.soil.strength_posterior import StrengthSummary
+from trackslip_estimation.soil.thrust import Thrust
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
-from trackslip_tools.replay.quick import quick_steps
 
 FloatArray = NDArray[np.float64]
 
@@ -63,45 +70,44 @@ def seed_at(stamp_ns: int, slip: float, deviation: float = 0.003, source: str = 
 def test_what_is_expected_are_the_slips_and_its_derivative_is_theirs(
     model: str, left: float, right: float
 ) -> None:
-    c = Filter(make_model(load_slip_parameters({"model": model}))).constants[0]
-    x = make_model(load_slip_parameters({"model": model})).initial(np.zeros(3), np.eye(3)).mean
-    x[3:] += np.linspace(0.01, 0.05, x.size - 3)
-    nothing = np.zeros((x.size, x.size))
-    slips = equations.outputs(x, nothing, left, right, 0.0, False, c)[2][:2]
-    np.testing.assert_array_equal(equations.expected(SLIPS, x, left, right, c), slips)
+    config, speeds = config_of(model=model), (left, right)
+    x, c = start_of(config, np.zeros(3), np.eye(3)).mean, config[0]
+    x[4 : c["active"]] += np.linspace(0.01, 0.05, c["active"] - 4)
+    known = Gaussian(x, np.zeros((SIZE, SIZE)))
+    slips = outputs_of(config, known, Speeds(left, right, 0.0, differenced=False))["slips"][:2]
+    np.testing.assert_array_equal(expected(SLIPS, x, 2, speeds, c), slips)
     steps = EDGE * np.eye(x.size)
-    ends = [[equations.expected(SLIPS, x + sign * d, left, right, c) for sign in (1.0, -1.0)] for d in steps]
+    ends = [[expected(SLIPS, x + sign * d, 2, speeds, c) for sign in (1.0, -1.0)] for d in steps]
     differences = np.array([(plus - minus) / (2.0 * EDGE) for plus, minus in ends]).T
-    np.testing.assert_allclose(equations.jacobian(SLIPS, x, left, right, c), differences, atol=1e-7)
+    np.testing.assert_allclose(jacobian(SLIPS, x, 2, speeds, c), differences, atol=1e-7)
 
 
 def test_slips_know_of_the_rounding_of_the_counts() -> None:
-    c = Filter(make_model(load_slip_parameters())).constants[0]
-    x = np.zeros(10)
+    config, x = config_of(), np.zeros(SIZE)
     x[FIRST], x[SECOND], x[COMMON_SLIP] = 0.5, 0.4, 0.02
-    R, stretch = 1e-12 * np.eye(2), 0.01
-    noise = equations.noise(SLIPS, x, R, 2.0, 2.0, stretch, True, c)
-    told = equations.outputs(x, np.zeros((10, 10)), 2.0, 2.0, stretch, True, c)[3][:2, :2]
-    np.testing.assert_allclose(noise, R + told, rtol=1e-9)
-    np.testing.assert_array_equal(equations.noise(SLIPS, x, R, 2.0, 2.0, stretch, False, c), R)
+    known, changing = Gaussian(x, np.zeros((SIZE, SIZE))), MotionState(Motion.STRAIGHT, departure=1.0)
+    for differenced in (True, False):
+        R, speeds = 1e-12 * np.eye(2), Speeds(2.0, 2.0, 0.01, differenced)
+        add_rounding(SLIPS, x, R, state_of(known, speeds, changing)[0], config[0])
+        found = outputs_of(config, known, speeds, changing)["slip_covariance"][:2, :2]
+        np.testing.assert_allclose(R, 1e-12 * np.eye(2) + found, rtol=1e-9)
+        assert (np.diag(R) > 1e-9).all() == differenced
 
 
-@pytest.mark.parametrize("kappa", [None, 0.0])
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
 @pytest.mark.parametrize("model", MODELS)
-def test_both_slips_move_together_where_the_gyro_holds_their_difference(
-    model: str, kappa: float | None
-) -> None:
-    filter_ = Filter(make_model(load_slip_parameters({"model": model})), kappa)
-    state = filter_.initial(np.zeros(3), 1e-4 * np.eye(3))
+def test_both_slips_move_together_where_the_gyro_holds_their_difference(model: str, filter_: str) -> None:
+    config = config_of(model=model, filter=filter_)
+    state = start_of(config, np.zeros(3), 1e-4 * np.eye(3))
     measured = slips_measured(np.full(2, 0.03), 1e-6 * (np.ones((2, 2)) + 0.01 * np.eye(2)))
     straight = Speeds(2.0, 2.0, 0.0, differenced=False)
-    held = filter_.step(state, straight, 0.0, MotionState(Motion.STRAIGHT, changing=False), measured)
-    before, after = (filter_.outputs(s, straight) for s in (held.predicted, held.updated))
-    np.testing.assert_allclose(after.slips[:2], 0.03, atol=1e-3)
+    step = filter_step(config, state, straight, 0.0, MotionState(Motion.STRAIGHT, changing=False), measured)
+    before, after = (outputs_of(config, known, straight) for known in (step.predicted, step.updated))
+    np.testing.assert_allclose(after["slips"][:2], 0.03, atol=1e-3)
     together = np.ones(2)
-    wide, narrow = (together @ o.slip_covariance[:2, :2] @ together / 4.0 for o in (before, after))
+    wide, narrow = (together @ o["slip_covariance"][:2, :2] @ together / 4.0 for o in (before, after))
     assert wide > 100.0 * narrow
-    np.testing.assert_array_equal(held.updated.mean[:3], 0.0)  # it says nothing of the pose
+    np.testing.assert_array_equal(step.updated.mean[:3], 0.0)  # it says nothing of the pose
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -110,19 +116,19 @@ def test_a_seed_mends_what_the_gyro_cannot_see(drive: Callable[..., Any], model:
     driven = drive([(12.0, 2.0, 2.0, 0.04, 0.04, 0.0)])
     given = [m for m in driven.measurements if not (isinstance(m, PoseFix) and m.stamp_ns > 0)]
     at = next(k for k, m in enumerate(given) if m.stamp_ns > 5_500_000_000)
-    blind, told = (SlipEstimator(load_slip_parameters(SOURCE | {"model": model})) for _ in range(2))
+    blind, mended = (SlipEstimator(load_slip_parameters(SOURCE | {"model": model})) for _ in range(2))
     for k, m in enumerate(given):
         if k == at:
-            report = told.take(seed_at(5_000_000_000, 0.04))
+            report = mended.process(seed_at(5_000_000_000, 0.04))[0]
             assert (report.outcome, report.dof, report.source) == (Outcome.ACCEPTED, 2, "slip_seed")
             assert report.nis < report.gate
-        blind.take(m)
-        told.take(m)
+        blind.process(m)
+        mended.process(m)
     true = driven.truth[given[-1].stamp_ns]
-    errors = [np.abs(e.estimate().outputs.slips[:2].mean() - 0.04) for e in (blind, told)]
+    errors = [np.abs(e.estimate().outputs.slips[:2].mean() - 0.04) for e in (blind, mended)]
     assert errors[0] > 0.02
-    assert errors[1] < 0.012  # some of it the model takes for a misfit
-    ways = [abs(e.estimate().pose[0] - true[0]) for e in (blind, told)]
+    assert errors[1] < 0.012  # some of it the model takes for a velocity error
+    ways = [abs(e.estimate().pose[0] - true[0]) for e in (blind, mended)]
     assert ways[1] < 0.6 * ways[0]
 
 
@@ -135,16 +141,16 @@ def test_a_seed_far_off_is_gated_until_it_has_not_agreed_for_long(
         p = load_slip_parameters(SOURCE | {"model": model, "slip_timeouts": [timeout]})
         estimator = SlipEstimator(p)
         for m in given:
-            estimator.take(m)
+            estimator.process(m)
         before = estimator.estimate().outputs
-        report = estimator.take(seed_at(given[-1].stamp_ns, 0.9, 0.001))
+        report = estimator.process(seed_at(given[-1].stamp_ns, 0.9, 0.001))[0]
         after = estimator.estimate().outputs
         assert report.outcome is outcome
         assert report.nis > LIMIT
         assert (report.gate > LIMIT) == (outcome is Outcome.ACCEPTED)
         if outcome is Outcome.GATED:
             np.testing.assert_array_equal(after.slips, before.slips)
-        else:  # admitted, and its surprise widens what it tells of
+        else:  # admitted, and its surprise widens what it measures
             assert after.slips[:2].mean() > 0.5
 
 
@@ -173,11 +179,11 @@ def test_nonsense_is_invalid(
 ) -> None:
     given = drive([(1.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements
     estimator = SlipEstimator(load_slip_parameters(SOURCE))
-    assert estimator.take(seed_at(0, 0.0)).outcome is Outcome.WAITING
+    assert estimator.process(seed_at(0, 0.0))[0].outcome is Outcome.WAITING
     for m in given:
-        estimator.take(m)
+        estimator.process(m)
     bad = SlipFix("slip_seed", given[-1].stamp_ns, np.array(slips), covariance)
-    assert estimator.take(bad).outcome is Outcome.INVALID
+    assert estimator.process(bad)[0].outcome is Outcome.INVALID
 
 
 def with_seeds(measurements: list[Measurement]) -> list[Measurement]:
@@ -191,21 +197,21 @@ def with_seeds(measurements: list[Measurement]) -> list[Measurement]:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_order_of_arrival_and_batch_do_not_matter(drive: Callable[..., Any], model: str) -> None:
+def test_order_of_arrival_and_log_do_not_matter(drive: Callable[..., Any], model: str) -> None:
     given = with_seeds(drive([(10.0, 2.0, 2.0, 0.03, 0.03, 0.0)]).measurements)
     p = load_slip_parameters(SOURCE | {"model": model})
-    assert quick_steps(given, p) is None  # such logs go one by one
-    late, sorted_ = SlipEstimator(p), SlipEstimator(p)
-    for m in given:
-        late.take(m)
-    for m in sorted(given, key=lambda m: m.stamp_ns):
-        sorted_.take(m)
-    np.testing.assert_array_equal(late.history()[-1].gaussian.mean, sorted_.history()[-1].gaussian.mean)
-    log = read_measurements(given, p)
-    run = run_log(log, p)
-    np.testing.assert_allclose(run.means[-1], late.history()[-1].gaussian.mean, rtol=0.0, atol=1e-12)
-    seeds = log.log.flags[:, 0] == SLIPS
-    assert run.accepted[seeds].tolist() == [True, False]
+    late, in_order = SlipEstimator(p), SlipEstimator(p)
+    late.process_all(given)
+    in_order.process_all(sorted(given, key=lambda m: m.stamp_ns))
+    end, other = (e.window.states[e.window.count - 1] for e in (late, in_order))
+    np.testing.assert_array_equal(end["mean"], other["mean"])
+    blocks = run_log(make_log(to_records(given, late.sources), p), p)
+    seeds = []
+    for block in blocks:
+        seeds += block.updates["outcome"][block.measurements["kind"] == SLIPS].tolist()
+        last = block.states[-1].copy()
+    np.testing.assert_array_equal(last["mean"], end["mean"])
+    assert seeds == [Outcome.ACCEPTED, Outcome.GATED]
 
 
 # Seeds of the soil estimator
@@ -219,6 +225,7 @@ def test_a_seed_is_the_slip_of_its_thrust_and_as_uncertain_as_soil_and_thrust() 
     rng, count = np.random.default_rng(2), 4000
     known = thrust_at((0.02, 0.03))
     found = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
+    assert found is not None
     np.testing.assert_allclose(found[0], (0.02, 0.03), rtol=1e-9)
     drawn = []
     stddev = np.sqrt(known.variance + P.seed.thrust_stddev**2)
@@ -229,6 +236,7 @@ def test_a_seed_is_the_slip_of_its_thrust_and_as_uncertain_as_soil_and_thrust() 
         one = slips_of(
             Thrust(known.force + stddev * z[2:4], known.variance), np.ones(2), soil, P.seed, LENGTH
         )
+        assert one is not None
         drawn.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
     np.testing.assert_allclose(found[1], np.cov(np.array(drawn).T), rtol=0.2)
 
@@ -237,22 +245,22 @@ def test_in_reverse_and_where_a_track_brakes_slips_have_their_sign() -> None:
     known = thrust_at((0.02, -0.01))
     forward = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
     reverse = slips_of(Thrust(-known.force, known.variance), -np.ones(2), SOIL, P.seed, LENGTH)
+    assert forward is not None
+    assert reverse is not None
     np.testing.assert_allclose(forward[0], (0.02, -0.01), rtol=1e-9)
     np.testing.assert_array_equal(forward[0], reverse[0])
 
 
 def test_a_thrust_that_the_soil_may_not_give_tells_no_slip() -> None:
-    ride = Ride()
-    ride.known = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
-    ride.seeds(Motion.TURNING, 1.0)
-    assert ride.seeds(Motion.STRAIGHT, 10.0) == []
+    spent = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
+    assert slips_of(spent, np.ones(2), SOIL, P.seed, LENGTH) is None
 
 
 class Ride:
     """Moments of 0.1 s for a seeder."""
 
     def __init__(self) -> None:
-        self._seeder, self._numbers, self._now_ns = np.zeros(1, SEEDER)[0], record_of(P)[0], 0
+        self._seeder, self._now_ns = SlipSeeder(P.seed, LENGTH), 0
         self.known: Thrust | None = thrust_at((0.02, 0.02))
         self.soil: StrengthSummary | None = SOIL
 
@@ -261,15 +269,8 @@ class Ride:
         found = []
         for _ in range(math.ceil(lengths * LENGTH / (TRACKS[0] * 0.1))):
             self._now_ns += 100_000_000
-            thrusts = (None, np.ones(2)) if self.known is None else self.known
-            moment = Sample(0.1, TRACKS, thrusts=thrusts[0], thrust_variances=thrusts[1], motion=motion)
-            sample, thrust = moment.records()
-            sample["stamp_ns"] = self._now_ns
-            if self.soil is not None:
-                set_strength(self._seeder, self.soil)
-            if is_seed_due(self._seeder, sample[0], thrust[0], self._numbers):
-                found.append(seed_of(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
-        return found
+            found.append(self._seeder.step(self._now_ns, 0.1, motion, TRACKS, self.known, self.soil))
+        return [seed for seed in found if seed is not None]
 
 
 def test_one_seed_for_each_turn_once_the_way_after_it_is_long_enough() -> None:

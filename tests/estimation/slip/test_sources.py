@@ -7,26 +7,33 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.filter_steps import Gaussian, config_of
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
-from trackslip_estimation.slip.models.model import Gaussian
+from trackslip_estimation.slip.models.model import SIZE
+from trackslip_estimation.slip.observation import observed, shows_heading, to_sensor
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.slip.sources import PoseSource
+from trackslip_estimation.slip.records import to_records
 
 S = 1_000_000_000
 LEVER = (0.8, -0.4)
 
 
-def source(lever: tuple[float, float] = LEVER) -> PoseSource:
-    return PoseSource(True, lever, 0.001, 0.001, 0.3, S)
+FLOORS = {"pose_position_floors": [0.001], "pose_heading_floors": [0.001], "pose_heading_ceilings": [0.3]}
 
 
-def state(seed: int = 0, size: int = 10) -> Gaussian:
+def state(seed: int = 0) -> Gaussian:
     rng = np.random.default_rng(seed)
-    root = rng.normal(size=(size, size))
-    return Gaussian(rng.normal(size=size), root @ root.T * 0.01)
+    root = rng.normal(size=(SIZE, SIZE))
+    return Gaussian(rng.normal(size=SIZE), root @ root.T * 0.01)
+
+
+def at_sensor(known: Gaussian, sign: float = 1.0, lever: tuple[float, float] = LEVER) -> Gaussian:
+    moved = Gaussian(known.mean.copy(), known.covariance.copy())
+    to_sensor(*moved, np.array(lever), sign)
+    return moved
 
 
 def sensor_pose(x: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -42,17 +49,17 @@ def test_the_derivative_of_the_lever_arm_is_that_of_its_formula() -> None:
         for unit in np.eye(start.mean.size)
     ]
     T = np.stack(columns, axis=-1)
-    moved = source().to_sensor(start)
+    moved = at_sensor(start)
     np.testing.assert_allclose(moved.mean, sensor_pose(start.mean), atol=1e-12)
     np.testing.assert_allclose(moved.covariance, T @ start.covariance @ T.T, atol=1e-8)
 
 
 def test_there_and_back_is_where_it_was() -> None:
     start = state(1)
-    back = source().from_sensor(source().to_sensor(start))
+    back = at_sensor(at_sensor(start), -1.0)
     np.testing.assert_allclose(back.mean, start.mean, atol=1e-12)
     np.testing.assert_allclose(back.covariance, start.covariance, atol=1e-12)
-    assert source((0.0, 0.0)).to_sensor(start).covariance is start.covariance
+    np.testing.assert_array_equal(at_sensor(start, 1.0, (0.0, 0.0)).covariance, start.covariance)
 
 
 def displaced(found: list[Measurement], truth: dict[int, Any]) -> list[Measurement]:
@@ -73,7 +80,7 @@ def displaced(found: list[Measurement], truth: dict[int, Any]) -> list[Measureme
 
 def end_of(found: list[Measurement], **changes: Any) -> tuple[Any, list[Outcome]]:
     estimator = SlipEstimator(load_slip_parameters(changes))
-    outcomes = [estimator.take(m).outcome for m in found]
+    outcomes = [estimator.process(m)[0].outcome for m in found]
     return estimator.estimate(), outcomes
 
 
@@ -122,7 +129,7 @@ def test_a_heading_that_is_not_used_may_have_any_variance(drive: Callable[..., A
     assert Outcome.INVALID not in outcomes
     assert end.pose[2] == pytest.approx(0.1, abs=0.05)
     used = SlipEstimator(load_slip_parameters({}))
-    first = used.take(next(m for m in spoilt if isinstance(m, PoseFix))).outcome
+    first = used.process(next(m for m in spoilt if isinstance(m, PoseFix)))[0].outcome
     assert first is (Outcome.ACCEPTED if variance > 0.0 else Outcome.INVALID)
 
 
@@ -142,7 +149,7 @@ def test_sources_side_by_side_each_have_their_own(drive: Callable[..., Any]) -> 
         "pose_lever_arms_y": [0.0, LEVER[1]],
     }
     estimator = SlipEstimator(load_slip_parameters(changes))
-    reports = [estimator.take(m) for m in both]
+    reports = [estimator.process(m)[0] for m in both]
     degrees = {
         source: {r.dof for r in reports if r.source == source and r.dof} for source in changes["pose_sources"]
     }
@@ -163,11 +170,16 @@ def test_nobody_is_believed_better_than_the_floors() -> None:
     estimator = SlipEstimator(
         load_slip_parameters({"pose_position_floors": [0.02], "pose_heading_floors": [0.01]})
     )
-    assert estimator.take(tiny).outcome is Outcome.ACCEPTED
+    assert estimator.process(tiny)[0].outcome is Outcome.ACCEPTED
     end = estimator.estimate()
     np.testing.assert_allclose(np.sqrt(np.diag(end.pose_covariance)), (0.02, 0.02, 0.01))
-    wide = PoseFix("box_pose", S, np.zeros(3), np.diag((1.0, 1.0, 1.0)))
-    assert source().prepared(wide) is wide
+    c, names = config_of(FLOORS)[0], estimator.sources
+    wide, narrow = np.diag((1.0, 2.0, 0.05)), np.diag((1e-12, 2.0, 1e-12))
+    for R, used in ((wide, wide), (narrow, np.diag((1e-6, 2.0, 1e-6)))):
+        fix = to_records((PoseFix("box_pose", S, np.ones(3), R),), names)[0]
+        z, noise = observed(fix, False, c)
+        np.testing.assert_array_equal(z, 1.0)
+        np.testing.assert_allclose(noise, used)
 
 
 @pytest.mark.parametrize(
@@ -197,14 +209,14 @@ def test_what_does_not_fit_is_refused_in_one_line(changes: dict[str, Any], words
 def test_no_sources_at_all_are_allowed() -> None:
     p = load_slip_parameters({"pose_sources": [""], "yaw_rate_sources": [""], "start": "initial_pose"})
     assert p.timeouts_ns() == {}
-    assert SlipEstimator(p).take(Sprockets("sprockets", S, 0.0, 0.0)).outcome is Outcome.ACCEPTED
+    assert SlipEstimator(p).process(Sprockets("sprockets", S, 0.0, 0.0))[0].outcome is Outcome.ACCEPTED
 
 
 def test_covariances_stay_positive_with_a_lever_arm(drive: Callable[..., Any]) -> None:
     driven = drive([(5.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     estimator = SlipEstimator(load_slip_parameters({**ANTENNA, "position_only": ["box_pose"]}))
     for m in displaced(driven.measurements, driven.truth):
-        estimator.take(m)
+        estimator.process(m)
         if estimator.started:
             covariance = estimator.estimate().pose_covariance
             np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
@@ -213,8 +225,11 @@ def test_covariances_stay_positive_with_a_lever_arm(drive: Callable[..., Any]) -
 
 def test_a_doubtful_heading_is_not_a_measurement() -> None:
     """The box may be seen the wrong way round; then its localizer says that it is in doubt."""
-    told = [
-        source().tells_heading(PoseFix("box_pose", 0, np.zeros(3), np.diag((1e-4, 1e-4, stddev**2))))
+    c = config_of(FLOORS)[0]
+    fixes = [
+        PoseFix("box_pose", 0, np.zeros(3), np.diag((1e-4, 1e-4, stddev**2)))
         for stddev in (0.05, 0.29, 0.31, 0.6)
     ]
-    assert told == [True, True, False, False]
+    records = to_records(fixes, {"box_pose": 0})
+    assert [shows_heading(record, c) for record in records] == [True, True, False, False]
+    assert [len(observed(record, False, c)[0]) for record in records] == [3, 3, 2, 2]

@@ -1,58 +1,89 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sprockets that fall silent, and positions that jump: no speed is made up, and the uncertainty says so."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
-from trackslip_estimation.slip.motion import STANDSTILL, Motion
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.slip.sprockets import SprocketTrack
+from trackslip_estimation.slip.records import SPROCKETS
 
 S, MS = 1_000_000_000, 1_000_000
 MODELS = ["turning", "icr", "free_slips"]
 
 
-def track(*samples: tuple[int, float, float], max_speed: float = 20.0) -> SprocketTrack:
-    """(ms, position of both, measured speed of both), in no order; 100 ms of patience."""
-    made = SprocketTrack(100 * MS, max_speed)
-    for ms, angle, speed in samples:
-        made.add(Sprockets("sprockets", ms * MS, speed, speed, (angle, angle)))
-    return made
+PATIENT = {"start": "initial_pose", "sprocket_timeout": 0.1, "max_sprocket_speed": 20.0}
+Sample = tuple[int, float, float]  # ms, position of both, measured speed of both
 
 
-def test_a_long_stretch_is_known_only_in_its_first_part() -> None:
-    made = track((300, 9.0, 5.0), (0, 0.0, 1.0), (50, 0.1, 1.0))
-    for ms in (51, 100, 150):  # as in the stretch before
-        assert made.stretch(ms * MS) == ((2.0, 2.0, 0.05, True), ms * MS)
-    assert made.stretch(151 * MS) == (STANDSTILL, 150 * MS)
-    assert made.stretch(300 * MS) == ((5.0, 5.0, 0.1, False), 150 * MS)  # what its end says of itself
-    assert made.stretch(301 * MS) == ((5.0, 5.0, 0.1, False), 301 * MS)
-    assert made.stretch(401 * MS) == (STANDSTILL, 400 * MS)
+class Known(NamedTuple):
+    """What a state has at a stamp."""
+
+    speeds: tuple[float, float, float, bool]
+    coasting: bool
+
+
+def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]:
+    """The speeds with which the estimator comes to each stamp; 100 ms of patience."""
+    p = load_slip_parameters(PATIENT)
+    found: list[Measurement] = [
+        Sprockets("sprockets", S + ms * MS, speed, speed, (angle, angle)) for ms, angle, speed in samples
+    ]
+    begin = Sprockets("sprockets", S - 100 * MS, 0.0, 0.0)
+    gyro = [YawRate("imu/data_raw", S + ms * MS, 0.0, 1.0) for ms in asked_ms]
+    estimator = SlipEstimator(p)
+    estimator.process_all([begin, *found, *gyro])
+    status, measurements, states, _ = estimator.window
+    entries = {
+        int(m["stamp_ns"]): state
+        for m, state in zip(measurements[: status["count"][0]], states, strict=False)
+        if m["kind"] != SPROCKETS
+    }
+    asked = [entries[S + ms * MS] for ms in asked_ms]
+    return [Known(state["speeds"].item(), bool(state["coasting"])) for state in asked]
+
+
+STANDING = (0.0, 0.0, 0.0, False)
+
+
+def test_a_long_interval_is_known_only_in_its_first_part() -> None:
+    samples = ((300, 9.0, 5.0), (0, 0.0, 1.0), (50, 0.1, 1.0))
+    for known in states_at(samples, (51, 100, 149)):  # as in the interval before
+        assert known == ((pytest.approx(2.0), pytest.approx(2.0), 0.05, True), False)
+    assert states_at(samples, (151, 299)) == [(STANDING, True)] * 2
+    assert (
+        states_at(samples, (300, 301, 399))
+        == [((5.0, 5.0, 0.1, False), True)] + [((5.0, 5.0, 0.1, False), False)] * 2
+    )  # what its end says of itself
+    assert states_at(samples, (401,)) == [(STANDING, True)]
 
 
 def test_positions_that_jump_give_way_to_the_measured_speed() -> None:
-    made = track((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 3.0), (150, 77.1, 4.0))
-    assert made.stretch(70 * MS) == ((3.0, 3.0, 0.05, False), 70 * MS)
-    assert made.stretch(120 * MS)[0] == pytest.approx((2.0, 2.0, 0.05, True))
-    assert [made.jumps(ms * MS) for ms in (0, 50, 100, 150)] == [False, False, True, False]
+    samples = ((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 3.0), (150, 77.1, 4.0))
+    jumped, sound = states_at(samples, (70, 120))
+    assert jumped == ((3.0, 3.0, 0.05, False), False)
+    assert sound.speeds == pytest.approx((2.0, 2.0, 0.05, True))
+    p = load_slip_parameters(PATIENT)
+    given = [Sprockets("sprockets", ms * MS, w, w, (angle, angle)) for ms, angle, w in samples]
+    outcomes = [r.outcome for r, _ in SlipEstimator(p).process_all(given)]
+    assert outcomes == [Outcome.ACCEPTED, Outcome.ACCEPTED, Outcome.JUMPED, Outcome.ACCEPTED]
 
 
-def test_where_neither_tells_it_is_silence() -> None:
-    made = track((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 99.0), (150, 99.0, 99.0))
-    assert made.stretch(70 * MS) == (STANDSTILL, 50 * MS)
-    assert made.stretch(100 * MS) == (STANDSTILL, 50 * MS)
-    assert made.stretch(200 * MS) == (STANDSTILL, 150 * MS)
+def test_where_neither_shows_the_speed_it_is_silence() -> None:
+    samples = ((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 99.0), (150, 99.0, 99.0))
+    assert states_at(samples, (70, 100, 200)) == [(STANDING, True)] * 3
+    assert not states_at(samples, (49,))[0].coasting
 
 
 def run(found: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[Estimate], SlipEstimator]:
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose"}, changes))
-    steps = [estimator.advance(m) for m in found]
+    steps = [estimator.process(m) for m in found]
     return [r.outcome for r, _ in steps], [e for _, e in steps if e is not None], estimator
 
 
@@ -72,7 +103,7 @@ def test_in_silence_the_pose_is_held_and_its_uncertainty_covers_what_was_driven(
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose", "model": model}))
     spread, poses = [], []
     for m in kept:
-        estimator.take(m)
+        estimator.process(m)
         if isinstance(m, YawRate) and 6.6 * S < m.stamp_ns < 9.9 * S:
             now = estimator.estimate()
             spread.append(float(np.sqrt(np.trace(now.pose_covariance[:2, :2]))))
@@ -113,6 +144,45 @@ def test_after_silence_the_next_fixes_give_the_pose_back(drive: Callable[..., An
         for e in run(kept, model=model)[1]:
             if e.stamp_ns > (6.0 + seconds + 1.0) * S:
                 assert np.hypot(*(e.pose - driven.truth[e.stamp_ns][:3])[:2]) < 0.15
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("with_gyro", [True, False])
+def test_sprockets_dead_for_long_the_others_go_on_and_the_pose_is_published(
+    drive: Callable[..., Any], model: str, with_gyro: bool
+) -> None:
+    """20 s of it, and 5 s were once the end: fixes, and a gyro if there is one, are never AHEAD. The pose
+    coasts from fix to fix, wide, and is as good as before soon after the sprockets are back.
+    """
+    driven = drive([(10.0, 2.0, 2.0, 0.05, 0.05, 0.0), (30.0, 1.5, 2.0, 0.05, 0.2, 0.0)])
+    found = without(driven.measurements, (Sprockets,), 15.0, 35.0)
+    if not with_gyro:
+        found = without(found, (YawRate,), 15.0, 35.0)
+    estimator = SlipEstimator(load_slip_parameters({"model": model}))
+    outcomes, dead, back, usual = [], [], [], 0.0
+    for m in found:
+        report, e = estimator.process(m)
+        if m.stamp_ns > 15 * S:
+            outcomes.append(report.outcome)
+        if e is None:
+            continue
+        error = e.pose - driven.truth[e.stamp_ns][:3]
+        error[2] = np.angle(np.exp(1j * error[2]))
+        deviations = np.sqrt(np.diag(e.pose_covariance))
+        if 14 * S < e.stamp_ns < 15 * S:
+            usual = max(usual, float(deviations[0]))
+        if 16 * S < e.stamp_ns < 35 * S:
+            assert (np.abs(error) < 4.0 * deviations).all()
+            assert e.motion is Motion.UNKNOWN
+            dead.append((e.stamp_ns, float(deviations[0])))
+        if e.stamp_ns > 37 * S:
+            back.append(np.hypot(*error[:2]))
+    assert {Outcome.AHEAD, Outcome.TOO_LATE, Outcome.RESTARTED}.isdisjoint(outcomes)
+    assert outcomes.count(Outcome.GATED) <= 2
+    stamps, spread = np.array(dead).T
+    assert np.diff(stamps).max() <= (0.1 if with_gyro else 0.2) * S
+    assert spread.min() > 1.3 * usual
+    assert max(back) < 0.1
 
 
 def test_an_encoder_that_starts_from_elsewhere_is_counted_and_costs_nothing(

@@ -10,7 +10,7 @@ import pytest
 
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.pressure_watch import PressureFault
-from trackslip_estimation.soil.records import Hydraulics, SoilInput, TrackForces
+from trackslip_estimation.soil.records import SOIL_INPUT, Hydraulics, SoilInput, TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, reloadable
 from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs
@@ -117,6 +117,26 @@ def test_the_outputs_do_not_depend_on_how_the_topics_interleave() -> None:
     wanted, found = run(inputs), run(shuffled)
     assert len(wanted) - len(found) in (0, 1, 2, 3)  # the end may still wait
     assert [repr(o) for o in found] == [repr(o) for o in wanted[: len(found)]]
+
+
+@pytest.mark.parametrize("chunk", [7, 1000, 10**6])
+def test_many_inputs_at_once_give_what_they_give_one_by_one(chunk: int) -> None:
+    """A replay takes records by the thousand, live they come alone: the same bits."""
+    inputs = corrupted(FAULTS[PressureFault.DROPPED])
+    records = np.zeros(len(inputs), SOIL_INPUT)
+    for record, one in zip(records, inputs, strict=True):
+        one.write_to(record)
+    replayed, live = SoilEstimator(P), SoilEstimator(P)
+    parts = [p for k in range(0, len(records), chunk) for p in replayed.advance_all(records[k : k + chunk])]
+    forces = np.concatenate([part.forces for part in parts])
+    states = [state for part in parts for state in part.states]
+    wanted = run(inputs, live)
+    assert repr(states) == repr([o for o in wanted if isinstance(o, SoilState)])
+    for name in ("stamp_ns", "thrust", "thrust_variance", "resistance", "resistance_variance", "reserve"):
+        own = [getattr(o, name) for o in wanted if isinstance(o, TrackForces)]
+        np.testing.assert_array_equal(forces[name], own)
+    assert replayed.tally.total == live.tally.total
+    assert replayed.struggling == live.struggling
 
 
 def test_a_track_that_spins_at_the_limit_is_getting_stuck_and_an_ordinary_turn_is_not() -> None:

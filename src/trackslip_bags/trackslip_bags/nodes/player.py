@@ -32,7 +32,7 @@ _PAUSE_KEY = " "
 
 @dataclass(frozen=True, kw_only=True)
 class PlayerParameters(Parameters):
-    """None: the command line says it all."""
+    """None: the command line has them all."""
 
 
 class PlayerNode(TrackslipNode[PlayerParameters]):

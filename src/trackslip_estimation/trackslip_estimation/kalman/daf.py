@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distribution Approximation Filter (Julier & Uhlmann; thesis Fig. 4.3), the first unscented one, compiled; works in place.
+"""Distribution Approximation Filter (Julier & Uhlmann; thesis Fig. 4.3), the first unscented one; compiled.
+
+Works in place.
 
 x, P    mean and covariance of the state                             (n,), (n, n)
 κ       scales the higher moments of the sigma points, n + κ > 0     1
@@ -11,10 +13,10 @@ z, R    measurement and its covariance                               (m,), (m, m
 S, K    covariance of the innovation, gain                           (m, m), (n, m)
 
 Process noise joins P' after the points have moved, not P before (step 1 of the figure): it is what the whole
-step adds, and must not be moved by it again. The points are drawn anew for each measurement, because several may come
-between two steps. With κ < 0 the centre has a negative weight; departures are then taken from the centre
-point, not from the mean (Julier's repair). The number ``angle`` of a state, and of a measurement that has so
-many, is an angle: departures take the short way round.
+step adds, and must not be moved by it again. The points are drawn anew for each measurement, because several
+may come between two steps. With κ < 0 the centre has a negative weight; departures are then taken from the
+centre point, not from the mean (Julier's repair). The number ``angle`` of a state, and of a measurement that
+has so many, is an angle: departures take the short way round.
 """
 
 import math
@@ -50,9 +52,7 @@ def sigma_points(x: FloatArray, P: FloatArray, kappa: float, size: int) -> tuple
 
 
 @compiled
-def moments(
-    points: FloatArray, weights: FloatArray, angle: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def moments(points: FloatArray, weights: FloatArray, angle: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Steps 2 and 4: the mean (k,), the departures (k, 2n + 1), and the weights that go with them."""
     departures = (points - points[0]).T.copy()
     if departures.shape[0] > angle:

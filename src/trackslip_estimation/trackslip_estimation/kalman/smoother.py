@@ -28,7 +28,7 @@ Gaussian = tuple[FloatArray, FloatArray]
 def step_back(
     filtered: Gaussian, predicted: Gaussian, smoothed: Gaussian, F: FloatArray, angle: int
 ) -> Gaussian:
-    """x̂_{k−1} and P̂_{k−1} of (x_{k−1}, P_{k−1}), (x⁻_k, P⁻_k) and (x̂_k, P̂_k); number ``angle`` is an angle."""
+    """x̂_{k−1} and P̂_{k−1} of (x_{k−1}, P_{k−1}), (x⁻_k, P⁻_k) and (x̂_k, P̂_k); ``angle`` as in ``daf``."""
     (x, P), (x_before, P_before), (x_after, P_after) = filtered, predicted, smoothed
     G = np.ascontiguousarray(solve(root(P_before), times(F, P)).T)
     news = x_after - x_before

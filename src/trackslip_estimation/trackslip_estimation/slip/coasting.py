@@ -5,9 +5,10 @@
     τ       how long an unknown speed lasts                 s
     x, P    mean and covariance of the state
 
-The pose is held where it was and its uncertainty grows as that of a random walk, by v̂ √(2 τ t). Where velocity
-errors are states, all of speed and yaw rate is an error now. They are forgotten after each step, so that a gyro
-that still works carries the heading on; over the first step the yaw rate may have changed by ω̂ √(t/τ).
+The pose is held where it was and its uncertainty grows as that of a random walk, by v̂ √(2 τ t). Where
+velocity errors are states, all of speed and yaw rate is an error now. They are forgotten after each step, so
+that a gyro that still works carries the heading on; over the first step the yaw rate may have changed by ω̂
+√(t/τ).
 """
 
 from dataclasses import dataclass

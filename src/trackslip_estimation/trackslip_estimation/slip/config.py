@@ -29,7 +29,7 @@ CONFIG = np.dtype(
         ("encoder_resolution", np.float64),  # rad
         *CONSTANTS,
         ("adaptation", adaptation.CONSTANTS),
-        ("process_noise", np.float64, (len(Motion), 2, SIZE)),  # variance per s, by motion and whether it changes
+        ("process_noise", np.float64, (len(Motion), 2, SIZE)),  # variance per s, by motion and changing
         ("prior_mean", np.float64, (SIZE,)),
         ("prior_variance", np.float64, (SIZE,)),
         ("initial_pose", np.float64, (3,)),

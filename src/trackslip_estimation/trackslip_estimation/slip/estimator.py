@@ -82,7 +82,7 @@ class SlipEstimator:
 
     @property
     def newest_ns(self) -> int | None:
-        """The time of the estimate: stamp of the newest sprocket sample, or of what carries on in their silence."""
+        """The time of the estimate: newest stamp of the sprockets, or of what carries on in their silence."""
         clock = self.window.status["clock"][0]
         return int(clock["head_ns"]) if clock["running"] else None
 

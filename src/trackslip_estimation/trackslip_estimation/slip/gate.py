@@ -9,14 +9,14 @@
 So a spike stays out, and a source that insists, or comes back after an outage, is believed in the end: the
 time that takes grows with the logarithm of how far off it is. What passes only because the gate is wide says
 that the state was wrong: its covariance is widened by what the innovation shows before the update, that of
-the pose or the slips by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they
-are consistent again: a state that goes wrong all the time is put right all the time. A gyro is at once, for now
+the pose or the slips by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they are
+consistent again: a state that goes wrong all the time is put right all the time. A gyro is at once, for now
 its bias explains what it shows.
 
-In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without slip.
-If several in a row do, and agree with each other, the ground has changed, and what was learned of turning and
-slip counts for no more than at the start. What it would do on no ground, to turn against its tracks, is never
-taken: a gyro upside down shows that.
+In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
+slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of
+turning and slip counts for no more than at the start. What it would do on no ground, to turn against its
+tracks, is never taken: a gyro upside down shows that.
 """
 
 from typing import Any

@@ -174,7 +174,7 @@ def update_motion(state: Any, speeds: Any, dt: float, limits: Any, resolution: f
 
 @compiled
 def steady_speeds(speeds: Any, motion: Any, limits: Any, resolution: float) -> tuple[float, float, float]:
-    """Left, right and interval with which a gyro is compared: no rounding of counts passes for a turn, or for a
+    """Left, right and interval with which a gyro is compared: no rounding of counts passes for a turn, or a
     change of speed.
 
     Low-passed, where rounding explains how the speeds depart from their mean; alike, where it explains their

@@ -6,8 +6,8 @@
     l      place of a sensor in base_link                (2,), m
     c      record of ``config.CONFIG``
 
-Yaw rate: z = s_g φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L, i_R).
-Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R.
+Yaw rate: z = s_g φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L,
+i_R). Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R.
 """
 
 from typing import Any
@@ -49,7 +49,7 @@ def observed(measurement: Any, coasting: bool, c: Any) -> tuple[FloatArray, Floa
 def shows_heading(measurement: Any, c: Any) -> bool:
     """Whether the heading of a pose is used: a doubtful one may be wrong by whole quarter turns."""
     ceiling = c.heading_ceiling[measurement.source]
-    return c.use_heading[measurement.source] == 1 and measurement.noise[YAW, YAW] <= ceiling * ceiling
+    return bool(c.use_heading[measurement.source] == 1 and measurement.noise[YAW, YAW] <= ceiling * ceiling)
 
 
 @compiled
@@ -137,7 +137,7 @@ def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
 
 @compiled
 def to_sensor(x: FloatArray, P: FloatArray, lever: FloatArray, sign: float) -> None:
-    """The state with the place of a sensor for that of base_link (``sign`` 1), or back again (−1); in place."""
+    """The state with a sensor's place for that of base_link (``sign`` 1), or back again (−1); in place."""
     if lever[0] == 0.0 and lever[1] == 0.0:
         return
     cos, sin = np.cos(x[YAW]), np.sin(x[YAW])

@@ -131,7 +131,9 @@ class SlipEstimatorParameters(ModelParameters):
             accepted = ", ".join(named(self.pose_sources)) or "none, there are no pose_sources"
             raise InputError(f"{NODE}: position_only: '{name}' is no pose source; accepted: {accepted}")
         if len(self.timeouts_ns()) >= MOST_SOURCES:
-            raise InputError(f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}")
+            raise InputError(
+                f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}"
+            )
 
     def poses(self) -> dict[str, PoseSource]:
         """What each pose source is told.

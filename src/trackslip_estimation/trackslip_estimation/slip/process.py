@@ -15,7 +15,7 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.adaptation import begin_adaptation
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.models.model import SIZE, YAW
+from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import fill_outputs, to_sensor
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SLIPS, SPROCKETS
@@ -28,9 +28,9 @@ from trackslip_estimation.slip.window import (
     horizon_ns,
     insert,
     is_at,
+    is_same,
     last_sample,
     place_of,
-    precedes,
     run,
     trim,
 )
@@ -68,7 +68,7 @@ def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
     result.nis = result.gate = np.nan
     was_head_ns = status.clock.head_ns if status.clock.running else _NEVER
     outcome = _check(window, measurement, c)
-    if outcome == _ACCEPTED or outcome == _RESTARTED:
+    if outcome in (_ACCEPTED, _RESTARTED):
         if status.started:
             outcome, entry = _add(window, measurement, c)
         else:
@@ -76,7 +76,7 @@ def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
             outcome, entry = _RESTARTED if outcome == _RESTARTED else began, 0
             if entry + 1 < status.count and began == _ACCEPTED:
                 run(window, entry + 1, status.count, c)
-        if status.started and (outcome == _ACCEPTED or outcome == _JUMPED or outcome == _RESTARTED):
+        if status.started and outcome in (_ACCEPTED, _JUMPED, _RESTARTED):
             _publish(window, entry, was_head_ns, result, c)
         if status.started and outcome != _TOO_LATE and outcome != _DUPLICATE and entry > 0:
             update = window.updates[entry]
@@ -141,7 +141,7 @@ def is_usable(measurement: Any, c: Any) -> bool:
 
 @compiled
 def is_gaussian(mean: FloatArray, covariance: FloatArray, rows: int) -> bool:
-    """Whether the first ``rows`` are numbers with a covariance: symmetric, with no negative variance anywhere."""
+    """Whether the first ``rows`` are numbers with a covariance: symmetric, no negative variance anywhere."""
     for i in range(rows):
         if not (abs(mean[i]) < _LARGEST and 0.0 < covariance[i, i] < _LARGEST**2):
             return False
@@ -158,7 +158,7 @@ def is_gaussian(mean: FloatArray, covariance: FloatArray, rows: int) -> bool:
 
 @compiled
 def _contradicts(window: Window, sample: Any, c: Any) -> bool:
-    """Whether positions of a late sample cannot be reached from those of the last one at or before its stamp."""
+    """Whether positions of a late sample cannot be reached from those of the last one up to its stamp."""
     status, measurements = window.status[0], window.measurements
     if not status.clock.running or sample.stamp_ns > status.clock.head_ns or math.isnan(sample.left_angle):
         return False
@@ -178,10 +178,10 @@ def _contradicts(window: Window, sample: Any, c: Any) -> bool:
 def _add(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
     """Outcome and entry of a measurement in its place, with all done again that depends on it."""
     status, measurements = window.status[0], window.measurements
-    if precedes(measurement, measurements[0]) or measurement.stamp_ns < horizon_ns(window, c):
+    if measurement.stamp_ns < horizon_ns(window, c):
         return _TOO_LATE, 0
-    entry = place_of(measurements, status.count, measurement)
-    if is_at(measurements, status.count, entry, measurement):
+    entry = max(place_of(measurements, status.count, measurement), 1)  # nothing comes before the start
+    if is_at(measurements, status.count, entry, measurement) or is_same(measurement, measurements[0]):
         return _DUPLICATE, 0
     insert(window, entry)
     first = entry

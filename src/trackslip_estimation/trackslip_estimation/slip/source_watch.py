@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the sources of the estimator do: which are lost, and whether their innovations are honest.
+"""How the sources of the estimator do: which are lost, and whether their innovations are consistent.
 
-d²    normalised innovation squared, χ² with n degrees of freedom if all is honest
+d²    normalised innovation squared, χ² with n degrees of freedom if all is consistent
 """
 
 from collections import defaultdict, deque
@@ -36,7 +36,7 @@ class SourceWatch:
         """One more report."""
         if report.outcome is Outcome.RESTARTED:
             self.clear()
-        if report.outcome.refused:
+        if report.outcome.refused or report.stamp_ns == 0:  # commands have no time
             return
         for source in self._timeouts_ns:  # all are due from the start on
             self._taken_ns.setdefault(source, report.stamp_ns)
@@ -50,7 +50,7 @@ class SourceWatch:
         return {source: ns * 1e-9 for source, ns in since.items() if ns > self._timeouts_ns[source]}
 
     def innovations(self, now_ns: int) -> dict[str, str]:
-        """Source → mean d² over the last seconds, and the bounds within which an honest one lies."""
+        """Source → mean d² over the last seconds, and the bounds within which a consistent one lies."""
         found = {}
         for source, reports in sorted(self._innovations.items()):
             while reports and reports[0].stamp_ns < now_ns - _WINDOW_NS:
@@ -59,5 +59,5 @@ class SourceWatch:
                 dof, n = sum(r.dof for r in reports), len(reports)
                 low, high = chi2.ppf(((1.0 - _CONFIDENCE) / 2.0, (1.0 + _CONFIDENCE) / 2.0), dof) / n
                 mean = sum(r.nis for r in reports) / n
-                found[source] = f"{mean:.2f} ({low:.2f} to {high:.2f} if honest), n {n}"
+                found[source] = f"{mean:.2f} ({low:.2f} to {high:.2f} if consistent), n {n}"
         return found

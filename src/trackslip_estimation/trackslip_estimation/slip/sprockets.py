@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the sprockets did in an interval, from the samples around it; compiled.
 
-An interval lies between two samples. Where it is longer than the timeout, its first part (as long as the timeout)
-is taken to go on as the interval before; the rest is *silence*: how fast the sprockets turned in it is unknown,
-whatever the positions at its ends say (a driver that was restarted counts from elsewhere). Beyond the newest
-sample it is the same.
+An interval lies between two samples. Where it is longer than the timeout, its first part (as long as the
+timeout) is taken to go on as the interval before; the rest is *silence*: how fast the sprockets turned in it
+is unknown, whatever the positions at its ends say (a driver that was restarted counts from elsewhere). Beyond
+the newest sample it is the same.
 
 Speeds come from the difference of positions where there are positions and they do not jump; else they are the
 measured ones of the sample that closes the interval.

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A window of measurements in the order of their stamps, each with the state after it; compiled.
 
-Late measurements are put in their place and what comes after them is done again, so that the state is a function
-of the *set* of measurements, whatever the order in which they came. ``run`` is the only loop over measurements:
-a live one inserts itself and runs from there; replay, tuning, studies and smoother run it over longer stretches.
+Late measurements are put in their place and what comes after them is done again, so that the state is a
+function of the *set* of measurements, whatever the order in which they came. ``run`` is the only loop over
+measurements: a live one inserts itself and runs from there; replay, tuning, studies and smoother run it over
+longer stretches.
 
-A state is *settled* once it is older than the window: nothing that may still come can change it. Entry 0 is where
-the estimate started, or the last state that was settled.
+A state is *settled* once it is older than the window: nothing that may still come can change it. Entry 0 is
+where the estimate started, or the last state that was settled.
 """
 
 from typing import Any, NamedTuple
@@ -45,7 +46,7 @@ class Window(NamedTuple):
     updates: Records  # (capacity,) of ``UPDATE``
 
     @property
-    def count(self) -> int:
+    def count(self) -> int:  # type: ignore[override]  # of all tuples
         """Entries in use."""
         return int(self.status["count"][0])
 
@@ -53,7 +54,10 @@ class Window(NamedTuple):
 def make_window(capacity: int) -> Window:
     """An empty one."""
     window = Window(
-        np.zeros(1, WINDOW), np.zeros(capacity, MEASUREMENT), np.zeros(capacity, STATE), np.zeros(capacity, UPDATE)
+        np.zeros(1, WINDOW),
+        np.zeros(capacity, MEASUREMENT),
+        np.zeros(capacity, STATE),
+        np.zeros(capacity, UPDATE),
     )
     window.status["published_ns"] = _NEVER
     return window
@@ -105,6 +109,12 @@ def precedes(a: Any, b: Any) -> bool:
     if a.kind != b.kind:
         return bool(a.kind < b.kind)
     return bool(a.source < b.source)
+
+
+@compiled
+def is_same(a: Any, b: Any) -> bool:
+    """Whether two measurements have the same place in it."""
+    return not precedes(a, b) and not precedes(b, a)
 
 
 @compiled

@@ -45,10 +45,9 @@ class SoilClasses:
         known = tuple(soils)
         self.names = (*(soil.name for soil in known), NONE)
         each = (1.0 - parameters.none_prior) / max(len(known), 1)
-        densities = [each * _density(parameters, soil, vehicle, grid) for soil in known]
-        densities.append(np.full(grid.shape, parameters.none_prior))
         # The densities are spread once instead of the cells each time: the sum of their products is the same.
-        self._densities = np.stack([grid.expectation_of(density) for density in densities])
+        spread = [each * grid.expectation_of(*_density(parameters, soil, vehicle, grid)) for soil in known]
+        self._densities = np.stack([*spread, np.full(grid.shape, parameters.none_prior)])
 
     def probabilities(self, cells: FloatArray) -> dict[str, float]:
         """Probability of each name, for those (moduli, limits) of the cells, of a flat prior."""
@@ -68,14 +67,19 @@ def strength_line(limit: float, vehicle: Vehicle) -> tuple[float, float]:
     return 2.0 * limit / area, math.atan(2.0 * limit / vehicle.weight)
 
 
-def _density(p: ClassesParameters, soil: Soil, vehicle: Vehicle, grid: StrengthGrid) -> FloatArray:
-    """(moduli, limits) density of a class over that of the flat prior; a soil without K may have any."""
+def _density(
+    p: ClassesParameters, soil: Soil, vehicle: Vehicle, grid: StrengthGrid
+) -> tuple[FloatArray, FloatArray]:
+    """Density of a class over that of the flat prior, as factors (moduli,) and (limits,).
+
+    A soil without K may have any.
+    """
     along_limits = _normal(grid.log_limits, math.log(limit_of(soil, vehicle)), p.limit_spread)
     if soil.shear_modulus is None:
         along_moduli = np.ones(grid.moduli.size)
     else:
         along_moduli = _normal(grid.log_moduli, math.log(soil.shear_modulus), p.modulus_spread)
-    return np.outer(along_moduli, along_limits)
+    return along_moduli, along_limits
 
 
 def _normal(centres: FloatArray, mean: float, stddev: float) -> FloatArray:

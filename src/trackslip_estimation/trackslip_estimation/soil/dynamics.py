@@ -96,24 +96,23 @@ def step(dynamics: Any, sample: Any, thrust: Any, p: Any) -> None:
         measured[i] = twist[2 * i]
         for j in range(_SEEN):
             noise[i, j] = covariance[2 * i, 2 * j] + (_ROUNDING if i == j else 0.0)
-    if not is_modelled:
-        _follow(dynamics, SPEED, measured, noise)
-        if moves:
-            for k in (MU_R, MU_L):
-                dynamics.covariance[k, k] += p.dynamics.unseen_walk**2 * dt
-        _bound(dynamics, p.dynamics)
-        return
     sense = math.copysign(1.0, sample.tracks[1] - sample.tracks[0])
     if sample.motion != _TURNING or not sense * measured[1] > 0.0:
         sense = 0.0
-    _predict(dynamics, sample, thrust, sense, p)
-    if sense == 0.0:
-        _follow(dynamics, RATE, measured, noise)
-    lasting = max(p.dynamics.twist_error_time / dt, 1.0)
-    for i in range(_SEEN):
-        for j in range(_SEEN):
-            noise[i, j] *= lasting
-    _correct(dynamics, measured, noise)
+    first_followed = _SEEN if sense != 0.0 else RATE
+    if is_modelled:
+        _predict(dynamics, sample, thrust, sense, p)
+    else:
+        first_followed = SPEED
+        for k in range(MU_R, MU_L + 1):
+            dynamics.covariance[k, k] += p.dynamics.unseen_walk**2 * dt if moves else 0.0
+    _follow(dynamics, first_followed, measured, noise)
+    if is_modelled:
+        lasting = max(p.dynamics.twist_error_time / dt, 1.0)
+        for i in range(_SEEN):
+            for j in range(_SEEN):
+                noise[i, j] *= lasting
+        _correct(dynamics, measured, noise)
     _bound(dynamics, p.dynamics)
 
 
@@ -199,10 +198,3 @@ def _bound(dynamics: Any, n: Any) -> None:
             for i in range(_SIZE):
                 dynamics.covariance[k, i] *= shrink
                 dynamics.covariance[i, k] *= shrink
-
-
-@compiled
-def coefficient(dynamics: Any, which: int, p: Any) -> tuple[float, float]:
-    """μ_r or μ_l with its variance, the error of the efficiency included."""
-    mean = dynamics.mean[which]
-    return mean, dynamics.covariance[which, which] + (p.thrust.efficiency_stddev * mean) ** 2

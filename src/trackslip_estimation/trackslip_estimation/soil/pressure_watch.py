@@ -89,13 +89,13 @@ def named_faults(watch: Any) -> tuple[PressureFault, ...]:
 @compiled
 def evaluate(watch: Any, sample: Any, p: Any, relief_pressure: float) -> int:
     """Place of the fault for which the pressures of a sample are not to be used; NO_FAULT where they are."""
-    is_missing = _weigh(watch, _DROPPED, _AGAINST if sample.has_pressures else _FOR, sample.dt, p)
-    if not sample.has_pressures:
-        return _DROPPED
-    found = _DROPPED if is_missing else NO_FAULT
-    likely_unit = _likely_unit(sample, p)
-    for fault in range(_LEFT_STUCK, _SWAPPED + 1):
-        if fault <= _RIGHT_STUCK:
+    found, likely_unit = NO_FAULT, _likely_unit(sample, p)
+    for fault in range(_SWAPPED + 1):
+        if fault == _DROPPED:
+            evidence = _AGAINST if sample.has_pressures else _FOR
+        elif not sample.has_pressures:
+            return _DROPPED
+        elif fault <= _RIGHT_STUCK:
             evidence = _stuck(watch, fault, sample, p)
         elif fault == _BEYOND_RELIEF:
             highest = max(abs(sample.pressures[0]), abs(sample.pressures[1]))

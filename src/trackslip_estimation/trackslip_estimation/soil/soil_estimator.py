@@ -18,7 +18,6 @@ from trackslip_common.soils import load_soils
 from trackslip_common.tally import Tally
 from trackslip_estimation.soil import step
 from trackslip_estimation.soil.classes import SoilClasses
-from trackslip_estimation.soil.dynamics import MU_L, MU_R, coefficient
 from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.pressure_watch import PressureFault, named_faults
 from trackslip_estimation.soil.records import HYDRAULICS, SOIL_INPUT, SlipSeed, SoilInput, TrackForces
@@ -159,9 +158,10 @@ class SoilEstimator:
             yield SoilOutputs(nothing, [state])
 
     def _soil_state(self, known: Any) -> SoilState:
-        mu_r, mu_l = (coefficient(known["dynamics"], which, self._numbers[0]) for which in (MU_R, MU_L))
+        (mu_r, mu_l), (mu_r_variance, mu_l_variance) = known["mu"].tolist(), known["mu_variance"].tolist()
         classes = self._classes.probabilities(self._posterior.cells)
-        return SoilState(int(known["sample"]["stamp_ns"]), *mu_r, *mu_l, self.strength, classes)
+        stamp_ns = int(known["sample"]["stamp_ns"])
+        return SoilState(stamp_ns, mu_r, mu_r_variance, mu_l, mu_l_variance, self.strength, classes)
 
 
 def _forces_of(record: Any) -> TrackForces:

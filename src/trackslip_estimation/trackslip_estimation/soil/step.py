@@ -55,11 +55,14 @@ KNOWN = np.dtype(
         ("thrust", THRUST),  # seen, or as it was last seen
         ("watch", WATCH),
         ("dynamics", DYNAMICS),
+        ("mu", "f8", 2),  # μ_r, mobilised μ_l
+        ("mu_variance", "f8", 2),  # the error of the efficiency included
         ("volumetric_efficiency", "f8"),
         ("average", AVERAGE),
         ("seeder", SEEDER),
         ("effective_samples", "f8"),  # of the strength posterior
         ("spinning", "f8", 2),  # s for which each track has spun at the limit of the soil
+        ("forces", "i8"),  # how many are there to be published
         # Of the sample in hand
         ("sample", SAMPLE),
         ("is_open", "i8"),  # it waits for what is not done here …
@@ -113,25 +116,25 @@ def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any
     ``numbers``: (1,) record of SoilEstimatorParameters.
     """
     p, known, synchronizer = numbers[0], state.known[0], state.synchronizer
-    count = 0
-    if known.is_open:
-        known.is_open = False
-        count += _publish_forces(state, count, p)
+    known.forces = 0
     while True:
-        while time_synchronizer.is_ready(synchronizer, p.moments):
-            if count == len(state.forces):
-                return Stop(FULL, first, count)
-            time_synchronizer.take(synchronizer, p.moments, known.sample)
-            _step(known, state.faults, p)
-            if known.gathered != GATHERING or known.soil_due or known.seed_due:
-                known.is_open = True
-                return Stop(OPEN, first, count)
-            count += _publish_forces(state, count, p)
+        while known.is_open or time_synchronizer.is_ready(synchronizer, p.moments):
+            if known.forces == len(state.forces):
+                return Stop(FULL, first, known.forces)
+            if not known.is_open:
+                time_synchronizer.take(synchronizer, p.moments, known.sample)
+                _step(known, state.faults, p)
+                known.is_open = known.gathered != GATHERING or known.soil_due or known.seed_due
+                if known.is_open:
+                    return Stop(OPEN, first, known.forces)
+            known.is_open = False
+            if known.forces_due:
+                _publish_forces(state, p)
         if first == len(inputs):
-            return Stop(TAKEN, first, count)
+            return Stop(TAKEN, first, known.forces)
         first += 1
         if time_synchronizer.add(synchronizer, inputs[first - 1], p.moments) == RESTARTED:
-            return Stop(RESTART, first, count)
+            return Stop(RESTART, first, known.forces)
 
 
 @compiled
@@ -147,13 +150,18 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
         track_speed(right, sample.slips[1]),
     )
     fault = pressure_watch.evaluate(known.watch, sample, p.watch, p.vehicle.relief_pressure)
+    is_closed = max(abs(sample.spools[0]), abs(sample.spools[1])) < p.thrust.closed_spool
+    stands = fault == NO_FAULT and is_closed and sample.motion == _STANDING
+    update_offsets(known.offsets, sample.pressures, stands, sample.dt, p.thrust)
     if fault == NO_FAULT:
         _measure(known, sample, p)
     else:
         faults[fault] += 1
-        update_offsets(known.offsets, sample.pressures, False, sample.dt, p.thrust)
         hold_thrust(known.thrust, sample.dt, p.thrust, known.motor)
     dynamics.step(known.dynamics, sample, known.thrust, p)
+    for k in range(2):
+        mean, variance = known.dynamics.mean[MU_R + k], known.dynamics.covariance[MU_R + k, MU_R + k]
+        known.mu[k], known.mu_variance[k] = mean, variance + (p.thrust.efficiency_stddev * mean) ** 2
     known.gathered = gather(known.average, sample, known.thrust, p.strength)
     known.seed_due = is_seed_due(known.seeder, sample, known.thrust, p)
     known.soil_due = _passes(before_ns, sample.stamp_ns, p.soil_period)
@@ -162,10 +170,7 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
 
 @compiled
 def _measure(known: Any, sample: Any, p: Any) -> None:
-    """Thrusts from pressures that can be true; on the way they show their offsets and the flow."""
-    is_closed = max(abs(sample.spools[0]), abs(sample.spools[1])) < p.thrust.closed_spool
-    stands = is_closed and sample.motion == _STANDING
-    update_offsets(known.offsets, sample.pressures, stands, sample.dt, p.thrust)
+    """Thrusts from pressures that can be true; on straights they show the flow, too."""
     speeds = np.empty(2)  # of the sprockets, rad/s
     for k in range(2):
         speeds[k] = sample.tracks[k] / p.vehicle.rolling_radius
@@ -184,15 +189,14 @@ def _passes(before_ns: int, now_ns: int, period: float) -> bool:
 
 
 @compiled
-def _publish_forces(state: State, place: int, p: Any) -> int:
-    """How many, none or one: those of the sample in hand, put at a place in the room for them."""
+def _publish_forces(state: State, p: Any) -> None:
+    """Those of the sample in hand."""
     known = state.known[0]
-    if not known.forces_due:
-        return 0
-    sample, thrust, forces = known.sample, known.thrust, state.forces[place]
+    sample, thrust, forces = known.sample, known.thrust, state.forces[known.forces]
+    known.forces += 1
     forces.stamp_ns = sample.stamp_ns
     half_weight = 0.5 * (p.vehicle.mass * GRAVITY)
-    mu_r, variance = dynamics.coefficient(known.dynamics, MU_R, p)
+    mu_r, variance = known.mu[0], known.mu_variance[0]
     for k, sign in enumerate(dynamics.expected_signs(sample.twist, sample.twist_covariance, p)):
         force = thrust.force[k]
         forces.thrust[k] = force
@@ -203,7 +207,6 @@ def _publish_forces(state: State, place: int, p: Any) -> int:
         forces.reserve[k] = reserve.share
         spins = abs(sample.slips[k]) > p.high_slip and reserve.exhausted > _LIKELY
         known.spinning[k] = known.spinning[k] + p.forces_period if spins else 0.0
-    return 1
 
 
 @compiled

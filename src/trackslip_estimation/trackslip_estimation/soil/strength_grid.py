@@ -47,9 +47,9 @@ class StrengthGrid:
         """(moduli, limits) with the errors that never average."""
         return np.asarray(self._spread_moduli.T @ cells @ self._spread_limits)
 
-    def expectation_of(self, values: FloatArray) -> FloatArray:
-        """(moduli, limits) for each cell the mean of ``values`` over where ``spread`` takes it."""
-        return np.asarray(self._spread_moduli @ values @ self._spread_limits.T)
+    def expectation_of(self, along_moduli: FloatArray, along_limits: FloatArray) -> FloatArray:
+        """(moduli, limits) for each cell the mean of the factors' product over where ``spread`` takes it."""
+        return np.outer(self._spread_moduli @ along_moduli, self._spread_limits @ along_limits)
 
 
 def _edges(lowest: float, highest: float, cells: int) -> FloatArray:

@@ -33,7 +33,7 @@ from trackslip_estimation.soil.straight import Hypotheses, StraightSegment
 from trackslip_estimation.soil.strength_grid import StrengthGrid
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.strength_summary import StrengthSummary, summarize
-from trackslip_estimation.soil.turn_likelihood import Turn, squared_distances
+from trackslip_estimation.soil.turn_likelihood import Turn, curves_of, squared_distances
 
 FloatArray = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ class StrengthPosterior:
             now["variance"] + p.thrust_stddev**2,
             p.thrust_share_stddev * math.sqrt(self._shared()),
         )
-        squares = squared_distances(turn, self._contact, self.grid.moduli, self.grid.limits)
+        squares = squared_distances(curves_of(turn, self._contact, self.grid.moduli), turn, self.grid.limits)
         self._learn(squares, known, min(float(now["dt"]) / p.correlation_time, 1.0))
         return SampleOutcome.USED
 

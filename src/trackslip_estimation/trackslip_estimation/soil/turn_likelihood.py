@@ -48,13 +48,8 @@ class Curves(NamedTuple):
 
 
 @compiled
-def squared_distances(turn: Turn, contact: Contact, moduli: FloatArray, limits: FloatArray) -> FloatArray:
-    """d² (moduli, limits) of the thrusts that are known."""
-    return _distances(_curves_of(turn, contact, moduli), turn, limits)
-
-
-@compiled
-def _curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
+def curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
+    """For each K what the tracks would pull, with errors of the twist."""
     j, rolling, spread = turn.j, turn.rolling, turn.spread
     nodes, count, half_tread = len(_NODES), len(moduli), contact.half_tread
     q, J = np.empty((nodes, 2, count)), np.empty((2, nodes - 1, 2, count))
@@ -78,8 +73,8 @@ def _curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
 
 
 @compiled
-def _distances(curves: Curves, turn: Turn, limits: FloatArray) -> FloatArray:
-    """d² (moduli, limits).
+def squared_distances(curves: Curves, turn: Turn, limits: FloatArray) -> FloatArray:
+    """d² (moduli, limits) of the thrusts that are known; the curves of the others are lost.
 
     For each piece of the curve the loop over F_max is plain arithmetic, so that it is vectorised (``/`` would
     look for zeros). All is over F_max², and times the determinant of R until the end.

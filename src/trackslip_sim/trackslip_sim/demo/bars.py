@@ -12,7 +12,7 @@ e_i     error of the slip of each driven track, while turning       1
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.truth.record import Truth
-from trackslip_tools.replay.dead_reckoning import DrivenCollector, dead_reckon
+from trackslip_tools.replay.dead_reckoning import dead_reckon
 from trackslip_tools.replay.run import Replay, replay
 from trackslip_tools.replay.scoring import MOVING, in_order
 
@@ -114,38 +114,35 @@ class _Comparison:
     def _replay(self, withheld: tuple[Withhold, ...]) -> Replay:
         return replay(self._bag, self._p, InputFilters(withhold=withheld), None)
 
-    def _time(self, stamps_ns: Sequence[int]) -> FloatArray:
+    def _time(self, stamps_ns: NDArray[np.int64]) -> FloatArray:
         """Seconds of the drive."""
-        since_ns = np.array(stamps_ns, dtype=np.int64) - START_NS
-        return np.asarray(since_ns * 1e-9 - self._lead_in, dtype=np.float64)
+        return np.asarray((stamps_ns - START_NS) * 1e-9 - self._lead_in, dtype=np.float64)
 
     def _errors(self, result: Replay) -> tuple[FloatArray, FloatArray]:
         """(n,) times and (n, 3) errors of x, y, heading, at the estimates made during the drive."""
         estimates = in_order(result.estimates)
-        times = self._time([e.stamp_ns for e in estimates])
+        times = self._time(estimates["stamp_ns"])
         driving = (times >= 0.0) & (times <= self._truth.duration)
         at = self._truth.interpolate(times[driving])
-        errors = np.array([e.pose for e in estimates])[driving] - np.column_stack((at.x, at.y, at.yaw))
+        errors = estimates["pose"][driving] - np.column_stack((at.x, at.y, at.yaw))
         errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
         return times[driving], errors
 
     def _turn_slip(self, result: Replay) -> float:
         estimates = in_order(result.estimates)
-        at = self._truth.interpolate(self._time([e.stamp_ns for e in estimates]))
+        at = self._truth.interpolate(self._time(estimates["stamp_ns"]))
         p = self._p.vehicle
         moving = np.abs(at.v_x) + np.abs(at.yaw_rate) * p.tread / 2.0 > MOVING
         speeds = np.column_stack((at.left_speed, at.right_speed))
         turning = np.abs(speeds[:, 1] - speeds[:, 0]) > UNEQUAL * np.abs(speeds).max(axis=1)
         driven = np.abs(speeds) * p.rolling_radius > MOVING
         scored = driven & (moving & turning)[:, np.newaxis]
-        slips = np.array([e.outputs.slips[:2] for e in estimates])
+        slips = estimates["slips"][:, :2]
         return _rms((slips - np.column_stack((at.left_slip, at.right_slip)))[scored])
 
     def _dead_reckoning_error(self, result: Replay, begin: float, end: float) -> float:
         """m, of driving by the sprockets alone from the true pose at ``begin`` to ``end``, s of the drive."""
-        driven = DrivenCollector()
-        driven.add(result.inputs.rows)
-        sprockets = driven.sprockets()
+        sprockets = result.sprockets
         assert sprockets is not None
         stamps = [START_NS + round((self._lead_in + t) * 1e9) for t in (begin, end)]
         start, goal = (self._truth.at(t) for t in (begin, end))

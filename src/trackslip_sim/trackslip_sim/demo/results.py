@@ -20,15 +20,15 @@ from trackslip_sim.demo.soil_results import SoilResult, soil_result
 from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP
-from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, replay
+from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, Part, replay
 from trackslip_tools.replay.scoring import Score, moving_slips, score, slip_rmse
-from trackslip_tools.replay.series import Series
-from trackslip_tools.replay.soil import replay_soil
+from trackslip_tools.replay.series import Series, SeriesCollector
 
 FloatArray = NDArray[np.float64]
 
 POSITION_LIMIT = 0.15  # m
 RECEIVED_LIMIT = 0.99  # of what was emitted
+_LIVE = frozenset((ODOMETRY, TRACK_SLIP))
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,15 @@ def evaluate(
 ) -> DemoResult | None:
     """Replay the bag and score its live estimates over the drive; None where it holds no estimates."""
     p = load_slip_parameters(bag_parameters(bag))
-    result = replay(bag, p, InputFilters(), TRUE_ODOMETRY)
     of_soil = load_soil_parameters(bag_parameters(bag, SOIL_NODE))
-    soil = replay_soil(bag, result.inputs, result.estimates, InputFilters(), of_soil)
-    series = result.inputs.series
+    collector = SeriesCollector(_LIVE)
+
+    def collect(part: Part) -> None:
+        for topic in _LIVE & part.tables.keys():
+            collector.add(topic, part.tables[topic].rows)
+
+    result = replay(bag, p, InputFilters(), TRUE_ODOMETRY, of_soil, collect)
+    series = result.series | collector.series()
     if result.live is None or any(name not in series for name in (TRUE_ODOMETRY, TRUE_SLIP, TRACK_SLIP)):
         return None
     truth = _path(series[TRUE_ODOMETRY].since(drive_start_ns))
@@ -121,7 +126,7 @@ def evaluate(
         series[ODOMETRY].since(drive_start_ns),
         slips,
         true_slips,
-        None if soil is None else soil_result(soil, drive_start_ns),
+        None if result.soil is None else soil_result(result.soil, drive_start_ns),
     )
 
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drives say of the machine and its sensors: each number with its interval, or why there is none."""
+"""What drives show of the machine and its sensors: each number with its interval, or why there is none."""

@@ -80,7 +80,7 @@ def _rolling_radius(way: Finding, *, hard_ground: bool) -> Finding:
     if hard_ground:
         return Finding("m", way.value, way.interval, f"{way.basis}, no slip")
     least = f"at least {way.interval[0]:.4f} m where the machine drives itself"
-    return refused(f"shows only as r (1 − i₀), {least}; --hard-ground says that nothing slipped", "m")
+    return refused(f"shows only as r (1 − i₀), {least}; --hard-ground states that nothing slipped", "m")
 
 
 def _common_slip(way: Finding, radius: float) -> Finding:

@@ -7,7 +7,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Finding:
-    """A value with its 95 % interval; both None where ``reason`` says why not."""
+    """A value with its 95 % interval; both None where ``reason`` states why not."""
 
     unit: str
     value: float | None

@@ -92,7 +92,7 @@ def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
     """Scale of the gyro, with its sign, and by how much the stamps of the poses are later than its own."""
     pairs = [pair for pair in map(_pair, recordings) if pair is not None]
     if not pairs:
-        reason = "no heading of a pose source while the gyro is heard"
+        reason = "no heading of a pose source while the gyro is recorded"
         return {"gyro_scale": refused(reason, "1"), "pose_delay": refused(reason, "s")}
     turned = _turned(recordings)
     if turned < LEAST_TURN:
@@ -106,7 +106,7 @@ def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
     uncertain = fit.spread(1) / abs(inverse)
     late = found(delay, uncertain, "s", basis)
     if uncertain > _WIDEST_DELAY:
-        late = refused(f"the rate of turn changes too little to tell it better than ±{uncertain:.2f} s", "s")
+        late = refused(f"the rate of turn changes too little to find it better than ±{uncertain:.2f} s", "s")
     return {"gyro_scale": found(1.0 / inverse, fit.spread() / inverse**2, "1", basis), "pose_delay": late}
 
 
@@ -159,4 +159,4 @@ def _turned(recordings: Sequence[Recording]) -> float:
 
 
 def _too_little(turned: float, unit: str) -> Finding:
-    return refused(f"turns of {turned:.2f} rad in all; {LEAST_TURN:g} rad tell something", unit)
+    return refused(f"turns of {turned:.2f} rad in all; needed: {LEAST_TURN:g} rad", unit)

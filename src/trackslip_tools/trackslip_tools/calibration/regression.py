@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky_banded, solve_banded
 from scipy.optimize import minimize
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -56,7 +56,7 @@ class Increments(NamedTuple):
 
 def half_width(stddev: float, dof: int) -> float:
     """Half the width of the 95 % interval of a mean."""
-    return float(student.ppf((1.0 + CONFIDENCE) / 2.0, max(dof, 1))) * stddev
+    return float(stdtrit(max(dof, 1), (1.0 + CONFIDENCE) / 2.0)) * stddev
 
 
 def clustered(X: FloatArray, z: FloatArray, clusters: IntArray) -> Fit | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where in a drive the machine stands, goes straight, or turns, long enough to tell something."""
+"""Where in a drive the machine stands, goes straight, or turns, long enough to be of use."""
 
 from typing import NamedTuple
 

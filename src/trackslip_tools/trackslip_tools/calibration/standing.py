@@ -38,7 +38,7 @@ def pressure_offsets(recordings: Sequence[Recording]) -> dict[str, Finding]:
 
 
 def _closed(hydraulics: Series) -> Series:
-    """The readings with both spools closed, or of machines that do not tell where they are."""
+    """The readings with both spools closed, or of machines that do not publish their positions."""
     t, values = hydraulics
     kept = ~(np.abs(values[:, 2:]) > _CLOSED).any(axis=1)
     return Series(t[kept], values[kept])
@@ -57,7 +57,7 @@ def _at_rest(series: Sequence[tuple[Recording, Series, int]], sensor: str, unit:
     usual = _usual(z, cluster)
     fit = clustered(np.ones((int(usual.sum()), 1)), z[usual], cluster[usual]) if len(z) else None
     if fit is None or fit.dof < _LEAST_BLOCKS:
-        return refused(f"the machine does not stand for {_LEAST_BLOCKS} s with its {sensor} heard", unit)
+        return refused(f"the machine does not stand for {_LEAST_BLOCKS} s with its {sensor} recorded", unit)
     return found(fit.values[0], fit.spread(), unit, f"{fit.dof + 1} s of standing")
 
 

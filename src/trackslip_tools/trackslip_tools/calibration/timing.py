@@ -32,7 +32,7 @@ _BLOCK = 5.0  # s in which errors of the yaw rate go together: a turn, more or l
 _ROUNDS = 4  # of Gauss and Newton
 _WEAK = 0.05  # of the variance of the yaw rate, left over
 _DIFFERENCE = np.array((-1.0, 1.0))
-_NO_TURNS = "no turns with the gyro heard"
+_NO_TURNS = "no turns with the gyro recorded"
 
 
 def gyro_delay(recordings: Sequence[Recording]) -> Finding:
@@ -40,26 +40,26 @@ def gyro_delay(recordings: Sequence[Recording]) -> Finding:
 
     Firm ground adds a lag of its own, up to ``GROUND_LAG``: half of it is taken off, the interval covers all.
     """
-    heard = _with_turns(recordings)
-    if not heard:
+    turning = _with_turns(recordings)
+    if not turning:
         return refused(_NO_TURNS, "s")
     lates = np.arange(-_LATEST, _LATEST + _GRID / 2.0, _GRID)
-    late = float(lates[int(np.argmin([_against_sprockets(heard, float(late))[2] for late in lates]))])
+    late = float(lates[int(np.argmin([_against_sprockets(turning, float(late))[2] for late in lates]))])
     for _ in range(_ROUNDS):
-        fit, step, unexplained = _against_sprockets(heard, late)
+        fit, step, unexplained = _against_sprockets(turning, late)
         late += step
     if fit is None:
         return refused("the drive is too short", "s")
     if unexplained > _WEAK:
         return refused(f"the yaw rate follows the tracks badly: {unexplained:.0%} of it is left over", "s")
     spread = fit.spread(1) / abs(float(fit.values[0])) + GROUND_LAG / 2.0
-    return found(late - GROUND_LAG / 2.0, spread, "s", f"{len(heard)} drives, {unexplained:.1%} left over")
+    return found(late - GROUND_LAG / 2.0, spread, "s", f"{len(turning)} drives, {unexplained:.1%} left over")
 
 
 def gyro_sense(recordings: Sequence[Recording]) -> Finding:
     """a: above zero where the unit is the right way up, for a machine turns the way its tracks do."""
-    heard = _with_turns(recordings)
-    fit = _against_sprockets(heard, 0.0)[0] if heard else None
+    turning = _with_turns(recordings)
+    fit = _against_sprockets(turning, 0.0)[0] if turning else None
     if fit is None:
         return refused(_NO_TURNS, "1")
     return found(fit.values[0], fit.spread(), "1", "by the sense of the tracks")

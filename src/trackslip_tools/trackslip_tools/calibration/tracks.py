@@ -42,7 +42,7 @@ class Gyro(NamedTuple):
     bias: float  # rad/s
 
     def headings(self, recording: Recording, t: FloatArray) -> FloatArray | None:
-        """Turn since the first of these times; None where the gyro is not heard throughout."""
+        """Turn since the first of these times; None where the gyro is not recorded throughout."""
         known = recording.gyro.t
         if not unbroken(known, t[:1], t[-1:])[0]:
             return None
@@ -67,7 +67,7 @@ def way_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
     ]
     way = sum(float(np.abs(data.z.sum())) for data, _ in parts)
     if way < LEAST_WAY:
-        return refused(f"straights with fixes of {way:.1f} m in all; {LEAST_WAY:g} m tell something", "m")
+        return refused(f"straights with fixes of {way:.1f} m in all; needed: {LEAST_WAY:g} m", "m")
     data = Increments(
         *(np.concatenate(columns) for columns in zip(*(part for part, _ in parts), strict=True))
     )
@@ -89,9 +89,7 @@ def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
                 turned.append(float(headings[1]))
                 differences.append(right - left)
     if len(turned) < LEAST_TURNS:
-        reason = (
-            f"{len(turned)} turns of {_SHORTEST_TURN:g} s with the gyro heard; {LEAST_TURNS} tell something"
-        )
+        reason = f"{len(turned)} turns of {_SHORTEST_TURN:g} s with the gyro recorded; needed: {LEAST_TURNS}"
         return Turns(refused(reason, "1"), float("nan"))
     X, z = np.array(differences)[:, np.newaxis], np.array(turned)
     fit = clustered(X, z, np.arange(len(z)))
@@ -104,8 +102,8 @@ def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
 def _straight(recording: Recording, span: Span, gyro: Gyro) -> tuple[Increments, FloatArray] | None:
     """Way from fix to fix along the heading, and what the sprockets turned; None where there is little of it.
 
-    The gyro carries the heading within the straight, where it is heard; the whole is turned so that no way is
-    left across.
+    The gyro carries the heading within the straight, where it is recorded; the whole is turned so that no
+    way is left across.
     """
     t, poses = recording.poses
     inside = span.holds(t)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip calibrate``: what drives tell of the machine and its sensors, as a parameter file."""
+"""``trackslip calibrate``: parameters of the machine and its sensors from drives, as a file."""
 
 import argparse
 import sys

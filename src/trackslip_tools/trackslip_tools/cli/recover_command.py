@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Recover, say what was lost, and show what the new bag holds.
+    """Recover, list what was lost, and show what the new bag holds.
 
     Raises:
         InputError: there is no bag, or the output exists or cannot be written.

@@ -50,7 +50,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--reference", metavar="TOPIC", help="score against this topic, every sample of it")
 
 
-def edits_of(args: argparse.Namespace) -> InputFilters:
+def filters_of(args: argparse.Namespace) -> InputFilters:
     """What the options change in a bag.
 
     Raises:

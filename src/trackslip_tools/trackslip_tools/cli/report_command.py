@@ -3,19 +3,23 @@
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from trackslip_bags.reader import open_bag
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.errors import ExitCode, InputError
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.progress import shown
+from trackslip_tools.replay.arrivals import Rows
+from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.soil import replay_soil
+from trackslip_tools.report.details import Details
 from trackslip_tools.report.panel import MOST_RUNS
 from trackslip_tools.report.recording import Recording, read_recording
 from trackslip_tools.report.run import Run
-from trackslip_tools.smoothing.smoothing import smooth
+from trackslip_tools.smoothing.smooth_bag import smooth_bag
 
 EXAMPLE = "trackslip report out/demo/bag --params own --params tuned.yaml --output report.html"
 
@@ -38,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, write the page, say where it is.
+    """Replay, write the page, print where it is.
 
     Raises:
         InputError: a bag, a parameter or an option cannot be used.
@@ -47,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     count = len(args.bags) * len(files)
     if count > MOST_RUNS:
         raise InputError(f"{count} runs (bags × --params) in one report; accepted: at most {MOST_RUNS}")
-    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     several = (len(args.bags) > 1, len(files) > 1)
     pairs = [(path, name) for path in args.bags for name in files]
     recordings: dict[Path, Recording] = {}
@@ -60,18 +64,26 @@ def run(args: argparse.Namespace) -> int:
             replay_options.require_named(bag, p, filters, reference)
             if path not in recordings:
                 recordings[path] = read_recording(bag, filters)
-            result = replay(bag, p, filters, reference)
-            result.soil = replay_soil(bag, result.inputs, result.estimates, filters, of_soil)
-        made = Run(_label(path, name, *several), recordings[path], p, filters, result)
-        runs.append(replace(made, smoothed=smooth(made.inputs, p).smoothed) if args.smooth else made)
+            details = Details()
+            result = replay(bag, p, filters, reference, of_soil, details.add)
+            smoothed = _smoothed(bag, p, filters) if args.smooth else None
+        label = _label(path, name, *several)
+        runs.append(Run(label, recordings[path], p, filters, result, details, smoothed))
     page = _page(runs)
     _write(args.output, page)
     print(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
-    return ExitCode.DONE if any(one.replay.estimates for one in runs) else ExitCode.FAILED
+    return ExitCode.DONE if any(len(one.replay.estimates) for one in runs) else ExitCode.FAILED
+
+
+def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:
+    """(n,) ESTIMATE."""
+    found = GrowingRows(ESTIMATE)
+    smooth_bag(bag, p, filters, None, lambda block: found.add(block.smoothed))
+    return found.rows()
 
 
 def _label(path: Path, name: str, bags: bool, files: bool) -> str:
-    """What tells this run from the others."""
+    """What distinguishes this run from the others."""
     if files and not bags:
         return name
     return str(path) if name == _OWN and not files else f"{path}, {name}"

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip smooth``: the best that a bag can tell of each moment, from what came before and after it."""
+"""``trackslip smooth``: the best estimate of each moment of a bag, from what came before and after it."""
 
 import argparse
 import sys
-from functools import partial
+from contextlib import nullcontext
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
 from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.progress import shown
-from trackslip_tools.smoothing.smooth_bag import smooth_bag, write_smoothed
+from trackslip_tools.smoothing.smooth_bag import SmoothedWriter, smooth_bag
+from trackslip_tools.smoothing.smoothing import Smoothed
 
 EXAMPLE = "trackslip smooth out/demo/bag --withhold box_pose:20:30 --output out/smoothed"
 
@@ -32,17 +32,22 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     with open_bag(args.bag) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
         p = replay_options.parameters_of(bag, args.params, args.set)
         replay_options.require_named(bag, p, filters, reference)
-        result = smooth_bag(bag, p, filters, reference, partial(shown, label="filtering"))
+        with SmoothedWriter(args.output, p) if args.output else nullcontext() as writer:
+            watch = writer.add if writer else _ignore
+            result = smooth_bag(bag, p, filters, reference, watch)
     print(result)
     if args.output is not None:
-        write_smoothed(args.output, result, p)
         print(f"smoothed: {args.output}")
     if args.json is not None:
         write_json(args.json, result.summary())
-    return ExitCode.DONE if result.estimates.smoothed else ExitCode.FAILED
+    return ExitCode.DONE if result.estimates else ExitCode.FAILED
+
+
+def _ignore(_: Smoothed) -> None:
+    """Nothing is written."""

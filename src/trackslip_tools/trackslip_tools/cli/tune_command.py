@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
-    filters, reference = replay_options.edits_of(args), replay_options.reference_of(args)
+    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     with open_bag(path) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)

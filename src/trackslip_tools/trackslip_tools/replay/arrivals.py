@@ -63,7 +63,7 @@ def yaw_rate_reader(default_variance: float) -> SourceReader:
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:
-    """(n,) MEASUREMENT of (n,) ARRIVAL; ``sources``: those of the rows, ``numbers``: the estimator's of each."""
+    """(n,) MEASUREMENT of (n,) ARRIVAL from ``sources``; ``numbers``: those that the estimator gives them."""
     found = np.empty(len(rows), MEASUREMENT)
     for name in _FIELDS:
         found[name] = rows[name]

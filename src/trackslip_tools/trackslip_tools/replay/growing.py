@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records that come piece by piece, in one array that grows in place: parts put together need twice the memory."""
+"""Records that come piece by piece, in one array that grows in place: joining parts takes twice the memory."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ class GrowingRows:
     def add(self, more: Rows) -> None:
         """(n,) records that have at least these fields."""
         end = self._count + len(more)
+        if end == self._count:
+            return
         if end > len(self._rows):
             self._rows.resize(max(end, round(_GROWTH * len(self._rows))), refcheck=False)
         for name in self._rows.dtype.names or ():

@@ -55,7 +55,8 @@ class Part(NamedTuple):
     @property
     def estimates(self) -> Rows:
         """(m,) ESTIMATE that were published."""
-        return self.results["estimate"][self.results["published"]]
+        estimates: Rows = self.results["estimate"][self.results["published"]]
+        return estimates
 
 
 Watch = Callable[[Part], None]
@@ -100,7 +101,11 @@ def replay(
     of_both = (ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
     stream = InputStream(bag, p, filters, scored.union(of_both))
     collector = _Collector(stream, scored, compares=not filters.changes_inputs)
-    soil = SoilRun(bag.start_ns, filters, of_soil) if of_soil is not None and HYDRAULICS in stream.topics else None
+    soil = (
+        SoilRun(bag.start_ns, filters, of_soil)
+        if of_soil is not None and HYDRAULICS in stream.topics
+        else None
+    )
     for part in run_estimator(stream, SlipEstimator(p)):
         collector.add(part)
         if soil is not None:

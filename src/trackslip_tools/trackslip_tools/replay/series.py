@@ -54,22 +54,47 @@ def series_of(**columns: Any) -> Series:
     return Series(rows)
 
 
+class RowBuffer:
+    """Rows that come piece by piece, in one array that grows by an eighth: no copy of all at the end."""
+
+    def __init__(self) -> None:
+        self._rows: Rows | None = None
+        self._count = 0
+
+    def add(self, rows: Rows) -> None:
+        """More rows, all of one type."""
+        if self._rows is None:
+            self._rows = np.empty(0, rows.dtype)
+        needed = self._count + len(rows)
+        if needed > len(self._rows):
+            self._rows.resize(max(needed, len(self._rows) * 9 // 8), refcheck=False)
+        self._rows[self._count : needed] = rows
+        self._count = needed
+
+    def rows(self) -> Rows | None:
+        """All of them; None where nothing was added. No more can be added then."""
+        if self._rows is not None:
+            self._rows.resize(self._count, refcheck=False)
+        return self._rows
+
+
 class SeriesCollector:
     """Makes series of tables that come piece by piece; ``detailed`` topics keep their covariances."""
 
     def __init__(self, detailed: frozenset[str] = frozenset()) -> None:
         self._detailed = detailed
-        self._parts: dict[str, list[Rows]] = defaultdict(list)
+        self._buffers: dict[str, RowBuffer] = defaultdict(RowBuffer)
 
     def add(self, topic: str, rows: Rows) -> None:
         """More of a topic: records of a class of ``message_fields``."""
-        self._parts[topic].append(_reduced(rows, topic in self._detailed))
+        self._buffers[topic].add(_reduced(rows, topic in self._detailed))
 
     def series(self) -> dict[str, Series]:
         """Each in the order of the stamps; of several rows with the same stamp the last."""
         found = {}
-        for topic in list(self._parts):
-            rows = np.concatenate(self._parts.pop(topic))
+        for topic, buffer in self._buffers.items():
+            rows = buffer.rows()
+            assert rows is not None
             stamps_ns = rows["stamp_ns"]
             if (np.diff(stamps_ns) <= 0).any():
                 _, from_the_end = np.unique(stamps_ns[::-1], return_index=True)

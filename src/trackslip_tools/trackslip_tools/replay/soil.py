@@ -27,6 +27,7 @@ from trackslip_estimation.soil.records import (
 )
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.inputs import Logged
 from trackslip_tools.replay.series import Rows, Series, SeriesCollector
 
@@ -83,7 +84,9 @@ class SoilRun:
         self._estimator = SoilEstimator(p)
         self._waiting, self._logged_ns = np.empty(0, SOIL_INPUT), np.empty(0, np.int64)  # readings
         self._published_ns = 0  # log time up to which estimates were published
-        self._parts: list[SoilOutputs] = []
+        self._forces = GrowingRows(FORCES_RECORD)
+        self._states: list[SoilState] = []
+        self._seeds: list[SlipSeed] = []
         self._series, self._classes = SeriesCollector(), dict[int, FloatArray]()
 
     def add(self, estimates: Rows, logged_ns: IntArray, tables: dict[str, Logged]) -> None:
@@ -103,13 +106,12 @@ class SoilRun:
 
     def result(self) -> SoilReplay:
         """When all was added."""
-        self._parts += self._estimator.advance_all(self._waiting)
-        p, parts = self._estimator.parameters, self._parts
+        self._feed(self._waiting)
         found = SoilReplay(
-            p,
-            np.concatenate([np.empty(0, FORCES_RECORD), *(part.forces for part in parts)]),
-            [state for part in parts for state in part.states],
-            [seed for part in parts for seed in part.seeds],
+            self._estimator.parameters,
+            self._forces.rows(),
+            self._states,
+            self._seeds,
             self._estimator.tally,
             self._series.series(),
             self._classes,
@@ -128,7 +130,7 @@ class SoilRun:
         self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~hidden]))
 
     def _advance(self, estimates: Rows, logged_ns: IntArray) -> None:
-        """In the order in which a live estimator has them: a reading before the first estimate published later."""
+        """As a live estimator has them: a reading before the first estimate that is published later."""
         published_ns = np.maximum.accumulate(np.maximum(logged_ns, self._published_ns))
         self._published_ns = int(published_ns[-1])
         before = np.searchsorted(published_ns, np.maximum.accumulate(self._logged_ns))
@@ -138,7 +140,13 @@ class SoilRun:
         others[2 * before[:ready] + np.arange(ready)] = False
         given[~others], given[others] = self._waiting[:ready], estimate_inputs(estimates)
         self._waiting, self._logged_ns = self._waiting[ready:], self._logged_ns[ready:]
-        self._parts += self._estimator.advance_all(given)
+        self._feed(given)
+
+    def _feed(self, given: Rows) -> None:
+        for outputs in self._estimator.advance_all(given):
+            self._forces.add(outputs.forces)
+            self._states += outputs.states
+            self._seeds += outputs.seeds
 
 
 def _reading_inputs(rows: Rows) -> Rows:

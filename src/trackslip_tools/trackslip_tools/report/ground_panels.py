@@ -31,7 +31,7 @@ class _Shown(NamedTuple):
     field: str
     label: str
     colour: str = BLUE  # in a report of one run
-    form: Form = Form.LINE  # where the colour tells the run
+    form: Form = Form.LINE  # where the colour stands for the run
     interval: bool = False  # bounds are fields of their own: _lower, _upper; else a variance
 
 

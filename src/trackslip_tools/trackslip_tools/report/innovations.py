@@ -8,8 +8,6 @@ D        covariance of d: the estimate's and the fix's                          
 w        L⁻¹ d with L Lᵀ = D: of variance 1 each if both are consistent
 """
 
-from bisect import bisect_right
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -17,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.measurements import Outcome, PoseFix
-from trackslip_estimation.slip.models.model import YAW, Gaussian
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.sources import PoseSource
+from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.report.panel import (
     BLUE,
     GREEN,
@@ -58,17 +56,21 @@ class Innovations(NamedTuple):
 
 def innovations_of(run: Run) -> dict[str, Innovations]:
     """By source; of measurements that came as far as being compared with the estimate."""
-    rows: dict[str, list[tuple[int, float, float, float, bool]]] = defaultdict(list)
-    for report, _ in run.replay.steps:
-        if report.dof and np.isfinite(report.nis):
-            refused = report.outcome is Outcome.GATED
-            rows[report.source].append((report.stamp_ns, report.nis, report.gate, report.dof, refused))
-    found = {}
-    for source, reports in sorted(rows.items()):
-        stamps_ns, nis, gates, freedoms, refused_ones = (np.array(c) for c in zip(*reports, strict=True))
-        times = run.recording.seconds(stamps_ns)
-        found[source] = Innovations(times, nis, gates, freedoms.astype(np.float64), refused_ones)
-    return found
+    reports = run.details.reports
+    reports = reports[(reports["dof"] > 0) & np.isfinite(reports["nis"])]
+    by_source = {
+        run.details.sources[k]: reports[reports["source"] == k] for k in np.unique(reports["source"])
+    }
+    return {
+        source: Innovations(
+            run.recording.seconds(own["stamp_ns"]),
+            own["nis"],
+            own["gate"],
+            own["dof"].astype(np.float64),
+            own["outcome"] == Outcome.GATED,
+        )
+        for source, own in sorted(by_source.items())
+    }
 
 
 def innovation_panels(runs: Sequence[Run]) -> list[Panel]:
@@ -139,46 +141,54 @@ def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
 
     Fixes older than the first estimate, or without one that was published before they came, are left out.
     """
-    fixes = {(m.source, m.stamp_ns): m for m in run.inputs if isinstance(m, PoseFix)}
-    sources = run.parameters.poses()
-    published: list[Estimate] = []
-    stamps_ns: list[int] = []
-    rows: dict[str, list[tuple[int, FloatArray]]] = defaultdict(list)
-    for report, estimate in run.replay.steps:
-        fix = fixes.get((report.source, report.stamp_ns))
-        if fix is not None and report.source in sources and stamps_ns:
-            before = bisect_right(stamps_ns, fix.stamp_ns) - 1
-            if before >= 0 and not report.outcome.refused:
-                pair = published[before : before + 2]
-                rows[fix.source].append((fix.stamp_ns, _whitened(fix, pair, sources[fix.source])))
-        if estimate is not None:
-            published.append(estimate)
-            stamps_ns.append(estimate.stamp_ns)
+    fixes, estimates = run.details.fixes, run.details.estimates
+    refused = [outcome for outcome in Outcome if outcome.refused]
+    before = np.searchsorted(estimates["stamp_ns"], fixes["stamp_ns"], "right")
+    before = np.minimum(before, fixes["published"]) - 1
+    compared = (before >= 0) & ~np.isin(fixes["outcome"], refused)
     found = {}
-    for source, whitened in rows.items():
-        times = run.recording.seconds(np.array([stamp for stamp, _ in whitened], dtype=np.int64))
-        found[source] = (times, np.array([row for _, row in whitened]))
+    for source, told in run.parameters.poses().items():
+        numbers = [k for k, name in enumerate(run.details.sources) if name == source]
+        own = compared & np.isin(fixes["source"], numbers)
+        if own.any():
+            after = np.minimum(before[own] + 1, fixes["published"][own] - 1)
+            whitened = _whitened(fixes[own], estimates[before[own]], estimates[after], told)
+            found[source] = (run.recording.seconds(fixes["stamp_ns"][own]), whitened)
     return found
 
 
-def _whitened(fix: PoseFix, published: Sequence[Estimate], source: PoseSource) -> FloatArray:
-    """w (3,) against the estimate at the fix's stamp, between the two published about it."""
-    first, last = published[0], published[-1]
-    span_ns = last.stamp_ns - first.stamp_ns
-    share = (fix.stamp_ns - first.stamp_ns) / span_ns if span_ns else 0.0
-    step = last.pose - first.pose
-    step[YAW] = _wrapped(step[YAW])
-    expected = source.to_sensor(Gaussian(first.pose + share * step, first.pose_covariance))
-    prepared = source.prepared(fix)
-    rows = 3 if source.tells_heading(prepared) else 2
-    d = prepared.pose - expected.mean
-    d[YAW] = _wrapped(d[YAW])
-    D = (expected.covariance + prepared.covariance)[:rows, :rows]
-    w = np.full(3, np.nan)
-    w[:rows] = np.linalg.solve(np.linalg.cholesky(D), d[:rows])
+def _whitened(fixes: Rows, first: Rows, last: Rows, source: PoseSource) -> FloatArray:
+    """w (n, 3) against the estimate at the stamp of each fix, between the two published about it."""
+    span_ns = np.maximum(last["stamp_ns"] - first["stamp_ns"], 1)
+    share = (fixes["stamp_ns"] - first["stamp_ns"]) / span_ns * (last["stamp_ns"] > first["stamp_ns"])
+    step = last["pose"] - first["pose"]
+    step[:, YAW] = _wrapped(step[:, YAW])
+    pose, P = _at_sensor(first["pose"] + share[:, np.newaxis] * step, first["pose_covariance"], source)
+    R = fixes["noise"].copy()
+    floors = np.array((source.position_floor, source.position_floor, source.heading_floor))
+    diagonal = np.arange(3)
+    R[:, diagonal, diagonal] = np.maximum(R[:, diagonal, diagonal], floors**2)
+    d = fixes["value"] - pose
+    d[:, YAW] = _wrapped(d[:, YAW])
+    headed = source.use_heading & (fixes["noise"][:, YAW, YAW] <= source.heading_ceiling**2)
+    w = np.full((len(fixes), 3), np.nan)
+    for rows, chosen in ((3, headed), (2, ~headed)):
+        L = np.linalg.cholesky((P + R)[chosen, :rows, :rows])
+        w[chosen, :rows] = np.linalg.solve(L, d[chosen, :rows, np.newaxis])[:, :, 0]
     return w
 
 
-def _wrapped(angle: float) -> float:
+def _at_sensor(poses: FloatArray, P: FloatArray, source: PoseSource) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) poses and covariances (n, 3, 3) of base_link, as those of the sensor."""
+    c, s = np.cos(poses[:, YAW]), np.sin(poses[:, YAW])
+    x, y = source.lever
+    offset = np.column_stack((c * x - s * y, s * x + c * y))
+    moved, J = poses.copy(), np.tile(np.eye(3), (len(poses), 1, 1))
+    moved[:, :2] += offset
+    J[:, 0, YAW], J[:, 1, YAW] = -offset[:, 1], offset[:, 0]
+    return moved, J @ P @ np.swapaxes(J, 1, 2)
+
+
+def _wrapped(angles: FloatArray) -> FloatArray:
     """In (−π, π]."""
-    return float(np.angle(np.exp(1j * angle)))
+    return np.asarray(np.angle(np.exp(1j * angles)))

@@ -109,7 +109,7 @@ def errors_of(run: Run, states: States) -> Errors | None:
 
 def true_slips(run: Run) -> Series | None:
     """(n, 3+) where the bag has them, while the machine moves: else they mean nothing."""
-    slips, odometry = (run.replay.inputs.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
+    slips, odometry = (run.replay.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
     if slips is None or odometry is None:
         return None
     return moving_slips(odometry, slips, run.parameters.vehicle.tread)
@@ -119,7 +119,7 @@ def _truths(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:
     """One curve for each bag that has the truth."""
     bags = recordings(runs)
     for run in bags:
-        series = run.replay.inputs.series.get(quantity.truth)
+        series = run.replay.series.get(quantity.truth)
         if series is not None:
             label = "truth" if len(bags) == 1 else f"truth, {run.label}"
             colour = INK if len(bags) == 1 else colour_in(runs, run, INK)

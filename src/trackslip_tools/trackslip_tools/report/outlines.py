@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.slip.measurements import Outcome, PoseFix
+from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.report.panel import SIGMAS
 from trackslip_tools.report.run import Run, States
 
@@ -36,12 +36,12 @@ def boxes(run: Run) -> FloatArray:
 
 def fixes_of(run: Run) -> dict[str, FloatArray]:
     """By source: (n, 3) poses of the fixes that were taken."""
-    taken = {(r.source, r.stamp_ns) for r, _ in run.replay.steps if r.outcome is Outcome.ACCEPTED}
-    found: dict[str, list[FloatArray]] = {}
-    for m in run.inputs:
-        if isinstance(m, PoseFix) and (m.source, m.stamp_ns) in taken:
-            found.setdefault(m.source, []).append(m.pose)
-    return {source: np.array(poses) for source, poses in sorted(found.items())}
+    fixes = run.details.fixes
+    fixes = fixes[fixes["outcome"] == Outcome.ACCEPTED]
+    by_source = {
+        run.details.sources[number]: fixes["source"] == number for number in np.unique(fixes["source"])
+    }
+    return {source: fixes["value"][own] for source, own in sorted(by_source.items())}
 
 
 def _box(vehicle: Vehicle, pose: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What one plot over time shows, before anything is drawn: curves with their bands, in colours.
 
-The colours are those of Okabe and Ito, which people with any kind of colour blindness tell apart.
+The colours are those of Okabe and Ito, which people with any kind of colour blindness distinguish.
 """
 
 from collections.abc import Iterator, Sequence

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_common.message_fields import ForceFields, SoilFields
-from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.measurements import Input
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.run import Replay
 from trackslip_tools.replay.scoring import in_order, path_of
 from trackslip_tools.replay.soil_output import soil_messages
+from trackslip_tools.report.details import Details
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
 from trackslip_tools.report.recording import FORCES, SOIL, Recording
 
@@ -46,23 +46,19 @@ class Run:
     parameters: SlipEstimatorParameters
     filters: InputFilters
     replay: Replay
-    smoothed: Sequence[Estimate] = ()  # by the smoother, where it was asked for
+    details: Details
+    smoothed: Rows | None = None  # (n,) ESTIMATE, by the smoother, where it was asked for
 
     @cached_property
     def states(self) -> States | None:
         """None where the estimator found nothing to start from."""
-        estimates = in_order(self.replay.estimates)
-        return _states(estimates) if estimates else None
+        estimates = in_order(self.details.estimates)
+        return _states(estimates) if len(estimates) else None
 
     @cached_property
     def smoothed_states(self) -> States | None:
         """None where the smoother was not asked, or had nothing to start from."""
-        return _states(self.smoothed) if self.smoothed else None
-
-    @property
-    def inputs(self) -> list[Input]:
-        """The measurements as the estimator processed them, thinned and withheld ones left out."""
-        return self.replay.inputs.inputs
+        return _states(self.smoothed) if self.smoothed is not None and len(self.smoothed) else None
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
@@ -84,13 +80,13 @@ def recordings(runs: Sequence[Run]) -> list[Run]:
     return list(first.values())
 
 
-def _states(estimates: Sequence[Estimate]) -> States:
+def _states(estimates: Rows) -> States:
     return States(
         path_of(estimates),
-        np.array([e.pose_covariance for e in estimates]),
-        np.array([e.outputs.twist for e in estimates]),
-        np.array([e.outputs.twist_covariance for e in estimates]),
-        np.array([e.outputs.slips for e in estimates]),
-        np.array([e.outputs.slip_covariance for e in estimates]),
-        np.array([e.motion is not Motion.STANDING for e in estimates]),
+        estimates["pose_covariance"],
+        estimates["twist"],
+        estimates["twist_covariance"],
+        estimates["slips"],
+        estimates["slip_covariance"],
+        estimates["motion"] != Motion.STANDING,
     )

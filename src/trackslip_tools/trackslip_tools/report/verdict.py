@@ -180,7 +180,7 @@ def _rejections(run: Run) -> Verdict:
         for source, reasons in run.replay.rejected.by_source().items()
     }
     shares = {
-        source: count / max(run.replay.inputs.messages.get(source, count), 1)
+        source: count / max(run.replay.messages.get(source, count), 1)
         for source, count in refused.items()
         if count
     }

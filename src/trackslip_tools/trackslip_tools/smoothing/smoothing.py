@@ -2,12 +2,12 @@
 """The estimates that a whole log gives: at each time from what came before and after it.
 
 The slip estimator runs over the log in the order of the stamps, so that every state is settled; then
-``kalman.smoother`` goes back over its states. Where one state does not follow from the one before it by the model
-(a start, a manual pose, sprockets that were silent) nothing is carried back: each piece is smoothed by itself. The
-filter is the extended Kalman filter, whichever the parameters name.
+``kalman.smoother`` goes back over its states. Where one state does not follow from the one before it by the
+model (a start, a manual pose, sprockets that were silent) nothing is carried back: each piece is smoothed by
+itself. The filter is the extended Kalman filter, whichever the parameters name.
 
 Memory is bounded: the first pass keeps the state at which each block begins, the second goes back through the
-blocks, made anew from there, and keeps what is carried into each; the third makes them once more, in their order.
+blocks, made anew from there, and keeps what is carried into each; the third makes them once more, in order.
 """
 
 from collections.abc import Iterator

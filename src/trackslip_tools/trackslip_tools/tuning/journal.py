@@ -85,8 +85,8 @@ def _fingerprint(tasks: Iterable[Task]) -> str:
     """Of all that a score depends on but the values."""
     digest = hashlib.sha256()
     for task in tasks:
-        digest.update(repr((task.p, task.log.start.stamp_ns)).encode())
-        for array in task.log.log:
+        digest.update(repr(task.p).encode())
+        for array in task.log:
             digest.update(array.tobytes())
         if task.reference is not None:
             digest.update(task.reference.stamps_ns.tobytes() + task.reference.poses.tobytes())

@@ -4,7 +4,7 @@
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.measurements import KINDS
+from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.run import own_reference, reference_path
@@ -28,7 +28,7 @@ def read_task(
     """
     reference = reference or own_reference(bag)
     inputs = read_inputs(bag, p, filters, (reference,) if reference else ())
-    measurements = [m for m in inputs.inputs if isinstance(m, KINDS)]
+    measurements = inputs.measurements(SlipEstimator(p).sources)
     series = inputs.series.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")

@@ -103,9 +103,7 @@ class Task:
         return errors.position, errors.heading, float(np.mean(nees)), likelihood
 
 
-def make_task(
-    name: str, arrivals: Records, p: SlipEstimatorParameters, reference: Path | None
-) -> Task:
+def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, reference: Path | None) -> Task:
     """A bag's measurements, records of ``MEASUREMENT``.
 
     Raises:

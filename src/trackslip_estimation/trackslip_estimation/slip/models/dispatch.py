@@ -134,8 +134,8 @@ def linearize(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """f, F and Q of a step, worked out together.
 
-    Q has each state's random walk and the velocity errors', and for sprocket speeds that are inputs their noise
-    (3.21). P, what is known of x, or zeros, matters where Q depends on x.
+    Q has each state's random walk and the velocity errors', and for sprocket speeds that are inputs their
+    noise (3.21). P, what is known of x, or zeros, matters where Q depends on x.
     """
     n = x.size
     F, Q, moved = np.zeros((n, n)), np.zeros((n, n)), x.copy()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all motion models have in common: the first numbers of the state, and how a model describes itself.
 
-A model is a module of this folder. It names the numbers of its state, each with its unit, gives their prior and
-the density of their process noise, and has its equations as compiled functions; ``dispatch`` chooses between
-the models.
+A model is a module of this folder. It names the numbers of its state, each with its unit, gives their prior
+and the density of their process noise, and has its equations as compiled functions; ``dispatch`` chooses
+between the models.
 """
 
 from typing import NamedTuple

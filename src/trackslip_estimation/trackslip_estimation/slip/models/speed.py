@@ -17,13 +17,13 @@ U          2V² + D²/2 + w d², a track's speed squared, twice          (m/s)²
 ρ          e^(−dt/τ)                                                  1
 
 Velocity errors are first-order Gauss–Markov: ṁ = −m/τ + noise, of size σ in v and σ/B in ω. Measured on the
-shear truth, σ is a small share of V and D while the machine goes steadily (in ω less than in v, as both tracks
-ring alike), and a large share of d while its speed changes: the vehicle answers its tracks with a lag, rings on
-the soil, and has the rest settled within tenths of a second. All this is larger on a soil that yields more,
-which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. Real tracks err by more:
-each by a share s of its speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and the machine go
-sideways. When the sprockets are
-silent the motion is UNKNOWN; V and D are then 0, the velocity errors are the speeds themselves, and hold.
+shear truth, σ is a small share of V and D while the machine goes steadily (in ω less than in v, as both
+tracks ring alike), and a large share of d while its speed changes: the vehicle answers its tracks with a lag,
+rings on the soil, and has the rest settled within tenths of a second. All this is larger on a soil that
+yields more, which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. Real
+tracks err by more: each by a share s of its speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and
+the machine go sideways. When the sprockets are silent the motion is UNKNOWN; V and D are then 0, the velocity
+errors are the speeds themselves, and hold.
 """
 
 import math
@@ -48,7 +48,7 @@ PARTS = (
     *COMMON,
     Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),
     Part("common_slip", slice(COMMON_SLIP, COMMON_SLIP + 1), "1", "slip common to both tracks"),
-    Part("rotation_offset", slice(ROTATION_OFFSET, ROTATION_OFFSET + 1), "m", "centre of rotation ahead of C"),
+    Part("rotation_offset", slice(ROTATION_OFFSET, ROTATION_OFFSET + 1), "m", "centre of rotation x_I"),
 )
 CONSTANTS = np.dtype(
     [

@@ -92,7 +92,8 @@ def turn_speed_loss(V: float, D: float, c: Any) -> float:
         return 0.0
     share = half / (half + c.turning.gentle_turn * abs(V))
     ratio = min(max(V / half, -1.0), 1.0)
-    return half * share * (ratio * ratio * ratio)
+    lost: float = half * share * (ratio * ratio * ratio)
+    return lost
 
 
 @compiled

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run over a whole log gives what the estimator ends with, for any number of runs at once."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from fixtures.records import assert_same_bits
+
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip import log as logs
+from trackslip_estimation.slip import process as live
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.log import Log, make_log, run_log, run_whole
+from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.slip.records import POSE, SPROCKETS, to_records
+from trackslip_estimation.slip.window import Records
+
+MS, S = 1_000_000, 1_000_000_000
+SEGMENTS = [
+    (1.0, 2.0, 2.0, 0.05, 0.1, 0.0),
+    (2.0, 1.0, 2.0, 0.0, 0.2, 0.1),
+    (1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    (3.0, 2.0, 2.0, 0.1, 0.1, 0.0),
+]
+
+
+def parameters(**changes: Any) -> SlipEstimatorParameters:
+    return load_slip_parameters({"pose_timeouts": [0.3], "yaw_rate_timeouts": [0.5]}, changes)
+
+
+def measurements(drive: Callable[..., Any], seed: int = 0) -> list[Measurement]:
+    """Gyro readings with spikes; fixes between the sprocket samples, some wide of the mark in a row."""
+    found: list[Measurement] = drive(SEGMENTS, seed=seed, gyro_every=2).measurements
+    for k, m in enumerate(found):
+        if isinstance(m, YawRate) and k % 10 == 0:
+            found[k] = replace(m, rate=m.rate + 30.0)
+        if isinstance(m, PoseFix) and m.stamp_ns > 0:
+            wide = (3.0, 0.0, 0.0) if 5 * 10**8 < m.stamp_ns < 2 * 10**9 else (0.0, 0.0, 0.0)
+            found[k] = replace(m, stamp_ns=m.stamp_ns - 7 * MS, pose=m.pose + np.array(wide))
+    return in_order(found)
+
+
+def with_faults(found: list[Measurement]) -> list[Measurement]:
+    """Two silences of the sprockets, one of all, a manual pose, a stamp far ahead, a repeat, and rubbish."""
+    silent = [(2.2, 3.1), (4.0, 4.9)]
+    kept = [
+        m
+        for m in found
+        if not (4.2 * S < m.stamp_ns < 4.8 * S)
+        and not (isinstance(m, Sprockets) and any(a * S < m.stamp_ns < b * S for a, b in silent))
+    ]
+    manual = PoseFix(SET_POSE, round(5.505 * S), np.array((9.0, -4.0, 1.0)), np.diag((0.1, 0.1, 0.01)))
+    ahead = Sprockets("sprockets", 60 * S, 1.0, 1.0)
+    rubbish = YawRate("imu/data_raw", 12345, float("nan"), 1.0)
+    return in_order([*kept, manual, ahead, kept[len(kept) // 2], rubbish])
+
+
+def in_order(found: Sequence[Measurement]) -> list[Measurement]:
+    """By stamp, then as the estimator has it."""
+    p = parameters()
+    records = to_records(found, SlipEstimator(p).sources)
+    return [found[k] for k in np.lexsort((records["source"], records["kind"], records["stamp_ns"]))]
+
+
+def log_of(found: Sequence[Measurement], p: SlipEstimatorParameters) -> Log:
+    return make_log(to_records(found, SlipEstimator(p).sources), p)
+
+
+class Ran(NamedTuple):
+    """All of a run."""
+
+    measurements: Records
+    states: Records
+    updates: Records
+
+
+def ran(log: Log, p: SlipEstimatorParameters) -> Ran:
+    blocks = [[part.copy() for part in (b.measurements, b.states, b.updates)] for b in run_log(log, p)]
+    return Ran(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
+
+
+def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any, list[Outcome]]:
+    """Where the live estimator ends, and what it made of each."""
+    estimator = SlipEstimator(p)
+    outcomes = [report.outcome for report, _ in map(estimator.process, found)]
+    return estimator.window.states[estimator.window.count - 1], outcomes
+
+
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
+@pytest.mark.parametrize("changes", [{}, {"use_heading": False, "pose_lever_arms_x": [0.4]}])
+def test_it_ends_as_the_estimator_does(
+    drive: Callable[..., Any], model: str, filter_: str, changes: dict[str, Any]
+) -> None:
+    """With gated measurements, gates that widen, silences and all that a log may hold."""
+    p = parameters(model=model, filter=filter_, **changes)
+    found = with_faults(measurements(drive))
+    state, outcomes = ended(found, p)
+    run = ran(log_of(found, p), p)
+    assert_same_bits(run.states[-1], state)
+    assert 5 < outcomes.count(Outcome.GATED) == np.count_nonzero(run.updates["outcome"] == Outcome.GATED)
+    assert {Outcome.AHEAD, Outcome.INVALID, Outcome.DUPLICATE} <= set(outcomes)
+    assert run.states["coasting"].any()
+    breaks = run.measurements[~run.updates["follows"]]
+    manual = breaks["kind"][breaks["stamp_ns"] == round(5.505 * S)]
+    assert manual.tolist() == [POSE]
+    assert 5 < len(breaks) < 0.3 * len(run.states)
+
+
+def test_an_outage_opens_the_gate_as_it_does_live(drive: Callable[..., Any]) -> None:
+    """Fixes far off, after none for 3 s, are believed: where gates do not widen they never are."""
+    found = in_order(
+        [
+            replace(m, pose=m.pose + np.array((2.0, 2.0, 0.0)))
+            if isinstance(m, PoseFix) and m.stamp_ns > 4 * S
+            else m
+            for m in drive(SEGMENTS).measurements
+            if not (isinstance(m, PoseFix) and 1 * S < m.stamp_ns <= 4 * S)
+        ]
+    )
+    rejected = []
+    for relaxation in (10.0, 1.0):
+        p = parameters(gate_relaxation=relaxation)
+        state, outcomes = ended(found, p)
+        run = ran(log_of(found, p), p)
+        assert_same_bits(run.states[-1], state)
+        assert np.count_nonzero(run.updates["outcome"] == Outcome.GATED) == outcomes.count(Outcome.GATED)
+        rejected.append(outcomes.count(Outcome.GATED))
+    assert rejected[0] < rejected[1] / 2
+
+
+@pytest.mark.parametrize("size", [16, 100, 10_000])
+def test_blocks_of_any_size_give_the_same_bits(
+    drive: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    """Each block ends at a sprocket sample, or no interval would be closed as it is in the whole log."""
+    p = parameters()
+    log = log_of(with_faults(measurements(drive)), p)
+    estimator = SlipEstimator(p)
+    estimator.process_records(log.begin)
+    whole = run_whole(log.rest, estimator.window, estimator.config)
+    monkeypatch.setattr(logs, "_BLOCK", size)
+    run = ran(log, p)
+    assert len(list(run_log(log, p))) >= len(log.rest) / size
+    assert_same_bits(run.measurements, log.rest)
+    assert_same_bits(run.states, whole.states[1:])
+    assert_same_bits(run.updates, whole.updates[1:])
+
+
+def test_a_sprocket_sample_says_no_more_than_it_drove(drive: Callable[..., Any]) -> None:
+    p = parameters()
+    run = ran(log_of(measurements(drive), p), p)
+    samples = run.measurements["kind"] == SPROCKETS
+    for name, prior in (("mean", "prior_mean"), ("covariance", "prior_covariance")):
+        np.testing.assert_array_equal(run.states[name][samples], run.updates[prior][samples])
+    for name in ("nis", "gate", "log_determinant"):
+        assert np.isnan(run.updates[name][samples]).all()
+        assert np.isfinite(run.updates[name][~samples]).all()
+    assert (run.updates["dof"][samples] == 0).all()
+
+
+def test_what_is_rejected_leaves_mean_and_covariance_untouched(drive: Callable[..., Any]) -> None:
+    """Whatever was tried with it on the way: bit for bit the prior."""
+    for filter_ in ("ekf", "daf"):
+        p = parameters(filter=filter_, pose_lever_arms_x=[0.4])
+        run = ran(log_of(with_faults(measurements(drive)), p), p)
+        gated = run.updates["outcome"] == Outcome.GATED
+        assert set(run.measurements["kind"][gated]) >= {POSE}
+        assert np.count_nonzero(gated) > 10
+        np.testing.assert_array_equal(run.states["mean"][gated], run.updates["prior_mean"][gated])
+        np.testing.assert_array_equal(run.states["covariance"][gated], run.updates["prior_covariance"][gated])
+
+
+def test_the_spread_of_an_innovation_follows_from_its_update(drive: Callable[..., Any]) -> None:
+    """|S| = |R| |P| / |P'|: of a fix at the stamp of the entry before it, which predicts nothing."""
+    p = parameters()
+    run = ran(log_of(drive(SEGMENTS, gyro_every=1000).measurements, p), p)
+    fixes = np.flatnonzero((run.measurements["kind"] == POSE) & (run.updates["outcome"] == Outcome.ACCEPTED))
+    assert len(fixes) > 20
+    for k in fixes:
+        R, before, after = (
+            run.measurements["noise"][k],
+            run.states["covariance"][k - 1],
+            run.states["covariance"][k],
+        )
+        expected = sum(sign * np.linalg.slogdet(M)[1] for sign, M in ((1, R), (1, before), (-1, after)))
+        assert run.updates["log_determinant"][k] == pytest.approx(expected, abs=1e-6)
+
+
+def test_many_runs_are_each_that_one_run(drive: Callable[..., Any]) -> None:
+    """Sets of parameters over one log, and noise seeds under one set, on threads."""
+    sets = [parameters(model=m, gate_probability=g) for m in ("turning", "icr") for g in (0.9, 0.9999)]
+    jobs = [(log_of(measurements(drive, seed), p), p) for p in sets for seed in range(3)]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(lambda job: ran(*job), jobs))
+    assert len(together) == 12
+    for one, job in zip(together, jobs, strict=True):
+        for mine, its in zip(one, ran(*job), strict=True):
+            assert_same_bits(mine, its)
+    assert len({one.states["mean"].tobytes() for one in together}) == 12
+
+
+def test_order_and_repeats_do_not_matter(drive: Callable[..., Any]) -> None:
+    p, found = parameters(), measurements(drive)
+    rubbish = YawRate("imu/data_raw", 12345, float("nan"), 1.0)
+    mixed = [found[k] for k in np.random.default_rng(0).permutation(len(found))] + [rubbish, *found[:40]]
+    for mine, its in zip(log_of(mixed, p), log_of(found, p), strict=True):
+        assert_same_bits(mine, its)
+
+
+def test_everything_is_taken_where_nothing_is_gated(drive: Callable[..., Any]) -> None:
+    p = parameters()
+    log = log_of(measurements(drive), p)
+    estimator = SlipEstimator(p)
+    estimator.process_records(log.begin)
+    estimator.config["gate_limits"] = np.inf
+    whole = run_whole(log.rest, estimator.window, estimator.config)
+    assert (whole.updates["outcome"][1:] == Outcome.ACCEPTED).all()
+    assert np.isfinite(whole.states["mean"]).all()
+
+
+def test_a_log_without_a_start_is_refused(drive: Callable[..., Any]) -> None:
+    sprockets = [m for m in measurements(drive) if isinstance(m, Sprockets)]
+    for found in (sprockets, []):
+        with pytest.raises(InputError, match="to start from \\(start: first_fix\\)"):
+            log_of(found, parameters())
+
+
+@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
+def test_nothing_is_compiled_while_driving(drive: Callable[..., Any], model: str) -> None:
+    """Arrays of another layout would stop the estimator for seconds."""
+    p = parameters(model=model, use_heading=False, pose_lever_arms_x=[0.3])
+    estimator = SlipEstimator(p)
+    before = list(live.process.signatures)
+    steps = [estimator.process(m) for m in measurements(drive)]
+    assert any(r.outcome is Outcome.GATED for r, _ in steps)
+    assert any(e is not None for _, e in steps)
+    assert live.process.signatures == before
+    assert len(before) == 1

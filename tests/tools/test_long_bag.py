@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag of many minutes, made of a short one by ``scripts/long_bag.py``, is read in bounded memory."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import open_bag
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_tools.replay.inputs import read_inputs
+from trackslip_tools.replay.run import replay
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[2]
+MINUTES = 20
+GROWTH = 25.0  # MB, of ten minutes: tables of 100 Hz as Python objects would take hundreds
+READ = """
+import resource, sys
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import open_bag
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_tools.replay.inputs import InputStream
+
+tables = ("odometry", "track_slip", "truth/odometry", "truth/track_slip", "hydraulics")
+with open_bag(sys.argv[1]) as bag:
+    for _ in InputStream(bag, load_slip_parameters(), InputFilters(stop_s=float(sys.argv[2])), tables):
+        pass
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
+"""
+
+
+def lengthened(path: Path, minutes: float, *options: str) -> Path:
+    command = [sys.executable, ROOT / "scripts" / "long_bag.py", ROOT / "bags" / "slalom_sand", path]
+    subprocess.run([*command, "--hours", str(minutes / 60.0), *options], check=True)
+    return path
+
+
+@pytest.mark.timeout(600)
+def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
+    path = lengthened(tmp_path / "long", MINUTES, "--live")
+
+    def largest(minutes: float) -> float:
+        command = [sys.executable, "-c", READ, path, str(60.0 * minutes)]
+        return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+    assert largest(MINUTES) < largest(MINUTES / 2.0) + GROWTH
+
+
+@pytest.mark.timeout(600)
+def test_a_repeated_drive_goes_on_where_it_ended(tmp_path: Path) -> None:
+    """Stamps, sprockets and poses are continuous: nothing jumps, and nothing is lost."""
+    path = lengthened(tmp_path / "long", 2.0, "--live")
+    with open_bag(path) as bag:
+        inputs = read_inputs(bag, load_slip_parameters(), InputFilters(), ())
+        result = replay(bag, load_slip_parameters(), InputFilters(), None)
+    assert (inputs.counts.lost_lines, inputs.counts.lost_inputs) == (0, 0)
+    assert inputs.duration_s > 119.0
+    assert set(result.rejected.by_source()) <= {"sprockets", "box_pose"}
+    assert sum(result.rejected.by_source().get("box_pose", {}).values()) < 5
+    scored = result.scores["filter"]
+    assert scored is not None
+    assert scored.position < 0.1
