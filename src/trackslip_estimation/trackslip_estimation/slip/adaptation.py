@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """How wrong tracks, gyros and fixes are on this machine and this ground, found from innovations; compiled.
 
-    s       track error: share of its speed by which each track's ground speed errs           1
-    U       s² U/4 is the variance of m_v by it, s² U/B² that of m_ω (``speed.track_exposure``) (m/s)²
-    E       envelope: the U that the velocity errors hold already, forgotten with τ           (m/s)²
-    T       variance of m_ω, by s², that the tracks have added since the last yaw rate         (rad/s)²
-    a, f    factors of the variance that yaw rates and a source's fixes state                 1
+    s       track error: share of its speed by which each track's ground speed errs     1
+    U       s² U/4 is the variance of m_v by it, s² U/B² that of m_ω (``speed``)        (m/s)²
+    E       envelope: the U that the velocity errors hold already, forgotten with τ     (m/s)²
+    T       variance of m_ω, over s², that the tracks have added since the last reading (rad/s)²
+    a, f    factors of the variance that yaw rates and a source's fixes state           1
     ν, S    innovation and its covariance
     w       ln of the weight of a point mass
 
@@ -65,14 +65,20 @@ class AdaptationParameters(Parameters):
     """How the noise finds its size, and the pose is found again."""
 
     least_track_error: float = parameter(
-        "share of its speed by which a track errs at the least; up to 243 times as much is found", gt=0.0, le=0.01
+        "share of its speed by which a track errs at the least; up to 243 times as much is found",
+        gt=0.0,
+        le=0.01,
     )
     changing_weight: float = parameter("of d² beside V² in what the track error is a share of", ge=0.0)
     sideways: float = parameter("error of v_y by the track error, over that of v", ge=0.0)
     common_slip: float = parameter("i₀ while driving, as a multiple of the track error", unit="1/√s", ge=0.0)
     memory: float = parameter("driving after which an innovation counts for 1/e", unit="s", gt=0.0)
-    rate_doubt: float = parameter("ln of the odds that a gyro is as good as stated against half as good", ge=0.0)
-    fix_memory: float = parameter("share of what was known of a source that a further fix leaves", gt=0.0, lt=1.0)
+    rate_doubt: float = parameter(
+        "ln of the odds that a gyro is as good as it states, against half as good", ge=0.0
+    )
+    fix_memory: float = parameter(
+        "share of what was known of a source's noise that a further fix leaves", gt=0.0, lt=1.0
+    )
     soft_gate: float = parameter("up to so many times the gate a fix is used, with less weight", ge=1.0)
     alignment_stddev: float = parameter(
         "standard deviation of a heading that refused fixes show, below which it is believed",
@@ -137,7 +143,8 @@ def learn_from_rate(
     """
     n, (of_tracks, stated) = c.adaptation, parts
     rest = max(S - a.track_variance * of_tracks - a.rate_factor * stated, 0.0)
-    largest = rest + of_tracks * n.track_variances[TRACK_ERRORS - 1] + stated * n.rate_factors[RATE_FACTORS - 1]
+    largest = rest + of_tracks * n.track_variances[TRACK_ERRORS - 1]
+    largest += stated * n.rate_factors[RATE_FACTORS - 1]
     squared = min(innovation * innovation, _OUTLIER * largest)
     weight = min(a.elapsed / c.velocity_errors.time, 1.0)
     kept = 1.0 if stands else math.exp(-a.elapsed / n.memory)
@@ -163,9 +170,7 @@ def learn_from_rate(
 
 
 @compiled
-def learn_from_fix(
-    a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any
-) -> None:
+def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any) -> None:
     """Weighs f of a source by a fix that was predicted with P (m, m), and states R (m, m)."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
     best = -math.inf

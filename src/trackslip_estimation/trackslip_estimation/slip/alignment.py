@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose found again from fixes that the gate refused, or found first where the start has no heading; compiled.
+"""The pose found again from fixes that were refused, or at first where the start has no heading; compiled.
 
     p_k, z_k   place of the sensor as predicted, and as its fix has it    (2,), m
     ψ, σ_ψ     rotation about the centroids that takes p_k to z_k         rad
     s          track error (``adaptation``)                               1
 
-No refused fix is believed for its own sake, nor because it insists. Several are that agree with each other over
-the way driven between them: one rigid motion takes what was predicted to what they say, within their noise and
-what the tracks err by over that way, and the way is long enough to fix ψ. Then the pose moves so, with the
-covariance of that fit, and what had been learned while it was wrong is as at the start. Fixes of the newest
-motion count: where they do not agree, the oldest is dropped.
+No refused fix is believed for its own sake, nor because its source insists. Several are that agree with each
+other over the way driven between them: one rigid motion takes what was predicted to what they say, within
+their noise and what the tracks err by over that way, and the way is long enough to fix ψ. Then the pose moves
+so, with the covariance of that fit, and what had been learned while it was wrong is as at the start. Fixes of
+the newest motion count: where they do not agree, the oldest is dropped.
 """
 
 import math
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import GYRO_SCALE, SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_SCALE, SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
 
 CAPACITY = 16  # refused fixes that are remembered
@@ -41,8 +41,10 @@ class RigidMotion(NamedTuple):
 
 
 @compiled
-def keep_refused(state: Any, predicted: tuple[float, float], fix: tuple[float, float], variance: float) -> None:
-    """Remember a refused fix, instead of the oldest one if there is no room; ``variance`` is along one axis."""
+def keep_refused(
+    state: Any, predicted: tuple[float, float], fix: tuple[float, float], variance: float
+) -> None:
+    """Remember a refused fix, for the oldest one if there is no room; ``variance`` is along one axis."""
     if state.refused_count == CAPACITY:
         drop_oldest(state)
     refused = state.refused[state.refused_count]
@@ -129,8 +131,8 @@ def _move(state: Any, by: RigidMotion) -> None:
 def _forget(state: Any, c: Any) -> None:
     """What fixes teach through the pose counts for no more than at the start; the gyro taught κ and b_g."""
     x, P = state.mean, state.covariance
-    for q in (GYRO_SCALE, SECOND, COMMON_SLIP, ROTATION_OFFSET):
-        if (has_velocity_errors(c) or q == GYRO_SCALE) and P[q, q] < c.prior_variance[q]:
+    for q in (GYRO_SCALE, FIX_DELAY, SECOND, COMMON_SLIP, ROTATION_OFFSET):
+        if has_velocity_errors(c) and P[q, q] < c.prior_variance[q]:
             for j in range(SIZE):
                 P[q, j] = P[j, q] = 0.0
             x[q], P[q, q] = c.prior_mean[q], c.prior_variance[q]

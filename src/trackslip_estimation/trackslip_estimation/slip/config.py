@@ -50,6 +50,7 @@ CONFIG = np.dtype(
         ("timeouts_ns", np.int64, (MOST_SOURCES,)),  # of each source, as all below
         ("levers", np.float64, (MOST_SOURCES, 2)),  # m
         ("rate_scale", np.float64, (MOST_SOURCES,)),  # what a gyro shows of 1 rad/s
+        ("stamp_errors", np.float64, (MOST_SOURCES,)),  # σ_t, s
         ("use_heading", np.int64, (MOST_SOURCES,)),  # 0 or 1
         ("position_floor", np.float64, (MOST_SOURCES,)),  # m
         ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
@@ -113,6 +114,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
     for name, pose in p.poses().items():
         k = numbers[name]
         c["levers"][k], c["use_heading"][k] = pose.lever, pose.use_heading
+        c["stamp_errors"][k] = pose.stamp_error
         c["position_floor"][k], c["heading_floor"][k] = pose.position_floor, pose.heading_floor
         c["heading_ceiling"][k] = pose.heading_ceiling
     for name, gyro in p.gyros().items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which measurements are taken: a χ² gate that widens while source and state have not agreed; compiled.
+"""Which yaw rates and slips are taken: a χ² gate that widens while source and state disagree; compiled.
 
     ν, S    innovation and its covariance
     d²      νᵀ S⁻¹ ν, taken where d² ≤ w g
@@ -9,9 +9,8 @@
 So a spike stays out, and a source that insists, or comes back after an outage, is believed in the end: the
 time that takes grows with the logarithm of how far off it is. What passes only because the gate is wide says
 that the state was wrong: its covariance is widened by what the innovation shows before the update, that of
-the pose or the slips by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they are
-consistent again: a state that goes wrong all the time is put right all the time. A gyro is at once, for now
-its bias explains what it shows.
+the slips by ν νᵀ, or that of the gyro's bias by ν². A gyro is consistent at once, for now its bias explains
+what it shows. Poses have a gate of another kind, which never widens (``step.use_pose``, ``alignment``).
 
 In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
 slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of

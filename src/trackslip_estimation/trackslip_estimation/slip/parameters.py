@@ -50,6 +50,11 @@ class SlipEstimatorParameters(ModelParameters):
     pose_heading_ceilings: tuple[float, ...] = parameter(
         f"standard deviation of a heading beyond which it is not used; {_EACH}", unit="rad", gt=0.0
     )
+    pose_stamp_errors: tuple[float, ...] = parameter(
+        f"standard deviation of a delay that all its stamps have, which is estimated; {_EACH}",
+        unit="s",
+        ge=0.0,
+    )
     pose_timeouts: tuple[float, ...] = parameter(
         f"with nothing taken for so long it counts as lost and its gate widens; {_EACH}",
         unit="s",
@@ -153,6 +158,7 @@ class SlipEstimatorParameters(ModelParameters):
             self._each("pose_heading_floors", self.pose_sources),
             self._each("pose_heading_ceilings", self.pose_sources),
             (round(t * 1e9) for t in self._each("pose_timeouts", self.pose_sources)),
+            self._each("pose_stamp_errors", self.pose_sources),
         )
         rows = zip(sources, *columns, strict=True)
         return {source: PoseSource(*row) for source, *row in rows}

@@ -41,6 +41,8 @@ from trackslip_estimation.slip.observation import (
     expected,
     jacobian,
     observed,
+    stamp_shift,
+    to_delayed,
     to_sensor,
 )
 from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS, YAW_RATE
@@ -162,12 +164,12 @@ def use(state: Any, measurement: Any, c: Any, update: Any) -> None:
     surprise = nis  # under the noise that may be, where that is being found
     if adapts and not state.coasting:
         innovation = z[0] - expected(kind, prior_x, 1, (left, right), c)[0]
-        parts = state.adaptation.exposure * prior_x[GYRO_SCALE] ** 2, stated
+        parts = state.adaptation.exposure * (1.0 + prior_x[GYRO_SCALE]) ** 2, stated
         stands, S = state.motion.motion == _STANDING, np.exp(log_determinant)
         surprise = learn_from_rate(state.adaptation, innovation, S, parts, stands, c)
     accepted = surprise <= gate
     if kind == YAW_RATE and np.isfinite(limit):
-        rate = (z[0] - prior_x[GYRO_BIAS]) / prior_x[GYRO_SCALE]
+        rate = (z[0] - prior_x[GYRO_BIAS]) / (1.0 + prior_x[GYRO_SCALE])
         variance = R[0, 0] + prior_P[GYRO_BIAS, GYRO_BIAS]
         if adapts:  # what the tracks may err by
             variance += prior_P[YAW_RATE_ERROR, YAW_RATE_ERROR]
@@ -188,6 +190,10 @@ def use(state: Any, measurement: Any, c: Any, update: Any) -> None:
         widen(kind, z, prior_x, prior_P, (left, right), c)
         x[:], P[:] = prior_x, prior_P
         correct(kind, x, P, (z, R), (left, right), c)
+    elif nis > limit:  # only the largest noise that may be explains it: it weighs less
+        R += (nis / limit - 1.0) * np.exp(log_determinant)
+        x[:], P[:] = prior_x, prior_P
+        correct(kind, x, P, (z, R), (left, right), c)
     if surprise <= limit or kind == YAW_RATE:
         state.consistent_ns[source] = measurement.stamp_ns
     update.prior_mean[:], update.prior_covariance[:] = prior_x, prior_P
@@ -196,16 +202,18 @@ def use(state: Any, measurement: Any, c: Any, update: Any) -> None:
 
 @inlined
 def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
-    """Update with a pose: in full inside the gate g, with less weight up to the soft gate, and not at all beyond.
+    """Update with a pose: in full inside the gate g, with less weight up to the soft gate, not at all beyond.
 
-    In between R grows so that the innovation is as large as g allows. Silence widens P, never the gate; what is
+    In between R grows until the innovation is as large as g allows. Silence widens P, never the gate; what is
     refused moves the pose where it agrees with others that were (``alignment``).
     """
     source = measurement.source
     z, R = observed(measurement, state.coasting, c)
     m, limit = z.size, c.gate_limits[z.size]
     x, P = state.mean.copy(), state.covariance.copy()
+    shift = stamp_shift(state, source, c)
     to_sensor(x, P, c.levers[source], 1.0)
+    to_delayed(x, P, shift, 1.0)
     innovation, predicted = z - x[:m], P[:m, :m].copy()
     if m > YAW:
         innovation[YAW] = wrap(innovation[YAW])
@@ -235,6 +243,8 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     if nis > limit:
         R = R + (nis / limit - 1.0) * (predicted + R)
     correct(POSE, x, P, (z, R), (0.0, 0.0), c)
+    to_delayed(x, P, shift, -1.0)
+    x[YAW] = wrap(x[YAW])
     to_sensor(x, P, c.levers[source], -1.0)
     state.mean[:], state.covariance[:] = x, P
     state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2

@@ -5,7 +5,7 @@
     f, F       where the state is after dt seconds, its Jacobian     (n,), (n, n)
     Q          process noise of a step                               (n, n)
     ω_L, ω_R   sprocket speeds ``left`` and ``right``                rad/s
-    drive      record with ``speeds``, ``motion`` and ``adaptation``: what the sprockets did, and how far they err
+    drive      record with ``speeds``, ``motion``, ``adaptation``: what the sprockets did, and how they err
     c          record of ``config.CONFIG``
 
 Noise densities are in continuous time, so that splitting a step does not change what it adds. F is diagonal

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thesis' kinematic sub-model (3.17)–(3.20), (3.23), with its errata applied, and a gyro bias and scale.
+"""The thesis' kinematic sub-model (3.17)–(3.20), (3.23), with its errata applied, and a gyro bias.
 
     x, y, φ    position of the track-contact centre C, heading   m, m, rad (site frame)
-    b_g, s_g   bias and scale of the yaw-rate gyro               rad/s, 1
+    b_g        bias of the yaw-rate gyro                         rad/s
     i_L, i_R   longitudinal slip, v_j = r ω_j (1 − i_j)          1
     α          slip angle, tan α = v_y / v_x                     rad
     ω_L, ω_R   sprocket speeds, the input                        rad/s
@@ -10,7 +10,7 @@
 
     v_x = (v_L + v_R)/2                      φ̇ = (v_R − v_L)/B
     ẋ = v_x (cos φ − sin φ tan α)            ẏ = v_x (sin φ + cos φ tan α)
-    i̇_L, i̇_R, α̇, ḃ_g = 0 + noise       ṡ_g = 0
+    i̇_L, i̇_R, α̇, ḃ_g = 0 + noise
 
 Noise densities are in continuous time, so that splitting a step does not change what it adds.
 """
@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, GYRO_SCALE, SIZE, Part, Prior
+from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, SIZE, Part, Prior
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
-CODE, NAME, ACTIVE = 0, "free_slips", 8
-LEFT_SLIP, RIGHT_SLIP, SLIP_ANGLE = range(5, 8)
+CODE, NAME, ACTIVE = 0, "free_slips", 7
+LEFT_SLIP, RIGHT_SLIP, SLIP_ANGLE = range(4, 7)
 PARTS = (
     *COMMON,
     Part("slips", slice(LEFT_SLIP, RIGHT_SLIP + 1), "1, 1", "longitudinal slip of the left and right track"),
@@ -56,7 +56,6 @@ class SlipNoise(Parameters):
     initial_gyro_bias: float = parameter(
         "standard deviation of the gyro bias at the start", unit="rad/s", gt=0.0
     )
-    initial_gyro_scale: float = parameter("standard deviation of the gyro scale about 1 at the start", ge=0.0)
 
 
 def prior(n: SlipNoise, tread: float) -> Prior:
@@ -65,9 +64,7 @@ def prior(n: SlipNoise, tread: float) -> Prior:
     stddev = np.zeros(SIZE)
     stddev[LEFT_SLIP] = stddev[RIGHT_SLIP] = n.initial_slip
     stddev[SLIP_ANGLE], stddev[GYRO_BIAS] = n.initial_slip_angle, n.initial_gyro_bias
-    mean = np.zeros(SIZE)
-    mean[GYRO_SCALE], stddev[GYRO_SCALE] = 1.0, n.initial_gyro_scale
-    return Prior(mean, stddev)
+    return Prior(np.zeros(SIZE), stddev)
 
 
 def process_noise_density(n: SlipNoise, motion: MotionState) -> FloatArray:

@@ -2,7 +2,8 @@
 """What the models share that know how the vehicle turns: two equations for its speeds, and their errors.
 
 x, y, φ    position of the track-contact centre C, heading            m, m, rad (site frame)
-b_g, s_g   bias and scale of the yaw-rate gyro                        rad/s, 1
+b_g, s_g   bias and scale of the yaw-rate gyro; s_g − 1 is the state  rad/s, 1
+δ          delay of fixes, as a multiple of their source's stamp error 1
 m_v, m_ω   velocity errors: v and ω beyond a model's two equations    m/s, rad/s
 a, b       how the vehicle turns: each model has its own pair
 i₀         slip common to both tracks                                 1
@@ -35,15 +36,25 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, GYRO_SCALE, SIZE, Part, Prior, X, Y
+from trackslip_estimation.slip.models.model import (
+    COMMON,
+    FIX_DELAY,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    SIZE,
+    Part,
+    Prior,
+    X,
+    Y,
+)
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
-SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(5, 11)
+SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
 VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
 TURNING_PAIR = slice(FIRST, SECOND + 1)  # each model's own two numbers of how the vehicle turns
-ACTIVE = 11  # numbers of the state
+ACTIVE = 12  # numbers of the state, with those of ``model``
 PARTS = (
     *COMMON,
     Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),
@@ -65,6 +76,7 @@ CONSTANTS = np.dtype(
     ],
     align=True,
 )
+_DELAY_WALK = 0.1  # 1/√s: the machine answers its tracks late, and that is not always the same
 _SLOWEST = 0.02  # m/s of track or vehicle, below which slip and slip angle say nothing
 _SILENT, _STANDING, _TURNING = int(Motion.UNKNOWN), int(Motion.STANDING), int(Motion.TURNING)
 
@@ -100,16 +112,15 @@ def prior(n: SpeedNoise, tread: float) -> Prior:
     stddev[SPEED_ERROR], stddev[YAW_RATE_ERROR] = n.standing_velocity_error, n.standing_velocity_error / tread
     stddev[COMMON_SLIP] = n.initial_common_slip_stddev
     stddev[ROTATION_OFFSET] = n.initial_rotation_offset_stddev
-    mean = np.zeros(SIZE)
     stddev[GYRO_BIAS], stddev[GYRO_SCALE] = n.initial_gyro_bias_stddev, n.initial_gyro_scale_stddev
-    mean[GYRO_SCALE] = 1.0
-    return Prior(mean, stddev)
+    stddev[FIX_DELAY] = 1.0
+    return Prior(np.zeros(SIZE), stddev)
 
 
 def process_noise_density(n: SpeedNoise, motion: MotionState) -> FloatArray:
     """(SIZE,) per √s: how the vehicle turns shows in turns only, and changes there only; i₀ while driving."""
     density = np.zeros(SIZE)
-    density[GYRO_BIAS] = n.gyro_bias
+    density[GYRO_BIAS], density[FIX_DELAY] = n.gyro_bias, _DELAY_WALK
     if motion.motion is not Motion.STANDING:
         density[COMMON_SLIP] = n.common_slip
     if motion.motion is Motion.TURNING:
