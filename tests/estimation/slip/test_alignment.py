@@ -83,7 +83,8 @@ def test_silence_does_not_widen_the_gate() -> None:
     back = next(k for k, m in enumerate(silent) if isinstance(m, PoseFix) and m.stamp_ns > 55e9)
     spoilt = [*silent[:back], moved(silent[back], 30.0, 30.0), *silent[back + 1 :]]
     clean, wrong = run(silent), run(spoilt)
-    index = [k for k, m in enumerate(m for m in spoilt if isinstance(m, PoseFix)) if m.stamp_ns > 55e9][0]
+    fixes = [m for m in spoilt if isinstance(m, PoseFix)]
+    index = next(k for k, m in enumerate(fixes) if m.stamp_ns > 55e9)
     assert wrong[2][index] is Outcome.GATED
     assert np.max(np.abs(wrong[0][-1] - clean[0][-1])) < 0.1
 

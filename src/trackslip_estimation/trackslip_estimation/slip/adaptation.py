@@ -10,9 +10,10 @@
     w       ln of the weight of a point mass
 
 s and a are found together, by point masses over a grid of both: each yaw rate weighs them by its likelihood,
-S being what it would be with them. Readings that follow each other within τ show the same error of the tracks and
-count for less. f is found by point masses of its own, by Student's t, so that an outlier counts little. What is
-used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it is a part of the state.
+S being what it would be with them. Readings that follow each other within τ show the same error of the tracks
+and count for less. f is found by point masses of its own, by Student's t, so that an outlier counts little.
+What is used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it is a part of the
+state.
 
 What an input errs by comes with the input: when U rises above E, the velocity errors have the variance at once.
 """

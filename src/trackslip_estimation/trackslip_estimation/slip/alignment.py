@@ -8,8 +8,9 @@
 No refused fix is believed for its own sake, nor because its source insists. Several are that agree with each
 other over the way driven between them: one rigid motion takes what was predicted to what they say, within
 their noise and what the tracks err by over that way, and the way is long enough to fix ψ. Then the pose moves
-so, with the covariance of that fit, and what had been learned while it was wrong is as at the start. Fixes of
-the newest motion count: where they do not agree, the oldest is dropped.
+so, with the covariance of that fit. If it turns, what had been learned while the heading was wrong is as at
+the start; else heading and all that was learned stay. Fixes of the newest motion count: where they do not
+agree, the oldest is dropped.
 """
 
 import math
@@ -26,6 +27,7 @@ UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which there is none
 _FEWEST = 3
 _PATH_ERROR = 0.05  # of the way driven, at the least
 _SHIFT_ERROR = 0.1  # of the way between the fixes and the pose
+_SIGNIFICANT = 3.0  # standard deviations of a rotation
 _CHI2_RATIO, _CHI2_SPARE = 1.6, 12.0  # χ² of fixes that agree: at most ratio · dof + spare
 
 
@@ -99,9 +101,14 @@ def realign(state: Any, c: Any) -> bool:
         if found.chi2 <= _CHI2_RATIO * (2 * state.refused_count - 3) + _CHI2_SPARE:
             if found.stddev >= c.adaptation.alignment_stddev:
                 return False
-            _move(state, found)
-            if not state.aligning:
+            doubt = math.sqrt(found.stddev * found.stddev + state.covariance[YAW, YAW])
+            if state.aligning:
+                _move(state, found)
+            elif abs(found.rotation) > _SIGNIFICANT * doubt:
+                _move(state, found)
                 _forget(state, c)
+            else:
+                _shift(state, found)
             state.aligning, state.refused_count = False, 0
             return True
         drop_oldest(state)
@@ -125,6 +132,19 @@ def _move(state: Any, by: RigidMotion) -> None:
     P[X, Y] = P[Y, X] = -turned * east * north
     P[X, YAW] = P[YAW, X] = -turned * north
     P[Y, YAW] = P[YAW, Y] = turned * east
+
+
+@compiled
+def _shift(state: Any, by: RigidMotion) -> None:
+    """The place after a motion that turns nothing; heading and all that was learned stay."""
+    x, P = state.mean, state.covariance
+    from_x, from_y = x[X] - by.origin[0], x[Y] - by.origin[1]
+    x[X], x[Y] = by.target[0] + from_x, by.target[1] + from_y
+    for i in (X, Y):
+        for j in range(SIZE):
+            P[i, j] = P[j, i] = 0.0
+    shifted = by.variance / state.refused_count + _SHIFT_ERROR**2 * (from_x * from_x + from_y * from_y)
+    P[X, X] = P[Y, Y] = shifted
 
 
 @compiled

@@ -7,8 +7,8 @@
     c      record of ``config.CONFIG``
 
 Yaw rate: z = s_g φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L,
-i_R). Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R. A pose is that of a time
-δ σ_t before its stamp, σ_t being the stamp error of its source.
+i_R). Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R. A pose is that of δ σ_t
+before its stamp, σ_t being the stamp error of its source.
 """
 
 from typing import Any
