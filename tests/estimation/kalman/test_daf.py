@@ -122,7 +122,7 @@ def test_a_linear_step_makes_it_the_kalman_filter(kappa: float) -> None:
     config, dt, drive = CONFIGS["turning", kappa], 0.2, Drive(1.0, 1.0, departure=0.5)
     P = np.zeros((SIZE, SIZE))
     P[X, X], P[Y, Y], P[SPEED_ERROR, SPEED_ERROR] = 0.1, 0.2, 0.3
-    known = Gaussian(np.array((1.0, 2.0, 0.7, 0.0, 0.5, *np.zeros(5))), P)
+    known = Gaussian(np.array((1.0, 2.0, 0.7, 0.0, 0.5, *np.zeros(SIZE - 5))), P)
     state = state_of(known, *drive.parts)
     propagate(state[0], dt, config[0])
     F, Q = transition(known.mean, drive, dt, config), process_noise(*known, drive, dt, config)

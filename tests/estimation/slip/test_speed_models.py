@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models import dispatch
-from trackslip_estimation.slip.models.model import GYRO_BIAS, POSE, SIZE, YAW
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, POSE, SIZE, YAW
 from trackslip_estimation.slip.models.speed import (
     COMMON_SLIP,
     FIRST,
@@ -56,7 +56,7 @@ states = st.tuples(
     *[st.floats(-1.0, 1.0)] * 2,
     st.floats(0.2, 2.0),
     st.floats(-2.0, -0.2),
-    *[st.floats(-0.3, 0.3)] * 2,
+    *[st.floats(-0.3, 0.3)] * 5,
 ).map(np.array)
 speeds = st.floats(-4.0, 4.0)
 times = st.floats(0.0, 0.5)
@@ -256,7 +256,7 @@ def test_what_shows_in_turns_only_changes_in_turns_only(
 ) -> None:
     steady, walk = RECORDS[model]["process_noise"][motion]
     assert (steady <= walk).all()
-    assert np.flatnonzero(walk).tolist() == sorted([GYRO_BIAS, *moving])
+    assert np.flatnonzero(walk).tolist() == sorted([GYRO_BIAS, FIX_DELAY, *moving])
 
 
 @both
@@ -266,7 +266,9 @@ def test_a_start_knows_its_pose_and_doubts_the_rest(model: str) -> None:
     np.testing.assert_array_equal(mean[POSE], pose)
     np.testing.assert_array_equal(P[POSE, POSE], R)
     np.testing.assert_array_equal(P[POSE, GYRO_BIAS:], 0.0)
-    assert (np.diag(P)[GYRO_BIAS:] > 0.0).all()
+    active = dispatch.MODELS[model].ACTIVE
+    assert (np.diag(P)[GYRO_BIAS:active] > 0.0).all()
+    assert (np.diag(P)[active:] == 0.0).all()
     assert mean[FIRST] > 0.0
 
 

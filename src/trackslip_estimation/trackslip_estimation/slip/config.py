@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from trackslip_common.clock_monitor import CLOCK_LIMITS
+from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.coasting import motion_limits
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
 from trackslip_estimation.slip.models.model import SIZE
@@ -27,6 +28,7 @@ CONFIG = np.dtype(
         ("tread", np.float64),  # B, m
         ("encoder_resolution", np.float64),  # rad
         *CONSTANTS,
+        ("adaptation", adaptation.CONSTANTS),
         ("process_noise", np.float64, (len(Motion), 2, SIZE)),  # variance per s, by motion and changing
         ("prior_mean", np.float64, (SIZE,)),
         ("prior_variance", np.float64, (SIZE,)),
@@ -48,6 +50,7 @@ CONFIG = np.dtype(
         ("timeouts_ns", np.int64, (MOST_SOURCES,)),  # of each source, as all below
         ("levers", np.float64, (MOST_SOURCES, 2)),  # m
         ("rate_scale", np.float64, (MOST_SOURCES,)),  # what a gyro shows of 1 rad/s
+        ("stamp_errors", np.float64, (MOST_SOURCES,)),  # σ_t, s
         ("use_heading", np.int64, (MOST_SOURCES,)),  # 0 or 1
         ("position_floor", np.float64, (MOST_SOURCES,)),  # m
         ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
@@ -71,6 +74,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     limits = motion_limits(p.vehicle, p.max_sprocket_speed)
     c["speed_limit"], c["yaw_rate_limit"] = limits.speed, limits.yaw_rate
     c["unseen_yaw_rate"] = limits.yaw_rate if p.model == "free_slips" else 0.0
+    c["adaptation"] = adaptation.constants(p.adaptation)
     c["max_gap"] = p.max_gap
     c["window_ns"] = round(p.history_window * 1e9) if window_ns is None else window_ns
     c["clock"] = (round(p.max_gap * 1e9), p.jump_confirmations, c["sprocket_timeout_ns"])
@@ -110,6 +114,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
     for name, pose in p.poses().items():
         k = numbers[name]
         c["levers"][k], c["use_heading"][k] = pose.lever, pose.use_heading
+        c["stamp_errors"][k] = pose.stamp_error
         c["position_floor"][k], c["heading_floor"][k] = pose.position_floor, pose.heading_floor
         c["heading_ceiling"][k] = pose.heading_ceiling
     for name, gyro in p.gyros().items():

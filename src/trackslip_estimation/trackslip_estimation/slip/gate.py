@@ -1,22 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which measurements are accepted: a χ² gate that widens while source and state have not agreed; compiled.
+"""Which yaw rates and slips are taken: a χ² gate that widens while source and state disagree; compiled.
 
     ν, S    innovation and its covariance
-    d²      νᵀ S⁻¹ ν, accepted where d² ≤ w g
+    d²      νᵀ S⁻¹ ν, taken where d² ≤ w g
     g       χ² quantile; source and state are consistent where d² ≤ g
     w       1 until they have not been for the source's timeout, then ``relaxation`` per further timeout
 
 So a spike stays out, and a source that insists, or comes back after an outage, is believed in the end: the
 time that takes grows with the logarithm of how far off it is. What passes only because the gate is wide says
 that the state was wrong: its covariance is widened by what the innovation shows before the update, that of
-the pose or the slips by ν νᵀ, or that of the gyro's bias by ν². For poses the gate stays wide until they are
-consistent again: a state that goes wrong all the time is put right all the time. A gyro is at once, for now
-its bias explains what it shows.
+the slips by ν νᵀ, or that of the gyro's bias by ν². A gyro is consistent at once, for now its bias explains
+what it shows. Poses have a gate of another kind, which never widens (``step.use_pose``, ``alignment``).
 
 In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
 slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of
 turning and slip counts for no more than at the start. What it would do on no ground, to turn against its
-tracks, is never accepted: a gyro upside down shows that.
+tracks, is never taken: a gyro upside down shows that.
 """
 
 from typing import Any
@@ -25,13 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.free_slips import LEFT_SLIP
-from trackslip_estimation.slip.models.model import GYRO_BIAS, YAW, X
+from trackslip_estimation.slip.models.model import GYRO_BIAS
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
 from trackslip_estimation.slip.observation import expected
-from trackslip_estimation.slip.records import POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.records import SLIPS, YAW_RATE
 
 FloatArray = NDArray[np.float64]
 
@@ -99,9 +97,6 @@ def widen(
     if kind == SLIPS and has_velocity_errors(c):
         P[COMMON_SLIP, COMMON_SLIP] += innovation.mean() ** 2
         return
-    if kind == POSE and z.size > YAW:
-        innovation[YAW] = wrap(innovation[YAW])
-    first = LEFT_SLIP if kind == SLIPS else X
     for i in range(innovation.size):
         for j in range(innovation.size):
-            P[first + i, first + j] += innovation[i] * innovation[j]
+            P[LEFT_SLIP + i, LEFT_SLIP + j] += innovation[i] * innovation[j]

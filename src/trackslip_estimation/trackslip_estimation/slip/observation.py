@@ -6,8 +6,9 @@
     l      place of a sensor in base_link                (2,), m
     c      record of ``config.CONFIG``
 
-Yaw rate: z = φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L,
-i_R). Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R.
+Yaw rate: z = s_g φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L,
+i_R). Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R. A pose is that of δ σ_t
+before its stamp, σ_t being the stamp error of its source.
 """
 
 from typing import Any
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.models.dispatch import slips, slips_jacobian, twist, twist_jacobian
-from trackslip_estimation.slip.models.model import GYRO_BIAS, YAW, X, Y
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE, YAW, X, Y
 from trackslip_estimation.slip.motion import rounding, steady_speeds
 from trackslip_estimation.slip.records import POSE, SLIPS, YAW_RATE
 
@@ -72,7 +73,7 @@ def expected(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
         return x[X : X + rows].copy()
     twist_ = twist(x, left, right, c)
     if kind == YAW_RATE:
-        return np.array((twist_[2] + x[GYRO_BIAS],))
+        return np.array(((1.0 + x[GYRO_SCALE]) * twist_[2] + x[GYRO_BIAS],))
     return slips(x, twist_, left, right, c)[:2].copy()
 
 
@@ -84,8 +85,8 @@ def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
     left, right = speeds
     J = twist_jacobian(x, left, right, c)
     if kind == YAW_RATE:
-        H = J[2:].copy()
-        H[0, GYRO_BIAS] = 1.0
+        H = (1.0 + x[GYRO_SCALE]) * J[2:]
+        H[0, GYRO_BIAS], H[0, GYRO_SCALE] = 1.0, twist(x, left, right, c)[2]
         return H
     return slips_jacobian(twist(x, left, right, c), J, left, right, c)[:2].copy()
 
@@ -151,3 +152,29 @@ def to_sensor(x: FloatArray, P: FloatArray, lever: FloatArray, sign: float) -> N
     for i in range(x.size):
         P[i, X] -= north * P[i, YAW]
         P[i, Y] += east * P[i, YAW]
+
+
+@compiled
+def to_delayed(x: FloatArray, P: FloatArray, shift: tuple[float, float, float], sign: float) -> None:
+    """The state with the pose of δ σ_t ago for that of now (``sign`` 1), or back again (−1); in place.
+
+    ``shift`` is how the pose changes in σ_t: m, m, rad.
+    """
+    for i in range(YAW + 1):
+        x[i] -= sign * shift[i] * x[FIX_DELAY]
+        for j in range(x.size):
+            P[i, j] -= sign * shift[i] * P[FIX_DELAY, j]
+    for i in range(x.size):
+        for j in range(YAW + 1):
+            P[i, j] -= sign * shift[j] * P[i, FIX_DELAY]
+
+
+@compiled
+def stamp_shift(state: Any, source: int, c: Any) -> tuple[float, float, float]:
+    """How the pose of a source's sensor changes in its σ_t; nothing while nobody knows how fast it does."""
+    seconds = 0.0 if state.coasting else c.stamp_errors[source]
+    v_x, v_y, rate = twist(state.mean, state.speeds.left, state.speeds.right, c)
+    v_x -= rate * c.levers[source, 1]
+    v_y += rate * c.levers[source, 0]
+    cos, sin = np.cos(state.mean[YAW]), np.sin(state.mean[YAW])
+    return (cos * v_x - sin * v_y) * seconds, (sin * v_x + cos * v_y) * seconds, rate * seconds

@@ -12,6 +12,7 @@ from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flat_fields, from_flat, parameter, to_flat
 from trackslip_common.vehicle import Vehicle
+from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.motion import MotionParameters
 from trackslip_estimation.slip.records import MOST_SOURCES
@@ -30,6 +31,7 @@ class SlipEstimatorParameters(ModelParameters):
 
     vehicle: Vehicle
     motion: MotionParameters
+    adaptation: AdaptationParameters
     filter: str = parameter("extended Kalman filter, or the thesis' Fig. 4.3", choices=("ekf", "daf"))
     kappa: float = parameter("of the daf: scales the higher moments of its points", gt=-7.0, le=100.0)
     odom_frame: str = parameter("site frame of the estimate and of the pose sources")
@@ -47,6 +49,11 @@ class SlipEstimatorParameters(ModelParameters):
     )
     pose_heading_ceilings: tuple[float, ...] = parameter(
         f"standard deviation of a heading beyond which it is not used; {_EACH}", unit="rad", gt=0.0
+    )
+    pose_stamp_errors: tuple[float, ...] = parameter(
+        f"standard deviation of a delay that all its stamps have, which is estimated; {_EACH}",
+        unit="s",
+        ge=0.0,
     )
     pose_timeouts: tuple[float, ...] = parameter(
         f"with nothing taken for so long it counts as lost and its gate widens; {_EACH}",
@@ -81,7 +88,11 @@ class SlipEstimatorParameters(ModelParameters):
     initial_y: float = parameter("y at the start", unit="m")
     initial_yaw: float = parameter("heading at the start", unit="rad")
     initial_position_stddev: float = parameter("its standard deviation, x and y", unit="m", gt=0.0)
-    initial_yaw_stddev: float = parameter("its standard deviation, heading", unit="rad", gt=0.0)
+    initial_yaw_stddev: float = parameter(
+        "its standard deviation, heading; beyond 1 rad it is unknown, and found from the first metres driven",
+        unit="rad",
+        gt=0.0,
+    )
     history_window: float = parameter("how late a measurement may come", unit="s", gt=0.0, le=60.0)
     max_gap: float = parameter(
         "stamps further ahead of the sprockets must be confirmed; at least history_window", unit="s", le=600.0
@@ -147,6 +158,7 @@ class SlipEstimatorParameters(ModelParameters):
             self._each("pose_heading_floors", self.pose_sources),
             self._each("pose_heading_ceilings", self.pose_sources),
             (round(t * 1e9) for t in self._each("pose_timeouts", self.pose_sources)),
+            self._each("pose_stamp_errors", self.pose_sources),
         )
         rows = zip(sources, *columns, strict=True)
         return {source: PoseSource(*row) for source, *row in rows}

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.slip.adaptation import begin_adaptation
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.motion import Motion
@@ -241,6 +243,8 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     motion.motion, motion.changing = _UNKNOWN, True
     motion.left = motion.right = motion.left_mean = motion.right_mean = motion.departure = 0.0
     state.stamp_ns, state.coasting = stamp_ns, False
+    begin_adaptation(state.adaptation, c)
+    state.aligning, state.refused_count = P[YAW, YAW] > UNKNOWN_HEADING**2, 0
     for k in range(MOST_SOURCES):
         state.consistent_ns[k] = stamp_ns
         state.streaks[k].count, state.streaks[k].value = 0, 0.0

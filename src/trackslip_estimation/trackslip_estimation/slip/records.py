@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.slip.adaptation import FIX_FACTORS, RATE_FACTORS, TRACK_ERRORS
+from trackslip_estimation.slip.alignment import CAPACITY
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFix, SlipFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import MOTION, SPEEDS
@@ -47,6 +49,31 @@ SAMPLE = np.dtype(
 
 STREAK = np.dtype([("count", np.int64), ("value", np.float64)], align=True)
 
+ADAPTATION = np.dtype(
+    [
+        ("track_variance", np.float64),  # s², posterior mean
+        ("rate_factor", np.float64),  # a, of the variance of yaw rates
+        ("log_weights", np.float64, (TRACK_ERRORS, RATE_FACTORS)),  # w of both
+        ("envelope", np.float64),  # E, (m/s)²
+        ("exposure", np.float64),  # T, (rad/s)²
+        ("elapsed", np.float64),  # s since the last yaw rate
+        ("fix_factors", np.float64, (MOST_SOURCES,)),  # f, of the covariance of each source's fixes
+        ("fix_log_weights", np.float64, (MOST_SOURCES, FIX_FACTORS)),
+    ],
+    align=True,
+)
+
+REFUSED = np.dtype(  # a fix that the gate refused
+    [
+        ("predicted_x", np.float64),  # of its sensor
+        ("predicted_y", np.float64),
+        ("x", np.float64),
+        ("y", np.float64),
+        ("variance", np.float64),  # along one axis
+    ],
+    align=True,
+)
+
 STATE = np.dtype(
     [
         ("stamp_ns", np.int64),
@@ -58,6 +85,10 @@ STATE = np.dtype(
         ("sample", SAMPLE),  # the last of the sprockets
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
+        ("adaptation", ADAPTATION),
+        ("aligning", np.bool_),  # the heading is not known yet
+        ("refused_count", np.int64),  # since a fix was inside its gate
+        ("refused", REFUSED, (CAPACITY,)),
     ],
     align=True,
 )

@@ -20,6 +20,7 @@ class PoseSource:
     heading_floor: float  # rad
     heading_ceiling: float  # rad, standard deviation beyond which a fix's heading is not used
     timeout_ns: int
+    stamp_error: float  # s, standard deviation of a delay that all its stamps have
 
 
 @dataclass(frozen=True)

@@ -13,32 +13,29 @@ Live node, replay, tuning, studies and smoother all make this step, and no other
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
-from trackslip_estimation.kalman.linear_algebra import sandwich, wrap
+from trackslip_estimation.kalman.linear_algebra import sandwich
+from trackslip_estimation.slip.adaptation import lose_track, pass_time
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.coasting import begin_coast, inflate, reset_velocity
-from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.models.dispatch import COUPLED, linearize, move, twist, twist_jacobian
-from trackslip_estimation.slip.models.model import GYRO_BIAS, SIZE, YAW
-from trackslip_estimation.slip.motion import Motion, update_motion
-from trackslip_estimation.slip.observation import (
-    add_rounding,
-    comparable_speeds,
-    expected,
-    jacobian,
-    observed,
-    to_sensor,
+from trackslip_estimation.slip.models.dispatch import (
+    COUPLED,
+    has_velocity_errors,
+    linearize,
+    move,
+    twist,
+    twist_jacobian,
 )
+from trackslip_estimation.slip.models.model import SIZE, YAW
+from trackslip_estimation.slip.motion import Motion, update_motion
 from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS, YAW_RATE
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
+from trackslip_estimation.slip.update import use_pose, use_rate, use_slips
 
-FloatArray = NDArray[np.float64]
-
-_ACCEPTED, _GATED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.GATED), int(Outcome.JUMPED)
-_UNKNOWN = int(Motion.UNKNOWN)
+_ACCEPTED, _JUMPED, _UNKNOWN = int(Outcome.ACCEPTED), int(Outcome.JUMPED), int(Motion.UNKNOWN)
 
 
 @inlined
@@ -55,8 +52,12 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     elif measurement.source == MANUAL:
         place(state, measurement)
         update.follows = False
+    elif measurement.kind == POSE:
+        use_pose(state, measurement, c, update)
+    elif measurement.kind == YAW_RATE:
+        use_rate(state, measurement, c, update)
     else:
-        use(state, measurement, c, update)
+        use_slips(state, measurement, c, update)
 
 
 @inlined
@@ -87,6 +88,8 @@ def coast(state: Any, dt: float, c: Any) -> None:
         variance = sandwich(twist_jacobian(state.mean, left, right, c), state.covariance)[2, 2]
         begin_coast(state, (rate, variance), dt, c)
     stand_still(state.speeds)
+    lose_track(state.adaptation)
+    state.refused_count = 0  # they compare over what was driven
     motion = state.motion
     motion.motion, motion.changing = _UNKNOWN, True
     motion.left = motion.right = motion.left_mean = motion.right_mean = motion.departure = 0.0
@@ -100,6 +103,8 @@ def coast(state: Any, dt: float, c: Any) -> None:
 def propagate(state: Any, dt: float, c: Any) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
     x, P = state.mean, state.covariance
+    if has_velocity_errors(c):
+        pass_time(state, dt, c)
     moved, F, Q = linearize(x, P, state, dt, c)
     if not c.sigma_points:
         x[:] = moved
@@ -122,71 +127,4 @@ def place(state: Any, manual: Any) -> None:
         for j in range(SIZE):
             P[i, j] = P[j, i] = 0.0
     P[:3, :3] = manual.noise
-
-
-@inlined
-def use(state: Any, measurement: Any, c: Any, update: Any) -> None:
-    """Gate and update with a yaw rate, a pose or slips; what is refused leaves the state as it was."""
-    source, kind = measurement.source, measurement.kind
-    z, R = observed(measurement, state.coasting, c)
-    left, right, _ = comparable_speeds(kind, state, c)
-    limit = c.gate_limits[z.size]
-    silent_ns = measurement.stamp_ns - state.consistent_ns[source]
-    gate = limit * width(silent_ns, c.timeouts_ns[source], c.gate_relaxation)
-    update.dof, update.gate = z.size, gate
-    lever = c.levers[source]
-    x, P = state.mean.copy(), state.covariance.copy()
-    to_sensor(x, P, lever, 1.0)
-    add_rounding(kind, x, R, state, c)
-    prior_x, prior_P = x.copy(), P.copy()
-    nis, log_determinant = correct(kind, x, P, (z, R), (left, right), c)
-    accepted = nis <= gate
-    if kind == YAW_RATE and np.isfinite(limit):
-        rate, variance = z[0] - prior_x[GYRO_BIAS], R[0, 0] + prior_P[GYRO_BIAS, GYRO_BIAS]
-        if nis <= limit:
-            state.streaks[source].count = 0
-        elif other_ground(rate, state.streaks[source], (left, right), c):
-            forget_ground(prior_P, c)
-            x[:], P[:] = prior_x, prior_P
-            nis, log_determinant = correct(kind, x, P, (z, R), (left, right), c)
-            accepted = nis <= gate
-        accepted = accepted and not on_no_ground(rate, variance, (left, right), c)
-    update.nis, update.log_determinant = nis, log_determinant
-    if not accepted:
-        update.outcome = _GATED
-        return
-    if nis > limit:
-        widen(kind, z, prior_x, prior_P, (left, right), c)
-        x[:], P[:] = prior_x, prior_P
-        correct(kind, x, P, (z, R), (left, right), c)
-    if nis <= limit or kind == YAW_RATE:
-        state.consistent_ns[source] = measurement.stamp_ns
-    to_sensor(prior_x, prior_P, lever, -1.0)
-    to_sensor(x, P, lever, -1.0)
-    update.prior_mean[:], update.prior_covariance[:] = prior_x, prior_P
-    state.mean[:], state.covariance[:] = x, P
-
-
-@compiled
-def correct(
-    kind: int,
-    x: FloatArray,
-    P: FloatArray,
-    measured: tuple[FloatArray, FloatArray],
-    speeds: tuple[float, float],
-    c: Any,
-) -> tuple[float, float]:
-    """x and P given z and R (``measured``), which sprocket ``speeds`` predict; returns NIS and ln |S|."""
-    z, R = measured
-    if c.sigma_points:
-        points, weights = daf.sigma_points(x, P, c.kappa, c.active)
-        Z = np.empty((weights.size, z.size))
-        for i in range(weights.size):
-            Z[i] = expected(kind, points[i], z.size, speeds, c)
-        return daf.correct(x, P, (points, weights), measured, Z, YAW)
-    innovation = z - expected(kind, x, z.size, speeds, c)
-    if kind == POSE and z.size > YAW:
-        innovation[YAW] = wrap(innovation[YAW])
-    nis, log_determinant = ekf.correct(x, P, innovation, jacobian(kind, x, z.size, speeds, c), R)
-    x[YAW] = wrap(x[YAW])
-    return nis, log_determinant
+    state.aligning, state.refused_count = P[YAW, YAW] > UNKNOWN_HEADING**2, 0

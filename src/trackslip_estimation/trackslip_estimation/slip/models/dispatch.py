@@ -5,7 +5,7 @@
     f, F       where the state is after dt seconds, its Jacobian     (n,), (n, n)
     Q          process noise of a step                               (n, n)
     ω_L, ω_R   sprocket speeds ``left`` and ``right``                rad/s
-    drive      record with ``speeds`` and ``motion``: what the sprockets did in the interval
+    drive      record with ``speeds``, ``motion``, ``adaptation``: what the sprockets did, and how they err
     c          record of ``config.CONFIG``
 
 Noise densities are in continuous time, so that splitting a step does not change what it adds. F is diagonal
@@ -165,6 +165,7 @@ def linearize(
     if has_velocity_errors(c):
         growth = speed.error_growth(dt, drive.motion.motion, c)
         _add_velocity_errors(F, Q, J, speed.error_variances(x, P, drive, c), growth, (kept, share))
+        speed.add_track_error(Q, halfway, dt, drive, c)
         moved[VELOCITY_ERRORS] = x[VELOCITY_ERRORS] * kept
     else:
         way = np.array(((cos, -sin, -north * dt / 2.0), (sin, cos, east * dt / 2.0), (0.0, 0.0, dt)))

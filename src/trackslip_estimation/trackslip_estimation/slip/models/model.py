@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
+GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its own
 POSE = slice(X, YAW + 1)
-SIZE = 10  # of every state record; a model with a smaller state leaves the rest at zero
+SIZE = 13  # of every state record; a model with a smaller state leaves the rest at zero
 
 
 class Part(NamedTuple):
@@ -30,6 +31,8 @@ class Part(NamedTuple):
 COMMON = (
     Part("pose", POSE, "m, m, rad", "x, y, heading of the track-contact centre in the site frame"),
     Part("gyro_bias", slice(GYRO_BIAS, GYRO_BIAS + 1), "rad/s", "what a gyro shows of no rotation"),
+    Part("gyro_scale", slice(GYRO_SCALE, GYRO_SCALE + 1), "1", "what a gyro shows of 1 rad/s, less 1"),
+    Part("fix_delay", slice(FIX_DELAY, FIX_DELAY + 1), "1", "delay of all fixes, over their stamp errors"),
 )
 
 

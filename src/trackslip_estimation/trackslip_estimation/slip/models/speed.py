@@ -2,7 +2,8 @@
 """What the models share that know how the vehicle turns: two equations for its speeds, and their errors.
 
 x, y, φ    position of the track-contact centre C, heading            m, m, rad (site frame)
-b_g        bias of the yaw-rate gyro                                  rad/s
+b_g, s_g   bias and scale of the yaw-rate gyro; s_g − 1 is the state  rad/s, 1
+δ          delay of fixes, as a multiple of their source's stamp error 1
 m_v, m_ω   velocity errors: v and ω beyond a model's two equations    m/s, rad/s
 a, b       how the vehicle turns: each model has its own pair
 i₀         slip common to both tracks                                 1
@@ -11,6 +12,8 @@ v, ω       speed of C along x, yaw rate                               m/s, rad/
 i_L, i_R   1 − (v ∓ ω B/2)/(r ω_j), what follows for the slips        1
 V, D       r (ω_L + ω_R)/2, r (ω_R − ω_L), from the sprockets         m/s
 d          how far the sprockets' speeds depart from their mean       m/s
+s          track error (``adaptation``): share of U that adds to σ²   1
+U          2V² + D²/2 + w d², a track's speed squared, twice          (m/s)²
 τ, σ       correlation time of the velocity errors, their size        s, m/s
 ρ          e^(−dt/τ)                                                  1
 
@@ -18,9 +21,10 @@ Velocity errors are first-order Gauss–Markov: ṁ = −m/τ + noise, of size �
 shear truth, σ is a small share of V and D while the machine goes steadily (in ω less than in v, as both
 tracks ring alike), and a large share of d while its speed changes: the vehicle answers its tracks with a lag,
 rings on the soil, and has the rest settled within tenths of a second. All this is larger on a soil that
-yields more, which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. When
-the sprockets are silent the motion is UNKNOWN; V and D are then 0, the velocity errors are the speeds
-themselves, and hold.
+yields more, which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. Real
+tracks err by more: each by a share s of its speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and
+the machine go sideways. When the sprockets are silent the motion is UNKNOWN; V and D are then 0, the velocity
+errors are the speeds themselves, and hold.
 """
 
 import math
@@ -32,14 +36,24 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, SIZE, Part, Prior
+from trackslip_estimation.slip.models.model import (
+    COMMON,
+    FIX_DELAY,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    SIZE,
+    Part,
+    Prior,
+    X,
+    Y,
+)
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
 SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
 VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
-ACTIVE = 10  # numbers of the state
+ACTIVE = 12  # numbers of the state, with those of ``model``
 PARTS = (
     *COMMON,
     Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),
@@ -61,8 +75,9 @@ CONSTANTS = np.dtype(
     ],
     align=True,
 )
+_DELAY_WALK = 0.1  # 1/√s: the machine answers its tracks late, and that is not always the same
 _SLOWEST = 0.02  # m/s of track or vehicle, below which slip and slip angle say nothing
-_SILENT, _TURNING = int(Motion.UNKNOWN), int(Motion.TURNING)
+_SILENT, _STANDING, _TURNING = int(Motion.UNKNOWN), int(Motion.STANDING), int(Motion.TURNING)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +102,7 @@ class SpeedNoise(Parameters):
     initial_gyro_bias_stddev: float = parameter(
         "standard deviation of b_g at the start", unit="rad/s", gt=0.0
     )
+    initial_gyro_scale_stddev: float = parameter("standard deviation of s_g about 1 at the start", ge=0.0)
 
 
 def prior(n: SpeedNoise, tread: float) -> Prior:
@@ -95,14 +111,15 @@ def prior(n: SpeedNoise, tread: float) -> Prior:
     stddev[SPEED_ERROR], stddev[YAW_RATE_ERROR] = n.standing_velocity_error, n.standing_velocity_error / tread
     stddev[COMMON_SLIP] = n.initial_common_slip_stddev
     stddev[ROTATION_OFFSET] = n.initial_rotation_offset_stddev
-    stddev[GYRO_BIAS] = n.initial_gyro_bias_stddev
+    stddev[GYRO_BIAS], stddev[GYRO_SCALE] = n.initial_gyro_bias_stddev, n.initial_gyro_scale_stddev
+    stddev[FIX_DELAY] = 1.0
     return Prior(np.zeros(SIZE), stddev)
 
 
 def process_noise_density(n: SpeedNoise, motion: MotionState) -> FloatArray:
     """(SIZE,) per √s: how the vehicle turns shows in turns only, and changes there only; i₀ while driving."""
     density = np.zeros(SIZE)
-    density[GYRO_BIAS] = n.gyro_bias
+    density[GYRO_BIAS], density[FIX_DELAY] = n.gyro_bias, _DELAY_WALK
     if motion.motion is not Motion.STANDING:
         density[COMMON_SLIP] = n.common_slip
     if motion.motion is Motion.TURNING:
@@ -181,9 +198,37 @@ def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[f
         steady = e.straight * c.rolling_radius * (speeds.left + speeds.right) / 2.0
     changing = e.changing * c.rolling_radius * motion.departure
     yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
-    of_speed = (steady**2 + changing**2) * yielding + e.standing**2
-    of_rate = ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2
+    of_tracks = drive.adaptation.track_variance * track_exposure(drive, c)
+    of_speed = (steady**2 + changing**2) * yielding + e.standing**2 + of_tracks / 4.0
+    of_rate = ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
     return of_speed, of_rate / (c.tread * c.tread)
+
+
+@compiled
+def track_exposure(drive: Any, c: Any) -> float:
+    """U."""
+    left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
+    departure = c.rolling_radius * drive.motion.departure
+    U: float = left * left + right * right + c.adaptation.changing_weight * departure * departure
+    return U
+
+
+@compiled
+def add_track_error(Q: FloatArray, heading: float, dt: float, drive: Any, c: Any) -> None:
+    """What the tracks' errors add to Q (n, n) beside the velocity errors: a walk of i₀, and sideways motion.
+
+    Sideways it is white, over steps longer than τ.
+    """
+    n, track_variance = c.adaptation, drive.adaptation.track_variance
+    if drive.motion.motion != _STANDING:
+        Q[COMMON_SLIP, COMMON_SLIP] += n.common_slip**2 * track_variance * dt
+    of_speed = track_variance * track_exposure(drive, c) / 4.0
+    sideways = n.sideways**2 * of_speed * 2.0 * c.velocity_errors.time * dt
+    cos, sin = math.cos(heading), math.sin(heading)
+    Q[X, X] += sideways * sin * sin
+    Q[Y, Y] += sideways * cos * cos
+    Q[X, Y] -= sideways * cos * sin
+    Q[Y, X] -= sideways * cos * sin
 
 
 @compiled

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sub-model 1b: not the slips are constant on a soil, but how the vehicle turns (symbols: ``speed``).
 
-    κ    turning efficiency, ω = κ D/B + m_ω                   1
+    κ    turning efficiency, ω = κ D/B + ε V + m_ω             1
+    ε    side asymmetry: tracks or load that are not alike     rad/m
     η    speed lost in a turn, v = (1 − i₀) V − η s + m_v      1
     s    |D|/2 against the travel while both tracks run one way and the turn is no gentle one; almost
          nothing while they counter-rotate                     m/s
     g    |D|/2 over |V| of a turn that is gentle: s is half    1
 
-κ, η and x_I learn in turns only, i₀ while driving. The equations are the same in left and right turns:
-outer and inner track keep their roles. A gentle turn costs less than η says: on the shear truth
-(V − v)/(|D|/2) vanishes with D, and has half of its value at |D|/2 of 0.02 to 0.07 V. Were it constant down
-to 0, the rounding of the counts, which makes D of nothing, would slow the machine in straight motion.
+κ, η and x_I learn in turns only, i₀ and ε while driving; ε is a constant of the machine. The equations are
+the same in left and right turns: outer and inner track keep their roles. A gentle turn costs less than η says:
+on the shear truth (V − v)/(|D|/2) vanishes with D, and has half of its value at |D|/2 of 0.02 to 0.07 V. Were
+it constant down to 0, the rounding of the counts, which makes D of nothing, would slow the machine in straight
+motion.
 """
 
 from dataclasses import dataclass
@@ -28,12 +30,13 @@ from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
-CODE, NAME, ACTIVE = 1, "turning", speed.ACTIVE
-EFFICIENCY, LOSS = FIRST, SECOND
+CODE, NAME, ACTIVE = 1, "turning", speed.ACTIVE + 1
+EFFICIENCY, LOSS, ASYMMETRY = FIRST, SECOND, speed.ACTIVE
 PARTS = (
     *speed.PARTS,
     Part("efficiency", slice(EFFICIENCY, EFFICIENCY + 1), "1", "turning efficiency κ"),
     Part("loss", slice(LOSS, LOSS + 1), "1", "speed lost in a turn, η"),
+    Part("asymmetry", slice(ASYMMETRY, ASYMMETRY + 1), "rad/m", "turn to the left by the metre driven, ε"),
 )
 CONSTANTS = np.dtype([("gentle_turn", np.float64)], align=True)
 
@@ -49,6 +52,9 @@ class TurningNoise(SpeedNoise):
     initial_efficiency_stddev: float = parameter("its standard deviation", gt=0.0)
     initial_loss: float = parameter("η before the first turn", ge=0.0, le=1.0)
     initial_loss_stddev: float = parameter("its standard deviation", gt=0.0)
+    initial_asymmetry_stddev: float = parameter(
+        "standard deviation of ε about 0 at the start", unit="rad/m", ge=0.0
+    )
 
 
 def prior(n: TurningNoise, tread: float) -> Prior:
@@ -56,6 +62,7 @@ def prior(n: TurningNoise, tread: float) -> Prior:
     start = speed.prior(n, tread)
     start.mean[EFFICIENCY], start.mean[LOSS] = n.initial_efficiency, n.initial_loss
     start.stddev[EFFICIENCY], start.stddev[LOSS] = n.initial_efficiency_stddev, n.initial_loss_stddev
+    start.stddev[ASYMMETRY] = n.initial_asymmetry_stddev
     return start
 
 
@@ -94,7 +101,8 @@ def turn_speed_loss(V: float, D: float, c: Any) -> float:
 def equations(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float]:
     """v in m/s and ω in rad/s but for the velocity errors."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
-    return (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * turn_speed_loss(V, D, c), x[EFFICIENCY] * D / c.tread
+    v = (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * turn_speed_loss(V, D, c)
+    return v, x[EFFICIENCY] * D / c.tread + x[ASYMMETRY] * V
 
 
 @compiled
@@ -110,6 +118,6 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArr
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
     J = np.zeros((3, x.size))
     J[0, COMMON_SLIP], J[0, LOSS] = -V, -turn_speed_loss(V, D, c)
-    J[2, EFFICIENCY] = D / c.tread
-    speed.complete_jacobian(x, x[EFFICIENCY] * D / c.tread, J)
+    J[2, EFFICIENCY], J[2, ASYMMETRY] = D / c.tread, V
+    speed.complete_jacobian(x, x[EFFICIENCY] * D / c.tread + x[ASYMMETRY] * V, J)
     return J

@@ -41,7 +41,7 @@ def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEs
     config, linear = (make_config(estimator.changed({"filter": name})) for name in (cell.filter, "ekf"))
     for c in (config, linear):
         c["gate_limits"] = c["heading_ceiling"] = np.inf  # what the filters are given is all true
-        c["position_floor"] = c["heading_floor"] = 0.0
+        c["position_floor"] = c["heading_floor"] = c["stamp_errors"] = 0.0
     rows = drive.rows._replace(measurements=drive.with_noise(cell, p.sigma_heading))
     return Setting(cell, drive, rows, config, linear, p.sigma_heading)
 

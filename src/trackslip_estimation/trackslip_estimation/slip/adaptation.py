@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How wrong tracks, gyros and fixes are on this machine and this ground, found from innovations; compiled.
+
+    s       track error: share of its speed by which each track's ground speed errs     1
+    U       s² U/4 is the variance of m_v by it, s² U/B² that of m_ω (``speed``)        (m/s)²
+    E       envelope: the U that the velocity errors hold already, forgotten with τ     (m/s)²
+    T       variance of m_ω, over s², that the tracks have added since the last reading (rad/s)²
+    a, f    factors of the variance that yaw rates and a source's fixes state           1
+    ν, S    innovation and its covariance
+    w       ln of the weight of a point mass
+
+s and a are found together, by point masses over a grid of both: each yaw rate weighs them by its likelihood,
+S being what it would be with them. Readings that follow each other within τ show the same error of the tracks
+and count for less. f is found by point masses of its own, by Student's t, so that an outlier counts little.
+What is used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it is a part of the
+state.
+
+What an input errs by comes with the input: when U rises above E, the velocity errors have the variance at once.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square
+from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR, track_exposure
+
+FloatArray = NDArray[np.float64]
+
+TRACK_ERRORS, RATE_FACTORS, FIX_FACTORS = 6, 3, 9  # point masses of s, a and f
+_TRACK_RATIO = 3.0  # from one s to the next
+_RATE_RATIO = 4.0  # from one a to the next
+_FIX_STEP = 0.35  # of ln f
+_FIX_BELOW = 2  # point masses of f below 1
+_FIX_PRIOR = 0.5  # standard deviation of ln f
+_HEAVY = 8.0  # degrees of freedom of Student's t
+_OUTLIER = 25.0  # NIS under the largest s and a, beyond which a yaw rate shows nothing more
+_NEGLIGIBLE = -20.0  # w below the best
+
+CONSTANTS = np.dtype(
+    [
+        ("track_variances", np.float64, (TRACK_ERRORS,)),  # s²
+        ("rate_factors", np.float64, (RATE_FACTORS,)),  # a
+        ("fix_factors", np.float64, (FIX_FACTORS,)),  # f
+        ("rate_prior", np.float64, (RATE_FACTORS,)),  # w of a before any reading
+        ("fix_prior", np.float64, (FIX_FACTORS,)),  # w of f before any fix
+        ("changing_weight", np.float64),
+        ("sideways", np.float64),
+        ("common_slip", np.float64),
+        ("memory", np.float64),  # s
+        ("fix_memory", np.float64),
+        ("soft_gate", np.float64),
+        ("alignment_stddev", np.float64),  # rad
+    ],
+    align=True,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptationParameters(Parameters):
+    """How the noise finds its size, and the pose is found again."""
+
+    least_track_error: float = parameter(
+        "share of its speed by which a track errs at the least; up to 243 times as much is found",
+        gt=0.0,
+        le=0.01,
+    )
+    changing_weight: float = parameter("of d² beside V² in what the track error is a share of", ge=0.0)
+    sideways: float = parameter("error of v_y by the track error, over that of v", ge=0.0)
+    common_slip: float = parameter("i₀ while driving, as a multiple of the track error", unit="1/√s", ge=0.0)
+    memory: float = parameter("driving after which an innovation counts for 1/e", unit="s", gt=0.0)
+    rate_doubt: float = parameter(
+        "ln of the odds that a gyro is as good as it states, against half as good", ge=0.0
+    )
+    fix_memory: float = parameter(
+        "share of what was known of a source's noise that a further fix leaves", gt=0.0, lt=1.0
+    )
+    soft_gate: float = parameter("up to so many times the gate a fix is used, with less weight", ge=1.0)
+    alignment_stddev: float = parameter(
+        "standard deviation of a heading that refused fixes show, below which it is believed",
+        unit="rad",
+        gt=0.0,
+        le=0.5,
+    )
+
+
+def constants(p: AdaptationParameters) -> tuple[Any, ...]:
+    """The fields of ``CONSTANTS``, in their order."""
+    ln_f = _FIX_STEP * (np.arange(FIX_FACTORS) - _FIX_BELOW)
+    return (
+        np.square(p.least_track_error * _TRACK_RATIO ** np.arange(TRACK_ERRORS)),
+        _RATE_RATIO ** np.arange(RATE_FACTORS),
+        np.exp(ln_f),
+        -p.rate_doubt * np.arange(RATE_FACTORS),
+        -np.square(ln_f / _FIX_PRIOR) / 2.0,
+        *(getattr(p, name) for name in (CONSTANTS.names or ())[5:]),
+    )
+
+
+@compiled
+def begin_adaptation(a: Any, c: Any) -> None:
+    """The record ``a`` of ``records.ADAPTATION`` at the start: s unknown, sensors as they state."""
+    n = c.adaptation
+    a.track_variance, a.rate_factor = n.track_variances.mean(), 1.0
+    a.envelope = a.exposure = a.elapsed = 0.0
+    for i in range(TRACK_ERRORS):
+        a.log_weights[i] = n.rate_prior
+    a.fix_factors[:] = 1.0
+    a.fix_log_weights[:] = 0.0
+
+
+@compiled
+def pass_time(state: Any, dt: float, c: Any) -> None:
+    """What the tracks' speeds, which last for ``dt`` s, err by more than those before is added to P."""
+    a, P = state.adaptation, state.covariance
+    U = track_exposure(state, c)
+    lacking = max(U - a.envelope, 0.0)
+    P[SPEED_ERROR, SPEED_ERROR] += a.track_variance * lacking / 4.0
+    P[YAW_RATE_ERROR, YAW_RATE_ERROR] += a.track_variance * lacking / (c.tread * c.tread)
+    kept = math.exp(-2.0 * dt / c.velocity_errors.time)
+    a.envelope = kept * (a.envelope + lacking) + (1.0 - kept) * U
+    a.exposure = kept * (a.exposure + lacking / (c.tread * c.tread)) + (1.0 - kept) * U / (c.tread * c.tread)
+    a.elapsed += dt
+
+
+@compiled
+def lose_track(a: Any) -> None:
+    """The sprockets are silent: the velocity errors hold all, and nothing of it is the tracks' error."""
+    a.envelope = a.exposure = a.elapsed = 0.0
+
+
+@compiled
+def learn_from_rate(
+    a: Any, innovation: float, S: float, parts: tuple[float, float], stands: bool, c: Any
+) -> float:
+    """Weighs s and a by a yaw rate; returns its NIS under the largest of both.
+
+    ``parts`` of S: by the tracks for s = 1, T, and as the gyro states, R.
+    """
+    n, (of_tracks, stated) = c.adaptation, parts
+    rest = max(S - a.track_variance * of_tracks - a.rate_factor * stated, 0.0)
+    largest = rest + of_tracks * n.track_variances[TRACK_ERRORS - 1]
+    largest += stated * n.rate_factors[RATE_FACTORS - 1]
+    squared = min(innovation * innovation, _OUTLIER * largest)
+    weight = min(a.elapsed / c.velocity_errors.time, 1.0)
+    kept = 1.0 if stands else math.exp(-a.elapsed / n.memory)
+    a.exposure = a.elapsed = 0.0
+    best = -math.inf
+    for i in range(TRACK_ERRORS):
+        for j in range(RATE_FACTORS):
+            variance = rest + of_tracks * n.track_variances[i] + stated * n.rate_factors[j]
+            w = kept * a.log_weights[i, j] + (1.0 - kept) * n.rate_prior[j]
+            a.log_weights[i, j] = w - weight * (math.log(variance) + squared / variance) / 2.0
+            best = max(best, a.log_weights[i, j])
+    total = track_variance = rate_factor = 0.0
+    for i in range(TRACK_ERRORS):
+        for j in range(RATE_FACTORS):
+            a.log_weights[i, j] -= best
+            if a.log_weights[i, j] > _NEGLIGIBLE:
+                mass = math.exp(a.log_weights[i, j])
+                total += mass
+                track_variance += mass * n.track_variances[i]
+                rate_factor += mass * n.rate_factors[j]
+    a.track_variance, a.rate_factor = track_variance / total, rate_factor / total
+    return innovation * innovation / largest
+
+
+@compiled
+def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any) -> None:
+    """Weighs f of a source by a fix that was predicted with P (m, m), and states R (m, m)."""
+    n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
+    best = -math.inf
+    for j in range(FIX_FACTORS):
+        L = root(P + n.fix_factors[j] * R)
+        nis = weighted_square(L, innovation)
+        likelihood = -(log_determinant(L) + (_HEAVY + m) * math.log(1.0 + nis / _HEAVY)) / 2.0
+        w[j] = n.fix_memory * w[j] + (1.0 - n.fix_memory) * n.fix_prior[j] + likelihood
+        best = max(best, w[j])
+    total = factor = 0.0
+    for j in range(FIX_FACTORS):
+        w[j] -= best
+        mass = math.exp(w[j])
+        total += mass
+        factor += mass * n.fix_factors[j]
+    a.fix_factors[source] = factor / total

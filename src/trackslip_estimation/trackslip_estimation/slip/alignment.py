@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pose found again from fixes that were refused, or at first where the start has no heading; compiled.
+
+    p_k, z_k   place of the sensor as predicted, and as its fix has it    (2,), m
+    ψ, σ_ψ     rotation about the centroids that takes p_k to z_k         rad
+    s          track error (``adaptation``)                               1
+
+No refused fix is believed for its own sake, nor because its source insists. Several are that agree with each
+other over the way driven between them: one rigid motion takes what was predicted to what they say, within
+their noise and what the tracks err by over that way, and the way is long enough to fix ψ. Then the pose moves
+so, with the covariance of that fit. If it turns, what had been learned while the heading was wrong is as at
+the start; else heading and all that was learned stay. Fixes of the newest motion count: where they do not
+agree, the oldest is dropped.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_SCALE, SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
+
+CAPACITY = 16  # refused fixes that are remembered
+UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which there is none
+_FEWEST = 3
+_PATH_ERROR = 0.05  # of the way driven, at the least
+_SHIFT_ERROR = 0.1  # of the way between the fixes and the pose
+_SIGNIFICANT = 3.0  # standard deviations of a rotation
+_CHI2_RATIO, _CHI2_SPARE = 1.6, 12.0  # χ² of fixes that agree: at most ratio · dof + spare
+
+
+class RigidMotion(NamedTuple):
+    """What takes predicted places to fixes."""
+
+    rotation: float  # ψ, rad
+    stddev: float  # σ_ψ, rad
+    chi2: float
+    origin: tuple[float, float]  # centroid of the predicted places
+    target: tuple[float, float]  # centroid of the fixes
+    variance: float  # of a fix along one axis, m²
+
+
+@compiled
+def keep_refused(
+    state: Any, predicted: tuple[float, float], fix: tuple[float, float], variance: float
+) -> None:
+    """Remember a refused fix, for the oldest one if there is no room; ``variance`` is along one axis."""
+    if state.refused_count == CAPACITY:
+        drop_oldest(state)
+    refused = state.refused[state.refused_count]
+    refused.predicted_x, refused.predicted_y = predicted
+    refused.x, refused.y = fix
+    refused.variance = variance
+    state.refused_count += 1
+
+
+@compiled
+def drop_oldest(state: Any) -> None:
+    """Forget the oldest refused fix."""
+    state.refused_count -= 1
+    for k in range(state.refused_count):
+        state.refused[k] = state.refused[k + 1]
+
+
+@compiled
+def rigid_motion(refused: Any, count: int, track_variance: float) -> RigidMotion:
+    """The least-squares one of ``count`` refused fixes; in closed form."""
+    p_x = p_y = z_x = z_y = variance = 0.0
+    for k in range(count):
+        p_x, p_y = p_x + refused[k].predicted_x / count, p_y + refused[k].predicted_y / count
+        z_x, z_y = z_x + refused[k].x / count, z_y + refused[k].y / count
+        variance += refused[k].variance / count
+    along = across = spread = 0.0
+    for k in range(count):
+        a_x, a_y = refused[k].predicted_x - p_x, refused[k].predicted_y - p_y
+        b_x, b_y = refused[k].x - z_x, refused[k].y - z_y
+        along += a_x * b_x + a_y * b_y
+        across += a_x * b_y - a_y * b_x
+        spread += a_x * a_x + a_y * a_y
+    rotation = math.atan2(across, along)
+    cos, sin = math.cos(rotation), math.sin(rotation)
+    path_variance = max(_PATH_ERROR * _PATH_ERROR, track_variance)
+    chi2 = 0.0
+    for k in range(count):
+        a_x, a_y = refused[k].predicted_x - p_x, refused[k].predicted_y - p_y
+        e_x = refused[k].x - z_x - (cos * a_x - sin * a_y)
+        e_y = refused[k].y - z_y - (sin * a_x + cos * a_y)
+        chi2 += (e_x * e_x + e_y * e_y) / (variance + path_variance * (a_x * a_x + a_y * a_y))
+    stddev = math.sqrt((variance + path_variance * spread / count) / max(spread, 1e-12))
+    return RigidMotion(rotation, stddev, chi2, (p_x, p_y), (z_x, z_y), variance)
+
+
+@compiled
+def realign(state: Any, c: Any) -> bool:
+    """Move the pose by what the newest refused fixes that agree show; whether they show enough."""
+    track_variance = state.adaptation.track_variance
+    while state.refused_count >= _FEWEST:
+        found = rigid_motion(state.refused, state.refused_count, track_variance)
+        if found.chi2 <= _CHI2_RATIO * (2 * state.refused_count - 3) + _CHI2_SPARE:
+            if found.stddev >= c.adaptation.alignment_stddev:
+                return False
+            doubt = math.sqrt(found.stddev * found.stddev + state.covariance[YAW, YAW])
+            if state.aligning:
+                _move(state, found)
+            elif abs(found.rotation) > _SIGNIFICANT * doubt:
+                _move(state, found)
+                _forget(state, c)
+            else:
+                _shift(state, found)
+            state.aligning, state.refused_count = False, 0
+            return True
+        drop_oldest(state)
+    return False
+
+
+@compiled
+def _move(state: Any, by: RigidMotion) -> None:
+    """The pose after a rigid motion, with the covariance of its fit."""
+    x, P = state.mean, state.covariance
+    cos, sin = math.cos(by.rotation), math.sin(by.rotation)
+    from_x, from_y = x[X] - by.origin[0], x[Y] - by.origin[1]
+    east, north = cos * from_x - sin * from_y, sin * from_x + cos * from_y
+    x[X], x[Y], x[YAW] = by.target[0] + east, by.target[1] + north, wrap(x[YAW] + by.rotation)
+    for i in range(YAW + 1):
+        for j in range(SIZE):
+            P[i, j] = P[j, i] = 0.0
+    turned = by.stddev * by.stddev
+    shifted = by.variance / state.refused_count + _SHIFT_ERROR**2 * (east * east + north * north)
+    P[X, X], P[Y, Y], P[YAW, YAW] = shifted + turned * north**2, shifted + turned * east**2, turned
+    P[X, Y] = P[Y, X] = -turned * east * north
+    P[X, YAW] = P[YAW, X] = -turned * north
+    P[Y, YAW] = P[YAW, Y] = turned * east
+
+
+@compiled
+def _shift(state: Any, by: RigidMotion) -> None:
+    """The place after a motion that turns nothing; heading and all that was learned stay."""
+    x, P = state.mean, state.covariance
+    from_x, from_y = x[X] - by.origin[0], x[Y] - by.origin[1]
+    x[X], x[Y] = by.target[0] + from_x, by.target[1] + from_y
+    for i in (X, Y):
+        for j in range(SIZE):
+            P[i, j] = P[j, i] = 0.0
+    shifted = by.variance / state.refused_count + _SHIFT_ERROR**2 * (from_x * from_x + from_y * from_y)
+    P[X, X] = P[Y, Y] = shifted
+
+
+@compiled
+def _forget(state: Any, c: Any) -> None:
+    """What fixes teach through the pose counts for no more than at the start; the gyro taught κ and b_g."""
+    x, P = state.mean, state.covariance
+    for q in (GYRO_SCALE, FIX_DELAY, SECOND, COMMON_SLIP, ROTATION_OFFSET):
+        if has_velocity_errors(c) and P[q, q] < c.prior_variance[q]:
+            for j in range(SIZE):
+                P[q, j] = P[j, q] = 0.0
+            x[q], P[q, q] = c.prior_mean[q], c.prior_variance[q]

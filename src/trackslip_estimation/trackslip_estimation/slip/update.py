@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gate and update, for each kind of measurement; compiled.
+
+    state         record of ``STATE``, as predicted for the measurement's stamp; in place
+    measurement   record of ``MEASUREMENT``
+    c             record of ``config.CONFIG``
+    update        record of ``UPDATE``: what became of the measurement
+    g             limit of the gate, a χ² quantile
+
+What is refused leaves mean and covariance as they were.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.kalman import daf, ekf
+from trackslip_estimation.kalman.linear_algebra import log_determinant as log_determinant_of
+from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
+from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, keep_refused, realign
+from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, YAW, X, Y
+from trackslip_estimation.slip.models.speed import YAW_RATE_ERROR
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.observation import (
+    add_rounding,
+    comparable_speeds,
+    expected,
+    jacobian,
+    observed,
+    stamp_shift,
+    to_delayed,
+    to_sensor,
+)
+from trackslip_estimation.slip.records import POSE, SLIPS, YAW_RATE
+
+FloatArray = NDArray[np.float64]
+
+_GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
+
+
+@inlined
+def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
+    """Slips: taken inside their gate, which widens while they and the state disagree."""
+    source = measurement.source
+    z, R = observed(measurement, state.coasting, c)
+    left, right, _ = comparable_speeds(SLIPS, state, c)
+    limit, update.dof = c.gate_limits[z.size], z.size
+    update.gate = limit * _width(state, measurement, c)
+    x, P, prior_P = state.mean.copy(), state.covariance.copy(), state.covariance.copy()
+    add_rounding(SLIPS, x, R, state, c)
+    update.nis, update.log_determinant = correct(SLIPS, x, P, (z, R), (left, right), c)
+    if update.nis > update.gate:
+        update.outcome = _GATED
+        return
+    if update.nis > limit:
+        widen(SLIPS, z, state.mean, prior_P, (left, right), c)
+        x[:], P[:] = state.mean, prior_P
+        correct(SLIPS, x, P, (z, R), (left, right), c)
+    else:
+        state.consistent_ns[source] = measurement.stamp_ns
+    update.prior_covariance[:] = prior_P
+    state.mean[:], state.covariance[:] = x, P
+
+
+@inlined
+def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
+    """A yaw rate: in full inside g; with less weight where only the largest noise that may be explains it.
+
+    Beyond that it is refused, until several agree on other ground, or the gate has widened (``gate``).
+    """
+    source = measurement.source
+    z, R = observed(measurement, state.coasting, c)
+    stated = R[0, 0]
+    R *= state.adaptation.rate_factor
+    left, right, _ = comparable_speeds(YAW_RATE, state, c)
+    limit, update.dof = c.gate_limits[1], 1
+    update.gate = limit * _width(state, measurement, c)
+    x, P, prior_P = state.mean.copy(), state.covariance.copy(), state.covariance.copy()
+    add_rounding(YAW_RATE, x, R, state, c)
+    nis, log_determinant = correct(YAW_RATE, x, P, (z, R), (left, right), c)
+    rate, variance = _rate_shown(state, z[0], R[0, 0], c)
+    possible = np.isinf(limit) or not on_no_ground(rate, variance, (left, right), c)
+    surprise, again = nis, False
+    if possible and has_velocity_errors(c) and not state.coasting:
+        innovation = z[0] - expected(YAW_RATE, state.mean, 1, (left, right), c)[0]
+        parts = state.adaptation.exposure * (1.0 + state.mean[GYRO_SCALE]) ** 2, stated
+        stands, S = state.motion.motion == _STANDING, np.exp(log_determinant)
+        surprise = learn_from_rate(state.adaptation, innovation, S, parts, stands, c)
+    if surprise <= limit:
+        state.streaks[source].count = 0
+        if nis > limit:
+            R += (nis / limit - 1.0) * np.exp(log_determinant)
+            again = True
+    elif other_ground(rate, state.streaks[source], (left, right), c):
+        forget_ground(prior_P, c)
+        x[:], P[:] = state.mean, prior_P
+        nis, log_determinant = correct(YAW_RATE, x, P, (z, R), (left, right), c)
+        surprise = nis
+    update.nis, update.log_determinant = nis, log_determinant
+    if surprise > update.gate or not possible:
+        update.outcome = _GATED
+        return
+    if surprise > limit:
+        widen(YAW_RATE, z, state.mean, prior_P, (left, right), c)
+        again = True
+    if again:
+        x[:], P[:] = state.mean, prior_P
+        correct(YAW_RATE, x, P, (z, R), (left, right), c)
+    state.consistent_ns[source] = measurement.stamp_ns
+    update.prior_covariance[:] = prior_P
+    state.mean[:], state.covariance[:] = x, P
+
+
+@compiled
+def _width(state: Any, measurement: Any, c: Any) -> float:
+    """How far the gate of a yaw rate or of slips has widened."""
+    silent_ns = measurement.stamp_ns - state.consistent_ns[measurement.source]
+    return width(silent_ns, c.timeouts_ns[measurement.source], c.gate_relaxation)
+
+
+@compiled
+def _rate_shown(state: Any, shown: float, variance: float, c: Any) -> tuple[float, float]:
+    """The machine's yaw rate by a gyro alone, rad/s, and its variance with what the tracks may err by."""
+    P = state.covariance
+    variance += P[GYRO_BIAS, GYRO_BIAS]
+    if has_velocity_errors(c):
+        variance += P[YAW_RATE_ERROR, YAW_RATE_ERROR]
+    return (shown - state.mean[GYRO_BIAS]) / (1.0 + state.mean[GYRO_SCALE]), variance
+
+
+@inlined
+def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
+    """Update with a pose: in full inside the gate g, with less weight up to the soft gate, not at all beyond.
+
+    In between R grows until the innovation is as large as g allows. Silence widens P, never the gate; what is
+    refused moves the pose where it agrees with others that were (``alignment``).
+    """
+    source = measurement.source
+    z, R = observed(measurement, state.coasting, c)
+    m, limit = z.size, c.gate_limits[z.size]
+    x, P = state.mean.copy(), state.covariance.copy()
+    shift = stamp_shift(state, source, c)
+    to_sensor(x, P, c.levers[source], 1.0)
+    to_delayed(x, P, shift, 1.0)
+    innovation, predicted = z - x[:m], P[:m, :m].copy()
+    if m > YAW:
+        innovation[YAW] = wrap(innovation[YAW])
+    stated, finds_heading = R, state.aligning and m <= YAW
+    R = state.adaptation.fix_factors[source] * stated
+    update.dof, update.gate = m, c.adaptation.soft_gate * limit
+    nis = weighted_square(root(predicted + R), innovation)
+    if has_velocity_errors(c) and not finds_heading and nis <= update.gate:
+        learn_from_fix(state.adaptation, source, innovation, predicted, stated, c)
+        R = state.adaptation.fix_factors[source] * stated
+    root_of_S = root(predicted + R)
+    nis = weighted_square(root_of_S, innovation)
+    update.nis, update.log_determinant = nis, log_determinant_of(root_of_S)
+    refused = finds_heading or nis > update.gate
+    if refused or nis > limit:
+        keep_refused(state, (x[X], x[Y]), (z[X], z[Y]), (R[X, X] + R[Y, Y]) / 2.0)
+        if realign(state, c):
+            state.consistent_ns[source] = measurement.stamp_ns
+            update.follows = False
+            return
+    else:
+        state.refused_count = 0
+        state.consistent_ns[source] = measurement.stamp_ns
+    if refused:
+        update.outcome = _GATED
+        return
+    if nis > limit:
+        R = R + (nis / limit - 1.0) * (predicted + R)
+    correct(POSE, x, P, (z, R), (0.0, 0.0), c)
+    to_delayed(x, P, shift, -1.0)
+    x[YAW] = wrap(x[YAW])
+    to_sensor(x, P, c.levers[source], -1.0)
+    state.mean[:], state.covariance[:] = x, P
+    state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
+
+
+@compiled
+def correct(
+    kind: int,
+    x: FloatArray,
+    P: FloatArray,
+    measured: tuple[FloatArray, FloatArray],
+    speeds: tuple[float, float],
+    c: Any,
+) -> tuple[float, float]:
+    """x and P given z and R (``measured``), which sprocket ``speeds`` predict; returns NIS and ln |S|.
+
+    A yaw rate leaves s_g as it was (Schmidt): it cannot show it, for κ and ε explain the same, and what would
+    seem to be learned is their errors. Fixes show s_g through what it is correlated with.
+    """
+    z, R = measured
+    scale, scale_variance = x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE]
+    if c.sigma_points:
+        points, weights = daf.sigma_points(x, P, c.kappa, c.active)
+        Z = np.empty((weights.size, z.size))
+        for i in range(weights.size):
+            Z[i] = expected(kind, points[i], z.size, speeds, c)
+        nis, log_determinant = daf.correct(x, P, (points, weights), measured, Z, YAW)
+        if kind == YAW_RATE:
+            x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE] = scale, scale_variance
+        return nis, log_determinant
+    innovation = z - expected(kind, x, z.size, speeds, c)
+    if kind == POSE and z.size > YAW:
+        innovation[YAW] = wrap(innovation[YAW])
+    nis, log_determinant = ekf.correct(x, P, innovation, jacobian(kind, x, z.size, speeds, c), R)
+    x[YAW] = wrap(x[YAW])
+    if kind == YAW_RATE:
+        x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE] = scale, scale_variance
+    return nis, log_determinant

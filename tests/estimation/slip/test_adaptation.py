@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The noise finds its size: of the tracks, of the gyro, of the fixes; and the gyro its scale."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, drive, parameters
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Outcome, PoseFix, YawRate
+from trackslip_estimation.slip.models.model import GYRO_SCALE
+from trackslip_estimation.slip.records import to_records
+
+
+def run(machine: Machine, **changed: object) -> Any:
+    """The last state, a record of ``STATE``."""
+    estimator = SlipEstimator(parameters(**changed))
+    estimator.process_all(drive(machine).measurements)
+    return estimator.window.states[estimator.window.count - 1]
+
+
+def track_error(state: Any) -> float:
+    return float(np.sqrt(state["adaptation"]["track_variance"]))
+
+
+def test_tracks_that_do_not_err_are_found_so() -> None:
+    assert track_error(run(Machine())) < 0.01
+
+
+@pytest.mark.parametrize("share", [0.05, 0.15])
+def test_the_size_of_the_tracks_errors_is_found(share: float) -> None:
+    assert 0.5 * share < track_error(run(Machine(track_error=share))) < 2.0 * share
+
+
+def test_the_track_error_is_unknown_and_large_at_the_start() -> None:
+    assert track_error(run(Machine(duration=0.5))) > 0.05
+
+
+def test_a_gyro_as_good_as_it_states_is_found_so() -> None:
+    assert run(Machine())["adaptation"]["rate_factor"] == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_gyro_worse_than_it_states_is_found() -> None:
+    worse = run(Machine(gyro_noise=0.02))
+    assert 8.0 < worse["adaptation"]["rate_factor"] <= 16.0
+    assert track_error(worse) < 0.03  # and not taken for an error of the tracks
+
+
+@pytest.mark.parametrize(("noise", "least", "most"), [(0.02, 0.6, 1.6), (0.04, 2.0, 6.0)])
+def test_fixes_worse_than_they_state_are_found(noise: float, least: float, most: float) -> None:
+    factors = run(Machine(fix_noise=noise))["adaptation"]["fix_factors"]
+    assert least < factors[0] < most
+    assert np.all(factors[1:] == 1.0)  # sources that gave none
+
+
+@pytest.mark.parametrize("scale", [0.97, 1.0, 1.03])
+def test_the_scale_of_the_gyro_is_found(scale: float) -> None:
+    state = run(Machine(gyro_scale=scale, duration=120.0))
+    deviation = np.sqrt(state["covariance"][GYRO_SCALE, GYRO_SCALE])
+    assert deviation < 0.01  # 0.02 before
+    assert abs(1.0 + state["mean"][GYRO_SCALE] - scale) < 3.0 * deviation
+
+
+def test_yaw_rates_alone_do_not_teach_the_scale_of_the_gyro() -> None:
+    """κ and ε explain the same: what cannot be seen stays at its prior."""
+    recorded = drive(Machine(gyro_scale=0.97)).measurements
+    first = next(k for k, m in enumerate(recorded) if isinstance(m, PoseFix))
+    kept = [m for k, m in enumerate(recorded) if k <= first or not isinstance(m, PoseFix)]
+    estimator = SlipEstimator(parameters())
+    estimator.process_all(kept)
+    state = estimator.window.states[estimator.window.count - 1]
+    assert state["mean"][GYRO_SCALE] == 0.0
+    assert np.sqrt(state["covariance"][GYRO_SCALE, GYRO_SCALE]) == pytest.approx(0.02)
+
+
+def test_what_was_found_is_the_same_however_late_the_fixes_come() -> None:
+    estimators = [SlipEstimator(parameters()), SlipEstimator(parameters())]
+    recorded = drive(Machine(track_error=0.1, duration=20.0)).measurements
+    late = sorted(recorded, key=lambda m: m.stamp_ns + (9e8 if isinstance(m, PoseFix) else 0.0))
+    start = next(m for m in recorded if isinstance(m, PoseFix))
+    late.remove(start)
+    for estimator, arrivals in zip(estimators, (recorded, [*recorded[:3], *late]), strict=True):
+        unique = [m for k, m in enumerate(arrivals) if all(m is not other for other in arrivals[:k])]
+        estimator.process_records(to_records(unique, estimator.sources))
+    last = [e.window.states[e.window.count - 1] for e in estimators]
+    assert last[0].tobytes() == last[1].tobytes()
+
+
+def test_one_wild_yaw_rate_says_little_of_the_noise() -> None:
+    calm = drive(Machine()).measurements
+    k = next(k for k, m in enumerate(calm) if isinstance(m, YawRate) and m.stamp_ns > 40 * 10**9)
+    wild = [*calm]
+    wild[k] = YawRate(calm[k].source, calm[k].stamp_ns, 30.0, 2.5e-5)
+    estimator = SlipEstimator(parameters())
+    outcomes = [report.outcome for report, _ in estimator.process_all(wild)]
+    state = estimator.window.states[estimator.window.count - 1]
+    assert outcomes[k] is Outcome.GATED
+    assert track_error(state) < 0.03  # its NIS counts up to a limit
