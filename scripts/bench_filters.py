@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of the filters beside filterpy's EKF, in one run on one thread: ``make bench`` prints the rows.
 
-All run the same measurements through the same model. filterpy is given our compiled functions, so that its own
-algebra is what is timed; it is compared where it is installed (``requirements/bench.txt``).
+All run the same measurements through the same model. filterpy is given our compiled functions, so that its
+own algebra is what is timed; it is compared where it is installed (``requirements/bench.txt``).
 """
 
 import importlib
@@ -27,7 +27,7 @@ REPEATS = 3  # of which the fastest counts
 
 
 def rows() -> list[tuple[str, str, str, str]]:
-    """What, here, beside, bar: µs of a measurement; half of them sprockets that predict, half a gyro, updated."""
+    """What, here, beside, bar: µs of a measurement; half of them sprockets that predict, half a gyro."""
     drive = _drive()
     found = {}
     for model in ("turning", "icr", "free_slips"):

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.config import ConfigRecord, make_config
+from trackslip_estimation.slip.models import free_slips
 from trackslip_estimation.slip.models.dispatch import linearize, move, twist
 from trackslip_estimation.slip.models.model import GYRO_BIAS
 from trackslip_estimation.slip.models.model import POSE as OF_POSE
@@ -206,6 +207,19 @@ def test_on_its_own_model_a_filter_is_consistent_and_near_the_bound(
         assert low < getattr(row, name) < high
     for name in ("position", "heading", "slip"):
         assert getattr(row, f"{name}_rmse") == pytest.approx(getattr(row, f"{name}_bound"), rel=0.25)
+
+
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+def test_a_model_with_a_smaller_state_is_consistent_too(filter_: str, p: StudyParameters) -> None:
+    """Its records are longer than its state: what is beyond has no variance and stays zero."""
+    estimator = load_slip_parameters({"model": "free_slips"})
+    drive = make_drive(p, estimator, "sand")
+    row = evaluate(cell(MATCHED, filter_), drive, p, estimator)
+    for name in ("nees_pose", "nees_slip", "nis_pose", "nis_yaw_rate"):
+        low, high = getattr(row, f"{name}_bounds")
+        assert low < getattr(row, name) < high
+    trial = make_trial(make_setting(cell(MATCHED, filter_), drive, p, estimator), seed=0)
+    assert not trial.states[:, free_slips.ACTIVE :].any()
 
 
 @pytest.mark.parametrize(("factor", "outside"), [(0.1, "above"), (10.0, "below")])

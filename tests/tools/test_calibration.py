@@ -12,9 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 from trackslip_common.config_files import node_parameters, read_yaml
+from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import YawRate
+from trackslip_estimation.slip.observation import observed
 from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
-from trackslip_estimation.slip.sources import YawRateSource
+from trackslip_estimation.slip.records import to_records
 from trackslip_tools.calibration.calibrate import Calibration, calibrate
 from trackslip_tools.calibration.finding import Finding
 from trackslip_tools.calibration.output import summary, text, write_parameters
@@ -265,9 +267,10 @@ def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
 
 
 def test_a_scaled_gyro_is_read_in_true_units() -> None:
-    source = YawRateSource(-1, 0.5, 10**9)
-    found = source.prepared(YawRate("imu/data_raw", 1, 0.2, 4e-6))
-    assert (found.rate, found.variance) == (pytest.approx(-0.4), pytest.approx(16e-6))
+    estimator = SlipEstimator(load_slip_parameters({"yaw_rate_signs": [-1], "yaw_rate_scales": [0.5]}))
+    records = to_records([YawRate("imu/data_raw", 1, 0.2, 4e-6)], estimator.sources)
+    z, R = observed(records[0], False, estimator.config[0])
+    assert (z[0], R[0, 0]) == (pytest.approx(-0.4), pytest.approx(16e-6))
 
 
 def test_the_jackknife_sees_errors_that_go_together() -> None:

@@ -169,7 +169,7 @@ def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
 def test_noise_ten_times_off_is_mended_on_three_bags_and_on_a_fourth(
     drives: list[tuple[str, str]], factor: float, evaluations: int, tmp_path: Path
 ) -> None:
-    """The error is halved over the three, the covariances are honest, and an unseen bag is better off."""
+    """The error is halved over the three, the covariances are consistent, and an unseen bag is better off."""
     bags = [recorded(*names, 11 + k, tmp_path / f"bag{k}") for k, names in enumerate(drives)]
     plan, out = tmp_path / "tune.yaml", tmp_path / "out"
     ours = read_yaml(config_file("tune.yaml")) | {"evaluations": evaluations}

@@ -14,7 +14,7 @@ from mcap.well_known import SchemaEncoding
 
 from trackslip_bags.metadata import Schema
 
-DEFAULT_DISTRO = "kilted"
+DEFAULT_DISTRO = "jazzy"
 
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*")
 _LINE = re.compile(r"([A-Za-z][\w/]*)(\S*)\s+(\w+)\s*(=?)\s*(.*)")  # type, array, name, =, value or default

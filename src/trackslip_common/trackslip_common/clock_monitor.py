@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the clock goes on as it should: decided by stamps and counts alone, so that a replay finds the same.
+"""Whether the clock goes on as it should: by stamps and counts alone, so that a replay finds the same.
 
 The samples of one source, the sprockets', are the clock. One of them that steps out of line is a bad stamp;
 many in a row that agree with each other are another time. Other sources carry the clock on only while the

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.filter_steps import (
+    STANDSTILL,
     Drive,
     Gaussian,
     Measured,
@@ -32,7 +33,7 @@ from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.models.dispatch import MODELS
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR
-from trackslip_estimation.slip.motion import STANDSTILL, Motion, MotionState, Speeds
+from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.observation import add_rounding, expected
 from trackslip_estimation.slip.records import YAW_RATE
 from trackslip_estimation.slip.step import propagate

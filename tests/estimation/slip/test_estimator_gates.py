@@ -117,9 +117,9 @@ def with_rates(found: list[Measurement], added: Sequence[float], begin_s: float 
     ]
 
 
-def kappas(found: list[Measurement]) -> tuple[FloatArray, list[Outcome]]:
+def kappas(found: list[Measurement], **changes: Any) -> tuple[FloatArray, list[Outcome]]:
     """κ after each gyro reading from 20 s on, and what became of them."""
-    estimator = SlipEstimator(load_slip_parameters())
+    estimator = SlipEstimator(load_slip_parameters(changes))
     learned, outcomes = [], []
     for m in found:
         report, _ = estimator.process(m)
@@ -153,20 +153,29 @@ def test_gyro_readings_that_show_no_one_ground_leave_what_was_learned(
     drive: Callable[..., Any], added: list[float]
 ) -> None:
     clean, _ = kappas(on_one_ground(drive).measurements)
-    found, outcomes = kappas(with_rates(on_one_ground(drive).measurements, added))
+    found, outcomes = kappas(with_rates(on_one_ground(drive).measurements, added), gate_confirmations=3)
     for rate, outcome in zip(added, outcomes, strict=False):
         assert outcome is Outcome.ACCEPTED or rate
     np.testing.assert_allclose(found, clean, atol=0.05)
 
 
-def test_as_many_gyro_readings_as_must_agree_show_other_ground(drive: Callable[..., Any]) -> None:
-    """Two are refused, the third is believed, and κ is at once that of the new ground."""
-    found, outcomes = kappas(with_rates(on_one_ground(drive).measurements, [0.10] * 20))
-    assert load_slip_parameters().gate_confirmations == 3
-    assert outcomes[:2] == [Outcome.GATED] * 2
-    assert set(outcomes[2:20]) == {Outcome.ACCEPTED}
-    assert found[1] == pytest.approx(KAPPA, abs=0.03)
-    assert found[8] == pytest.approx(KAPPA * (RATE + 0.10) / RATE, abs=0.1)
+@pytest.mark.parametrize("confirmations", [2, 3, 5])
+def test_as_many_gyro_readings_as_must_agree_show_other_ground(
+    drive: Callable[..., Any], confirmations: int
+) -> None:
+    """Those before are refused, the last is believed, and κ is at once that of the new ground."""
+    found, outcomes = kappas(
+        with_rates(on_one_ground(drive).measurements, [0.10] * 20), gate_confirmations=confirmations
+    )
+    last = confirmations - 1
+    assert outcomes[:last] == [Outcome.GATED] * last
+    assert set(outcomes[last:20]) == {Outcome.ACCEPTED}
+    assert found[:last] == pytest.approx(KAPPA, abs=0.03)
+    assert found[last + 6] == pytest.approx(KAPPA * (RATE + 0.10) / RATE, abs=0.1)
+
+
+def test_by_default_one_gyro_reading_shows_no_other_ground() -> None:
+    assert load_slip_parameters().gate_confirmations >= 2
 
 
 def test_reports_state_the_gate(drive: Callable[..., Any], thesis_run: Run) -> None:

@@ -18,6 +18,7 @@ from fixtures.filter_steps import (
     start_of,
     state_of,
 )
+from fixtures.soil_samples import Sample
 from numpy.typing import NDArray
 
 from trackslip_bags.messages import make
@@ -33,12 +34,12 @@ from trackslip_estimation.slip.observation import add_rounding, expected, jacobi
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import SLIPS, to_records
 from trackslip_estimation.soil import conversions as soil_conversions
+from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.records import SlipSeed, SoilInput
-from trackslip_estimation.soil.slip_seed import SlipSeeder, slips_of
+from trackslip_estimation.soil.slip_seed import SEEDER, Thrust, is_seed_due, seed_of, set_strength, slips_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.strength_posterior import StrengthSummary
-from trackslip_estimation.soil.thrust import Thrust
+from trackslip_estimation.soil.strength_summary import StrengthSummary
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
@@ -49,7 +50,6 @@ FloatArray = NDArray[np.float64]
 MODELS = ("free_slips", "turning", "icr")
 EDGE = 1e-6  # of the central differences
 LIMIT = 18.5  # of the gate with two degrees of freedom, while it is no wider than χ² has it
-STEADY = Speeds(2.0, 2.1, 0.0, differenced=False)
 SOURCE = {"slip_sources": ["slip_seed"]}
 P = load_soil_parameters()
 LENGTH = P.vehicle.contact_length
@@ -225,9 +225,8 @@ def test_a_seed_is_the_slip_of_its_thrust_and_as_uncertain_as_soil_and_thrust() 
     rng, count = np.random.default_rng(2), 4000
     known = thrust_at((0.02, 0.03))
     found = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
-    assert found is not None
     np.testing.assert_allclose(found[0], (0.02, 0.03), rtol=1e-9)
-    drawn = []
+    samples = []
     stddev = np.sqrt(known.variance + P.seed.thrust_stddev**2)
     for z in rng.standard_normal((count, 5)):
         modulus = SOIL.shear_modulus * (0.0267 / 0.015) ** (z[0] / 3.29)
@@ -236,31 +235,30 @@ def test_a_seed_is_the_slip_of_its_thrust_and_as_uncertain_as_soil_and_thrust() 
         one = slips_of(
             Thrust(known.force + stddev * z[2:4], known.variance), np.ones(2), soil, P.seed, LENGTH
         )
-        assert one is not None
-        drawn.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
-    np.testing.assert_allclose(found[1], np.cov(np.array(drawn).T), rtol=0.2)
+        samples.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
+    np.testing.assert_allclose(found[1], np.cov(np.array(samples).T), rtol=0.2)
 
 
 def test_in_reverse_and_where_a_track_brakes_slips_have_their_sign() -> None:
     known = thrust_at((0.02, -0.01))
     forward = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
     reverse = slips_of(Thrust(-known.force, known.variance), -np.ones(2), SOIL, P.seed, LENGTH)
-    assert forward is not None
-    assert reverse is not None
     np.testing.assert_allclose(forward[0], (0.02, -0.01), rtol=1e-9)
     np.testing.assert_array_equal(forward[0], reverse[0])
 
 
 def test_a_thrust_that_the_soil_may_not_give_tells_no_slip() -> None:
-    spent = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
-    assert slips_of(spent, np.ones(2), SOIL, P.seed, LENGTH) is None
+    ride = Ride()
+    ride.known = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
+    ride.seeds(Motion.TURNING, 1.0)
+    assert ride.seeds(Motion.STRAIGHT, 10.0) == []
 
 
 class Ride:
     """Moments of 0.1 s for a seeder."""
 
     def __init__(self) -> None:
-        self._seeder, self._now_ns = SlipSeeder(P.seed, LENGTH), 0
+        self._seeder, self._numbers, self._now_ns = np.zeros(1, SEEDER)[0], record_of(P)[0], 0
         self.known: Thrust | None = thrust_at((0.02, 0.02))
         self.soil: StrengthSummary | None = SOIL
 
@@ -269,8 +267,15 @@ class Ride:
         found = []
         for _ in range(math.ceil(lengths * LENGTH / (TRACKS[0] * 0.1))):
             self._now_ns += 100_000_000
-            found.append(self._seeder.step(self._now_ns, 0.1, motion, TRACKS, self.known, self.soil))
-        return [seed for seed in found if seed is not None]
+            thrusts = (None, np.ones(2)) if self.known is None else self.known
+            moment = Sample(0.1, TRACKS, thrusts=thrusts[0], thrust_variances=thrusts[1], motion=motion)
+            sample, thrust = moment.records()
+            sample["stamp_ns"] = self._now_ns
+            if self.soil is not None:
+                set_strength(self._seeder, self.soil)
+            if is_seed_due(self._seeder, sample[0], thrust[0], self._numbers):
+                found.append(seed_of(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
+        return found
 
 
 def test_one_seed_for_each_turn_once_the_way_after_it_is_long_enough() -> None:

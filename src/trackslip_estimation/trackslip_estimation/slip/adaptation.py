@@ -15,7 +15,7 @@ and count for less. f is found by point masses of its own, by Student's t, so th
 What is used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it is a part of the
 state.
 
-What an input errs by comes with the input: when U rises above E, the velocity errors have the variance at once.
+What an input errs by comes with the input: when U rises above E, the velocity errors have it at once.
 """
 
 import math

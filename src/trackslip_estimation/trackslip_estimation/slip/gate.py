@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which yaw rates and slips are taken: a χ² gate that widens while source and state disagree; compiled.
+"""Which yaw rates and slips are accepted: a χ² gate that widens while source and state disagree; compiled.
 
     ν, S    innovation and its covariance
-    d²      νᵀ S⁻¹ ν, taken where d² ≤ w g
+    d²      νᵀ S⁻¹ ν, accepted where d² ≤ w g
     g       χ² quantile; source and state are consistent where d² ≤ g
     w       1 until they have not been for the source's timeout, then ``relaxation`` per further timeout
 
@@ -15,7 +15,7 @@ what it shows. Poses have a gate of another kind, which never widens (``step.use
 In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
 slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of
 turning and slip counts for no more than at the start. What it would do on no ground, to turn against its
-tracks, is never taken: a gyro upside down shows that.
+tracks, is never accepted: a gyro upside down shows that.
 """
 
 from typing import Any

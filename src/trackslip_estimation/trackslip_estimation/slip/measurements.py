@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-_ROUNDING = 1e-9  # of a correlation of 1
-_LARGEST = 1e9  # m, rad, rad/s: beyond it is no measurement, and its square no number to reckon with
-
 # What a user asks of the node stands in the journal under these names, beside the topics of the sensors.
 SET_POSE = "slip_estimator/set_pose"
 RESET, FREEZE, UNFREEZE = "slip_estimator/reset", "slip_estimator/freeze", "slip_estimator/unfreeze"
@@ -34,16 +31,6 @@ class Sprockets:
     right_speed: float  # rad/s
     positions: tuple[float, float] | None = None  # rad, left and right
 
-    def is_finite(self) -> bool:
-        """Whether every number given is a number, and not beyond reason."""
-        left, right = self.positions or (0.0, 0.0)
-        return (
-            abs(self.left_speed) < _LARGEST
-            and abs(self.right_speed) < _LARGEST
-            and abs(left) < _LARGEST
-            and abs(right) < _LARGEST
-        )
-
 
 @dataclass(frozen=True)
 class YawRate:
@@ -54,16 +41,12 @@ class YawRate:
     rate: float  # rad/s
     variance: float  # (rad/s)²
 
-    def is_finite(self) -> bool:
-        """Whether the rate is a number and its variance a positive one."""
-        return abs(self.rate) < _LARGEST and 0.0 < self.variance < _LARGEST**2
-
 
 @dataclass(frozen=True, eq=False)
 class PoseFix:
     """Pose of a sensor in the site frame; of base_link where the sensor has no offset.
 
-    From the source ``SET_POSE`` it is a user's word: it replaces the estimated pose.
+    From the source ``SET_POSE`` it is a manual pose: it replaces the estimated pose.
     """
 
     source: str
@@ -71,35 +54,15 @@ class PoseFix:
     pose: FloatArray  # (3,) x m, y m, heading rad
     covariance: FloatArray  # (3, 3)
 
-    def is_finite(self, heading: bool = True) -> bool:
-        """Whether it is all numbers, with a positive variance in every direction; with or without heading."""
-        rows = 3 if heading else 2
-        return _is_gaussian(self.pose[:rows], self.covariance[:rows, :rows])
-
 
 @dataclass(frozen=True, eq=False)
 class SlipFix:
-    """Slips of both tracks, known from elsewhere: in straight motion thrust and soil tell them."""
+    """Slips of both tracks, known from elsewhere: in straight motion from thrust and soil."""
 
     source: str
     stamp_ns: int
     slips: FloatArray  # (2,) left, right
     covariance: FloatArray  # (2, 2)
-
-    def is_finite(self) -> bool:
-        """Whether it is all numbers, with a positive variance in every direction."""
-        return _is_gaussian(self.slips, self.covariance)
-
-
-def _is_gaussian(mean: FloatArray, covariance: FloatArray) -> bool:
-    if not ((np.abs(mean) < _LARGEST).all() and (np.abs(covariance) < _LARGEST**2).all()):
-        return False
-    variances = np.diag(covariance)
-    if not (variances > 0.0).all():
-        return False
-    deviations = np.sqrt(variances)
-    correlation = covariance / np.outer(deviations, deviations)
-    return bool(np.linalg.eigvalsh(correlation)[0] > -_ROUNDING)
 
 
 Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix
@@ -132,11 +95,11 @@ class Outcome(IntEnum):
     ACCEPTED = 0
     GATED = 1  # its innovation lies outside the gate
     TOO_LATE = 2  # older than the history, or than the start of the estimate
-    DUPLICATE = 3  # same source and stamp as one taken before
+    DUPLICATE = 3  # same source and stamp as one before
     INVALID = 4  # holds nan or infinity, or a variance that is not positive
     WAITING = 5  # no estimate yet: it starts with the first fix
     AHEAD = 6  # far ahead of the sprockets, or a sprocket sample that the next ones must confirm
-    JUMPED = 7  # taken, but the sprocket positions jump: its measured speeds count
+    JUMPED = 7  # used, but the sprocket positions jump: its measured speeds count
     RESTARTED = 8  # the clock went back: the estimate begins anew with this sample
     FROZEN = 9  # poses are not wanted now
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Standing, straight or turning: told from the sprockets alone, with hysteresis.
+"""Standing, straight or turning: seen from the sprockets alone, with hysteresis.
 
 The thesis' jump hypothesis (3.22) rests on it: slips hold still while both tracks run at similar
 and steady speeds, and move while the speeds differ or change.
@@ -82,9 +82,6 @@ class Speeds(NamedTuple):
     right: float  # rad/s
     interval: float  # s between the two samples; 0 where there was but one
     differenced: bool  # from positions, which were rounded to counts; else measured as speeds
-
-
-STANDSTILL = Speeds(0.0, 0.0, 0.0, differenced=False)
 
 
 class MotionState(NamedTuple):

@@ -45,7 +45,7 @@ class SourceWatch:
             self._innovations[report.source].append(report)
 
     def lost(self, now_ns: int) -> dict[str, float]:
-        """Source → seconds since something was last taken of it, where that is beyond its timeout."""
+        """Source → seconds since something of it was last accepted, where that is beyond its timeout."""
         since = {source: now_ns - self._taken_ns.get(source, now_ns) for source in self._timeouts_ns}
         return {source: ns * 1e-9 for source, ns in since.items() if ns > self._timeouts_ns[source]}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator is told of each source."""
+"""What the parameters state of each source."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -15,10 +15,15 @@ from numpy.typing import NDArray
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
 from trackslip_tools.replay.arrivals import Rows
+from trackslip_tools.replay.growing import GrowingRows
 
 FloatArray = NDArray[np.float64]
 
 _LARGEST = 1e9  # rad, rad/s: beyond it is no measurement
+_SPROCKETED = np.dtype(
+    [("stamp_ns", np.int64), ("speeds", np.float64, (2,)), ("positions", np.float64, (2,))]
+)
+_GYRO = np.dtype([("stamp_ns", np.int64), ("rate", np.float64)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,16 +60,15 @@ class DrivenCollector:
     """What dead reckoning needs of arrivals that come piece by piece; what is not finite is left out."""
 
     def __init__(self) -> None:
-        self._sprockets: list[Rows] = []
-        self._gyro: list[Rows] = []
+        self._sprockets, self._gyro = GrowingRows(_SPROCKETED), GrowingRows(_GYRO)
 
     def add(self, rows: Rows) -> None:
         """More rows of ``ARRIVAL``."""
-        self._sprockets.append(_sprocketed(rows[rows["kind"] == SPROCKETS]))
+        self._sprockets.add(_sprocketed(rows[rows["kind"] == SPROCKETS]))
         of_gyro = rows[rows["kind"] == YAW_RATE]
         rates, variances = of_gyro["value"][:, 0], of_gyro["noise"][:, 0, 0]
         sound = (np.abs(rates) < _LARGEST) & (variances > 0.0) & (variances < _LARGEST**2)
-        self._gyro.append(_records(of_gyro["stamp_ns"][sound], rate=rates[sound]))
+        self._gyro.add(_records(of_gyro["stamp_ns"][sound], rate=rates[sound]))
 
     def sprockets(self) -> Sprocketed | None:
         """None where there are none."""
@@ -99,10 +103,10 @@ def _records(stamps_ns: NDArray[np.int64], **columns: FloatArray) -> Rows:
     return found
 
 
-def _by_stamp(parts: list[Rows]) -> Rows:
-    if not parts:
-        return np.empty(0, [("stamp_ns", np.int64)])
-    rows = np.concatenate(parts)
+def _by_stamp(collected: GrowingRows) -> Rows:
+    rows = collected.rows()
+    if (np.diff(rows["stamp_ns"]) >= 0).all():
+        return rows
     return rows[np.argsort(rows["stamp_ns"], kind="stable")]
 
 

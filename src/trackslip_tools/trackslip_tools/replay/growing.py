@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records that come piece by piece, in one array that grows in place: joining parts takes twice the memory."""
+"""Records that come piece by piece, in an array that grows in place: joining parts takes twice the memory."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Rows = NDArray[np.void]
 
-_FIRST, _GROWTH = 4096, 1.2  # records; share of those there are
+_FIRST, _GROWTH = 4096, 1.1  # records; share of those there are
 
 
 class GrowingRows:

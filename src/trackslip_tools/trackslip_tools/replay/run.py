@@ -27,21 +27,21 @@ from trackslip_tools.replay.dead_reckoning import DrivenCollector, Path, Sprocke
 from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, InputStream, Logged
 from trackslip_tools.replay.scoring import (
+    NeesCollector,
     Score,
     in_order,
-    mean_nees,
     moving_slips,
     path_of,
     score,
     slip_rmse,
 )
-from trackslip_tools.replay.series import Series, SeriesCollector, series_of
+from trackslip_tools.replay.series import Series, SeriesCollector, reduced, series_of
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilReplay, SoilRun
 
 TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
 
-KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "pose_covariance", "slips")], align=True)
+KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)
 
 
 class Part(NamedTuple):
@@ -97,10 +97,9 @@ def replay(
     """
     began = time.monotonic()
     reference = reference or own_reference(bag)
-    scored = frozenset(filter(None, (TRUE_SLIP, TRUE_ODOMETRY, reference)))
     of_both = (ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
-    stream = InputStream(bag, p, filters, scored.union(of_both))
-    collector = _Collector(stream, scored, compares=not filters.changes_inputs)
+    stream = InputStream(bag, p, filters, _scored(reference).union(of_both))
+    collector = _Collector(stream, reference, compares=not filters.changes_inputs)
     soil = (
         SoilRun(bag.start_ns, filters, of_soil)
         if of_soil is not None and HYDRAULICS in stream.topics
@@ -112,7 +111,7 @@ def replay(
             published = part.results["published"]
             soil.add(part.estimates, part.arrivals["log_time_ns"][published], part.tables)
         watch(part)
-    result = collector.result(p, reference)
+    result = collector.result(p)
     result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
     result.elapsed_s = time.monotonic() - began
     return result
@@ -140,8 +139,9 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
 class _Collector:
     """What is kept of the parts."""
 
-    def __init__(self, stream: InputStream, scored: frozenset[str], *, compares: bool) -> None:
-        self._stream, self._scored = stream, scored
+    def __init__(self, stream: InputStream, reference: str | None, *, compares: bool) -> None:
+        self._stream, self._reference, self._nees = stream, reference, NeesCollector()
+        self._scored = _scored(reference)
         self._estimates, self._series = GrowingRows(KEPT), SeriesCollector()
         self._driven, self._rejected = DrivenCollector(), Tally()
         self._comparer, self._compares = LiveComparer(), compares
@@ -158,15 +158,21 @@ class _Collector:
             self._driven.add(part.arrivals)
         for topic in self._scored & part.tables.keys():
             self._series.add(topic, part.tables[topic].rows)
+        if self._reference is not None:
+            logged = part.tables.get(self._reference)
+            self._nees.add(estimates, None if logged is None else reduced(logged.rows))
         if self._compares:
             self._compare(part.tables, estimates)
 
-    def result(self, p: SlipEstimatorParameters, reference: str | None) -> Replay:
+    def result(self, p: SlipEstimatorParameters) -> Replay:
         """When all was added."""
         stream = self._stream
         estimates, series = self._estimates.rows(), self._series.series()
-        found = Replay(stream.duration_s, 0.0, stream.messages, estimates, self._rejected, reference, series)
+        found = Replay(
+            stream.duration_s, 0.0, stream.messages, estimates, self._rejected, self._reference, series
+        )
         _score(found, p, self._driven)
+        found.nees = self._nees.mean()
         if self._compares and stream.messages[ODOMETRY]:
             found.live = self._comparer.result(stream.counts)
         return found
@@ -180,6 +186,10 @@ class _Collector:
         if TRACK_SLIP in self._stream.topics:
             live = tables[TRACK_SLIP].rows if TRACK_SLIP in tables else nothing
             self._comparer.add_slips(live, slip_rows(estimates))
+
+
+def _scored(reference: str | None) -> frozenset[str]:
+    return frozenset(filter(None, (TRUE_SLIP, TRUE_ODOMETRY, reference)))
 
 
 def own_reference(bag: Bag) -> str | None:
@@ -206,8 +216,6 @@ def _score(result: Replay, p: SlipEstimatorParameters, driven: DrivenCollector) 
     result.paths["reference"], result.sprockets = reference, sprockets
     for name in ("dead_reckoning", "encoder_gyro", "filter"):
         result.scores[name] = score(result.paths[name], reference) if name in result.paths else None
-    if len(estimates):
-        result.nees = mean_nees(estimates, reference)
 
 
 def slip_error(series: dict[str, Series], estimates: Rows, tread: float) -> float | None:
@@ -225,4 +233,4 @@ def reference_path(series: Series, from_ns: int) -> Path:
     covered = series.since(from_ns)
     poses = covered.columns("x", "y", "heading")
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return Path(covered.stamps_ns, poses)
+    return Path(covered.stamps_ns.copy(), poses)

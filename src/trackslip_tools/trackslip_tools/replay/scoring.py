@@ -59,6 +59,44 @@ def mean_nees(estimates: Rows, reference: Path) -> float | None:
     return nees(path_of(estimates), estimates["pose_covariance"], reference)
 
 
+class NeesCollector:
+    """Mean NEES of estimates that come piece by piece, against a reference that is never behind them."""
+
+    def __init__(self) -> None:
+        self._last: Rows | None = None  # (1,) estimate
+        self._waiting: list[Rows] = []  # of the reference
+        self._sum, self._count = 0.0, 0
+
+    def add(self, estimates: Rows, reference: Rows | None) -> None:
+        """More of both; rows of the reference have stamp_ns, x, y, heading."""
+        if reference is not None:
+            self._waiting.append(reference)
+        if not len(estimates) or not self._waiting:
+            self._last = estimates[-1:] if len(estimates) else self._last
+            return
+        estimates = in_order(estimates)
+        if self._last is not None and self._last["stamp_ns"][0] < estimates["stamp_ns"][0]:
+            estimates = np.concatenate((self._last, estimates))
+        waiting = np.concatenate([_poses_of(rows) for rows in self._waiting])
+        due = waiting["stamp_ns"] <= estimates["stamp_ns"][-1]
+        self._waiting, self._last = [waiting[~due]], estimates[-1:]
+        poses = np.column_stack([waiting[name][due] for name in ("x", "y", "heading")])
+        path = path_of(estimates)
+        found = nees_of_each(path, estimates["pose_covariance"], Path(waiting["stamp_ns"][due], poses))[0]
+        self._sum, self._count = self._sum + float(found.sum()), self._count + len(found)
+
+    def mean(self) -> float | None:
+        """None where nothing was compared."""
+        return self._sum / self._count if self._count else None
+
+
+def _poses_of(rows: Rows) -> Rows:
+    found = np.empty(len(rows), [(n, rows.dtype[n]) for n in ("stamp_ns", "x", "y", "heading")])
+    for name in found.dtype.names or ():
+        found[name] = rows[name]
+    return found
+
+
 def nees(path: Path, covariances: FloatArray, reference: Path) -> float | None:
     """Mean NEES of a path whose poses have ``covariances`` (n, 3, 3)."""
     found = nees_of_each(path, covariances, reference)[0]
@@ -112,8 +150,12 @@ def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:
 def _errors(path: Path, reference: Path) -> FloatArray:
     """(k, 3) at the samples of the reference that the path covers, heading in (−π, π]."""
     inside = _inside(path, reference)
-    errors = path.at(reference.stamps_ns[inside]) - reference.poses[inside]
-    errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
+    stamps_ns = reference.stamps_ns[inside]
+    errors = np.negative(reference.poses[inside], dtype=np.float64)
+    for first in range(0, len(errors), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        errors[part] += path.at(stamps_ns[part])
+        errors[part, 2] = np.angle(np.exp(1j * errors[part, 2]))
     return errors
 
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a topic holds over time, for scoring: named columns, by stamp."""
 
-from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_fields import headings_of
+from trackslip_tools.replay.growing import GrowingRows
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]
@@ -42,7 +42,7 @@ class Series:
 
     def since(self, start_ns: int) -> "Series":
         """What is not before a stamp."""
-        return Series(self.rows[self.stamps_ns >= start_ns])
+        return Series(self.rows[np.searchsorted(self.stamps_ns, start_ns) :])
 
 
 def series_of(**columns: Any) -> Series:
@@ -54,47 +54,23 @@ def series_of(**columns: Any) -> Series:
     return Series(rows)
 
 
-class RowBuffer:
-    """Rows that come piece by piece, in one array that grows by an eighth: no copy of all at the end."""
-
-    def __init__(self) -> None:
-        self._rows: Rows | None = None
-        self._count = 0
-
-    def add(self, rows: Rows) -> None:
-        """More rows, all of one type."""
-        if self._rows is None:
-            self._rows = np.empty(0, rows.dtype)
-        needed = self._count + len(rows)
-        if needed > len(self._rows):
-            self._rows.resize(max(needed, len(self._rows) * 9 // 8), refcheck=False)
-        self._rows[self._count : needed] = rows
-        self._count = needed
-
-    def rows(self) -> Rows | None:
-        """All of them; None where nothing was added. No more can be added then."""
-        if self._rows is not None:
-            self._rows.resize(self._count, refcheck=False)
-        return self._rows
-
-
 class SeriesCollector:
     """Makes series of tables that come piece by piece; ``detailed`` topics keep their covariances."""
 
     def __init__(self, detailed: frozenset[str] = frozenset()) -> None:
         self._detailed = detailed
-        self._buffers: dict[str, RowBuffer] = defaultdict(RowBuffer)
+        self._parts: dict[str, GrowingRows] = {}
 
     def add(self, topic: str, rows: Rows) -> None:
         """More of a topic: records of a class of ``message_fields``."""
-        self._buffers[topic].add(_reduced(rows, topic in self._detailed))
+        found = reduced(rows, detailed=topic in self._detailed)
+        self._parts.setdefault(topic, GrowingRows(found.dtype)).add(found)
 
     def series(self) -> dict[str, Series]:
         """Each in the order of the stamps; of several rows with the same stamp the last."""
         found = {}
-        for topic, buffer in self._buffers.items():
-            rows = buffer.rows()
-            assert rows is not None
+        for topic in list(self._parts):
+            rows = self._parts.pop(topic).rows()
             stamps_ns = rows["stamp_ns"]
             if (np.diff(stamps_ns) <= 0).any():
                 _, from_the_end = np.unique(stamps_ns[::-1], return_index=True)
@@ -103,7 +79,7 @@ class SeriesCollector:
         return found
 
 
-def _reduced(rows: Rows, detailed: bool) -> Rows:
+def reduced(rows: Rows, *, detailed: bool = False) -> Rows:
     """What scoring needs of them: 8 h of 100 Hz are to fit into memory."""
     names = rows.dtype.names or ()
     if "qx" not in names and "left_slip" not in names:

@@ -22,13 +22,12 @@ from trackslip_estimation.slip.estimator import SlipEstimator, make_estimate
 from trackslip_estimation.slip.log import make_log
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import SPROCKETS
+from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, Inputs, read_inputs
 from trackslip_tools.replay.output import message_of
 from trackslip_tools.replay.run import (
-    KEPT,
     TRUE_ODOMETRY,
     TRUE_SLIP,
     own_reference,
@@ -40,6 +39,7 @@ from trackslip_tools.smoothing.smoothing import Smoothed, smooth
 
 Watch = Callable[[Smoothed], None]
 
+_KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "pose_covariance", "slips")], align=True)
 SMOOTHED = "smoothed/"  # before the names of the topics
 
 
@@ -103,7 +103,7 @@ def smooth_bag(
     reference = reference or own_reference(bag)
     inputs = read_inputs(bag, p, filters, (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ())))
     _require_one_time(bag, inputs, p.history_window)
-    kept = GrowingRows(KEPT), GrowingRows(KEPT)
+    kept = GrowingRows(_KEPT), GrowingRows(_KEPT)
     for block in smoothed_blocks(inputs, p):
         for of, estimates in zip(kept, block, strict=True):
             of.add(estimates)

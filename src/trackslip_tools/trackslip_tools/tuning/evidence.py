@@ -83,8 +83,8 @@ def table(tuning: Tuning) -> str:
     heading += ["position m", "heading rad", "NEES", "ln pose"]
     notes = (
         "ln likelihood: mean of a measurement; ln pose: of a pose of the reference. NIS: mean of a source's "
-        "normalised innovation squared over its degrees of freedom, 1 if honest. NEES: mean of the pose's "
-        "against the reference, 3 if honest."
+        "normalised innovation squared over its degrees of freedom, 1 if consistent. NEES: mean of the pose's "
+        "against the reference, 3 if consistent."
     )
     if tuning.folds:
         notes += " Unseen: with the values found on the other bags alone, whose range the first table gives."

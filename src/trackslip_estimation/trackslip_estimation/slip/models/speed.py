@@ -53,7 +53,6 @@ FloatArray = NDArray[np.float64]
 
 SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
 VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
-TURNING_PAIR = slice(FIRST, SECOND + 1)  # each model's own two numbers of how the vehicle turns
 ACTIVE = 12  # numbers of the state, with those of ``model``
 PARTS = (
     *COMMON,

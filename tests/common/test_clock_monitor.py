@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps that step out of line: one alone is a bad one, many that agree are another time."""
+
+import pytest
+
+from trackslip_common.clock_monitor import ClockMonitor, StampStatus
+
+S = 1_000_000_000
+GAP_NS, CONFIRMATIONS = 5 * S, 4
+HOUR_NS = 3600 * S
+IN_LINE, AHEAD, BEHIND, BACK = StampStatus
+
+
+def statuses(stamps: list[float], oldest: float | None = None) -> list[StampStatus]:
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    return [monitor.sample(round(s * S), None if oldest is None else round(oldest * S)) for s in stamps]
+
+
+def test_one_sample_far_ahead_is_refused_and_the_head_stays() -> None:
+    assert statuses([1.0, 100.0, 1.1, 6.1]) == [IN_LINE, AHEAD, IN_LINE, IN_LINE]
+
+
+def test_samples_ahead_that_agree_are_believed() -> None:
+    found = statuses([1.0, 100.0, 100.1, 100.2, 100.3, 100.4])
+    assert found == [IN_LINE, *[AHEAD] * (CONFIRMATIONS - 1), *[IN_LINE] * 2]
+
+
+@pytest.mark.parametrize("stamps", [[100.0, 300.0, 500.0, 700.0, 900.0], [100.0, 99.9, 99.8, 99.7, 99.6]])
+def test_samples_ahead_that_do_not_agree_are_not(stamps: list[float]) -> None:
+    assert set(statuses([1.0, *stamps])[1:]) == {AHEAD}
+
+
+def test_a_sample_in_line_ends_the_streak() -> None:
+    found = statuses([1.0, 100.0, 100.1, 100.2, 1.1, 100.3])
+    assert found[-2:] == [IN_LINE, AHEAD]
+    found = statuses([9.0, 1.0, 1.1, 1.2, 9.1, 1.3], oldest=7.0)
+    assert found[1:] == [*[BEHIND] * 3, IN_LINE, BEHIND]
+
+
+def test_samples_behind_that_agree_say_that_the_clock_went_back() -> None:
+    assert statuses([9.0, 1.0, 1.1, 1.2, 1.3], oldest=7.0) == [
+        IN_LINE,
+        *[BEHIND] * (CONFIRMATIONS - 1),
+        BACK,
+    ]
+
+
+def late(monitor: ClockMonitor, stamps: list[float], contradicts: bool) -> list[StampStatus]:
+    return [monitor.sample(round(s * S), 0, contradicts=contradicts) for s in stamps]
+
+
+def test_late_samples_that_contradict_say_that_the_clock_went_back() -> None:
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    monitor.sample(9 * S, 0)
+    assert late(monitor, [8.1, 8.2], contradicts=True) == [IN_LINE] * 2
+    assert late(monitor, [8.3, 8.4], contradicts=False) == [IN_LINE] * 2  # by chance: they neither add
+    assert late(monitor, [8.5, 8.6], contradicts=True) == [IN_LINE, BACK]  # nor end the streak
+
+
+def test_late_samples_that_fit_in_say_nothing() -> None:
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    monitor.sample(9 * S, 0)
+    assert set(late(monitor, [7.0 + k / 100.0 for k in range(3 * CONFIRMATIONS)], contradicts=False)) == {
+        IN_LINE
+    }
+
+
+@pytest.mark.parametrize("interruption", [[9.1], [8.0]])
+def test_a_new_head_or_a_step_down_ends_the_late_streak(interruption: list[float]) -> None:
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    monitor.sample(9 * S, 0)
+    streak = late(monitor, [8.1, 8.2, 8.3], contradicts=True)
+    assert set(streak + late(monitor, [*interruption, 8.4, 8.5], contradicts=True)) == {IN_LINE}
+
+
+def test_other_sources_confirm_nothing() -> None:
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    assert monitor.other(HOUR_NS) is IN_LINE  # before there is a clock to hold it against
+    monitor.sample(S)
+    assert {monitor.other(HOUR_NS + k) for k in range(3 * CONFIRMATIONS)} == {AHEAD}
+    assert monitor.other(S + GAP_NS) is IN_LINE
