@@ -3,8 +3,8 @@
 
     s       track error: share of its speed by which each track's ground speed errs     1
     U       s² U/4 is the variance of m_v by it, s² U/B² that of m_ω (``speed``)        (m/s)²
-    E       envelope: the U that the velocity errors hold already, forgotten with τ     (m/s)²
-    T       variance of m_ω, over s², that the tracks have added since the last reading (rad/s)²
+    E       envelope: the U that the velocity errors hold already, forgotten with τ    (m/s)²
+    T       variance of m_ω, over s², by the tracks since the last reading  (rad/s)²
     a, f    factors of the variance that yaw rates and a source's fixes state           1
     ν, S    innovation and its covariance
     w       ln of the weight of a point mass
