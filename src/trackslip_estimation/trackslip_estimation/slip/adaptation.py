@@ -9,11 +9,11 @@
     ν, S    innovation and its covariance
     w       ln of the weight of a point mass
 
-s and a are found together, by point masses over a grid of both: each yaw rate weighs them by its likelihood,
-S being what it would be with them. Readings that follow each other within τ show the same error of the tracks
-and count for less. f is found by point masses of its own, by Student's t, so that an outlier counts little.
-What is used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it is a part of the
-state.
+s and a are found together, by point masses over a grid of both: each yaw rate weighs them by its
+likelihood, S being what it would be with them. Readings that follow each other within τ show the same error
+of the tracks and count for less. f is found by point masses of its own, by Student's t, so that an outlier
+counts little. What is used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it
+is a part of the state.
 
 What an input errs by comes with the input: when U rises above E, the velocity errors have it at once.
 """
@@ -167,7 +167,8 @@ def learn_from_rate(
                 track_variance += mass * n.track_variances[i]
                 rate_factor += mass * n.rate_factors[j]
     a.track_variance, a.rate_factor = track_variance / total, rate_factor / total
-    return innovation * innovation / largest
+    nis: float = innovation * innovation / largest
+    return nis
 
 
 @compiled
