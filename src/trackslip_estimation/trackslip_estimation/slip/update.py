@@ -92,16 +92,16 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
         parts = state.adaptation.exposure * (1.0 + state.mean[GYRO_SCALE]) ** 2, stated
         stands, S = state.motion.motion == _STANDING, np.exp(log_determinant)
         surprise = learn_from_rate(state.adaptation, innovation, S, parts, stands, c)
-    if surprise <= limit:
+    if nis <= limit:
         state.streaks[source].count = 0
-        if nis > limit:
-            R += (nis / limit - 1.0) * np.exp(log_determinant)
-            again = True
     elif other_ground(rate, state.streaks[source], (left, right), c):
         forget_ground(prior_P, c)
         x[:], P[:] = state.mean, prior_P
         nis, log_determinant = correct(YAW_RATE, x, P, (z, R), (left, right), c)
         surprise = nis
+    elif surprise <= limit:
+        R += (nis / limit - 1.0) * np.exp(log_determinant)
+        again = True
     update.nis, update.log_determinant = nis, log_determinant
     if surprise > update.gate or not possible:
         update.outcome = _GATED
