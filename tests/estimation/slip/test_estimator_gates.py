@@ -163,12 +163,11 @@ def test_gyro_readings_that_show_no_one_ground_leave_what_was_learned(
 def test_as_many_gyro_readings_as_must_agree_show_other_ground(
     drive: Callable[..., Any], confirmations: int
 ) -> None:
-    """Those before are refused, the last is believed, and κ is at once that of the new ground."""
+    """Those before weigh little, the last is believed, and κ is at once that of the new ground."""
     found, outcomes = kappas(
         with_rates(on_one_ground(drive).measurements, [0.10] * 20), gate_confirmations=confirmations
     )
     last = confirmations - 1
-    assert outcomes[:last] == [Outcome.GATED] * last
     assert set(outcomes[last:20]) == {Outcome.ACCEPTED}
     assert found[:last] == pytest.approx(KAPPA, abs=0.03)
     assert found[last + 6] == pytest.approx(KAPPA * (RATE + 0.10) / RATE, abs=0.1)

@@ -3,19 +3,19 @@
 
     s       track error: share of its speed by which each track's ground speed errs     1
     U       s² U/4 is the variance of m_v by it, s² U/B² that of m_ω (``speed``)        (m/s)²
-    E       envelope: the U that the velocity errors hold already, forgotten with τ     (m/s)²
-    T       variance of m_ω, over s², that the tracks have added since the last reading (rad/s)²
+    E       envelope: the U that the velocity errors hold already, forgotten with τ    (m/s)²
+    T       variance of m_ω, over s², by the tracks since the last reading  (rad/s)²
     a, f    factors of the variance that yaw rates and a source's fixes state           1
     ν, S    innovation and its covariance
     w       ln of the weight of a point mass
 
-s and a are found together, by point masses over a grid of both: each yaw rate weighs them by its likelihood,
-S being what it would be with them. Readings that follow each other within τ show the same error of the tracks
-and count for less. f is found by point masses of its own, by Student's t, so that an outlier counts little.
-What is used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it is a part of the
-state.
+s and a are found together, by point masses over a grid of both: each yaw rate weighs them by its
+likelihood, S being what it would be with them. Readings that follow each other within τ show the same error
+of the tracks and count for less. f is found by point masses of its own, by Student's t, so that an outlier
+counts little. What is used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it
+is a part of the state.
 
-What an input errs by comes with the input: when U rises above E, the velocity errors have the variance at once.
+What an input errs by comes with the input: when U rises above E, the velocity errors have it at once.
 """
 
 import math
@@ -167,7 +167,8 @@ def learn_from_rate(
                 track_variance += mass * n.track_variances[i]
                 rate_factor += mass * n.rate_factors[j]
     a.track_variance, a.rate_factor = track_variance / total, rate_factor / total
-    return innovation * innovation / largest
+    nis: float = innovation * innovation / largest
+    return nis
 
 
 @compiled

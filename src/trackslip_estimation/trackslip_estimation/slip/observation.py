@@ -85,7 +85,7 @@ def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
     left, right = speeds
     J = twist_jacobian(x, left, right, c)
     if kind == YAW_RATE:
-        H = (1.0 + x[GYRO_SCALE]) * J[2:]
+        H: FloatArray = (1.0 + x[GYRO_SCALE]) * J[2:]
         H[0, GYRO_BIAS], H[0, GYRO_SCALE] = 1.0, twist(x, left, right, c)[2]
         return H
     return slips_jacobian(twist(x, left, right, c), J, left, right, c)[:2].copy()
