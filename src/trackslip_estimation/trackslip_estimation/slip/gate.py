@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which yaw rates and slips are accepted: a χ² gate that widens while source and state disagree; compiled.
+"""Which yaw rates and slips are taken: a χ² gate that widens while source and state disagree; compiled.
 
     ν, S    innovation and its covariance
-    d²      νᵀ S⁻¹ ν, accepted where d² ≤ w g
+    d²      νᵀ S⁻¹ ν, taken where d² ≤ w g
     g       χ² quantile; source and state are consistent where d² ≤ g
     w       1 until they have not been for the source's timeout, then ``relaxation`` per further timeout
 
@@ -15,7 +15,7 @@ what it shows. Poses have a gate of another kind, which never widens (``step.use
 In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
 slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of
 turning and slip counts for no more than at the start. What it would do on no ground, to turn against its
-tracks, is never accepted: a gyro upside down shows that.
+tracks, is never taken: a gyro upside down shows that.
 """
 
 from typing import Any
@@ -36,6 +36,7 @@ FloatArray = NDArray[np.float64]
 _WIDEST = 100.0  # timeouts: beyond, the gate is open to anything finite
 _DOUBT = 4.0  # standard deviations
 _LAG = 0.1  # of the yaw rate without slip, by which the machine may still turn the other way
+_PERSISTS = 0.5  # of its departure that a reading must share with the first of a streak
 _ALIKE = 0.1  # of the yaw rate without slip, by which readings that agree may differ
 
 
@@ -57,16 +58,22 @@ def on_no_ground(rate: float, variance: float, speeds: tuple[float, float], c: A
 
 
 @compiled
-def other_ground(rate: float, streak: Any, speeds: tuple[float, float], c: Any) -> bool:
-    """Whether some ground lets the machine turn so, and enough readings in a row show the same one."""
+def other_ground(rate: float, learned: float, streak: Any, speeds: tuple[float, float], c: Any) -> bool:
+    """Whether some ground lets the machine turn so, and enough readings in a row show the same one.
+
+    ``learned``: its yaw rate by what was learned of turning, rad/s. After the first, a reading counts that
+    agrees with it and departs from what was learned half as far at the least.
+    """
     without_slip = _without_slip(speeds, c)
-    turns = rate * without_slip > 0.0 and abs(rate) < abs(without_slip)
-    if not turns or not has_velocity_errors(c):
+    if not (rate * without_slip > 0.0 and abs(rate) < abs(without_slip)) or not has_velocity_errors(c):
         streak.count = 0
         return False
-    efficiency = rate / without_slip
-    agrees = streak.count > 0 and abs(efficiency - streak.value) <= _ALIKE
-    streak.count, streak.value = streak.count + 1 if agrees else 1, efficiency
+    efficiency, departure = rate / without_slip, (rate - learned) / without_slip
+    alike = streak.count > 0 and abs(efficiency - streak.value) <= _ALIKE
+    if not alike or departure * streak.departure < _PERSISTS * streak.departure**2:
+        streak.count, streak.value, streak.departure = 1, efficiency, departure
+    else:
+        streak.count += 1
     return bool(streak.count >= c.gate_confirmations)
 
 

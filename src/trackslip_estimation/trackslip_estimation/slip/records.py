@@ -47,7 +47,7 @@ SAMPLE = np.dtype(
     align=True,
 )
 
-STREAK = np.dtype([("count", np.int64), ("value", np.float64)], align=True)
+STREAK = np.dtype([("count", np.int64), ("value", np.float64), ("departure", np.float64)], align=True)
 
 ADAPTATION = np.dtype(
     [

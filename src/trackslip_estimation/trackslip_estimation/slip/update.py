@@ -23,7 +23,7 @@ from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, keep_refused, realign
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import YAW_RATE_ERROR
 from trackslip_estimation.slip.motion import Motion
@@ -92,13 +92,17 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
         parts = state.adaptation.exposure * (1.0 + state.mean[GYRO_SCALE]) ** 2, stated
         stands, S = state.motion.motion == _STANDING, np.exp(log_determinant)
         surprise = learn_from_rate(state.adaptation, innovation, S, parts, stands, c)
-    if nis <= limit:
-        state.streaks[source].count = 0
-    elif other_ground(rate, state.streaks[source], (left, right), c):
+    streak, learned = state.streaks[source], twist(state.mean, left, right, c)[2] - _rate_error(state, c)
+    if nis <= limit and streak.count == 0:
+        pass
+    elif other_ground(rate, learned, streak, (left, right), c):
+        streak.count = 0
         forget_ground(prior_P, c)
         x[:], P[:] = state.mean, prior_P
         nis, log_determinant = correct(YAW_RATE, x, P, (z, R), (left, right), c)
         surprise = nis
+    elif nis <= limit:
+        streak.count = 0
     elif surprise <= limit:
         R += (nis / limit - 1.0) * np.exp(log_determinant)
         again = True
@@ -122,6 +126,12 @@ def _width(state: Any, measurement: Any, c: Any) -> float:
     """How far the gate of a yaw rate or of slips has widened."""
     silent_ns = measurement.stamp_ns - state.consistent_ns[measurement.source]
     return width(silent_ns, c.timeouts_ns[measurement.source], c.gate_relaxation)
+
+
+@compiled
+def _rate_error(state: Any, c: Any) -> float:
+    """What the yaw rate is beyond the model's equations, rad/s."""
+    return float(state.mean[YAW_RATE_ERROR]) if has_velocity_errors(c) else 0.0
 
 
 @compiled
