@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The smoother over an emulated drive: better than the filter, most of all in outages; consistent at breaks."""
+"""The smoother over an emulated drive: better than the filter, above all in outages; consistent at breaks."""
 
 import json
 from dataclasses import replace

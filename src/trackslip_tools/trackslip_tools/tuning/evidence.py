@@ -83,7 +83,7 @@ def table(tuning: Tuning) -> str:
     heading += ["position m", "heading rad", "NEES", "ln pose"]
     notes = (
         "ln likelihood: mean of a measurement; ln pose: of a pose of the reference. NIS: mean of a source's "
-        "normalised innovation squared over its degrees of freedom, 1 if consistent. NEES: mean of the pose's "
+        "normalised innovation squared over its degrees of freedom, 1 if consistent; NEES: of the pose's "
         "against the reference, 3 if consistent."
     )
     if tuning.folds:
