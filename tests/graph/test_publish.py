@@ -67,10 +67,10 @@ def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
     assert player.wait() == 0, player.stderr
     published = dict(line.split() for line in player.stdout.splitlines()[1:])
     assert {topic: int(count) for topic, count in published.items()} == sent
-    last = expected.stamp_ns * 1e-9
+    last = expected["stamp_ns"] * 1e-9
     observer.wait(lambda: odometry and seconds(odometry[-1].header.stamp) >= last, "the last estimate")
     live = pose_fix(odometry[-1], "odometry").pose
-    offset = live - expected.pose
+    offset = live - expected["pose"]
     print(f"\nlive - offline: {offset}")
     assert np.abs(offset).max() < TOLERANCE
     times = [seconds(message.clock) for message in clock]

@@ -56,7 +56,7 @@ class SlipEstimatorParameters(ModelParameters):
         ge=0.0,
     )
     pose_timeouts: tuple[float, ...] = parameter(
-        f"with nothing taken for so long it counts as lost and its gate widens; {_EACH}",
+        f"with nothing accepted for so long it counts as lost; {_EACH}",
         unit="s",
         ge=0.01,
         le=3600.0,
@@ -72,7 +72,7 @@ class SlipEstimatorParameters(ModelParameters):
         f"what it shows of 1 rad/s: its scale times the cosine of its tilt; {_EACH}", gt=0.0
     )
     yaw_rate_timeouts: tuple[float, ...] = parameter(
-        f"as pose_timeouts; {_EACH}", unit="s", ge=0.01, le=3600.0, read_only=False
+        f"as pose_timeouts, and its gate widens; {_EACH}", unit="s", ge=0.01, le=3600.0, read_only=False
     )
     yaw_rate_stddev: float = parameter("where an Imu message gives no variance", unit="rad/s", gt=0.0)
     slip_sources: tuple[str, ...] = parameter(
@@ -80,7 +80,7 @@ class SlipEstimatorParameters(ModelParameters):
         "very slips and so feeds back; '' names none"
     )
     slip_timeouts: tuple[float, ...] = parameter(
-        f"as pose_timeouts; {_EACH}", unit="s", ge=0.01, le=86400.0, read_only=False
+        f"as yaw_rate_timeouts; {_EACH}", unit="s", ge=0.01, le=86400.0, read_only=False
     )
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
     start: str = parameter("what the estimate starts from", choices=("first_fix", "initial_pose"))
@@ -110,7 +110,7 @@ class SlipEstimatorParameters(ModelParameters):
         "χ² probability inside which a measurement is taken", gt=0.0, lt=1.0, read_only=False
     )
     gate_relaxation: float = parameter(
-        "factor by which a gate widens with each further timeout of its source",
+        "factor by which the gate of yaw rates or slips widens with each further timeout of its source",
         ge=1.0,
         le=1e3,
         read_only=False,
