@@ -147,7 +147,7 @@ def test_all_that_a_user_asks_is_done_told_and_given_back(programs, observer):
         ).results
         assert found.successful is successful, found.reason
     machine.feed("box_pose", pose(1410))
-    assert machine.reports[-1].gate < 3.0
+    assert machine.reports[-1].gate < 12.0  # four times the quantile
 
     assert machine.ask(Trigger, "reset", Trigger.Request()).success
     assert machine.feed("sprockets", sprockets(1420)) == R.WAITING

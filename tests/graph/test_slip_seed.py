@@ -41,7 +41,7 @@ def seed(at_ms, slip):
 def test_the_node_takes_seeds_and_reports_on_them(programs, observer):
     topics = {topic: observer.publisher(topic) for topic in ("sprockets", "box_pose", "slip_seed")}
     reports, slips = observer.subscribe("measurement_reports"), observer.subscribe("track_slip")
-    programs.node("slip_estimator", slip_sources=["slip_seed"])
+    programs.node("slip_estimator", slip_sources=["slip_seed"], model="free_slips")  # slips are its states
     for topic in (*topics, "measurement_reports", "track_slip"):
         observer.wait_for_ends(topic, "slip_estimator")
     observer.wait(lambda: observer.state("slip_estimator") == "active", "the node to be active")
