@@ -38,7 +38,7 @@ def _claim(output: Path) -> AbstractContextManager[None]:
     except BlockingIOError:
         os.close(lock)
         raise InputError(
-            f"--output: another demo is writing to '{output}'; accepted: another directory, or wait for its end"
+            f"--output: another demo is writing to '{output}'; accepted: another directory"
         ) from None
     for pattern in _MADE:
         for path in output.glob(pattern):
