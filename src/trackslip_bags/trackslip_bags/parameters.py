@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from trackslip_bags.old_parameters import current_names
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
@@ -25,8 +26,13 @@ def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
     Raises:
         InputError: what is on the topic is no parameter file.
     """
+    return current_names(stated_parameters(bag, node))
+
+
+def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
+    """The same by the names that they had when it was recorded."""
     for message in bag.messages([f"{node}/parameters"]):
-        return read_parameters(bag, bag.deserialize(message.raw, message.type_name), node)
+        return _read(bag, bag.deserialize(message.raw, message.type_name), node)
     return {}
 
 
@@ -36,6 +42,10 @@ def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]
     Raises:
         InputError: it is no parameter file.
     """
+    return current_names(_read(bag, content, node))
+
+
+def _read(bag: Bag, content: Any, node: str) -> dict[str, Any]:
     try:
         return flatten(yaml.safe_load(content.data)[node]["ros__parameters"])
     except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
