@@ -6,12 +6,11 @@ A bag then replays with the vehicle it was recorded on, wherever its files have 
 
 from typing import Any
 
-import yaml
-
 from trackslip_bags.old_parameters import current_names
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
+from trackslip_common.yaml_text import parse_yaml
 
 PARAMETERS_TOPIC = "slip_estimator/parameters"
 PARAMETERS_TYPE = "std_msgs/msg/String"
@@ -47,6 +46,6 @@ def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]
 
 def _read(bag: Bag, content: Any, node: str) -> dict[str, Any]:
     try:
-        return flatten(yaml.safe_load(content.data)[node]["ros__parameters"])
-    except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        return flatten(parse_yaml(content.data, f"{node}/parameters")[node]["ros__parameters"])
+    except (InputError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"bag '{bag.path}': {node}/parameters holds no parameters of {node}") from error

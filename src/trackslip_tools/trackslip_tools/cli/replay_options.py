@@ -11,16 +11,11 @@ from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, 
 from trackslip_bags.old_parameters import current_names
 from trackslip_bags.parameters import stated_parameters
 from trackslip_bags.reader import Bag, require_topics
-from trackslip_common.config_files import (
-    config_file,
-    node_defaults,
-    node_parameters,
-    parse_yaml,
-    read_yaml,
-)
+from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, known_names, to_flat
 from trackslip_common.topics import TOPICS
+from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
