@@ -135,8 +135,8 @@ def flat_fields(of: type[Parameters] | Parameters, prefix: str = "") -> Iterator
 
     Of a class the same, but for the groups that its values name.
     """
-    record = None if isinstance(of, type) else of
-    for name, kind, spec in own_fields(type(of) if record is not None else of):
+    record, cls = (None, of) if isinstance(of, type) else (of, type(of))
+    for name, kind, spec in own_fields(cls):
         value = getattr(record, name, None)
         if spec is not None:
             yield prefix + name, kind, spec
