@@ -104,7 +104,8 @@ class BoxSearch:
         fits = self._fitted(beams, expected)
         best = min(fits, key=lambda fit: fit.chi2)
         through = seen_through(best.pose, self.box, ranges, angles, 3.0 * self.range_stddev)
-        if not self._is_explained(best, self._parameters.fit_probability) or through > SEEN_THROUGH * len(beams.ranges):
+        is_explained = self._is_explained(best, self._parameters.fit_probability)
+        if not is_explained or through > SEEN_THROUGH * len(beams.ranges):
             return Reason.SHAPE
         if self.background.holds(ranges, beams, 3.0 * np.sqrt(2.0) * self.range_stddev):
             return Reason.BACKGROUND
@@ -133,7 +134,7 @@ class BoxSearch:
         return [first, self.settled(heading + QUARTER_TURN, beams)]
 
     def settled(self, middle: float, beams: Beams) -> Optimum:
-        """The fit within an eighth of a turn of ``middle``; the best from all starts where the first is poor."""
+        """The fit within an eighth of a turn of ``middle``; from all starts the best, if the first is poor."""
         starts = likely_starts(middle + QUARTER, self.box, beams, self.range_stddev)
         stuck = [most_likely(starts[0], self.box, beams, self.range_stddev, steps=0)]
         for start in starts:

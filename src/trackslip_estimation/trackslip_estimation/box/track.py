@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 INITIAL_YAW_STDDEV = np.pi / 16.0  # rad: the initial heading is given to within π/4
 SPREADS = 3.0  # standard deviations of the heading in its reach
-SURPRISE = 1.5  # standard deviations between prediction and fix
+SURPRISE = 1.8  # standard deviations between prediction and fix
 _NS = 1e-9  # s
 
 
