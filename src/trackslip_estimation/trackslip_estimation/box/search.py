@@ -134,7 +134,7 @@ class BoxSearch:
         return [first, self.settled(heading + QUARTER_TURN, beams)]
 
     def settled(self, middle: float, beams: Beams) -> Optimum:
-        """The fit within an eighth of a turn of ``middle``; from all starts the best, if the first is poor."""
+        """The fit within an eighth of a turn of ``middle``; the best of all starts, if the first is poor."""
         starts = likely_starts(middle + QUARTER, self.box, beams, self.range_stddev)
         stuck = [most_likely(starts[0], self.box, beams, self.range_stddev, steps=0)]
         for start in starts:
