@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 FloatArray = NDArray[np.float64]
 
@@ -78,8 +77,8 @@ def prior(turned: FloatArray, variance: FloatArray, weights: FloatArray) -> Floa
     """
     away = turned - _TURNS[:, np.newaxis] + _WRAPS
     log_weights = np.log(np.maximum(weights, 1e-300))[:, np.newaxis]
-    logs = logsumexp(log_weights - 0.5 * (away**2 / variance + np.log(variance)), axis=(0, 1))
-    return np.asarray(np.exp(logs - logsumexp(logs)))
+    joint = _normalised(log_weights - 0.5 * (away**2 / variance + np.log(variance)))
+    return np.asarray(joint.sum(axis=(0, 1)))
 
 
 def sides_are_known(turned: float, variance: float, weights: FloatArray) -> bool:
@@ -91,7 +90,13 @@ def sides_are_known(turned: float, variance: float, weights: FloatArray) -> bool
 def with_evidence(weights: FloatArray, log_odds: float) -> FloatArray:
     """Probabilities (4,) with the log odds of the second and fourth against the others."""
     logs = np.log(np.maximum(weights, 1e-300)) + np.array((0.0, log_odds, 0.0, log_odds))
-    return np.asarray(np.exp(logs - logsumexp(logs)))
+    return _normalised(logs)
+
+
+def _normalised(logs: FloatArray) -> FloatArray:
+    """Probabilities from their logarithms, known up to a constant."""
+    likelihoods = np.exp(logs - logs.max())
+    return np.asarray(likelihoods / likelihoods.sum())
 
 
 @dataclass(frozen=True, eq=False)
