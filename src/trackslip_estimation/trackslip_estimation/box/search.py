@@ -136,13 +136,15 @@ class BoxSearch:
     def settled(self, middle: float, beams: Beams) -> Optimum:
         """The fit within an eighth of a turn of ``middle``; the best of all starts, if the first is poor."""
         starts = likely_starts(middle + QUARTER, self.box, beams, self.range_stddev)
-        stuck = [most_likely(starts[0], self.box, beams, self.range_stddev, steps=0)]
+        stuck: list[Optimum] = []
         for start in starts:
             optimum = most_likely(start, self.box, beams, self.range_stddev)
             if abs(optimum.pose[2] - middle) <= 0.5 * QUARTER_TURN:
                 if self._is_explained(optimum, GOOD_FIT):
                     return optimum
                 stuck.append(optimum)
+        if not stuck:  # each has left for another view of the box
+            return most_likely(starts[0], self.box, beams, self.range_stddev, steps=0)
         return min(stuck, key=lambda optimum: optimum.chi2)
 
     @staticmethod
