@@ -99,7 +99,7 @@ class HostTime:
         return jumped
 
     def steady(self, host_ns: int, now_ns: int) -> int:
-        """Steady time of an arrival that was stamped by the host's clock shortly before ``now_ns``, steady."""
+        """Steady time of an arrival, stamped by the host's clock shortly before ``now_ns`` (steady)."""
         steady_ns = min(host_ns - self.offset_ns, now_ns)
         return steady_ns if now_ns - steady_ns < _OLDEST_NS else now_ns
 

@@ -59,7 +59,7 @@ def run(
 ) -> int:
     """Spin the node until SIGINT or SIGTERM; returns the exit code.
 
-    ``interrupted`` is that of SIGINT: a node's regular end, but not that of one which had something to finish.
+    ``interrupted`` is that of SIGINT: a node's regular end, unless it had something to finish.
     ``niceness`` is for a node that nobody steers by: where cores are few it lets the others go first.
     """
     os.nice(niceness)  # before the middleware starts its threads, which inherit it

@@ -66,6 +66,7 @@ class BoxLocalizer:
 
     def locate(self, scan: Scan) -> BoxFix | Rejection:
         """The fix that one scan gives, or why it gives none."""
+        scan = scan.counter_clockwise()
         refused = self._check_stamp(scan.stamp_ns) if scan.is_usable() else Reason.MALFORMED
         found = refused or self._find(scan)
         if isinstance(found, Reason):
