@@ -23,8 +23,11 @@ _BURST = 0.7  # of a cycle: frames closer than that are caught up with
 _PAUSE = 2.5  # cycles: a longer one may end in a burst, of a sender that does not count
 _PROMPT = 0.5  # of a cycle: frames off by more say nothing of the cycle
 _FEW = 8  # intervals that show a cycle
+_LONGEST = 4  # cycles of an interval that counts
+_LATE = 2.0  # cycles that one frame may be late, and no cycle is another for it
 _MANY = 10_000  # cycles over which it is averaged
 _LASTING_NS = 1_000_000_000  # frames that come otherwise for so long have another cycle
+_ROUGHLY = 0.25  # so near that of the DBC one interval must be to confirm it
 _AS_STATED = 0.02  # a measured cycle so near that of the DBC is that of the DBC
 _PATIENCE = 200  # frames
 _TOLERANCE, _ROUGH_TOLERANCE = 1e-3, 2e-2  # of a cycle stated (two crystals, ours may be slewed), or measured
@@ -73,17 +76,16 @@ class CycleMeter:
         self.is_nominal = False
 
     def add(self, interval_ns: int, cycles: int) -> None:
-        """An interval of some cycles."""
-        if interval_ns < 0 or cycles < 1:
+        """An interval of some cycles; one with more than a few lost shows nothing."""
+        if interval_ns < 0 or not 1 <= cycles <= _LONGEST:
             return
         each = interval_ns / cycles
-        if len(self._first) < 2 * _FEW:
+        if self.cycle_ns is None:
             self._first.append(each)
-            self._decide(statistics.median(self._first), 0.25, len(self._first))
-            if self.cycle_ns is None or len(self._first) < 2 * _FEW:
-                return
-            self._time_ns, self._cycles = self.cycle_ns * _FEW, float(_FEW)
-        assert self.cycle_ns is not None
+            self._decide(statistics.median(self._first), _ROUGHLY, len(self._first))
+            if self.cycle_ns is not None:
+                self._time_ns, self._cycles = self.cycle_ns * _FEW, float(_FEW)
+            return
         if abs(each / self.cycle_ns - 1.0) > _PROMPT:
             self._doubt(interval_ns)
             return
@@ -91,7 +93,7 @@ class CycleMeter:
         if self._cycles > _MANY:
             self._time_ns, self._cycles = self._time_ns / 2.0, self._cycles / 2.0
         self._time_ns, self._cycles = self._time_ns + interval_ns, self._cycles + cycles
-        self._decide(self._time_ns / self._cycles, _AS_STATED + 0.5 / self._cycles, 2 * _FEW)
+        self._decide(self._time_ns / self._cycles, _AS_STATED + _LATE / self._cycles, _FEW)
 
     def _decide(self, measured_ns: float, tolerance: float, count: int) -> None:
         self.is_nominal = abs(measured_ns - self._nominal_ns) <= tolerance * self._nominal_ns
