@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trackslip_common.config_files import parse_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.vehicle import Vehicle
+from trackslip_common.yaml_text import parse_yaml
 
 NODE = "can_driver"
 DEFAULT_FILES = ("pc05.yaml", "can_driver.yaml")
