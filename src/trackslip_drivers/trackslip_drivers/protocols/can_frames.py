@@ -19,7 +19,7 @@ from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Vehicle
-from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers.can_parameters import NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_binding import Binder
 from trackslip_drivers.protocols.can_codec import CHECKSUMS, Codec, Protection, Value
 from trackslip_drivers.protocols.can_roles import read_roles
@@ -118,7 +118,14 @@ def load_frames(p: CanDriverParameters) -> FrameSet:
     Raises:
         InputError: as ``FrameSet``.
     """
-    return FrameSet(config_file(p.dbc_file), config_file(p.roles_file), p.vehicle)
+    return FrameSet(_file("dbc_file", p.dbc_file), _file("roles_file", p.roles_file), p.vehicle)
+
+
+def _file(parameter: str, name: str) -> Path:
+    try:
+        return config_file(name)
+    except InputError as error:
+        raise InputError(f"{NODE}: {parameter}: {error}") from error
 
 
 class FrameDecoder:
