@@ -50,7 +50,9 @@ def imu(stamp_ns: int) -> ImuSample:
 def main(directory: Path, can_port: int) -> None:
     """Emulate."""
     now_ns = time.time_ns()
-    can = from_flat(CanDriverParameters, node_defaults(can_parameters.NODE, *can_parameters.DEFAULT_FILES), "can_driver")
+    can = from_flat(
+        CanDriverParameters, node_defaults(can_parameters.NODE, *can_parameters.DEFAULT_FILES), "can_driver"
+    )
     machine = CanDevice(load_frames(can), sprockets, hydraulics, now_ns)
     line = node_defaults("emulator", "emulator.yaml")
     bus = CanBus(line["can_interface"], line["can_channel"], {"port": can_port})

@@ -47,7 +47,9 @@ def can_frames() -> Target:
                     assert math.isfinite(sample.right_velocity), sample
         heard = [decoder.decode(*frame, now_ns + n * CYCLE_NS) for n, frame in enumerate(good, 1)]
         assert not any(isinstance(one, Rejection) for one in heard), heard
-        assert heard[2], "third frame held back"  # the second may be, where a silence hides a turn of the counter
+        assert heard[2], (
+            "third frame held back"
+        )  # the second may be, where a silence hides a turn of the counter
 
     alive = [frames.encode(ENCODERS, {"left_count": 9 * n, "right_count": 9 * n}, n)[1] for n in range(4)]
     spools = frames.encode(SPOOLS, {"left_spool": 0.5, "right_spool": -0.5}, 3)[1]

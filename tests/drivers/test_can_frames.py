@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from cantools.database.errors import EncodeError
 from crccheck.crc import Crc8SaeJ1850, Crc12Gsm
-
 from fixtures.excavator_bus import CYCLE_NS, FRAMES, PARAMETERS
+
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
@@ -104,7 +104,10 @@ def test_damage_is_rejected_and_commits_nothing(decoder, tally, frames):
 
 def test_raw_value_outside_the_contract(decoder, tally):
     frame_id, payload = 0x0CFF1280, bytes.fromhex("00 80 00 00 00 00 00 00")  # -32768 kPa: "not available"
-    assert decoder.decode(frame_id, FRAMES.codecs[PRESSURES].sealed(frame_id, payload), 0) is Rejection.OUT_OF_RANGE
+    assert (
+        decoder.decode(frame_id, FRAMES.codecs[PRESSURES].sealed(frame_id, payload), 0)
+        is Rejection.OUT_OF_RANGE
+    )
     assert tally.total[PRESSURES, "out of range"] == 1
 
 
@@ -199,14 +202,26 @@ def test_pressures_without_recent_spools(excavator, frames, tally):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("SG_ left_count", "SG_ port_count", "signal 'encoders.left_count' is missing in .*; accepted: FRAME.SIGNAL"),
+        (
+            "SG_ left_count",
+            "SG_ port_count",
+            "signal 'encoders.left_count' is missing in .*; accepted: FRAME.SIGNAL",
+        ),
         ('] "count"', "]", "not a usable DBC"),
         ("right_count : 16|12", "right_count : 4|12", "not a usable DBC"),
         (" pressures: 8", " pressure: 8", "signal 'pressures.left_pressure' is missing"),
-        ("SG_ alive_counter", "SG_ counter", "counter: signal 'alive_counter' is missing; accepted: left_count"),
+        (
+            "SG_ alive_counter",
+            "SG_ counter",
+            "counter: signal 'alive_counter' is missing; accepted: left_count",
+        ),
         ("alive_counter : 48|4@1+", "alive_counter : 48|4@1-", "'alive_counter' is no unsigned whole number"),
         ("checksum : 52|12", "checksum : 56|8", "'checksum' has 8 bits; accepted: 12"),
-        ('"Pa"', '"Torr"', "role 'left_pressure': .* unit 'Torr' of the DBC is unknown; accepted: unit: one of Pa,"),
+        (
+            '"Pa"',
+            '"Torr"',
+            "role 'left_pressure': .* unit 'Torr' of the DBC is unknown; accepted: unit: one of Pa,",
+        ),
         ('"Pa"', '""', "role 'left_pressure': .* the DBC has no unit; accepted: unit: one of Pa,"),
         ('"Pa"', '"rpm"', "'rpm' is a unit of angular speed; accepted: Pa, hPa"),
     ],
@@ -269,7 +284,11 @@ def test_a_floating_point_signal_is_read(tmp_path, tally):
         text = text.replace(old, new)
     (tmp_path / "bus.dbc").write_text(text + "\nSIG_VALTYPE_ 2365526656 supply_pressure : 1;\n")
     frames = frame_set(tmp_path / "bus.dbc")
-    for raw, outcome in ((12.345e6, None), (math.nan, Rejection.OUT_OF_RANGE), (-1.0, Rejection.OUT_OF_RANGE)):
+    for raw, outcome in (
+        (12.345e6, None),
+        (math.nan, Rejection.OUT_OF_RANGE),
+        (-1.0, Rejection.OUT_OF_RANGE),
+    ):
         message = frames.by_name[PRESSURES]
         values = {"left_pressure": 0, "right_pressure": 0, "alive_counter": 0, "checksum": 0}
         payload = message.encode({**values, "supply_pressure": raw}, strict=False)

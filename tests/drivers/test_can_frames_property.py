@@ -2,10 +2,10 @@
 """CAN frames: round trips within the resolution, and nothing that arrives breaks the decoder."""
 
 import pytest
+from fixtures.excavator_bus import FRAMES, PARAMETERS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fixtures.excavator_bus import FRAMES, PARAMETERS
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.can_frames import FrameDecoder
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bus that falls silent and comes back: what the sprockets turned meanwhile is neither invented nor lost."""
+"""A bus that falls silent and comes back: what turned meanwhile is neither invented nor lost."""
 
 import itertools
 import math
 
 import numpy as np
 import pytest
-
 from fixtures.excavator_bus import CYCLE_NS, FRAMES, PARAMETERS
+
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.records import HydraulicsSample, SprocketSample
@@ -71,7 +71,9 @@ def heading(samples):
 
 
 @pytest.mark.parametrize("silence_s", [0.05, 0.2, 0.3, 0.4, 0.45])
-@pytest.mark.parametrize("how", [{}, {"reopened": False}, {"restarted": True}], ids=["reopened", "silent", "reset"])
+@pytest.mark.parametrize(
+    "how", [{}, {"reopened": False}, {"restarted": True}], ids=["reopened", "silent", "reset"]
+)
 def test_a_bus_off_of_300_ms_costs_no_heading(silence_s, how):
     """It cost 13° of a drive of 3 s, as the positions began anew."""
     whole, broken = received(0.0), received(silence_s, **how)
@@ -89,7 +91,9 @@ def test_a_long_silence_has_no_position_rather_than_a_wrong_one():
     for a, b in itertools.pairwise(known):
         if a.stamp_ns < before.stamp_ns < b.stamp_ns:
             continue  # nobody takes these two together: the one between has none
-        assert b.left_position - a.left_position == pytest.approx(2.4 * (b.stamp_ns - a.stamp_ns) * 1e-9, abs=0.04)
+        assert b.left_position - a.left_position == pytest.approx(
+            2.4 * (b.stamp_ns - a.stamp_ns) * 1e-9, abs=0.04
+        )
     assert whole[-1].left_position != pytest.approx(broken[-1].left_position, abs=1.0)
 
 
@@ -97,6 +101,6 @@ def test_the_estimator_copes_with_a_sample_without_positions():
     whole = received(0.0)
     at = next(k for k, s in enumerate(whole) if s.stamp_ns >= 2.8 * S)
     offset = 0.7  # the count goes on from elsewhere
-    gap = whole[: at - 30] + [whole[at]._replace(left_position=math.nan, right_position=math.nan)]
+    gap = [*whole[: at - 30], whole[at]._replace(left_position=math.nan, right_position=math.nan)]
     after = [s._replace(left_position=s.left_position + offset) for s in whole[at + 1 :]]
     assert heading(gap + after) == pytest.approx(heading(whole), abs=0.3)

@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
-
 from fixtures.excavator_bus import CYCLE_NS, FRAMES
+
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally

@@ -6,8 +6,8 @@ from collections import Counter
 
 import numpy as np
 import pytest
-
 from fixtures.excavator_bus import FRAMES, PARAMETERS
+
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from fixtures.excavator_bus import FRAMES
+
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
 from trackslip_drivers.protocols.watson import BITS_PER_CHAR, Layout

@@ -4,8 +4,8 @@
 import math
 
 import pytest
-
 from fixtures.excavator_bus import FRAMES, PARAMETERS
+
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan

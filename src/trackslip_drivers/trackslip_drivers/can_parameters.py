@@ -15,7 +15,18 @@ DEFAULT_FILES = ("pc05.yaml", "can_driver.yaml")
 
 _OVER_NETWORK = ("udp_multicast", "socketcand")  # python-can's interfaces with a port
 _INTERFACES = (
-    *("socketcan", "udp_multicast", "virtual", "slcan", "socketcand", "pcan", "kvaser", "vector", "ixxat", "serial"),
+    *(
+        "socketcan",
+        "udp_multicast",
+        "virtual",
+        "slcan",
+        "socketcand",
+        "pcan",
+        "kvaser",
+        "vector",
+        "ixxat",
+        "serial",
+    ),
     *("gs_usb", "cantact", "canalystii", "etas", "iscan", "neousys", "neovi", "nican", "nixnet", "robotell"),
     *("seeedstudio", "systec", "usb2can"),
 )
@@ -55,6 +66,8 @@ class CanDriverParameters(Parameters):
         for text in filter(None, self.can_options):
             name, equals, value = text.partition("=")
             if not equals or not name.isidentifier():
-                raise InputError(f"{NODE}: can_options: '{text}'; accepted: NAME=VALUE, as python-can names it")
+                raise InputError(
+                    f"{NODE}: can_options: '{text}'; accepted: NAME=VALUE, as python-can names it"
+                )
             options[name] = parse_yaml(value, f"{NODE}: can_options: {name}")
         return options

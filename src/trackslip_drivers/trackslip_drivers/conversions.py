@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header, set_stamp
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
-from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample, SwingSample, Vector
+from trackslip_drivers.records import (
+    HydraulicsSample,
+    ImuSample,
+    ScanSample,
+    SprocketSample,
+    SwingSample,
+    Vector,
+)
 
 _ABSENT = -1.0  # first element of the covariance of what is not measured (REP-145)
 
@@ -35,7 +42,7 @@ def blank_joint_state(make: Make, frame_id: str) -> Any:
 
 
 def fill_joint_state(message: Any, sample: SprocketSample) -> Any:
-    """The message with another sample in it; a position that is not known reads nan, as ros2_control has it."""
+    """The message with another sample in it; a position that is unknown reads nan, as in ros2_control."""
     set_stamp(message, sample.stamp_ns)
     message.position[0], message.position[1] = sample.left_position, sample.right_position
     message.velocity[0], message.velocity[1] = sample.left_velocity, sample.right_velocity

@@ -2,7 +2,6 @@
 """``can_driver``: sprockets, hydraulics and swing from the CAN bus, as the roles file says."""
 
 import sys
-
 from typing import Any
 
 from trackslip_common.nodes.health import Health
@@ -64,10 +63,11 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
             self._bus_state = bus_state(*data) or self._bus_state
         elif self._bus_state is BusState.OFF:
             self._bus_state = BusState.ACTIVE  # it was restarted, without an error frame
+        sample: Any
         for sample in self._can.receive(*data, self.arrived(arrival_ns)):
             publisher, message, fill = self._outputs[type(sample)]
             publisher.publish(fill(message, self.stamped(sample)))
-            if type(sample) is self._can.kinds[0]:
+            if type(sample) is self._can.main_kind:
                 self.count()
 
     def health(self) -> list[Health]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roles bound to the signals of a DBC: what each is in SI, and how a position goes round.
 
-    ω = 2π η_V Q/(V_m n_g)      sprocket of a motor that takes the flow Q
-    ω = v/r                     sprocket of a track that runs at v
+ω = 2π η_V Q/(V_m n_g)      sprocket of a motor that takes the flow Q
+ω = v/r                     sprocket of a track that runs at v
 """
 
 import math
@@ -87,7 +87,7 @@ class Binder:
         """
         scaled: dict[str, tuple[Scaled, ...]] = {}
         turned: dict[str, Turned] = {}
-        users: dict[tuple[str, str], list[tuple[int, str]]] = {}
+        users: list[tuple[Place, str]] = []
         for name, role in roles.items():
             if Quantity.COUNT in ROLES[name]:
                 turned[name] = self._turned(name, role)
@@ -96,16 +96,20 @@ class Binder:
                 signals = ((role.signal, 1.0), (role.minus, -1.0)) if role.minus else ((role.signal, 1.0),)
                 scaled[name] = tuple(self._scaled(name, role, *signal) for signal in signals)
                 places = [part.place for part in scaled[name]]
-            for frame, signal, source in places:
-                for other_source, other in users.setdefault((frame, signal), []):
-                    if -1 in (source, other_source) or source == other_source:
-                        roles_text = f"roles '{other}' and '{name}'" if other != name else f"role '{name}'"
-                        raise InputError(
-                            f"roles_file {self._roles}: {roles_text}: signal '{frame}.{signal}' is used twice; "
-                            "accepted: a signal for each"
-                        )
-                users[frame, signal].append((source, name))
+            for place in places:
+                self._claim(place, name, users)
+                users.append((place, name))
         return Bindings(scaled, turned)
+
+    def _claim(self, place: Place, name: str, users: list[tuple[Place, str]]) -> None:
+        """Raise ``InputError`` where a signal has a role already."""
+        for other, user in users:
+            is_apart = -1 not in (other.source, place.source) and other.source != place.source
+            if other[:2] != place[:2] or is_apart:
+                continue
+            roles = f"role '{name}'" if user == name else f"roles '{user}' and '{name}'"
+            signal = f"signal '{place.frame}.{place.signal}' is used twice"
+            raise InputError(f"roles_file {self._roles}: {roles}: {signal}; accepted: a signal for each")
 
     def _scaled(self, name: str, role: Role, reference: str, share: float) -> Scaled:
         where, message, signal = self._find(name, reference)
@@ -125,7 +129,9 @@ class Binder:
         rad = unit.factor
         if unit.quantity is Quantity.COUNT:
             if not role.counts_per_turn:
-                raise InputError(f"{where}: counts_per_turn is missing; accepted: counts of the sensor in one turn")
+                raise InputError(
+                    f"{where}: counts_per_turn is missing; accepted: counts of the sensor in one turn"
+                )
             rad = _TURN / role.counts_per_turn
         elif role.counts_per_turn:
             raise InputError(f"{where}: counts_per_turn is for counts; accepted: none, as it is an angle")
@@ -168,13 +174,17 @@ class Binder:
         if role.unit and stated is None:
             raise InputError(f"{where}: unit: '{role.unit}' is unknown; accepted: {wanted}")
         if found and stated and found != stated:
-            raise InputError(f"{where}: unit: '{role.unit}', but the DBC has '{text}'; accepted: one unit, there or here")
+            raise InputError(
+                f"{where}: unit: '{role.unit}', but the DBC has '{text}'; accepted: one unit, there or here"
+            )
         unit = found or stated
         if unit is None:
             what = f"unit '{text}' of the DBC is unknown" if text else "the DBC has no unit"
             raise InputError(f"{where}: {what}; accepted: unit: one of {wanted}")
         if unit.quantity not in ROLES[name]:
-            raise InputError(f"{where}: '{text or role.unit}' is a unit of {unit.quantity.value}; accepted: {wanted}")
+            raise InputError(
+                f"{where}: '{text or role.unit}' is a unit of {unit.quantity.value}; accepted: {wanted}"
+            )
         return unit
 
 

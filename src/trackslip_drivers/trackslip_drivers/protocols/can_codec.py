@@ -43,7 +43,9 @@ class Field(NamedTuple):
         if self.reserved and raw >= self.reserved:
             return math.nan
         if self.floating:
-            number: float = struct.unpack("<" + self.floating, struct.pack("<" + _SAME[self.floating], raw))[0]
+            number: float = struct.unpack("<" + self.floating, struct.pack("<" + _SAME[self.floating], raw))[
+                0
+            ]
             return number * self.scale + self.offset if math.isfinite(number) else math.nan
         return float((raw - 2 * (raw & self.sign)) * self.scale + self.offset)
 
@@ -135,7 +137,9 @@ class Codec:
         if self._checksum is not None:
             self._compute = CHECKSUMS[protection.checksum_type][1]
             self._cleared = (1 << 8 * self.length) - 1 & ~self._checksum.bits(self.length)
-            self._covered = [k for k, byte in enumerate(self._cleared.to_bytes(self.length, "little")) if byte]
+            self._covered = [
+                k for k, byte in enumerate(self._cleared.to_bytes(self.length, "little")) if byte
+            ]
 
     def checks(self, frame_id: int, data: bytes) -> bool:
         """Whether the checksum is right; true where there is none."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames of a DBC that have a role: decode whole, check, place in time, then commit; and the encode half.
 
-The DBC has ids, lengths, scaling, ranges and units. What it cannot express is in the roles file: what a signal
-is for, and which signals are a counter and a checksum. A frame is known by its id; one of J1939 by its parameter
-group, whatever its priority and source address.
+The DBC has ids, lengths, scaling, ranges and units. What it cannot express is in the roles file: what a
+signal is for, and which signals are a counter and a checksum. A frame is known by its id; one of J1939 by its
+parameter group, whatever its priority and source address.
 """
 
 from collections.abc import Mapping
@@ -58,7 +58,7 @@ class FrameSet:
     """The frames as the DBC describes them, with the roles of their signals.
 
     Raises:
-        InputError: a file cannot be read or is none of its kind; a frame or signal is missing; a unit is wrong.
+        InputError: a file cannot be read or is none of its kind; a signal is missing; a unit is wrong.
     """
 
     def __init__(self, dbc: Path, roles: Path, vehicle: Vehicle) -> None:
@@ -74,7 +74,9 @@ class FrameSet:
         names = {place.frame for place in self.bindings.places()}
         self.by_name = {message.name: message for message in database.messages if message.name in names}
         for name in given.protections.keys() - names:
-            raise InputError(f"roles_file {roles}: frame '{name}' has no role; accepted: {', '.join(sorted(names))}")
+            raise InputError(
+                f"roles_file {roles}: frame '{name}' has no role; accepted: {', '.join(sorted(names))}"
+            )
         self.codecs: dict[str, Codec] = {}
         for name, message in self.by_name.items():
             protection = given.protections.get(name, Protection())
@@ -88,11 +90,18 @@ class FrameSet:
         }
 
     def _codec(self, message: Message, protection: Protection) -> Codec:
-        raw = {turned.place.signal for turned in self.bindings.turned.values() if turned.place.frame == message.name}
+        raw = {
+            turned.place.signal
+            for turned in self.bindings.turned.values()
+            if turned.place.frame == message.name
+        }
         used = {place.signal for place in self.bindings.places() if place.frame == message.name}
         order = [signal.name for signal in message.signals if signal.name in used]
         return Codec(
-            message, [name for name in order if name not in raw], [name for name in order if name in raw], protection
+            message,
+            [name for name in order if name not in raw],
+            [name for name in order if name in raw],
+            protection,
         )
 
     def find(self, arbitration_id: int) -> Codec | None:
@@ -144,8 +153,8 @@ class FrameDecoder:
     def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> tuple[Frame, ...] | Rejection:
         """The frames that are known now that this one was received: as a rule itself.
 
-        None of them where its place in time is in doubt: it comes with the next of its name. A rejection has been
-        counted and has changed nothing else.
+        None of them where its place in time is in doubt: it comes with the next of its name. A rejection has
+        been counted and has changed nothing else.
         """
         codec = self._frames.find(arbitration_id)
         if codec is None:
@@ -206,11 +215,15 @@ def _check_protection(where: str, message: Message, protection: Protection) -> N
         if name and name not in signals:
             raise InputError(f"{where}: {key}: signal '{name}' is missing; accepted: {', '.join(signals)}")
         if name and (signals[name].is_float or signals[name].is_signed):
-            raise InputError(f"{where}: {key}: signal '{name}' is no unsigned whole number; accepted: one that is")
+            raise InputError(
+                f"{where}: {key}: signal '{name}' is no unsigned whole number; accepted: one that is"
+            )
     if protection.checksum:
         bits, length = CHECKSUMS[protection.checksum_type][0], signals[protection.checksum].length
         if bits != length:
-            raise InputError(f"{where}: checksum: signal '{protection.checksum}' has {length} bits; accepted: {bits}")
+            raise InputError(
+                f"{where}: checksum: signal '{protection.checksum}' has {length} bits; accepted: {bits}"
+            )
 
 
 def _flagged_id(message: Message) -> int:

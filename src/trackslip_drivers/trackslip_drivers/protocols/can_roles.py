@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The roles file: which signal of a user's DBC is what. See ``docs/can.md``.
 
-    roles: {ROLE: {signal: FRAME.SIGNAL, …}, …}
-    frames: {FRAME: {counter: SIGNAL, checksum: SIGNAL, …}, …}
+roles: {ROLE: {signal: FRAME.SIGNAL, …}, …}
+frames: {FRAME: {counter: SIGNAL, checksum: SIGNAL, …}, …}
 """
 
 from collections.abc import Mapping
@@ -105,7 +105,9 @@ def _check_sides(where: str, roles: Mapping[str, Role]) -> None:
     motions = [f"left_{what}" for what in MOTIONS if f"left_{what}" in roles]
     if len(motions) > 1:
         names = ", ".join(f"'{name}'" for name in motions)
-        raise InputError(f"{where}: roles {names} overlap: each is the sprocket's motion; {_SHORT}one of them")
+        raise InputError(
+            f"{where}: roles {names} overlap: each is the sprocket's motion; {_SHORT}one of them"
+        )
 
 
 def _role(where: str, name: str, entry: Any) -> Role:
@@ -118,7 +120,9 @@ def _role(where: str, name: str, entry: Any) -> Role:
     hidden = () if is_turned else _TURNED_ONLY + (_MOTION_ONLY if ROLES[name][0] in _NO_MOTION else ())
     _known(where, "key", entry, [key for key in Role._fields if key not in hidden])
     if is_turned and "minus" in entry:
-        raise InputError(f"{where}: minus: a position is one signal; {_SHORT}'minus' of pressures, speeds, flows")
+        raise InputError(
+            f"{where}: minus: a position is one signal; {_SHORT}'minus' of pressures, speeds, flows"
+        )
     defaults = Role._field_defaults | {"signal": ""}
     values = {key: _typed(f"{where}: {key}", value, type(defaults[key])) for key, value in entry.items()}
     role = Role(**values)

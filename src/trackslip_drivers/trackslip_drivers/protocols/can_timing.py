@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """When the frames of one sender were sent: its real cycle, what was lost, and what only came late.
 
-A counter says how many cycles passed, but for whole turns of it. Where the silence before a frame may hide such
-a turn, the sender may as well have stalled, and be about to catch up: the frame is held back until the next
-tells. Comes that one at once, nothing was lost. Without a counter, the frames of a burst that ends a silence are
-told from one another by nothing: the last of them stands for all.
+A counter says how many cycles passed, but for whole turns of it. Where the silence before a frame may hide
+such a turn, the sender may as well have stalled, and be about to catch up: the frame is held back until the
+next one comes. If that is at once, nothing was lost. Without a counter nothing tells the frames of a burst
+after a silence from one another: the last of them stands for all.
 
-The cycle is measured: a DBC's own is believed only where the frames come like that. Times that have passed for
-the sender are cycles counted times the cycle, so that the jitter of arrivals does not enter; without a counter
-they are those between stamps.
+The cycle is measured: a DBC's own is believed only where the frames come like that. The time that has passed
+for the sender is cycles counted times the cycle, so that the jitter of arrivals does not enter; without a
+counter it is that between stamps.
 """
 
 import statistics
+from collections import deque
 from collections.abc import Callable
 from enum import Enum
 from typing import Any, NamedTuple
@@ -50,7 +51,7 @@ class Placed(NamedTuple):
 
 
 class _Held(NamedTuple):
-    count: int | None
+    number: int | None  # the sender's counter
     arrival_ns: int
     cycles: int  # at least
     turns: int  # of the counter, if it did not stall
@@ -69,7 +70,7 @@ class CycleMeter:
         self._restart()
 
     def _restart(self) -> None:
-        self._first: list[float] = []  # ns a cycle, of the first intervals
+        self._first: deque[float] = deque(maxlen=2 * _FEW)  # ns a cycle, of the first intervals
         self._time_ns = self._cycles = 0.0
         self._strange_ns, self._strange = 0, 0
         self.cycle_ns: float | None = None
@@ -82,9 +83,8 @@ class CycleMeter:
         each = interval_ns / cycles
         if self.cycle_ns is None:
             self._first.append(each)
-            self._decide(statistics.median(self._first), _ROUGHLY, len(self._first))
-            if self.cycle_ns is not None:
-                self._time_ns, self._cycles = self.cycle_ns * _FEW, float(_FEW)
+            self.cycle_ns = self._decide(statistics.median(self._first), _ROUGHLY, len(self._first))
+            self._time_ns, self._cycles = (self.cycle_ns or 0.0) * _FEW, float(_FEW)
             return
         if abs(each / self.cycle_ns - 1.0) > _PROMPT:
             self._doubt(interval_ns)
@@ -93,15 +93,16 @@ class CycleMeter:
         if self._cycles > _MANY:
             self._time_ns, self._cycles = self._time_ns / 2.0, self._cycles / 2.0
         self._time_ns, self._cycles = self._time_ns + interval_ns, self._cycles + cycles
-        self._decide(self._time_ns / self._cycles, _AS_STATED + _LATE / self._cycles, _FEW)
+        self.cycle_ns = self._decide(self._time_ns / self._cycles, _AS_STATED + _LATE / self._cycles, _FEW)
 
-    def _decide(self, measured_ns: float, tolerance: float, count: int) -> None:
-        self.is_nominal = abs(measured_ns - self._nominal_ns) <= tolerance * self._nominal_ns
-        if self.is_nominal and self._nominal_ns:
-            self.cycle_ns = self._nominal_ns
-        else:
-            self.is_nominal = False
-            self.cycle_ns = measured_ns if count >= _FEW and measured_ns > 0.0 else None
+    def _decide(self, measured_ns: float, tolerance: float, count: int) -> float | None:
+        """The DBC's cycle where ``count`` measured ones agree with it, or theirs once they are enough."""
+        self.is_nominal = self._nominal_ns > 0.0 and (
+            abs(measured_ns - self._nominal_ns) <= tolerance * self._nominal_ns
+        )
+        if self.is_nominal:
+            return self._nominal_ns
+        return measured_ns if count >= _FEW and measured_ns > 0.0 else None
 
     def _doubt(self, interval_ns: int) -> None:
         self._strange_ns, self._strange = self._strange_ns + interval_ns, self._strange + 1
@@ -153,7 +154,9 @@ class FrameTiming:
             self._held = None
             cycle_ns = self._meter.cycle_ns or 0.0
             is_burst = arrival_ns - held.arrival_ns < _BURST * cycle_ns and held.cycles > 0
-            placed.append(self._accept(held, held.cycles if is_burst else held.cycles + held.turns * self._modulus))
+            placed.append(
+                self._accept(held, held.cycles if is_burst else held.cycles + held.turns * self._modulus)
+            )
         assert self._count is not None
         cycles = (count - self._count) % self._modulus
         # A sender stuck at one count keeps being seen, so its silence never grows to a turn.
@@ -182,7 +185,7 @@ class FrameTiming:
         elapsed_ns = round(cycles * cycle_ns) if cycles and cycle_ns else stamp_ns - self._stamp_ns
         if self._accepted_ns is None:
             elapsed_ns = 0
-        self._count, self._accepted_ns, self._seen_ns = frame.count, frame.arrival_ns, frame.arrival_ns
+        self._count, self._accepted_ns, self._seen_ns = frame.number, frame.arrival_ns, frame.arrival_ns
         self._stamp_ns = stamp_ns
         return Placed(stamp_ns, max(elapsed_ns, 0), frame.values)
 

@@ -12,10 +12,10 @@ the jitter of arrival times need not enter. Quantisation (uniform, q²/12 per re
 q²/(N (N² − 1) T²), averaged over speeds. It is the velocity of the middle of the window, (N − 1) T/2 before
 the stamp. Distance is conserved: the velocities summed over a run give it.
 
-After a silence in which the encoder may have turned by M/2 or more, it was turned by that one of the distances
-n + k M that is nearest to the silence times the mean of the velocities before and after it. Where that is not sure
-(it fits worse than M/4, or the silence was so long that the mean may be off by 3/4 M), nobody knows: one
-reading has no position, and the next goes on from there. Nothing is invented, nothing lost silently.
+After a silence in which the encoder may have turned by M/2 or more, it was turned by that one of the
+distances n + k M that is nearest to the silence times the mean of the velocities before and after it. Where
+that is not sure (it fits worse than M/4, or the silence was so long that the mean may be off by 3/4 M),
+nobody knows: one reading has no position, and the next goes on from there. Nothing is invented or lost silently.
 """
 
 import math
@@ -127,7 +127,8 @@ class SprocketEncoder:
             return
         self._unwrapped += turns * self._wrap
         self._history = deque(
-            ((time, unwrapped + turns * self._wrap) for time, unwrapped in self._history), self._history.maxlen
+            ((time, unwrapped + turns * self._wrap) for time, unwrapped in self._history),
+            self._history.maxlen,
         )
 
     def _restart(self, raw: float, event: EncoderEvent) -> EncoderEvent:

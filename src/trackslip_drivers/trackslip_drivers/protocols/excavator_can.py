@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """From CAN frames to samples, as the roles say.
 
-A sample is made when all frames with its leading roles have come since the sample before: sprockets when both
-sides have, hydraulics when all pressures have (spools where there is no pressure), the swing with its own frame.
-So an output has the rate of the slowest of its leading frames. What it has from other frames is the newest there,
-not older than ``pairing_timeout``. Its stamp is that of the newest leading frame; a sprocket that was read before
-is carried on to it by its velocity.
+A sample is made when all frames with its leading roles have come since the sample before: sprockets when
+both sides have, hydraulics when all pressures have (spools where there is no pressure), the swing with its
+own frame. So an output has the rate of the slowest of its leading frames. What it has from other frames is
+the newest there, not older than ``pairing_timeout``. Its stamp is that of the newest leading frame; a sprocket
+that was read before is carried on to it by its velocity.
 """
 
 import math
@@ -37,7 +37,12 @@ class PairingRejection(Enum):
 
 
 class ExcavatorCan:
-    """Everything between the bus and the records; what it does not use is in ``tally``."""
+    """Everything between the bus and the records; what it does not use is in ``tally``.
+
+    Attributes:
+        kinds: of the samples that the roles make.
+        main_kind: what the driver is there for: sprockets, or the first of the rest.
+    """
 
     def __init__(self, parameters: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
         self.decoder = FrameDecoder(frames, tally)
@@ -51,14 +56,12 @@ class ExcavatorCan:
         if SWING in frames.roles:
             self._outputs.append(_Swing(parameters, frames, tally))
 
-    @property
-    def kinds(self) -> list[type[Sample]]:
-        """Of the samples that the roles make; the first is what the driver is there for."""
-        return [output.kind for output in self._outputs]
+        self.kinds = [output.kind for output in self._outputs]
+        self.main_kind = self.kinds[0]
 
     @property
     def period(self) -> float:
-        """Time between samples of the first kind, s; 0 while it is not known."""
+        """Time between samples of the main kind, s; 0 while it is not known."""
         return max(map(self.decoder.cycle_ns, self._outputs[0].leading_frames), default=0.0) / _NS_PER_S
 
     def receive(self, arbitration_id: int, data: bytes, stamp_ns: int) -> list[Sample]:
@@ -132,7 +135,7 @@ class _Output(ABC):
         parts = self.parts.get(role, ())
         return sum((part.si(self.values[part.place]) for part in parts), 0.0) if parts else math.nan
 
-    def take(self, place: Place, value: Value, elapsed_ns: int) -> None:
+    def take(self, place: Place, value: Value, elapsed_ns: int) -> None:  # noqa: B027 (nothing, as a rule)
         """A new value, so long after the one before."""
 
     @abstractmethod
@@ -163,7 +166,9 @@ class _Turning(_Output):
 
 
 def _encoder(turned: Turned, p: CanDriverParameters) -> SprocketEncoder:
-    return SprocketEncoder(turned.rad_per_step, turned.steps_per_wrap, p.max_sprocket_speed, p.velocity_window)
+    return SprocketEncoder(
+        turned.rad_per_step, turned.steps_per_wrap, p.max_sprocket_speed, p.velocity_window
+    )
 
 
 class _Sprockets(_Turning):

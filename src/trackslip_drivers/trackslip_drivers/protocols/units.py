@@ -20,7 +20,7 @@ class Quantity(Enum):
 
 
 class Unit(NamedTuple):
-    """A unit of a quantity; ``factor`` is one of it in SI (Pa, rad, rad/s, m/s, m³/s, 1; counts as they are)."""
+    """A unit; ``factor`` is one of it in SI (Pa, rad, rad/s, m/s, m³/s, 1; counts as they are)."""
 
     quantity: Quantity
     factor: float
