@@ -15,7 +15,8 @@ the stamp. Distance is conserved: the velocities summed over a run give it.
 After a silence in which the encoder may have turned by M/2 or more, it was turned by that one of the
 distances n + k M that is nearest to the silence times the mean of the velocities before and after it. Where
 that is not sure (it fits worse than M/4, or the silence was so long that the mean may be off by 3/4 M),
-nobody knows: one reading has no position, and the next goes on from there. Nothing is invented or lost silently.
+nobody knows: one reading has no position, and the next goes on from there. Nothing is invented,
+or lost silently.
 """
 
 import math

@@ -4,8 +4,8 @@
 A sample is made when all frames with its leading roles have come since the sample before: sprockets when
 both sides have, hydraulics when all pressures have (spools where there is no pressure), the swing with its
 own frame. So an output has the rate of the slowest of its leading frames. What it has from other frames is
-the newest there, not older than ``pairing_timeout``. Its stamp is that of the newest leading frame; a sprocket
-that was read before is carried on to it by its velocity.
+the newest there, not older than ``pairing_timeout``. Its stamp is that of the newest leading frame; a
+sprocket that was read before is carried on to it by its velocity.
 """
 
 import math
