@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
 from trackslip_drivers.protocols.can_codec import CHECKSUMS, Protection
@@ -72,7 +70,6 @@ def read_roles(path: Path) -> RolesFile:
     """
     tree = read_yaml(path)
     where = f"roles_file {path}"
-    _check_twice(where, yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader))
     _known(where, "section", tree, ("roles", "frames"))
     given, frames = (_mapping(where, name, tree.get(name) or {}) for name in ("roles", "frames"))
     _known(where, "role", given, ROLES)
@@ -80,18 +77,6 @@ def read_roles(path: Path) -> RolesFile:
     _check_sides(where, roles)
     protections = {name: _protection(f"{where}: frame '{name}'", entry) for name, entry in frames.items()}
     return RolesFile(roles, protections)
-
-
-def _check_twice(where: str, node: yaml.Node | None) -> None:
-    """A key that stands twice in a mapping would be taken once, silently."""
-    if not isinstance(node, yaml.MappingNode):
-        return
-    keys = [key.value for key, _ in node.value]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise InputError(f"{where}: '{key}' stands there twice; {_SHORT}once")
-    for _, value in node.value:
-        _check_twice(where, value)
 
 
 def _check_sides(where: str, roles: Mapping[str, Role]) -> None:
