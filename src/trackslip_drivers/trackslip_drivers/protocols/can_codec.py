@@ -141,12 +141,11 @@ class Codec:
                 k for k, byte in enumerate(self._cleared.to_bytes(self.length, "little")) if byte
             ]
 
-    def checks(self, frame_id: int, data: bytes) -> bool:
-        """Whether the checksum is right; true where there is none."""
-        if self._checksum is None:
-            return True
-        little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
-        return self._checksum.raw(little, big) == self._checksum_of(frame_id, little)
+    def checks(self, frame_id: int, little: int, big: int) -> bool:
+        """Whether the checksum is right, or there is none; the payload is read in both byte orders."""
+        return self._checksum is None or self._checksum.raw(little, big) == self._checksum_of(
+            frame_id, little
+        )
 
     def sealed(self, frame_id: int, data: bytes) -> bytes:
         """The payload with the checksum that belongs to its other bits, whatever it had."""
@@ -159,19 +158,16 @@ class Codec:
         cleared = (little & self._cleared).to_bytes(self.length, "little")
         return self._compute(frame_id, bytes([cleared[k] for k in self._covered]))
 
-    def has_unused_bits(self, data: bytes) -> bool:
+    def has_unused_bits(self, little: int) -> bool:
         """Whether bits are set that belong to no signal, where they must not."""
-        return bool(int.from_bytes(data, "little") & self._unused_bits)
+        return bool(little & self._unused_bits)
 
-    def count(self, data: bytes) -> int | None:
+    def count(self, little: int, big: int) -> int | None:
         """The sender's counter; None where there is none."""
-        if self._counter is None:
-            return None
-        return self._counter.raw(int.from_bytes(data, "little"), int.from_bytes(data, "big"))
+        return None if self._counter is None else self._counter.raw(little, big)
 
-    def unpack(self, data: bytes) -> dict[str, Value] | None:
+    def unpack(self, little: int, big: int) -> dict[str, Value] | None:
         """The values of the signals that are in the payload; None where one lies outside its range."""
-        little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
         values: dict[str, Value] = {}
         for name, field in self.fields.items():
             if not field.is_in(little, big):

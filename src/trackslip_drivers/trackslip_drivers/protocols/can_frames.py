@@ -164,14 +164,15 @@ class FrameDecoder:
             return ()
         if len(data) != codec.length:
             return self._reject(codec.name, Rejection.WRONG_LENGTH)
-        if not codec.checks(arbitration_id, data):
+        little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
+        if not codec.checks(arbitration_id, little, big):
             return self._reject(codec.name, Rejection.CHECKSUM)
-        if codec.has_unused_bits(data):
+        if codec.has_unused_bits(little):
             return self._reject(codec.name, Rejection.UNUSED_BITS)
-        values = codec.unpack(data)
+        values = codec.unpack(little, big)
         if values is None:
             return self._reject(codec.name, Rejection.OUT_OF_RANGE)
-        placed = self._timing(arbitration_id, codec).add(codec.count(data), stamp_ns, values)
+        placed = self._timing(arbitration_id, codec).add(codec.count(little, big), stamp_ns, values)
         source = arbitration_id & 0xFF if arbitration_id < _EXTENDED else 0
         return tuple(Frame(codec.name, source, *one) for one in placed)
 

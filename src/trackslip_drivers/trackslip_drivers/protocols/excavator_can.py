@@ -56,6 +56,9 @@ class ExcavatorCan:
         if SWING in frames.roles:
             self._outputs.append(_Swing(parameters, frames, tally))
 
+        self._by_frame = {
+            name: [output for output in self._outputs if name in output.frames] for name in frames.codecs
+        }
         self.kinds = [output.kind for output in self._outputs]
         self.main_kind = self.kinds[0]
 
@@ -69,7 +72,7 @@ class ExcavatorCan:
         frames = self.decoder.decode(arbitration_id, data, stamp_ns)
         if isinstance(frames, Rejection):
             return []
-        found = [output.receive(frame) for frame in frames for output in self._outputs]
+        found = [output.receive(frame) for frame in frames for output in self._by_frame[frame.name]]
         return [sample._replace(stamp_ns=sample.stamp_ns + self._offset_ns) for sample in found if sample]
 
     def resume(self) -> None:
@@ -98,6 +101,7 @@ class _Output(ABC):
         self._by_frame: defaultdict[str, list[Place]] = defaultdict(list)
         for place in (*self._leading, *self._others):
             self._by_frame[place.frame].append(place)
+        self.frames = self._by_frame.keys()
         self._elapsed_ns: defaultdict[Place, int] = defaultdict(int)  # since the value in hand
         self._fresh: set[Place] = set()
         self.values: dict[Place, Value] = {}
@@ -106,7 +110,7 @@ class _Output(ABC):
     def receive(self, frame: Frame) -> Sample | None:
         """Take what is in the frame; the sample, if it completes one."""
         has_come = False
-        for place in self._by_frame.get(frame.name, ()):
+        for place in self._by_frame[frame.name]:
             if place.source not in (-1, frame.source):
                 continue
             self._elapsed_ns[place] += frame.elapsed_ns
@@ -122,7 +126,7 @@ class _Output(ABC):
             return None
         self._fresh.clear()
         stamp_ns = max(self.stamps_ns[place] for place in self._leading)
-        if any(self._is_old(place, stamp_ns) for place in self._others):
+        if self._others and any(self._is_old(place, stamp_ns) for place in self._others):
             self.tally.add(self.kind.__name__, PairingRejection.TOO_OLD)
             return None
         return self.make(stamp_ns)
