@@ -211,6 +211,21 @@ def test_a_sender_of_50_hz_does_not_double_the_speed(tmp_path, counter):
     assert driver.period == pytest.approx(0.02, rel=1e-3)
 
 
+def test_sides_at_50_and_20_hz_are_published_at_20_with_both_at_the_same_time(tmp_path):
+    driver = machine(tmp_path, ENCODER_ROLES, ENCODERS)
+    left, right = 291 | STANDARD_FLAG, 292 | STANDARD_FLAG
+    sent = [one for one in encoder_frames(0.02, 251) if one[1] == left]
+    sent += [one for one in encoder_frames(0.05, 101, lambda k: 0.007) if one[1] == right]
+    samples = drive(driver, sorted(sent))
+    assert len(samples) == pytest.approx(99, abs=3)
+    first, last = samples[10], samples[-1]
+    for sample in samples[10:]:
+        seconds = (sample.stamp_ns - first.stamp_ns) * 1e-9
+        assert sample.left_position - first.left_position == pytest.approx(2.5 * seconds, abs=2e-3)
+        assert sample.right_position - first.right_position == pytest.approx(-seconds, abs=5e-3)
+    assert (last.stamp_ns - first.stamp_ns) * 1e-9 == pytest.approx(0.05 * (len(samples) - 11), abs=0.06)
+
+
 def test_a_sender_that_stalls_and_catches_up_without_a_counter(tmp_path):
     """Motion is neither invented nor lost, whatever is published in the stall."""
     driver = machine(
