@@ -115,6 +115,17 @@ def begin_adaptation(a: Any, c: Any) -> None:
 
 
 @compiled
+def resume_adaptation(a: Any, start: Any) -> None:
+    """What was learned before of s, a and f: the record ``start`` of ``records.ADAPTATION``."""
+    a.track_variance, a.rate_factor = start.track_variance, start.rate_factor
+    for i in range(TRACK_ERRORS):
+        a.log_weights[i] = start.log_weights[i]
+    a.fix_factors[:] = start.fix_factors
+    for k in range(start.fix_factors.size):
+        a.fix_log_weights[k] = start.fix_log_weights[k]
+
+
+@compiled
 def pass_time(state: Any, dt: float, c: Any) -> None:
     """What the tracks' speeds, which last for ``dt`` s, err by more than those before is added to P."""
     a, P = state.adaptation, state.covariance
