@@ -30,6 +30,19 @@ def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
     return {}
 
 
+def bag_learned(bag: Bag, node: str = _NODE) -> Any:
+    """What the estimator had learned before the bag begins, as it stands beside the parameters; else None.
+
+    Raises:
+        InputError: what is on the topic is no parameter file.
+    """
+    for message in bag.messages([f"{node}/parameters"]):
+        content = bag.deserialize(message.raw, message.type_name)
+        read_parameters(bag, content, node)
+        return yaml.safe_load(content.data)[node].get("learned")
+    return None
+
+
 def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]:
     """Dotted name → value of one such message (std_msgs/String).
 

@@ -215,7 +215,7 @@ def from_tree(tree: Any, p: SlipEstimatorParameters) -> Learned:
             raise ValueError("numbers")
         if np.linalg.eigvalsh(correlations)[0] < -_ROUNDING:
             raise ValueError("correlations")
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, AttributeError) as error:
         raise InputError("its numbers are no estimates of this version's states") from error
     return Learned(tree["machine"], mean, stddev, correlations, track, fixes)
 

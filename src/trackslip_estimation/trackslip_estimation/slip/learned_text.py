@@ -32,6 +32,10 @@ class Form(NamedTuple):
     zero: float = 0.0
     ways: tuple[str, str] = ("", "")  # above zero, below
 
+    def shown(self, value: float) -> float:
+        """In its unit."""
+        return (value - self.zero) * self.scale
+
 
 _FORMS = {
     "gyro_scale": Form("gyro scale", "gyro reads {a} % {way} ± {s}", "%", 100.0, 1.0, ("high", "low")),
@@ -74,7 +78,7 @@ class Finding(NamedTuple):
         if not self.observed:
             return NOT_OBSERVED
         form = self.form
-        shown, stddev = (self.value - form.zero) * form.scale, self.stddev * form.scale
+        shown, stddev = form.shown(self.value), form.scale * self.stddev
         digits = decimals(stddev)
         return form.text.format(
             v=f"{round(shown, digits) + 0.0:.{digits}f}",  # no −0
@@ -101,12 +105,17 @@ def findings(learned: Learned | None, p: SlipEstimatorParameters) -> list[Findin
     return sorted(found, key=lambda finding: order.get(finding.name.partition(".")[0], len(order)))
 
 
+def lines_of(found: list[Finding]) -> list[str]:
+    """A line for each quantity that was observed, and one for all others."""
+    lines = [f.sentence for f in found if f.observed]
+    unseen = [f.form.label for f in found if not f.observed]
+    return lines + ([f"{NOT_OBSERVED}: {', '.join(unseen)}"] if unseen else [])
+
+
 def summary_lines(found: list[Finding]) -> list[str]:
     """One or two lines: what was learned, and what was not."""
     seen = [f.sentence for f in found if f.observed]
-    unseen = [f.form.label for f in found if not f.observed]
-    lines = [f"learned: {', '.join(seen)}"] if seen else []
-    return lines + ([f"{NOT_OBSERVED}: {', '.join(unseen)}"] if unseen else [])
+    return ([f"learned: {', '.join(seen)}"] if seen else []) + lines_of([f for f in found if not f.observed])
 
 
 def _of_state(name: str, known: Learned, prior: Learned, p: SlipEstimatorParameters) -> list[Finding]:
