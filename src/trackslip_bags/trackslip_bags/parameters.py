@@ -4,6 +4,7 @@
 A bag then replays with the vehicle it was recorded on, wherever its files have gone.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 from trackslip_bags.reader import Bag
@@ -36,9 +37,7 @@ def bag_learned(bag: Bag, node: str = _NODE) -> Any:
         InputError: what is on the topic is no parameter file.
     """
     for message in bag.messages([f"{node}/parameters"]):
-        content = bag.deserialize(message.raw, message.type_name)
-        read_parameters(bag, content, node)
-        return yaml.safe_load(content.data)[node].get("learned")
+        return _read(bag, bag.deserialize(message.raw, message.type_name), node).get("learned")
     return None
 
 
@@ -48,7 +47,15 @@ def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]
     Raises:
         InputError: it is no parameter file.
     """
+    return flatten(_read(bag, content, node)["ros__parameters"])
+
+
+def _read(bag: Bag, content: Any, node: str) -> Mapping[str, Any]:
+    """All that such a message has of the node."""
     try:
-        return flatten(parse_yaml(content.data, f"{node}/parameters")[node]["ros__parameters"])
+        found = parse_yaml(content.data, f"{node}/parameters")[node]
+        if isinstance(found, Mapping) and isinstance(found["ros__parameters"], Mapping):
+            return found
+        raise TypeError(node)
     except (InputError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"bag '{bag.path}': {node}/parameters holds no parameters of {node}") from error

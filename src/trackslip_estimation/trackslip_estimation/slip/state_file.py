@@ -17,8 +17,8 @@ from typing import Any
 
 import yaml
 
-from trackslip_common.config_files import parse_yaml
 from trackslip_common.errors import InputError
+from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.learned import Learned, OtherMachine, aged, from_tree, to_tree
 from trackslip_estimation.slip.learned_text import findings, lines_of
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
