@@ -99,7 +99,7 @@ def test_a_restart_keeps_what_was_learned(programs, observer):
     graph = Graph(programs, observer)
     machine = drive(Machine(gyro_scale=0.97, duration=20.0)).measurements
     graph.begin("first")
-    entry, values = graph.status("slip_estimator: state file")
+    entry, _ = graph.status("slip_estimator: state file")
     assert "nothing learned before" in entry.message
     assert graph.status("slip_estimator")[1]["gyro scale"] == "not observed yet"
     graph.feed(machine)
@@ -108,7 +108,7 @@ def test_a_restart_keeps_what_was_learned(programs, observer):
     assert first["learned"]["gyro_scale"]["observed"] is True
 
     graph.begin("second")
-    entry, values = graph.status("slip_estimator: state file")
+    entry, _ = graph.status("slip_estimator: state file")
     assert "starts from what was learned" in entry.message
     assert "gyro reads" in graph.status("slip_estimator")[1]["gyro scale"]
     graph.feed(later(machine[: len(machine) // 4], 10**12))
@@ -122,7 +122,7 @@ def test_a_restart_keeps_what_was_learned(programs, observer):
     assert "starts from what was learned before" in programs._started[-1].stdout
 
     graph.begin("third", vehicle__tread=0.8)
-    entry, values = graph.status("slip_estimator: state file")
+    entry, _ = graph.status("slip_estimator: state file")
     assert entry.level == DiagnosticStatus.WARN
     assert "is not used: it is of another vehicle" in entry.message
     kept = programs.folder / "kept" / "slip_estimator.yaml"

@@ -42,9 +42,10 @@ def _state_file(context: LaunchContext) -> str:
 
 def _nodes(context: LaunchContext) -> list[Node]:
     params_file = LaunchConfiguration("params_file").perform(context)
-    own = {"slip_estimator": [{"state_file": _state_file(context)}]}
     given = [params_file] if params_file else []
+    parameters = dict.fromkeys(EXECUTABLES, given)
+    parameters["slip_estimator"] = [{"state_file": _state_file(context)}, *given]
     return [
-        Node(package=PACKAGE, executable=name, name=name, parameters=[*own.get(name, []), *given], output="screen")
+        Node(package=PACKAGE, executable=name, name=name, parameters=parameters[name], output="screen")
         for name in EXECUTABLES
     ]

@@ -106,9 +106,7 @@ def test_an_estimator_starts_from_what_was_learned(driven: list[Measurement], le
     np.testing.assert_array_equal(state["mean"][places], learned.mean)
     np.testing.assert_array_equal(state["covariance"][np.ix_(places, places)], learned.covariance)
     np.testing.assert_array_equal(state["adaptation"]["log_weights"], learned.track_weights)
-    np.testing.assert_array_equal(
-        state["adaptation"]["fix_log_weights"][0], learned.fix_weights["box_pose"]
-    )
+    np.testing.assert_array_equal(state["adaptation"]["fix_log_weights"][0], learned.fix_weights["box_pose"])
     assert state["adaptation"]["fix_factors"][0] > 1.5  # 4 is true
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was learned of a machine and its ground, apart from where it is: taken from a state, aged, started from.
+"""What was learned of a machine and its ground, but not where it is: taken from a state, aged, started from.
 
     x, P     means and covariance of the states that are kept            (n,), (n, n)
     μ, σ     prior of a state by the parameters
@@ -206,9 +206,9 @@ def from_tree(tree: Any, p: SlipEstimatorParameters) -> Learned:
             correlations[k, :k] = correlations[:k, k] = np.array(row, np.float64).reshape(k)
         track = np.array(tree["track_error_ln_weights"], np.float64).reshape(prior.track_weights.shape)
         fixes = {
-            name: np.array(tree["fix_noise_ln_weights"][name], np.float64).reshape(constants["fix_prior"].shape)
-            for name in p.poses()
-            if name in tree["fix_noise_ln_weights"]
+            name: np.array(own, np.float64).reshape(constants["fix_prior"].shape)
+            for name, own in tree["fix_noise_ln_weights"].items()
+            if name in p.poses()
         }
         everything = (mean, stddev, correlations, track, *fixes.values())
         if not all(np.all(np.abs(numbers) < 1e9) for numbers in everything) or np.any(stddev < 0.0):

@@ -2,8 +2,9 @@
 """The file that keeps what was learned from one start of the estimator to the next.
 
 YAML with a checksum over all that stands before it. It is written beside itself and moved into place, by a
-thread of its own: a slow, full or missing disk is counted and costs nothing else. A file that does not fit (edited,
-cut, of another vehicle) is not used; the first one written in its place moves it aside, to a name of its own.
+thread of its own: a slow, full or missing disk is counted and costs nothing else. A file that does not fit
+(edited, cut, of another vehicle) is not used; the first one written in its place moves it aside, to a name of
+its own.
 """
 
 import hashlib
@@ -69,7 +70,16 @@ class StateFile:
     """One node's; with an empty path there is none, and nothing is ever done."""
 
     def __init__(self, path: str) -> None:
-        self._path = Path(os.path.expanduser(path)) if path else None
+        """``path`` may begin with ~.
+
+        Raises:
+            InputError: nobody knows that home directory.
+        """
+        try:
+            self._path = Path(path).expanduser() if path else None
+        except RuntimeError as error:
+            accepted = "a path, from ~ where there is a home directory"
+            raise InputError(f"state_file: '{path}' has no home directory; accepted: {accepted}") from error
         self._aside = ""  # what to add to the name of a file that was not used
         self._writer: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -83,7 +93,7 @@ class StateFile:
         return self._path is not None
 
     def read(self, p: SlipEstimatorParameters) -> Learned | None:
-        """What is there, widened with its age; None where there is nothing, or nothing of use: see ``note``."""
+        """What is there, widened with its age; None where nothing is of use: see ``note``."""
         if self._path is None:
             return None
         self._aside, self.used = "", True
@@ -149,9 +159,9 @@ class StateFile:
                 file.flush()
                 os.fsync(file.fileno())  # the key may be turned at any time
             if self._aside and path.exists():
-                os.replace(path, path.with_name(f"{path.name}.{self._aside}"))
+                path.replace(path.with_name(f"{path.name}.{self._aside}"))
             self._aside = ""
-            os.replace(beside, path)
+            beside.replace(path)
         except (OSError, ValueError) as error:  # ValueError: no path at all
             with suppress(OSError, ValueError):
                 beside.unlink(missing_ok=True)
