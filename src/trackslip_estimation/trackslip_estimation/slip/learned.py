@@ -32,7 +32,7 @@ FloatArray = NDArray[np.float64]
 
 _PASSING = ("pose", "velocity_errors", "slips", "slip_angle")  # parts of a state that are not learned
 _HOURS, _DAYS = 3600.0, 86400.0
-_OF_GROUND = 4.0 * _HOURS  # T, and of all noise; a machine leaves its ground, and the sky changes
+_OF_GROUND = 8.0 * _HOURS  # T, and of all noise; a machine leaves its ground, and the sky changes
 _OF_MACHINE = 180.0 * _DAYS
 _LIFETIMES = {
     "gyro_bias": 4.0 * _HOURS,  # temperature
