@@ -18,7 +18,7 @@ pytestmark = pytest.mark.xdist_group("graph")
 
 EPOCH_NS = 1_700_000_000_000_000_000
 PARAMETERS = {
-    "use_heading": False,
+    "sources__box_pose__use_heading": False,
     "initial_yaw_stddev": 0.02,
     "state_file": "kept/slip_estimator.yaml",
 }

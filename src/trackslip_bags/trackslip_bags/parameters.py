@@ -7,6 +7,7 @@ A bag then replays with the vehicle it was recorded on, wherever its files have 
 from collections.abc import Mapping
 from typing import Any
 
+from trackslip_bags.old_parameters import current_names
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
@@ -25,8 +26,14 @@ def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
     Raises:
         InputError: what is on the topic is no parameter file.
     """
+    return current_names(stated_parameters(bag, node))
+
+
+def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
+    """The same by the names that they had when it was recorded."""
     for message in bag.messages([f"{node}/parameters"]):
-        return read_parameters(bag, bag.deserialize(message.raw, message.type_name), node)
+        content = bag.deserialize(message.raw, message.type_name)
+        return flatten(_read(bag, content, node)["ros__parameters"])
     return {}
 
 
@@ -47,7 +54,7 @@ def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]
     Raises:
         InputError: it is no parameter file.
     """
-    return flatten(_read(bag, content, node)["ros__parameters"])
+    return current_names(flatten(_read(bag, content, node)["ros__parameters"]))
 
 
 def _read(bag: Bag, content: Any, node: str) -> Mapping[str, Any]:

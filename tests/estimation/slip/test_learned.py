@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import Learned, aged, from_tree, meaning, to_tree
+from trackslip_estimation.slip.learned import Learned, Meaning, aged, from_tree, meaning, to_tree
 from trackslip_estimation.slip.learned_text import NOT_OBSERVED, Finding, findings, summary_lines
 from trackslip_estimation.slip.measurements import FORGET, RESET, Command, Measurement, PoseFix
 from trackslip_estimation.slip.models.model import GYRO_SCALE
-from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 
 P = parameters()
+OF = meaning(P)
 HOUR, MONTH = 3600.0, 30 * 86400.0
 
 
@@ -36,23 +36,23 @@ def learned(driven: list[Measurement]) -> Learned:
 
 
 def bits(known: Learned) -> str:
-    return json.dumps(to_tree(known, P))
+    return json.dumps(to_tree(known, OF))
 
 
-def named(known: Learned | None, p: SlipEstimatorParameters = P) -> dict[str, Finding]:
-    return {finding.name: finding for finding in findings(known, p)}
+def named(known: Learned | None, of: Meaning = OF) -> dict[str, Finding]:
+    return {finding.name: finding for finding in findings(known, of)}
 
 
-def known(seed: int, n: int = len(meaning(P).places)) -> Learned:
+def known(seed: int, n: int = len(OF.places)) -> Learned:
     """Anything that an estimator might have learned."""
     random = np.random.default_rng(seed)
     root = random.standard_normal((n, n + 1))
     covariance = root @ root.T
     stddev = np.sqrt(np.diag(covariance))
     below = np.tril(covariance / np.outer(stddev, stddev), -1)
-    prior = meaning(P).prior
+    prior = OF.prior
     return Learned(
-        meaning(P).machine,
+        OF.machine,
         random.standard_normal(n),
         prior.stddev * random.uniform(0.0, 1.0, n),
         below + below.T + np.eye(n),
@@ -64,7 +64,7 @@ def known(seed: int, n: int = len(meaning(P).places)) -> Learned:
 @given(st.integers(0, 2**32 - 1))
 def test_what_was_learned_survives_the_text_bit_for_bit(seed: int) -> None:
     one = known(seed)
-    back = from_tree(json.loads(bits(one)), P)
+    back = from_tree(json.loads(bits(one)), OF)
     assert bits(back) == bits(one)
     for mine, its in ((one.covariance, back.covariance), (one.track_weights, back.track_weights)):
         np.testing.assert_array_equal(mine, its)
@@ -72,23 +72,23 @@ def test_what_was_learned_survives_the_text_bit_for_bit(seed: int) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1e9), st.floats(0.0, 1e9))
 def test_age_widens_towards_the_prior_and_never_beyond(seed: int, first: float, then: float) -> None:
-    one, prior = known(seed), meaning(P).prior
-    younger, older = aged(one, first, P), aged(one, first + then, P)
+    one, prior = known(seed), OF.prior
+    younger, older = aged(one, first, OF), aged(one, first + then, OF)
     assert np.all(younger.stddev <= prior.stddev * (1.0 + 1e-9))
     assert np.all(older.stddev >= younger.stddev * (1.0 - 1e-9))
     assert np.all(np.abs(older.mean - prior.mean) <= np.abs(younger.mean - prior.mean) + 1e-12)
     assert np.linalg.eigvalsh(older.correlations)[0] > -1e-9
-    twice = aged(younger, then, P)
+    twice = aged(younger, then, OF)
     np.testing.assert_allclose(twice.covariance, older.covariance, atol=1e-12)
     np.testing.assert_allclose(twice.track_weights, older.track_weights, atol=1e-9)
 
 
 def test_the_ground_is_forgotten_within_hours_and_the_machine_within_months(learned: Learned) -> None:
     deviations = {
-        age: dict(zip(meaning(P).places, aged(learned, age, P).stddev, strict=True))
+        age: dict(zip(OF.places, aged(learned, age, OF).stddev, strict=True))
         for age in (0.0, 12 * HOUR, 12 * MONTH)
     }
-    prior = dict(zip(meaning(P).places, meaning(P).prior.stddev, strict=True))
+    prior = dict(zip(OF.places, OF.prior.stddev, strict=True))
     for name in ("efficiency", "loss", "common_slip", "rotation_offset", "gyro_bias"):
         assert deviations[12 * HOUR][name] > 0.9 * prior[name]
     for name in ("gyro_scale", "asymmetry"):
@@ -102,7 +102,7 @@ def test_an_estimator_starts_from_what_was_learned(driven: list[Measurement], le
     first = next(k for k, m in enumerate(driven) if isinstance(m, PoseFix))
     estimator.process_all(driven[: first + 1])
     state = estimator.window.states[0]
-    places = list(meaning(P).places.values())
+    places = list(OF.places.values())
     np.testing.assert_array_equal(state["mean"][places], learned.mean)
     np.testing.assert_array_equal(state["covariance"][np.ix_(places, places)], learned.covariance)
     np.testing.assert_array_equal(state["adaptation"]["log_weights"], learned.track_weights)
@@ -145,13 +145,13 @@ def test_a_reset_keeps_what_was_learned_and_forget_does_not(driven: list[Measure
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
 def test_every_model_learns_and_tells(model: str, driven: list[Measurement]) -> None:
     p = parameters(model=model)
-    estimator = SlipEstimator(p)
+    of, estimator = meaning(p), SlipEstimator(p)
     estimator.process_all(driven)
     found = estimator.learned
     assert found is not None
-    assert all(np.isfinite((f.value, f.stddev)).all() for f in findings(found, p))
-    assert to_tree(from_tree(to_tree(found, p), p), p) == to_tree(found, p)
-    SlipEstimator(p, learned=aged(found, HOUR, p)).process_all(driven)
+    assert all(np.isfinite((f.value, f.stddev)).all() for f in findings(found, of))
+    assert to_tree(from_tree(to_tree(found, of), of), of) == to_tree(found, of)
+    SlipEstimator(p, learned=aged(found, HOUR, of)).process_all(driven)
 
 
 @pytest.mark.parametrize(
@@ -159,20 +159,20 @@ def test_every_model_learns_and_tells(model: str, driven: list[Measurement]) -> 
     [
         {"vehicle.tread": 0.74},
         {"model": "icr"},
-        {"yaw_rate_signs": (-1,)},
-        {"yaw_rate_scales": (0.98,)},
-        {"pose_stamp_errors": (0.03,)},
+        {"sources.imu_data_raw.sign": -1},
+        {"sources.imu_data_raw.scale": 0.98},
+        {"sources.box_pose.stamp_error": 0.03},
         {"pose_sources": ("gnss_pose",)},
     ],
 )
 def test_another_machine_is_noticed(learned: Learned, changes: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="another vehicle, or of other sources"):
-        from_tree(to_tree(learned, P), parameters(**changes))
+        from_tree(to_tree(learned, OF), meaning(parameters(**changes)))
 
 
 def test_other_gates_are_the_same_machine(learned: Learned) -> None:
-    p = parameters(gate_probability=0.5, pose_timeouts=(9.0,))
-    assert to_tree(from_tree(to_tree(learned, P), p), p) == to_tree(learned, P)
+    of = meaning(parameters(**{"gate_probability": 0.5, "sources.box_pose.timeout": 9.0}))
+    assert to_tree(from_tree(to_tree(learned, OF), of), of) == to_tree(learned, OF)
 
 
 @pytest.mark.parametrize(
@@ -190,15 +190,15 @@ def test_other_gates_are_the_same_machine(learned: Learned) -> None:
 )
 def test_what_is_no_estimate_is_refused(learned: Learned, name: str, value: object) -> None:
     with pytest.raises(InputError, match="no estimates"):
-        from_tree({**to_tree(learned, P), name: value}, P)
+        from_tree({**to_tree(learned, OF), name: value}, OF)
 
 
 # In words
 
 
 def test_nothing_is_observed_before_the_first_metre() -> None:
-    assert {f.sentence for f in findings(None, P)} == {NOT_OBSERVED}
-    (line,) = summary_lines(findings(None, P))
+    assert {f.sentence for f in findings(None, OF)} == {NOT_OBSERVED}
+    (line,) = summary_lines(findings(None, OF))
     assert line.startswith(f"{NOT_OBSERVED}: gyro scale, ")
 
 
@@ -236,10 +236,8 @@ def test_a_sentence_has_the_digits_of_its_standard_deviation(
 
 
 def test_a_delay_is_that_of_each_source() -> None:
-    p = parameters(
-        pose_sources=("box_pose", "gnss_pose"), pose_stamp_errors=(0.0, 0.03), pose_heading_ceilings=(0.3,)
-    )
-    found = named(None, p)
+    changes = {"sources.box_pose.stamp_error": 0.0, "sources.gnss_pose.stamp_error": 0.03}
+    found = named(None, meaning(parameters(pose_sources=("box_pose", "gnss_pose"), **changes)))
     assert "fix_delay.box_pose" not in found  # it is known to have none
     assert found["fix_delay.gnss_pose"].stddev == pytest.approx(0.03)
     assert {"fix_noise_factor.box_pose", "fix_noise_factor.gnss_pose"} <= found.keys()

@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip import state_file
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import Learned, aged, to_tree
+from trackslip_estimation.slip.learned import Learned, aged, meaning, to_tree
 from trackslip_estimation.slip.state_file import StateFile, parse_state, state_text
 
 P = parameters()
+OF = meaning(P)
 NOW_S = 1.8e9
 HOUR = 3600.0
 
@@ -31,7 +32,7 @@ def _learned() -> Learned:
 
 
 LEARNED = _learned()
-TEXT = state_text(LEARNED, P, NOW_S)
+TEXT = state_text(LEARNED, OF, NOW_S)
 
 
 @pytest.fixture
@@ -51,7 +52,7 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
 
 def written(path: Path, learned: Learned = LEARNED) -> StateFile:
     kept = StateFile(str(path))
-    kept.write(learned, P)
+    kept.write(learned, OF)
     kept.finish()
     return kept
 
@@ -67,11 +68,11 @@ def test_what_was_written_is_read_with_its_age(path: Path, at: Callable[[float],
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     at(NOW_S + 2 * HOUR)
     kept = StateFile(str(path))
-    found = kept.read(P)
+    found = kept.read(OF)
     assert found is not None
     assert kept.used
     assert kept.note == f"starts from what was learned 2 h ago ({path})"
-    assert to_tree(found, P) == to_tree(aged(LEARNED, 2 * HOUR, P), P)
+    assert to_tree(found, OF) == to_tree(aged(LEARNED, 2 * HOUR, OF), OF)
 
 
 def test_the_file_can_be_read_by_people(path: Path) -> None:
@@ -86,8 +87,8 @@ def test_without_a_path_nothing_is_done(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.chdir(tmp_path)
     kept = StateFile("")
     assert not kept
-    assert kept.read(P) is None
-    kept.write(LEARNED, P)
+    assert kept.read(OF) is None
+    kept.write(LEARNED, OF)
     kept.forget()
     kept.finish()
     assert kept.failures == 0
@@ -97,7 +98,7 @@ def test_without_a_path_nothing_is_done(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_path_may_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     kept = StateFile("~/kept.yaml")
-    kept.write(LEARNED, P)
+    kept.write(LEARNED, OF)
     kept.finish()
     assert (tmp_path / "kept.yaml").is_file()
 
@@ -109,7 +110,7 @@ def test_a_home_that_nobody_knows_is_refused() -> None:
 
 def test_the_first_start_has_nothing_to_read(path: Path) -> None:
     kept = StateFile(str(path))
-    assert kept.read(P) is None
+    assert kept.read(OF) is None
     assert kept.used
     assert kept.note == f"nothing learned before: no file {path}"
 
@@ -118,22 +119,22 @@ def test_the_first_start_has_nothing_to_read(path: Path) -> None:
 def test_a_file_changed_anywhere_is_noticed(at: int, character: str) -> None:
     changed = TEXT[:at] + character + TEXT[at + 1 :]
     if changed.strip() == TEXT.strip():
-        assert parse_state(changed, P)[1] == NOW_S
+        assert parse_state(changed, OF)[1] == NOW_S
     else:
         with pytest.raises(InputError):
-            parse_state(changed, P)
+            parse_state(changed, OF)
 
 
 @given(st.integers(0, len(TEXT.rstrip()) - 1))
 def test_a_file_cut_anywhere_is_noticed(length: int) -> None:
     with pytest.raises(InputError, match="edited, or cut off"):
-        parse_state(TEXT[:length], P)
+        parse_state(TEXT[:length], OF)
 
 
 @given(st.text())
 def test_a_file_of_anything_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="edited, or cut off"):
-        parse_state(text, P)
+        parse_state(text, OF)
 
 
 @pytest.mark.parametrize(
@@ -149,18 +150,18 @@ def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reas
     path.parent.mkdir()
     path.write_bytes(content)
     kept = StateFile(str(path))
-    assert kept.read(P) is None
+    assert kept.read(OF) is None
     assert not kept.used
     assert reason in kept.note
     assert str(path) in kept.note
     assert "\n" not in kept.note
     assert path.read_bytes() == content  # until there is something to write
     for _ in range(2):
-        kept.write(LEARNED, P)
+        kept.write(LEARNED, OF)
         kept.finish()
     assert path.with_name(f"{path.name}.unused").read_bytes() == content
     assert len(list(path.parent.iterdir())) == 2
-    assert StateFile(str(path)).read(P) is not None
+    assert StateFile(str(path)).read(OF) is not None
 
 
 def test_the_file_of_another_vehicle_is_kept_under_its_own_name(path: Path) -> None:
@@ -168,16 +169,16 @@ def test_the_file_of_another_vehicle_is_kept_under_its_own_name(path: Path) -> N
     first = path.read_bytes()
     other = parameters(**{"vehicle.tread": 0.8})
     kept = StateFile(str(path))
-    assert kept.read(other) is None
+    assert kept.read(meaning(other)) is None
     assert "of another vehicle" in kept.note
     estimator = SlipEstimator(other)
     estimator.process_all(drive(Machine(duration=5.0)).measurements)
-    kept.write(estimator.learned, other)
+    kept.write(estimator.learned, meaning(other))
     kept.finish()
     (aside,) = (p for p in path.parent.iterdir() if p != path)
     assert aside.name.startswith(f"{path.name}.of-")
     assert aside.read_bytes() == first
-    assert StateFile(str(path)).read(other) is not None
+    assert StateFile(str(path)).read(meaning(other)) is not None
 
 
 @pytest.mark.parametrize("now_s", [NOW_S - HOUR, 0.0, NOW_S + 1e9])
@@ -188,16 +189,16 @@ def test_a_clock_that_cannot_be_right_forgets_the_ground_only(
     written(path)
     at(now_s)
     kept = StateFile(str(path))
-    found = kept.read(P)
+    found = kept.read(OF)
     assert found is not None
     assert "at an unknown time" in kept.note
-    assert to_tree(found, P) == to_tree(aged(LEARNED, 7 * 86400.0, P), P)
+    assert to_tree(found, OF) == to_tree(aged(LEARNED, 7 * 86400.0, OF), OF)
 
 
 def test_of_another_version_it_is_not_used() -> None:
     body = TEXT.replace("version: 1\n", "version: 99\n").rpartition("\nchecksum: ")[0]
     with pytest.raises(InputError, match="of another version"):
-        parse_state(f"{body}\nchecksum: {state_file._digest(body)}\n", P)
+        parse_state(f"{body}\nchecksum: {state_file._digest(body)}\n", OF)
 
 
 @pytest.mark.parametrize("when", ["", "yesterday", "2026-99-99", "9" * 30])
@@ -206,7 +207,7 @@ def test_without_a_date_it_is_not_used(when: str) -> None:
     body = TEXT.replace(date, when).rpartition("\nchecksum: ")[0]
     assert body != TEXT
     with pytest.raises(InputError, match="when it was written"):
-        parse_state(f"{body}\nchecksum: {state_file._digest(body)}\n", P)
+        parse_state(f"{body}\nchecksum: {state_file._digest(body)}\n", OF)
 
 
 def test_a_full_disk_is_counted_and_leaves_the_old_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,14 +219,14 @@ def test_a_full_disk_is_counted_and_leaves_the_old_file(path: Path, monkeypatch:
 
     monkeypatch.setattr(os, "fsync", full)
     for _ in range(2):
-        kept.write(LEARNED, P)
+        kept.write(LEARNED, OF)
         kept.finish()
     assert (kept.failures, kept.failure) == (2, "No space left on device")
     assert kept.status()["not written"] == "2"
     assert path.read_bytes() == before
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     monkeypatch.undo()
-    kept.write(LEARNED, P)
+    kept.write(LEARNED, OF)
     kept.finish()
     assert (kept.failures, kept.failure) == (2, "")
 
@@ -235,11 +236,11 @@ def test_where_nothing_can_be_written_the_estimator_goes_on(tmp_path: Path, name
     (tmp_path / "a file").write_text("", encoding="utf-8")
     (tmp_path / "folder").mkdir()
     kept = StateFile(str(tmp_path / name))
-    assert kept.read(P) is None
+    assert kept.read(OF) is None
     if name == "folder":
         assert "it is no file" in kept.note
         return
-    kept.write(LEARNED, P)
+    kept.write(LEARNED, OF)
     kept.finish()
     assert kept.failures == 1
     assert kept.failure
@@ -247,7 +248,7 @@ def test_where_nothing_can_be_written_the_estimator_goes_on(tmp_path: Path, name
 
 def test_nothing_learned_is_not_written(path: Path) -> None:
     kept = StateFile(str(path))
-    kept.write(None, P)
+    kept.write(None, OF)
     kept.finish()
     assert not path.exists()
 
@@ -258,8 +259,8 @@ def test_forgotten_it_is_gone_and_comes_again(path: Path) -> None:
     kept.forget()
     assert not path.exists()
     assert kept.failures == 0
-    kept.write(LEARNED, P)
+    kept.write(LEARNED, OF)
     kept.finish()
-    found = StateFile(str(path)).read(P)
+    found = StateFile(str(path)).read(OF)
     assert found is not None
     assert np.all(found.stddev >= LEARNED.stddev * (1.0 - 1e-9))

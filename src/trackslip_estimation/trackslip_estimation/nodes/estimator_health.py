@@ -20,7 +20,7 @@ def estimator_health(
     p, now_ns = estimator.parameters, estimator.newest_ns or 0
     values = {**counts, "restarts": estimator.restarts}
     values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
-    values |= {found.form.label: found.sentence for found in findings(estimator.learned, p)}
+    values |= {found.form.label: found.sentence for found in findings(estimator.learned, estimator.meaning)}
     if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
         return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
     if not estimator.started:

@@ -9,7 +9,7 @@ from rclpy.clock import Clock, ClockType
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import to_tree
+from trackslip_estimation.slip.learned import meaning, to_tree
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.state_file import StateFile
 
@@ -22,9 +22,10 @@ class StateKeeper:
     def __init__(
         self, node: TrackslipNode[SlipEstimatorParameters], estimator: Callable[[], SlipEstimator]
     ) -> None:
-        self._node, self._estimator, self._p = node, estimator, node.settings
-        self._file = StateFile(self._p.state_file)
-        self.learned = self._file.read(self._p)  # before this run
+        self._node, self._estimator = node, estimator
+        self._meaning = meaning(node.settings)
+        self._file = StateFile(node.settings.state_file)
+        self.learned = self._file.read(self._meaning)  # before this run
         if self._file:
             log = node.get_logger()
             log.info(self._file.note) if self._file.used else log.warning(self._file.note)
@@ -32,7 +33,7 @@ class StateKeeper:
 
     def started_from(self) -> dict[str, Any]:
         """What was learned before this run, as a bag carries it along."""
-        return {} if self.learned is None else {"learned": to_tree(self.learned, self._p)}
+        return {} if self.learned is None else {"learned": to_tree(self.learned, self._meaning)}
 
     def forget(self) -> None:
         """Delete the file."""
@@ -40,7 +41,7 @@ class StateKeeper:
 
     def finish(self) -> None:
         """Write for the last time."""
-        self._file.write(self._estimator().learned, self._p)
+        self._file.write(self._estimator().learned, self._meaning)
         self._file.finish()
         if self._file.failure:
             self._node.get_logger().warning(f"what was learned is not kept: {self._file.failure}")
@@ -55,4 +56,4 @@ class StateKeeper:
 
     def _save(self) -> None:
         if self._node.active:
-            self._file.write(self._estimator().learned, self._p)
+            self._file.write(self._estimator().learned, self._meaning)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.slip.config import make_config
-from trackslip_estimation.slip.learned import Learned, learned_of, start_from
+from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
 from trackslip_estimation.slip.measurements import (
     FORGET,
     FREEZE,
@@ -101,7 +101,7 @@ class SlipEstimator:
         """What is known by now of machine and ground; None where nothing was learned yet."""
         if not self.started:
             return self._start
-        return learned_of(self.window.states[self.window.count - 1], self.parameters, self.sources)
+        return learned_of(self.window.states[self.window.count - 1], self.meaning, self.sources)
 
     def apply_command(self, command: Command | Reload) -> Report:
         """Reset, forget, freeze or unfreeze, or take new values of parameters.
@@ -162,8 +162,9 @@ class SlipEstimator:
         self.parameters = p
         self.sources = {name: number for number, name in enumerate(p.timeouts_ns())}
         self.config = make_config(p, self._window_ns)
+        self.meaning = meaning(p)
         if self._start is not None:
-            start_from(self._start, self.config, p, self.sources)
+            start_from(self._start, self.config, self.meaning, self.sources)
 
 
 def make_step(result: Any, source: str) -> Step:

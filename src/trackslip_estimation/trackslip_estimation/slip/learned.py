@@ -16,7 +16,6 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,9 +78,10 @@ class Meaning(NamedTuple):
     places: Mapping[str, int]  # name → place in the state vector of what is kept, in the model's order
     prior: "Learned"
     constants: Any  # record of ``adaptation.CONSTANTS``
+    has_track_error: bool  # whether the model knows any
+    stamp_errors: Mapping[str, float]  # σ_t of each source of poses, s
 
 
-@lru_cache(maxsize=8)
 def meaning(p: SlipEstimatorParameters) -> Meaning:
     """Of all that is learned by an estimator with these parameters."""
     c, places, machine = make_config(p)[0], _kept_states(p), _machine_digest(p)
@@ -89,7 +89,9 @@ def meaning(p: SlipEstimatorParameters) -> Meaning:
     weights = np.tile(n["rate_prior"], (len(n["track_variances"]), 1))
     stddev = np.sqrt(c["prior_variance"][kept])
     prior = Learned(machine, c["prior_mean"][kept], stddev, np.eye(len(kept)), weights, {})
-    return Meaning(machine, places, prior, n)
+    has_track_error = hasattr(MODELS[p.model], "velocity_error_constants")
+    stamp_errors = {name: source.stamp_error for name, source in p.poses().items()}
+    return Meaning(machine, places, prior, n, has_track_error, stamp_errors)
 
 
 def _machine_digest(p: SlipEstimatorParameters) -> str:
@@ -113,11 +115,11 @@ def _kept_states(p: SlipEstimatorParameters) -> dict[str, int]:
     return found
 
 
-def learned_of(state: Any, p: SlipEstimatorParameters, sources: Mapping[str, int]) -> Learned:
+def learned_of(state: Any, of: Meaning, sources: Mapping[str, int]) -> Learned:
     """Of a record of ``STATE``; ``sources``: name → number."""
-    of, adaptation = meaning(p), state["adaptation"]
+    adaptation = state["adaptation"]
     kept = list(of.places.values())
-    weights = {name: adaptation["fix_log_weights"][sources[name]] for name in p.poses()}
+    weights = {name: adaptation["fix_log_weights"][sources[name]] for name in of.stamp_errors}
     return Learned(
         of.machine,
         state["mean"][kept],
@@ -127,11 +129,10 @@ def learned_of(state: Any, p: SlipEstimatorParameters, sources: Mapping[str, int
     )
 
 
-def aged(learned: Learned, age_s: float, p: SlipEstimatorParameters) -> Learned:
+def aged(learned: Learned, age_s: float, of: Meaning) -> Learned:
     """What is left of it after ``age_s`` seconds, at least 0."""
-    _, places, prior, constants = meaning(p)
-    of_fixes = constants["fix_prior"]
-    lifetimes = np.array([_LIFETIMES.get(name, _OF_GROUND) for name in places])
+    prior, of_fixes = of.prior, of.constants["fix_prior"]
+    lifetimes = np.array([_LIFETIMES.get(name, _OF_GROUND) for name in of.places])
     phi, left = np.exp(-age_s / lifetimes), math.exp(-age_s / _OF_GROUND)
     added = -np.expm1(-2.0 * age_s / lifetimes) * np.square(prior.stddev)
     stddev, correlations = _deviations(np.outer(phi, phi) * learned.covariance + np.diag(added))
@@ -145,11 +146,9 @@ def aged(learned: Learned, age_s: float, p: SlipEstimatorParameters) -> Learned:
     )
 
 
-def start_from(
-    learned: Learned, config: ConfigRecord, p: SlipEstimatorParameters, sources: Mapping[str, int]
-) -> None:
+def start_from(learned: Learned, config: ConfigRecord, of: Meaning, sources: Mapping[str, int]) -> None:
     """Make ``config``, (1,) of ``CONFIG``, start from what was learned instead of the parameters' priors."""
-    c, kept = config[0], list(meaning(p).places.values())
+    c, kept = config[0], list(of.places.values())
     c["prior_mean"][kept] = learned.mean
     c["prior_covariance"][np.ix_(kept, kept)] = learned.covariance
     c["prior_variance"] = np.diag(c["prior_covariance"])
@@ -171,9 +170,9 @@ def weights_of(log_weights: FloatArray) -> FloatArray:
     return np.asarray(masses / masses.sum())
 
 
-def to_tree(learned: Learned, p: SlipEstimatorParameters) -> dict[str, Any]:
+def to_tree(learned: Learned, of: Meaning) -> dict[str, Any]:
     """As nested mappings and lists of numbers, for YAML; ``from_tree`` gives the same bits back."""
-    numbers = zip(meaning(p).places, learned.mean.tolist(), learned.stddev.tolist(), strict=True)
+    numbers = zip(of.places, learned.mean.tolist(), learned.stddev.tolist(), strict=True)
     return {
         "machine": learned.machine,
         "states": {name: {"value": value, "stddev": deviation} for name, value, deviation in numbers},
@@ -183,7 +182,7 @@ def to_tree(learned: Learned, p: SlipEstimatorParameters) -> dict[str, Any]:
     }
 
 
-def from_tree(tree: Any, p: SlipEstimatorParameters) -> Learned:
+def from_tree(tree: Any, of: Meaning) -> Learned:
     """What ``to_tree`` made, of the same machine.
 
     Raises:
@@ -191,10 +190,9 @@ def from_tree(tree: Any, p: SlipEstimatorParameters) -> Learned:
     """
     if not isinstance(tree, Mapping) or not isinstance(tree.get("machine"), str):
         raise InputError("it does not hold what was learned of a machine")
-    machine, places, prior, constants = meaning(p)
-    if tree["machine"] != machine:
+    if tree["machine"] != of.machine:
         raise OtherMachine("it is of another vehicle, or of other sources or another model", tree["machine"])
-    names = list(places)
+    names, prior = list(of.places), of.prior
     try:
         states, n = tree["states"], len(names)
         if list(states) != names:
@@ -206,9 +204,9 @@ def from_tree(tree: Any, p: SlipEstimatorParameters) -> Learned:
             correlations[k, :k] = correlations[:k, k] = np.array(row, np.float64).reshape(k)
         track = np.array(tree["track_error_ln_weights"], np.float64).reshape(prior.track_weights.shape)
         fixes = {
-            name: np.array(own, np.float64).reshape(constants["fix_prior"].shape)
+            name: np.array(own, np.float64).reshape(of.constants["fix_prior"].shape)
             for name, own in tree["fix_noise_ln_weights"].items()
-            if name in p.poses()
+            if name in of.stamp_errors
         }
         everything = (mean, stddev, correlations, track, *fixes.values())
         if not all(np.all(np.abs(numbers) < 1e9) for numbers in everything) or np.any(stddev < 0.0):

@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.slip.learned import Learned, Meaning, meaning, weights_of
-from trackslip_estimation.slip.models.dispatch import MODELS
-from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.learned import Learned, Meaning, weights_of
 
 FloatArray = NDArray[np.float64]
 
@@ -94,13 +92,12 @@ def decimals(stddev: float) -> int:
     return min(max(-math.floor(math.log10(max(stddev, 1e-9) / 2.0)), 0), 9)
 
 
-def findings(learned: Learned | None, p: SlipEstimatorParameters) -> list[Finding]:
-    """All that the estimator of these parameters learns; of nothing learned, the priors."""
-    of = meaning(p)
+def findings(learned: Learned | None, of: Meaning) -> list[Finding]:
+    """All that an estimator learns; of nothing learned, the priors."""
     known = of.prior if learned is None else learned
-    found = [finding for name in of.places for finding in _of_state(name, known, of.prior, p)]
-    if hasattr(MODELS[p.model], "velocity_error_constants"):
-        found += _noise(known, of, p)
+    found = [finding for name in of.places for finding in _of_state(name, known, of)]
+    if of.has_track_error:
+        found += _noise(known, of)
     order = {kind: k for k, kind in enumerate(_FORMS)}
     return sorted(found, key=lambda finding: order.get(finding.name.partition(".")[0], len(order)))
 
@@ -118,24 +115,24 @@ def summary_lines(found: list[Finding]) -> list[str]:
     return ([f"learned: {', '.join(seen)}"] if seen else []) + lines_of([f for f in found if not f.observed])
 
 
-def _of_state(name: str, known: Learned, prior: Learned, p: SlipEstimatorParameters) -> list[Finding]:
+def _of_state(name: str, known: Learned, of: Meaning) -> list[Finding]:
     """Of one state; of the delay one for each source; nothing of what is no state by the parameters."""
-    k = list(meaning(p).places).index(name)
-    value, stddev, before = known.mean[k], known.stddev[k], prior.stddev[k]
+    k = list(of.places).index(name)
+    value, stddev, before = known.mean[k], known.stddev[k], of.prior.stddev[k]
     if before == 0.0:
         return []
     observed = bool(stddev < _NARROWED * before)
     if name == "fix_delay":
-        errors = {source: pose.stamp_error for source, pose in p.poses().items() if pose.stamp_error > 0.0}
         return [
             Finding(f"{name}.{source}", float(value * error), float(stddev * error), observed)
-            for source, error in errors.items()
+            for source, error in of.stamp_errors.items()
+            if error > 0.0
         ]
     zero = _FORMS[name].zero if name in _FORMS else 0.0  # the state is the departure from it
     return [Finding(name, float(value) + zero, float(stddev), observed)]
 
 
-def _noise(known: Learned, of: Meaning, p: SlipEstimatorParameters) -> list[Finding]:
+def _noise(known: Learned, of: Meaning) -> list[Finding]:
     """Track error, and the factors of the variance that gyro and fixes state."""
     n, joint, before = of.constants, weights_of(known.track_weights), weights_of(of.prior.track_weights)
     masses, variances = (joint.sum(axis=1), before.sum(axis=1)), n["track_variances"]
@@ -146,7 +143,7 @@ def _noise(known: Learned, of: Meaning, p: SlipEstimatorParameters) -> list[Find
         _of_masses("gyro_noise_factor", n["rate_factors"], joint.sum(axis=0), before.sum(axis=0)),
     ]
     unknown = np.full(len(n["fix_factors"]), 1.0 / len(n["fix_factors"]))
-    for source in p.poses():
+    for source in of.stamp_errors:
         name, own = f"fix_noise_factor.{source}", known.fix_weights.get(source)
         masses_of = unknown if own is None else weights_of(own)
         finding = _of_masses(name, n["fix_factors"], masses_of, unknown)

@@ -20,9 +20,8 @@ import yaml
 
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import parse_yaml
-from trackslip_estimation.slip.learned import Learned, OtherMachine, aged, from_tree, to_tree
+from trackslip_estimation.slip.learned import Learned, Meaning, OtherMachine, aged, from_tree, to_tree
 from trackslip_estimation.slip.learned_text import findings, lines_of
-from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 
 _VERSION = 1
 _LARGEST = 1 << 18  # bytes
@@ -37,17 +36,17 @@ _HEAD = """\
 """
 
 
-def state_text(learned: Learned, p: SlipEstimatorParameters, written_s: float) -> str:
+def state_text(learned: Learned, of: Meaning, written_s: float) -> str:
     """What the file holds; ``written_s``: seconds since 1970."""
-    words = [f"#   {line}\n" for line in lines_of(findings(learned, p))]
+    words = [f"#   {line}\n" for line in lines_of(findings(learned, of))]
     written = datetime.fromtimestamp(written_s, timezone.utc).isoformat()
-    tree = {"version": _VERSION, "written": written, **to_tree(learned, p)}
+    tree = {"version": _VERSION, "written": written, **to_tree(learned, of)}
     body = _HEAD + "".join(words) + yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=110)
     body = body.rstrip("\n")
     return f"{body}{_CHECKSUM}{_digest(body)}\n"
 
 
-def parse_state(text: str, p: SlipEstimatorParameters) -> tuple[Learned, float]:
+def parse_state(text: str, of: Meaning) -> tuple[Learned, float]:
     """What was learned, and when it was written, seconds since 1970.
 
     Raises:
@@ -63,7 +62,7 @@ def parse_state(text: str, p: SlipEstimatorParameters) -> tuple[Learned, float]:
         written_s = datetime.fromisoformat(str(tree.get("written"))).timestamp()
     except (ValueError, OverflowError) as error:
         raise InputError("it does not say when it was written") from error
-    return from_tree(tree, p), written_s
+    return from_tree(tree, of), written_s
 
 
 class StateFile:
@@ -92,7 +91,7 @@ class StateFile:
     def __bool__(self) -> bool:
         return self._path is not None
 
-    def read(self, p: SlipEstimatorParameters) -> Learned | None:
+    def read(self, of: Meaning) -> Learned | None:
         """What is there, widened with its age; None where nothing is of use: see ``note``."""
         if self._path is None:
             return None
@@ -101,7 +100,7 @@ class StateFile:
             if not self._path.exists():
                 self.note = f"nothing learned before: no file {self._path}"
                 return None
-            learned, written_s = parse_state(_content(self._path), p)
+            learned, written_s = parse_state(_content(self._path), of)
         except (InputError, OSError) as error:
             self.used = False
             self._aside = f"of-{_digest(error.machine)[:8]}" if isinstance(error, OtherMachine) else "unused"
@@ -112,16 +111,16 @@ class StateFile:
         known = _EARLIEST < age_s < _OLDEST
         age = _words(max(age_s, 0.0)) if known else "at an unknown time"
         self.note = f"starts from what was learned {age} ({self._path})"
-        return aged(learned, max(age_s, 0.0) if known else _UNKNOWN_AGE, p)
+        return aged(learned, max(age_s, 0.0) if known else _UNKNOWN_AGE, of)
 
-    def write(self, learned: Learned | None, p: SlipEstimatorParameters) -> None:
+    def write(self, learned: Learned | None, of: Meaning) -> None:
         """Begin to write; nothing where the last one still goes on."""
         if self._path is None or learned is None:
             return
         if self._writer is not None and self._writer.is_alive():
             self._fail("the disk is too slow")
             return
-        arguments = (self._path, learned, p)
+        arguments = (self._path, learned, of)
         self._writer = threading.Thread(target=self._write, args=arguments, name="state_file", daemon=True)
         self._writer.start()
 
@@ -148,11 +147,11 @@ class StateFile:
             values = {"file": str(self._path), "read": self.note, "written": ago}
             return values | {"not written": str(self.failures), "last failure": self.failure or "none"}
 
-    def _write(self, path: Path, learned: Learned, p: SlipEstimatorParameters) -> None:
+    def _write(self, path: Path, learned: Learned, of: Meaning) -> None:
         """In its own thread."""
         beside, now_s = path.with_name(f".{path.name}.new"), time.time()
         try:
-            text = state_text(learned, p, now_s)
+            text = state_text(learned, of, now_s)
             path.parent.mkdir(parents=True, exist_ok=True)
             with beside.open("w", encoding="utf-8") as file:
                 file.write(text)

@@ -13,7 +13,7 @@ from trackslip_common.parameters import to_flat
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, make_step
-from trackslip_estimation.slip.learned import Learned, to_tree
+from trackslip_estimation.slip.learned import Learned, meaning, to_tree
 from trackslip_estimation.slip.learned_text import summary_lines, to_json
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -36,7 +36,7 @@ class EstimateWriter:
 
     def __init__(self, path: Path, p: SlipEstimatorParameters, learned: Learned | None = None) -> None:
         self._bag, self._p = BagWriter(path), p
-        self._start = {} if learned is None else {"learned": to_tree(learned, p)}
+        self._start = {} if learned is None else {"learned": to_tree(learned, meaning(p))}
         self._sequence = 0
         self._logged_ns: int | None = None
 

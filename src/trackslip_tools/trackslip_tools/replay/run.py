@@ -148,7 +148,7 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
             begin = end
             if estimator.started and end > 0:
                 stamp_ns = estimator.newest_ns or 0
-                learned.append(Known(stamp_ns, findings(estimator.learned, estimator.parameters)))
+                learned.append(Known(stamp_ns, findings(estimator.learned, estimator.meaning)))
             if end in commands:
                 is_reload = rows["kind"][end] == IS_RELOAD
                 command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))

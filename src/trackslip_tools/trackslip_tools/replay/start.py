@@ -4,7 +4,7 @@
 from trackslip_bags.parameters import bag_learned
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.learned import Learned, from_tree
+from trackslip_estimation.slip.learned import Learned, from_tree, meaning
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 
 
@@ -18,6 +18,6 @@ def learned_before(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | None
     if tree is None:
         return None, ""
     try:
-        return from_tree(tree, p), "starts from what was learned before the bag begins"
+        return from_tree(tree, meaning(p)), "starts from what was learned before the bag begins"
     except InputError as error:
         return None, f"what was learned before the bag begins is not used: {error}"
