@@ -162,7 +162,7 @@ def test_every_model_learns_and_tells(model: str, driven: list[Measurement]) -> 
         {"sources.imu_data_raw.sign": -1},
         {"sources.imu_data_raw.scale": 0.98},
         {"sources.box_pose.stamp_error": 0.03},
-        {"pose_sources": ("gnss_pose",)},
+        {"pose_sources": ("box_pose", "gnss_pose")},
     ],
 )
 def test_another_machine_is_noticed(learned: Learned, changes: dict[str, Any]) -> None:
