@@ -264,3 +264,14 @@ def test_forgotten_it_is_gone_and_comes_again(path: Path) -> None:
     found = StateFile(str(path)).read(OF)
     assert found is not None
     assert np.all(found.stddev >= LEARNED.stddev * (1.0 - 1e-9))
+
+
+def test_to_forget_loses_nothing_of_another_vehicle(path: Path) -> None:
+    written(path)
+    first = path.read_bytes()
+    kept = StateFile(str(path))
+    assert kept.read(meaning(parameters(**{"vehicle.tread": 0.8}))) is None
+    kept.forget()
+    (aside,) = path.parent.iterdir()
+    assert aside != path
+    assert aside.read_bytes() == first

@@ -125,10 +125,11 @@ class StateFile:
         self._writer.start()
 
     def forget(self) -> None:
-        """Delete it."""
+        """Delete it; a file that was not used is moved aside."""
         self.finish()
         try:
             if self._path is not None:
+                self._move_aside(self._path)
                 self._path.unlink(missing_ok=True)
         except OSError as error:
             self._fail(f"not deleted: {error.strerror}")
@@ -157,9 +158,7 @@ class StateFile:
                 file.write(text)
                 file.flush()
                 os.fsync(file.fileno())  # the key may be turned at any time
-            if self._aside and path.exists():
-                path.replace(path.with_name(f"{path.name}.{self._aside}"))
-            self._aside = ""
+            self._move_aside(path)
             beside.replace(path)
         except (OSError, ValueError) as error:  # ValueError: no path at all
             with suppress(OSError, ValueError):
@@ -168,6 +167,12 @@ class StateFile:
             return
         with self._lock:
             self._written_s, self.failure = now_s, ""
+
+    def _move_aside(self, path: Path) -> None:
+        """Where it is a file that was not used."""
+        if self._aside and path.exists():
+            path.replace(path.with_name(f"{path.name}.{self._aside}"))
+        self._aside = ""
 
     def _fail(self, reason: str) -> None:
         with self._lock:
