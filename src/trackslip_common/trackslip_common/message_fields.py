@@ -123,6 +123,28 @@ class OdometryFields(NamedTuple):
     twist_covariance: Annotated[FloatArray, At("twist.covariance", _PLANE_IN_36, (3, 3))]
 
 
+class NavSatFields(NamedTuple):
+    """Of sensor_msgs/NavSatFix."""
+
+    stamp_ns: StampNs
+    latitude: Annotated[float, At("latitude")]  # °
+    longitude: Annotated[float, At("longitude")]
+    altitude: Annotated[float, At("altitude")]  # m above the ellipsoid, nan where unknown
+    status: Annotated[int, At("status.status")]  # −1: no fix
+    covariance: Annotated[FloatArray, At("position_covariance", (0, 1, 3, 4), (2, 2))]  # m², east and north
+    covariance_type: Annotated[int, At("position_covariance_type")]  # 0: unknown
+
+
+class QuaternionFields(NamedTuple):
+    """Of geometry_msgs/QuaternionStamped."""
+
+    stamp_ns: StampNs
+    qx: Annotated[float, At("quaternion.x")]
+    qy: Annotated[float, At("quaternion.y")]
+    qz: Annotated[float, At("quaternion.z")]
+    qw: Annotated[float, At("quaternion.w")]
+
+
 class SlipFields(NamedTuple):
     """Of trackslip_msgs/TrackSlip."""
 
@@ -191,6 +213,8 @@ RECORDS: dict[str, RecordClass] = {
     "sensor_msgs/msg/Imu": ImuFields,
     "geometry_msgs/msg/PoseWithCovarianceStamped": PoseFields,
     "nav_msgs/msg/Odometry": OdometryFields,
+    "sensor_msgs/msg/NavSatFix": NavSatFields,
+    "geometry_msgs/msg/QuaternionStamped": QuaternionFields,
     "trackslip_msgs/msg/TrackSlip": SlipFields,
     "trackslip_msgs/msg/TrackHydraulics": HydraulicsFields,
     "trackslip_msgs/msg/TrackForces": ForceFields,
