@@ -18,7 +18,7 @@ setup(
     zip_safe=False,
     maintainer="Trackslip maintainers",
     maintainer_email="maintainers@trackslip.invalid",
-    description="Drivers of the excavator's sensors: CAN (sprockets, hydraulics), Watson IMU, SICK PLS, NMEA GNSS",
+    description="Drivers of the excavator's sensors: CAN, Watson IMU, SICK PLS, NMEA GNSS receivers",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -8,7 +8,7 @@ from trackslip_common.parameters import Parameters, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class RangeErrors(Parameters):
-    """What HDOP is multiplied with where the receiver sends no GST: σ_E = σ_N = HDOP · error/√2, σ_U = 2 σ_E."""
+    """What HDOP is multiplied with where there is no GST: σ_E = σ_N = HDOP · error/√2, σ_U = 2 σ_E."""
 
     single: float = parameter("error of a range, code alone", unit="m", gt=0.0)
     differential: float = parameter("the same with corrections", unit="m", gt=0.0)
@@ -28,11 +28,16 @@ class NmeaParameters(Parameters):
     rate: float = parameter("fixes that the receiver was set to send", unit="Hz", gt=0.0, le=100.0)
     time_offset: float = parameter("added to every stamp", unit="s")
     latency: float = parameter(
-        "from the moment of a fix to the first byte that tells of it, at its shortest", unit="s", ge=0.0, lt=1.0
+        "from the moment of a fix to the first byte that tells of it, at its shortest",
+        unit="s",
+        ge=0.0,
+        lt=1.0,
     )
     host_clock_is_utc: bool = parameter(
         "whether the host's clock is kept on UTC to a millisecond (PTP, PPS): then a fix is stamped with the"
         " receiver's own time, and no latency is assumed"
     )
-    heading_stddev: float = parameter("noise of a heading that comes without one; 0: unknown", unit="rad", ge=0.0)
+    heading_stddev: float = parameter(
+        "noise of a heading that comes without one; 0: unknown", unit="rad", ge=0.0
+    )
     range_errors: RangeErrors

@@ -96,7 +96,9 @@ class SenderClock:
     def __init__(self, tolerance: float, patience: int) -> None:
         self._pace = 1.0 + tolerance
         self._patience = patience
-        self._told_ns: int | None = None
+        self._told_ns: int | None = None  # what follows belongs to it
+        self._raw_ns = self._last_ns = 0
+        self._late, self._least_late_ns = 0, _DAY_NS
 
     def restart(self) -> None:
         """Start over: what comes next may not continue what was."""

@@ -31,7 +31,6 @@ class NmeaNode(DriverNode[NmeaParameters]):
         self._headings = self.advertise(topic_class(HEADING), HEADING)
         self._stream = self._new_stream()
 
-
     def open_port(self) -> SerialPort:
         """The serial port, or a socket."""
         return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)

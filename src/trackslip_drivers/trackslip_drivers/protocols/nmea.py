@@ -110,7 +110,7 @@ def decode(line: bytes) -> Reading | Rejection | None:
     content, star, checksum = content.partition(b"*")
     address = content.partition(b",")[0].decode("latin-1")
     kind = address if address.startswith("P") else address[2:]
-    if kind not in _KINDS or content.startswith(b"PASHR,") and content[6:7].isalpha():  # PASHR,POS and such
+    if kind not in _KINDS or (content.startswith(b"PASHR,") and content[6:7].isalpha()):  # PASHR,POS and such
         return None if star and content.isascii() else Rejection.NOT_NMEA
     if not star:
         return Rejection.NO_CHECKSUM

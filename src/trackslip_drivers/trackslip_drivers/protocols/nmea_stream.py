@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bytes of a GNSS receiver to positions and headings with stamps and variances.
 
-A receiver tells of one moment, its epoch, in a burst of sentences. GGA, GST, RMC and PASHR hold the time of the
-epoch; HDT and THS do not, and have that of the burst they come in. A fix waits for its GST where the one before
-had its GST behind it; it is out with the next sentence of another epoch, or as the line falls silent.
+A receiver tells of one moment, its epoch, in a burst of sentences. GGA, GST, RMC and PASHR hold the time of
+the epoch; HDT and THS do not, and have that of the burst they come in. A fix waits for its GST where the one
+before had its GST behind it; it is out with the next sentence of another epoch, or as the line falls silent.
 """
 
 import math
@@ -12,7 +12,7 @@ from enum import Enum
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
-from trackslip_drivers.protocols.lines import Line, LineCutter
+from trackslip_drivers.protocols.lines import LineCutter
 from trackslip_drivers.protocols.nmea import (
     BITS_PER_CHAR,
     LONGEST_LINE,
@@ -31,7 +31,7 @@ from trackslip_drivers.stamping import SenderClock
 FIX, HEADING = "fix", "heading"
 RECEIVER_CLOCK = "receiver's clock"
 
-_CLOCK_TOLERANCE = 1e-4
+_CLOCK_TOLERANCE = 5e-5  # of a host's quartz
 _PATIENCE = 300  # fixes
 _BURST_GAP_NS = 10_000_000  # of silence that ends a burst
 _GST_AGE_NS = 1_500_000_000  # of the oldest GST that a fix of the same quality may use

@@ -39,5 +39,3 @@ def datum(make: Make, origin: Datum, stamp_ns: int, frame: str) -> Any:
         position_covariance=np.zeros(9),
         position_covariance_type=_DIAGONAL_KNOWN,
     )
-
-

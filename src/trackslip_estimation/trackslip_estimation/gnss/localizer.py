@@ -4,8 +4,8 @@
     ϕ, λ, h      latitude, longitude, altitude above the ellipsoid     °, °, m
     E, N         east and north of the datum, on its tangent plane     m
 
-The tangent plane is the map. At 1 km from the datum distances on it are shorter than on the ground by 10⁻⁸, and
-a wrong altitude of 50 m moves a fix by 8 mm; at 100 m by 0.8 mm.
+The tangent plane is the map. At 1 km from the datum distances on it are shorter than on the ground by 10⁻⁸,
+and a wrong altitude of 50 m moves a fix by 8 mm; at 100 m by 0.8 mm.
 """
 
 import math
@@ -144,4 +144,6 @@ def _offset(datum: Datum, fix: Fix) -> tuple[float, float]:
     """E, N."""
     altitude = datum.altitude if math.isnan(fix.altitude) else fix.altitude
     east, north, up = pymap3d.geodetic2enu(fix.latitude, fix.longitude, altitude, *datum)
-    return (float(east), float(north)) if up > -_EARTH_RADIUS else (math.inf, math.inf)  # the far side of the earth
+    return (
+        (float(east), float(north)) if up > -_EARTH_RADIUS else (math.inf, math.inf)
+    )  # the far side of the earth

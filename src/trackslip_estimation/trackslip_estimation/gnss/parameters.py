@@ -15,7 +15,9 @@ class AssumedStddevs(Parameters):
 
     single: float = parameter("status FIX: code alone", unit="m", gt=0.0)
     differential: float = parameter("status SBAS_FIX: code with corrections", unit="m", gt=0.0)
-    rtk: float = parameter("status GBAS_FIX: corrections from a base; fixed or float is not known", unit="m", gt=0.0)
+    rtk: float = parameter(
+        "status GBAS_FIX: corrections from a base; fixed or float is not known", unit="m", gt=0.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,11 +27,15 @@ class GnssLocalizerParameters(Parameters):
     map_frame: str = parameter("frame of the poses: x east, y north of the datum")
     datum_latitude: float = parameter(
         "of the map's origin; 0, 0: that of the first good fix, and another after each start",
-        unit="°", ge=-90.0, le=90.0,
+        unit="°",
+        ge=-90.0,
+        le=90.0,
     )
     datum_longitude: float = parameter("of the map's origin", unit="°", ge=-180.0, le=180.0)
     datum_altitude: float = parameter("of the map's origin above the ellipsoid", unit="m", ge=-1e4, le=1e5)
-    datum_fixes: int = parameter("fixes in a row that agree before the first of them is the datum", ge=1, le=1000)
+    datum_fixes: int = parameter(
+        "fixes in a row that agree before the first of them is the datum", ge=1, le=1000
+    )
     max_distance: float = parameter("fixes farther from the datum are refused", unit="m", gt=0.0, le=1e6)
     max_stddev: float = parameter("fixes with a larger one, east or north, are refused", unit="m", gt=0.0)
     assumed_stddev: AssumedStddevs
