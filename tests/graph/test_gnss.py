@@ -73,21 +73,19 @@ def test_what_befalls_a_receiver_is_reported_and_passes(machine, observer):
     observer.wait(lambda: len(poses) > 5, "poses")
 
     def latest(name):
-        found = [status for status in healths if status.name == name]
-        return found[-1] if found else None
+        return next((status for status in reversed(healths) if status.name == name), None)
+
+    def reports(name, part, value):
+        found = latest(name)
+        return found is not None and getattr(found, part) == value
 
     for kind, level in (("unplug", b"\2"), ("wrong_baud", b"\3"), ("no_fix", b"\3")):
         before = len(poses)
         fault.publish(String(data=f"{{sensor: gnss, kind: {kind}, duration: 3.0}}"))
-        observer.wait(lambda level=level: latest("nmea_gnss").level == level, f"{kind} to be reported")
-        observer.wait(lambda: latest("gnss_localizer").message == "no fixes", "the localizer to miss them")
+        observer.wait(lambda level=level: reports("nmea_gnss", "level", level), f"{kind} to be reported")
+        observer.wait(lambda: reports("gnss_localizer", "message", "no fixes"), "the localizer to miss them")
         observer.wait(lambda before=before: len(poses) > before + 5, f"poses after {kind}")
-        healths.clear()
-    values = {pair.key: pair.value for pair in latest_of(observer, healths, "nmea_gnss").values}
+        observer.wait(lambda: not reports("gnss_localizer", "message", "no fixes"), "all to be well")
+    values = {pair.key: pair.value for pair in latest("nmea_gnss").values}
     assert int(values["fix: no fix"]) >= 20
     assert int(values["reconnects"]) >= 1
-
-
-def latest_of(observer, healths, name):
-    observer.wait(lambda: any(status.name == name for status in healths), f"a report of {name}")
-    return [status for status in healths if status.name == name][-1]
