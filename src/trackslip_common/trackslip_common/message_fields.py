@@ -93,6 +93,18 @@ class ImuFields(NamedTuple):
     variance_z: Annotated[float, At("angular_velocity_covariance", (8,))]  # (rad/s)², 0 where unknown
 
 
+class OrientationFields(NamedTuple):
+    """Of sensor_msgs/Imu, its orientation."""
+
+    stamp_ns: StampNs
+    qx: Annotated[float, At("orientation.x")]
+    qy: Annotated[float, At("orientation.y")]
+    qz: Annotated[float, At("orientation.z")]
+    qw: Annotated[float, At("orientation.w")]
+    absent: Annotated[float, At("orientation_covariance", (0,))]  # −1: there is none
+    variance_z: Annotated[float, At("orientation_covariance", (8,))]  # rad², 0 where unknown
+
+
 class PoseFields(NamedTuple):
     """Of geometry_msgs/PoseWithCovarianceStamped, and of the pose in nav_msgs/Odometry: the planar part."""
 

@@ -18,7 +18,7 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import fill_outputs, to_sensor
-from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SLIPS, SPROCKETS
+from trackslip_estimation.slip.records import HEADING, MANUAL, MOST_SOURCES, POSE, SLIPS, SPROCKETS
 from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.window import (
     SPARE,
@@ -90,7 +90,7 @@ def _check(window: Window, measurement: Any, c: Any) -> int:
     status = window.status[0]
     if not is_usable(measurement, c):
         return _INVALID
-    if status.frozen and measurement.kind == POSE and measurement.source != MANUAL:
+    if status.frozen and measurement.kind in (POSE, HEADING) and measurement.source != MANUAL:
         return _FROZEN
     if measurement.source == MANUAL and measurement.kind == POSE and measurement.stamp_ns == 0:
         if not status.clock.running:
