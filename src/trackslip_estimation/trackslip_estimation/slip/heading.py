@@ -71,8 +71,10 @@ def _align(state: Any, rotation: float, variance: float, c: Any) -> None:
     """The heading is found: the pose turns by ``rotation`` about the latest fix of an antenna."""
     if state.refused_count == 0:  # none since the start
         x, P = state.mean.copy(), state.covariance.copy()
-        to_sensor(x, P, c.levers[_latest(state, c)], 1.0)
-        keep_refused(state, (x[X], x[Y]), (x[X], x[Y]), (P[X, X] + P[Y, Y]) / 2.0)
+        lever = c.levers[_latest(state, c)]
+        to_sensor(x, P, lever, 1.0)
+        variance_of_fix = max((P[X, X] + P[Y, Y]) / 2.0 - lever[0] ** 2 - lever[1] ** 2, 0.0)
+        keep_refused(state, (x[X], x[Y]), (x[X], x[Y]), variance_of_fix)
     fix, count = state.refused[state.refused_count - 1], state.refused_count
     origin, target = (fix.predicted_x, fix.predicted_y), (fix.x, fix.y)
     move_pose(state, RigidMotion(rotation, math.sqrt(variance), 0.0, origin, target, count * fix.variance))

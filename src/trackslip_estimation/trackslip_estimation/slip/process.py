@@ -238,6 +238,9 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
                 floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
                 P[i, i] = max(P[i, i], floor * floor)
             to_sensor(x, P, c.levers[source], -1.0)
+        if source != MANUAL and P[YAW, YAW] > UNKNOWN_HEADING**2:  # to any side, which no tangent shows
+            for i in range(YAW):
+                P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
     stand_still(state.speeds)
     motion = state.motion
     motion.motion, motion.changing = _UNKNOWN, True

@@ -70,7 +70,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         POLLUTION: Kind((SICK,)),
         OCCLUSION: Kind((SICK,), "rad around the middle beam that something near covers", math.pi),
         GLARE: Kind((SICK,), "share of the rays that are dazzled"),
-        RTK_FLOAT: Kind((GNSS,)),  # ambiguities are no longer fixed, and there is no heading
+        RTK_FLOAT: Kind((GNSS,)),  # ambiguities are no longer fixed
         CODE_ONLY: Kind((GNSS,)),  # corrections are lost
         NO_FIX: Kind((GNSS,)),  # the sky is
         MULTIPATH: Kind(

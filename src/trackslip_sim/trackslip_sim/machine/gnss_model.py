@@ -5,7 +5,7 @@
     q     quality as in GGA: 1 code alone, 4 carrier phase with fixed ambiguities, 5 floating
 
 Faults make it worse: floating ambiguities, code alone, no fix, and multipath, a step of the position that the
-receiver does not know of.
+receiver does not know of. The heading is that of one antenna from the other: it needs no corrections.
 """
 
 import math
@@ -119,7 +119,7 @@ class GnssModel:
             stddev=self._stddevs[quality],
             up_stddev=2.0 * self._stddevs[quality],
         )
-        if p.heading_stddev == 0.0 or quality != FIXED:
+        if p.heading_stddev == 0.0:
             return at
         heading = heading_of_yaw(yaw + p.heading_offset + heading_error)
         return at._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
