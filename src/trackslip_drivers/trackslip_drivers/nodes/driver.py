@@ -18,13 +18,16 @@ from trackslip_drivers.records import (
     ImuSample,
     ScanSample,
     SprocketSample,
+    SwingSample,
 )
 from trackslip_drivers.stamping import InOrder, StampEvent
 from trackslip_drivers.transports.host_clock import HostClock
 from trackslip_drivers.transports.link import Handlers, Link, Port
 
 P = TypeVar("P", bound=Parameters)
-S = TypeVar("S", SprocketSample, HydraulicsSample, ImuSample, ScanSample, FixSample, HeadingSample)
+S = TypeVar(
+    "S", SprocketSample, HydraulicsSample, SwingSample, ImuSample, ScanSample, FixSample, HeadingSample
+)
 
 _STALE_PERIODS = 10
 _LOOK = 0.1  # s between looks at whether the link's condition has changed

@@ -16,6 +16,7 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned_text import Finding, findings
 from trackslip_estimation.slip.measurements import Command, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE, RESULT
@@ -37,11 +38,22 @@ from trackslip_tools.replay.scoring import (
 )
 from trackslip_tools.replay.series import Series, SeriesCollector, reduced, series_of
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilReplay, SoilRun
+from trackslip_tools.replay.start import learned_before
 
 TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
 
 KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)
+
+
+_PIECE = 512  # arrivals between looks at what was learned: seconds
+
+
+class Known(NamedTuple):
+    """What the estimator knew of the machine and its ground."""
+
+    stamp_ns: int
+    findings: list[Finding]
 
 
 class Part(NamedTuple):
@@ -51,6 +63,7 @@ class Part(NamedTuple):
     arrivals: Rows  # (n,) ARRIVAL in live order
     results: Rows  # (n,) RESULT, what became of them
     tables: dict[str, Logged]  # what was logged by then of other topics
+    learned: list[Known]  # in the course of it
 
     @property
     def estimates(self) -> Rows:
@@ -80,6 +93,8 @@ class Replay:
     live: LiveComparison | None = None
     paths: dict[str, Path] = field(default_factory=dict)
     soil: SoilReplay | None = None  # where the bag has hydraulics
+    learned: list[Known] = field(default_factory=list)  # in the course of it
+    start: str = ""  # what it started from, where that is not the parameters alone
 
 
 def replay(
@@ -105,13 +120,15 @@ def replay(
         if of_soil is not None and HYDRAULICS in stream.topics
         else None
     )
-    for part in run_estimator(stream, SlipEstimator(p)):
+    learned, start = learned_before(bag, p)
+    for part in run_estimator(stream, SlipEstimator(p, learned=learned)):
         collector.add(part)
         if soil is not None:
             published = part.results["published"]
             soil.add(part.estimates, part.arrivals["log_time_ns"][published], part.tables)
         watch(part)
     result = collector.result(p)
+    result.start = start
     result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
     result.elapsed_s = time.monotonic() - began
     return result
@@ -122,18 +139,24 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
     for batch in stream:
         rows = batch.rows
         results = np.zeros(len(rows), RESULT)
+        commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
+        learned: list[Known] = []
         begin = 0
-        for end in (*np.flatnonzero(rows["kind"] >= IS_COMMAND).tolist(), len(rows)):
+        for end in np.union1d(commands, (*range(_PIECE, len(rows), _PIECE), len(rows))).tolist():
             given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
             results[begin:end] = estimator.process_records(given)
-            if end < len(rows):
+            begin = end
+            if estimator.started and end > 0:
+                stamp_ns = estimator.newest_ns or 0
+                learned.append(Known(stamp_ns, findings(estimator.learned, estimator.meaning)))
+            if end in commands:
                 is_reload = rows["kind"][end] == IS_RELOAD
                 command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))
                 estimator.apply_command(stream.reloads[rows["reload"][end]] if is_reload else command)
                 results["stamp_ns"][end] = rows["stamp_ns"][end]
                 results["nis"][end] = results["gate"][end] = np.nan
-            begin = end + 1
-        yield Part(stream.sources, rows, results, batch.tables)
+                begin = end + 1
+        yield Part(stream.sources, rows, results, batch.tables, learned)
 
 
 class _Collector:
@@ -145,11 +168,13 @@ class _Collector:
         self._estimates, self._series = GrowingRows(KEPT), SeriesCollector()
         self._driven, self._rejected = DrivenCollector(), Tally()
         self._comparer, self._compares = LiveComparer(), compares
+        self._learned: list[Known] = []
 
     def add(self, part: Part) -> None:
         """More of the bag."""
         estimates = part.estimates
         self._estimates.add(estimates)
+        self._learned += part.learned
         refused = part.results["outcome"] != Outcome.ACCEPTED
         pairs = np.column_stack((part.arrivals["source"][refused], part.results["outcome"][refused]))
         for (source, outcome), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
@@ -171,6 +196,7 @@ class _Collector:
         found = Replay(
             stream.duration_s, 0.0, stream.messages, estimates, self._rejected, self._reference, series
         )
+        found.learned = self._learned
         _score(found, p, self._driven)
         found.nees = self._nees.mean()
         if self._compares and stream.messages[ODOMETRY]:
