@@ -25,6 +25,7 @@ ROSDEP_KEYS = {
     "msgpack": "python3-msgpack",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
+    "pymap3d": "python3-pymap3d",
     "rich": "python3-rich",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
@@ -32,7 +33,7 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
 }
 # rosdep has no key of theirs: from pip, as the README says; lz4 and zstandard come with mcap.
-PIP_ONLY = {"distributed", "lz4", "mcap", "zstandard"}
+PIP_ONLY = {"distributed", "lz4", "mcap", "pynmeagps", "zstandard"}
 
 
 def imported(package: str) -> dict[str, set[str]]:

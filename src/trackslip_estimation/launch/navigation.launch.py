@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Box localizer, slip and soil estimators, and recorder."""
+"""Box localizer, slip and soil estimators, and recorder; with ``gnss:=true`` the GNSS localizer too."""
 
 import os
 from pathlib import Path
@@ -20,6 +20,7 @@ def generate_launch_description() -> LaunchDescription:
     about = "ROS parameter file over the defaults of config/"
     arguments = [
         DeclareLaunchArgument("params_file", default_value="", description=about),
+        DeclareLaunchArgument("gnss", default_value="false", description="whether there is a GNSS receiver"),
         DeclareLaunchArgument(
             "state_file",
             default_value=_DEFAULT,
@@ -43,9 +44,11 @@ def _state_file(context: LaunchContext) -> str:
 def _nodes(context: LaunchContext) -> list[Node]:
     params_file = LaunchConfiguration("params_file").perform(context)
     given = [params_file] if params_file else []
-    parameters = dict.fromkeys(EXECUTABLES, given)
+    has_gnss = LaunchConfiguration("gnss").perform(context).lower() == "true"
+    executables = (*EXECUTABLES, *(["gnss_localizer"] if has_gnss else []))
+    parameters = dict.fromkeys(executables, given)
     parameters["slip_estimator"] = [{"state_file": _state_file(context)}, *given]
     return [
         Node(package=PACKAGE, executable=name, name=name, parameters=parameters[name], output="screen")
-        for name in EXECUTABLES
+        for name in executables
     ]

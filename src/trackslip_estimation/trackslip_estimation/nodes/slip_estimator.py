@@ -10,7 +10,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import Health
-from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.messages import make, message_class, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.nodes.state_keeper import StateKeeper
@@ -30,7 +30,7 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
-from trackslip_estimation.slip.sources import named
+from trackslip_estimation.slip.sources import HEADING_MESSAGES, named
 
 
 class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
@@ -65,6 +65,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self.subscribe(topic_class("imu/data_raw"), source, on_imu)
         for source in named(p.pose_sources):
             self.subscribe(topic_class("box_pose"), source, partial(self._on_pose, source=source))
+        for source, compass in p.compasses().items():
+            on_heading = partial(self._on_heading, source=source, variance=compass.stddev**2)
+            self.subscribe(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
         for source in named(p.slip_sources):
             self.subscribe(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
@@ -100,6 +103,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_pose(self, message: Any, source: str) -> None:
         self._take(conversions.pose_fix(message, source))
+
+    def _on_heading(self, message: Any, source: str, variance: float) -> None:
+        self._take(conversions.heading_fix(message, source, variance))
 
     def _on_slips(self, message: Any, source: str) -> None:
         self._take(conversions.slip_fix(message, source))

@@ -40,6 +40,7 @@ _FIX_BELOW = 2  # point masses of f below 1
 _FIX_PRIOR = 0.5  # standard deviation of ln f
 _HEAVY = 8.0  # degrees of freedom of Student's t
 _OUTLIER = 25.0  # NIS under the largest s and a, beyond which a yaw rate shows nothing more
+_SHORTEST = 1e-3  # s between fixes of a source
 _NEGLIGIBLE = -20.0  # w below the best
 
 CONSTANTS = np.dtype(
@@ -187,6 +188,17 @@ def learn_from_rate(
     a.track_variance, a.rate_factor = track_variance / total, rate_factor / total
     nis: float = innovation * innovation / largest
     return nis
+
+
+@compiled
+def repeats(elapsed_ns: int, correlation_time: float) -> float:
+    """For how many fixes one counts that comes so long after the one before, if their errors last for τ_e.
+
+    (1 + ρ)/(1 − ρ), ρ = exp(−Δt/τ_e): what n such fixes tell together is what n by this number would.
+    """
+    if correlation_time == 0.0:
+        return 1.0
+    return 1.0 / math.tanh(max(elapsed_ns * 1e-9, _SHORTEST) / (2.0 * correlation_time))
 
 
 @compiled

@@ -58,6 +58,8 @@ CONFIG = np.dtype(
         ("position_floor", np.float64, (MOST_SOURCES,)),  # m
         ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
+        ("heading_offset", np.float64, (MOST_SOURCES,)),  # rad
+        ("correlation_times", np.float64, (MOST_SOURCES,)),  # s
     ],
     align=True,
 )
@@ -120,6 +122,10 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
         c["levers"][k], c["use_heading"][k] = pose.lever, pose.use_heading
         c["stamp_errors"][k] = pose.stamp_error
         c["position_floor"][k], c["heading_floor"][k] = pose.position_floor, pose.heading_floor
-        c["heading_ceiling"][k] = pose.heading_ceiling
+        c["heading_ceiling"][k], c["correlation_times"][k] = pose.heading_ceiling, pose.correlation_time
+    for name, compass in p.compasses().items():
+        k = numbers[name]
+        c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
+        c["stamp_errors"][k] = compass.stamp_error
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale

@@ -66,8 +66,18 @@ class SlipFix:
     covariance: FloatArray  # (2, 2)
 
 
-Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix
-KINDS = (Sprockets, YawRate, PoseFix, SlipFix)  # of measurements, for isinstance
+@dataclass(frozen=True)
+class HeadingFix:
+    """Heading by a pair of antennas or another compass, as it is mounted."""
+
+    source: str
+    stamp_ns: int
+    heading: float  # rad, east = 0, counter-clockwise; nan: the message has none
+    variance: float  # rad²
+
+
+Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix | HeadingFix
+KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix)  # of measurements, for isinstance
 
 
 @dataclass(frozen=True)

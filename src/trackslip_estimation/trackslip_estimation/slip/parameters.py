@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the slip estimator (defaults: ``config/slip_estimator.yaml`` and ``config/pc05.yaml``)."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,7 @@ from trackslip_estimation.slip.motion import MotionParameters
 from trackslip_estimation.slip.records import MOST_SOURCES
 from trackslip_estimation.slip.sources import (
     KINDS,
+    HeadingSource,
     PoseSource,
     Source,
     YawRateSource,
@@ -50,6 +52,10 @@ class SlipEstimatorParameters(ModelParameters):
     slip_sources: tuple[str, ...] = parameter(
         "topics of TrackSlip that are measurements: [slip_seed], the soil estimator's, which rests on these "
         "very slips and so feeds back; '' names none"
+    )
+    heading_sources: tuple[str, ...] = parameter(
+        "topics of headings, such as a pair of antennas shows; '' names none. With one and start: first_fix, "
+        "the start heading is what it says"
     )
     sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
@@ -143,6 +149,10 @@ class SlipEstimatorParameters(ModelParameters):
         """By topic."""
         return self.of_kind("yaw_rate_sources")
 
+    def compasses(self) -> dict[str, HeadingSource]:
+        """By topic."""
+        return self.of_kind("heading_sources")
+
     def timeouts_ns(self) -> dict[str, int]:
         """Of each source but the sprockets, by topic."""
         sources = {topic: source for kind in KINDS for topic, source in self.of_kind(kind).items()}
@@ -158,7 +168,9 @@ class SlipEstimatorParameters(ModelParameters):
 
     def initial_pose(self) -> tuple[FloatArray, FloatArray]:
         """(3,) x, y, heading to start from, and (3, 3) covariance."""
-        deviations = (self.initial_position_stddev, self.initial_position_stddev, self.initial_yaw_stddev)
+        waits = self.start == "first_fix" and bool(self.compasses())  # for one of these to say the heading
+        yaw_stddev = max(self.initial_yaw_stddev, math.pi) if waits else self.initial_yaw_stddev
+        deviations = (self.initial_position_stddev, self.initial_position_stddev, yaw_stddev)
         pose = np.array((self.initial_x, self.initial_y, self.initial_yaw))
         return pose, np.diag(np.square(deviations))
 

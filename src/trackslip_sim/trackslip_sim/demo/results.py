@@ -113,6 +113,7 @@ def evaluate(
     topics = {
         topic: Counts(emitted.get(topic, 0), received.get(topic, 0), recorded.get(f"/{topic}", 0))
         for topic in SENSOR_TOPICS
+        if emitted.get(topic)
     }
     return DemoResult(
         of_filter,
