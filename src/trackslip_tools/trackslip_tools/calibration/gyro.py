@@ -71,7 +71,7 @@ def mounting(recordings: Sequence[Recording]) -> dict[str, Finding]:
     for k, recording in enumerate(recordings):
         t, rates = recording.gyro
         for span in spans(recording, Motion.TURNING, _SHORTEST, settling=0.0):
-            inside = span.holds(t)
+            inside = recording.gyro.between(*span)
             rows.append(rates[inside])
             clusters.append(blocks(t[inside], 1.0, k))
     rates, cluster, turned = np.concatenate(rows), np.concatenate(clusters), _turned(recordings)
@@ -139,7 +139,7 @@ def _pair(recording: Recording) -> _Pair | None:
     t, headings, variances = t[sure], poses[sure, 2], np.maximum(poses[sure, 5], _FLOOR**2)
     if len(t) < 4:
         return None
-    angle = CubicHermiteSpline(gyro.t, recording.turned(), gyro.values[:, 2])
+    angle = CubicHermiteSpline(gyro.t, recording.turned, gyro.values[:, 2])
     X = np.column_stack((angle(t), t, np.ones(len(t))))
     rest = headings - X @ np.linalg.lstsq(X, headings, rcond=None)[0]
     away = np.abs(rest - np.median(rest))
@@ -151,9 +151,8 @@ def _turned(recordings: Sequence[Recording]) -> float:
     """What the gyro shows of all turns, rad."""
     total = 0.0
     for recording in recordings:
-        angle = recording.turned()
         for span in spans(recording, Motion.TURNING, _SHORTEST, settling=0.0):
-            within = angle[span.holds(recording.gyro.t)]
+            within = recording.turned[recording.gyro.between(*span)]
             total += abs(float(within[-1] - within[0])) if len(within) else 0.0
     return total
 
