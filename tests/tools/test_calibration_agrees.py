@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibrate`` and the estimator's own states, of the same drive on the truth model: two ways to one number."""
+"""``calibrate`` and the estimator's states, of the same drive on the truth model: two ways to one number."""
 
 import math
 from collections.abc import Iterator
