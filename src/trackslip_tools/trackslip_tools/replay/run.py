@@ -161,8 +161,8 @@ class _Collector:
             self._series.add(topic, rows)
         self._slips.add(estimates, *(tables.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY)))
         if self._reference is not None:
-            rows = tables.get(self._reference)
-            reference = None if rows is None else reduced(rows)
+            known = tables.get(self._reference)
+            reference = None if known is None else reduced(known)
             self._errors.add_estimates(estimates, reference)
             for reckoning in self._reckonings.values():
                 reckoning.add(part.arrivals, reference)
