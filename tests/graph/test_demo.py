@@ -10,8 +10,7 @@ from matplotlib.image import imread
 from rosbags.highlevel import AnyReader
 
 from trackslip_bags.reader import open_bag
-from trackslip_common.topics import SENSOR_TOPICS
-from trackslip_sim.demo.graph import DemoOptions, demo_nodes
+from trackslip_sim.demo.graph import SENSOR_TOPICS, DemoOptions, demo_nodes
 
 pytestmark = pytest.mark.xdist_group("graph")
 

@@ -24,6 +24,7 @@ class Topic:
 TOPICS = {
     "sprockets": Topic("sensor_msgs/msg/JointState", Flow.SENSOR),
     "hydraulics": Topic("trackslip_msgs/msg/TrackHydraulics", Flow.SENSOR),
+    "swing": Topic("sensor_msgs/msg/JointState", Flow.SENSOR),
     "imu/data_raw": Topic("sensor_msgs/msg/Imu", Flow.SENSOR),
     "imu/mag": Topic("sensor_msgs/msg/MagneticField", Flow.SENSOR),
     "scan": Topic("sensor_msgs/msg/LaserScan", Flow.SENSOR),
@@ -48,3 +49,4 @@ TOPICS = {
 
 SENSOR_TOPICS = tuple(name for name, topic in TOPICS.items() if topic.flow is Flow.SENSOR)
 LEFT_SPROCKET, RIGHT_SPROCKET = "left_sprocket", "right_sprocket"
+SWING_JOINT = "swing"  # of the upper structure against the undercarriage

@@ -12,8 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header, set_stamp
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
-from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample, Vector
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
+from trackslip_drivers.records import (
+    HydraulicsSample,
+    ImuSample,
+    ScanSample,
+    SprocketSample,
+    SwingSample,
+    Vector,
+)
 
 _ABSENT = -1.0  # first element of the covariance of what is not measured (REP-145)
 
@@ -35,10 +42,28 @@ def blank_joint_state(make: Make, frame_id: str) -> Any:
 
 
 def fill_joint_state(message: Any, sample: SprocketSample) -> Any:
-    """The message with another sample in it."""
+    """The message with another sample in it; a position that is unknown reads nan, as in ros2_control."""
     set_stamp(message, sample.stamp_ns)
     message.position[0], message.position[1] = sample.left_position, sample.right_position
     message.velocity[0], message.velocity[1] = sample.left_velocity, sample.right_velocity
+    return message
+
+
+def blank_swing(make: Make, frame_id: str) -> Any:
+    """sensor_msgs/JointState for ``fill_swing``."""
+    return make(
+        "sensor_msgs/msg/JointState",
+        header=header(make, 0, frame_id),
+        name=[SWING_JOINT],
+        position=array.array("d", (0.0,)),
+        velocity=array.array("d", (0.0,)),
+    )
+
+
+def fill_swing(message: Any, sample: SwingSample) -> Any:
+    """The message with another sample in it."""
+    set_stamp(message, sample.stamp_ns)
+    message.position[0], message.velocity[0] = sample.position, sample.velocity
     return message
 
 

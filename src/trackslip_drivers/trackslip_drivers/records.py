@@ -14,7 +14,10 @@ Vector = tuple[float, float, float]
 
 
 class SprocketSample(NamedTuple):
-    """Both sprockets; positive drives forward. Positions are continuous (unwrapped)."""
+    """Both sprockets; positive drives forward. Positions are continuous (unwrapped).
+
+    They are nan where there are none, or where they do not continue those before: what was turned is unknown.
+    """
 
     stamp_ns: int
     left_position: float  # rad
@@ -24,7 +27,7 @@ class SprocketSample(NamedTuple):
 
 
 class HydraulicsSample(NamedTuple):
-    """Travel motors: differential pressures, spool positions, supply."""
+    """Travel motors: differential pressures, spool positions, supply; nan where there is none."""
 
     stamp_ns: int
     left_pressure: float  # Pa, positive drives forward
@@ -32,6 +35,14 @@ class HydraulicsSample(NamedTuple):
     left_spool: float  # -1 … 1
     right_spool: float  # -1 … 1
     supply_pressure: float  # Pa
+
+
+class SwingSample(NamedTuple):
+    """Upper structure against undercarriage, counter-clockwise."""
+
+    stamp_ns: int
+    position: float  # rad, −π … π
+    velocity: float  # rad/s
 
 
 class ImuSample(NamedTuple):

@@ -98,10 +98,10 @@ class HostTime:
             self.lead_ns = max(0, self.lead_ns - change_ns)
         return jumped
 
-    def steady(self, host_ns: int) -> int:
-        """Steady time of an arrival that was stamped by the host's clock shortly before the last look."""
-        steady_ns = min(host_ns - self.offset_ns, self.looked_ns)
-        return steady_ns if self.looked_ns - steady_ns < _OLDEST_NS else self.looked_ns
+    def steady(self, host_ns: int, now_ns: int) -> int:
+        """Steady time of an arrival, stamped by the host's clock shortly before ``now_ns`` (steady)."""
+        steady_ns = min(host_ns - self.offset_ns, now_ns)
+        return steady_ns if now_ns - steady_ns < _OLDEST_NS else now_ns
 
     def stamp(self, steady_ns: int) -> int:
         """What to write into a message."""

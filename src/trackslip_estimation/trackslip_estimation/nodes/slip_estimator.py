@@ -13,9 +13,11 @@ from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation.nodes.estimator_health import estimator_health
+from trackslip_estimation.nodes.state_keeper import StateKeeper
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import (
+    FORGET,
     FREEZE,
     RELOAD,
     RESET,
@@ -40,12 +42,14 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def __init__(self) -> None:
         super().__init__(NODE, SlipEstimatorParameters, *DEFAULT_FILES)
         self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/forget", self._on_forget)
         self.create_service(SetBool, "~/freeze", self._on_freeze)
 
     def configure(self) -> None:
         """Make the estimator, its outputs and its inputs."""
         p = self.settings
-        self._estimator = SlipEstimator(p)
+        self._kept = StateKeeper(self, lambda: self._estimator)
+        self._estimator = SlipEstimator(p, learned=self._kept.learned)
         self._watch = SourceWatch(p.timeouts_ns())
         self._taken = self._estimates = 0
         self._heard: float | None = None  # s, steady: when the last sprocket sample came
@@ -69,15 +73,23 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         if self.has_run:
             self._process(Reload(values))
         else:
-            self._estimator = SlipEstimator(self.settings)
+            self._estimator = SlipEstimator(self.settings, learned=self._kept.learned)
         self._watch.expect(self.settings.timeouts_ns())
 
+    def started_from(self) -> dict[str, Any]:
+        """What was learned before: a bag carries it along."""
+        return self._kept.started_from()
+
+    def deactivate(self) -> None:
+        """Keep what was learned."""
+        self._kept.finish()
+
     def health(self) -> list[Health]:
-        """Waiting, running, or what is missing; what was not accepted, by source and reason; innovations."""
+        """Waiting, running, or what is missing; what was not accepted, innovations, and what was learned."""
         refused = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
         counts = {"measurements": self._taken, "estimates": self._estimates, **refused}
         silent = None if self._heard is None else time.monotonic() - self._heard
-        return [estimator_health(self._estimator, self._watch, silent, counts)]
+        return [estimator_health(self._estimator, self._watch, silent, counts), *self._kept.health()]
 
     def _on_sprockets(self, message: Any) -> None:
         self._heard = time.monotonic()
@@ -93,7 +105,12 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._process(conversions.slip_fix(message, source))
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        return self._obey(Command(RESET), response, "the estimate begins anew")
+        return self._obey(Command(RESET), response, "the estimate begins anew; what was learned is kept")
+
+    def _on_forget(self, _: Any, response: Any) -> Any:
+        if self.active:
+            self._kept.forget()
+        return self._obey(Command(FORGET), response, "the estimate begins anew, with nothing learned")
 
     def _on_freeze(self, request: Any, response: Any) -> Any:
         text = "poses are ignored from now on" if request.data else "poses are used again"

@@ -14,7 +14,7 @@ from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import MOST_SOURCES
+from trackslip_estimation.slip.records import ADAPTATION, MOST_SOURCES
 
 ConfigRecord = NDArray[np.void]
 
@@ -32,6 +32,9 @@ CONFIG = np.dtype(
         ("process_noise", np.float64, (len(Motion), 2, SIZE)),  # variance per s, by motion and changing
         ("prior_mean", np.float64, (SIZE,)),
         ("prior_variance", np.float64, (SIZE,)),
+        ("prior_covariance", np.float64, (SIZE, SIZE)),  # but for the pose
+        ("resumes", np.bool_),  # whether the noise starts from ``start``, else as nobody has seen it
+        ("start", ADAPTATION),
         ("initial_pose", np.float64, (3,)),
         ("initial_covariance", np.float64, (3, 3)),
         ("starts_with_fix", np.bool_),  # else with the first sprocket sample
@@ -96,6 +99,7 @@ def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
         c[name] = tuple(of_model.get(field, 0.0) for field in dtype.names or ())
     prior = model.prior(noise, p.vehicle.tread)
     c["prior_mean"], c["prior_variance"] = prior.mean, np.square(prior.stddev)
+    c["prior_covariance"] = np.diag(c["prior_variance"])
     for motion in Motion:
         for changing in (False, True):
             density = model.process_noise_density(noise, MotionState(motion, changing))

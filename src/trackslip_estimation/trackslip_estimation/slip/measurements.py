@@ -14,6 +14,7 @@ FloatArray = NDArray[np.float64]
 # What a user asks of the node stands in the journal under these names, beside the topics of the sensors.
 SET_POSE = "slip_estimator/set_pose"
 RESET, FREEZE, UNFREEZE = "slip_estimator/reset", "slip_estimator/freeze", "slip_estimator/unfreeze"
+FORGET = "slip_estimator/forget"
 RELOAD = "slip_estimator/parameters"
 
 
@@ -71,7 +72,7 @@ KINDS = (Sprockets, YawRate, PoseFix, SlipFix)  # of measurements, for isinstanc
 
 @dataclass(frozen=True)
 class Command:
-    """``RESET``, ``FREEZE`` or ``UNFREEZE``: acts when it comes, on what comes after it."""
+    """``RESET``, ``FORGET``, ``FREEZE`` or ``UNFREEZE``: acts when it comes, on what comes after it."""
 
     source: str
     stamp_ns: int = 0  # commands have none

@@ -88,6 +88,9 @@ class SlipEstimatorParameters(ModelParameters):
     gate_confirmations: int = parameter(
         "measurements in a row that must agree with each other before what the gate refuses is believed", ge=1
     )
+    state_file: str = parameter(
+        "file that keeps what was learned until the next start; ~ is the home directory, '' for none"
+    )
     publish_tf: bool = parameter("whether odom_frame → base_frame goes to /tf, where tf2_msgs is installed")
 
     def __post_init__(self) -> None:

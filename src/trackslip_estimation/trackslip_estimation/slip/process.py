@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.slip.adaptation import begin_adaptation
+from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
@@ -224,7 +224,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     """The state at the start; a heading that a fix does not have is that of the parameters."""
     x, P, stamp_ns = state.mean, state.covariance, measurement.stamp_ns
     x[:] = c.prior_mean
-    P[:] = np.diag(c.prior_variance)
+    P[:] = c.prior_covariance
     x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance
     if measurement.kind == POSE:
         source = measurement.source
@@ -244,6 +244,8 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     motion.left = motion.right = motion.left_mean = motion.right_mean = motion.departure = 0.0
     state.stamp_ns, state.coasting = stamp_ns, False
     begin_adaptation(state.adaptation, c)
+    if c.resumes:
+        resume_adaptation(state.adaptation, c.start)
     state.aligning, state.refused_count = P[YAW, YAW] > UNKNOWN_HEADING**2, 0
     for k in range(MOST_SOURCES):
         state.consistent_ns[k] = stamp_ns

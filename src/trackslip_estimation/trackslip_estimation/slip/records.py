@@ -57,6 +57,8 @@ ADAPTATION = np.dtype(
         ("envelope", np.float64),  # E, (m/s)²
         ("exposure", np.float64),  # T, (rad/s)²
         ("elapsed", np.float64),  # s since the last yaw rate
+        ("left_speed", np.float64),  # of the sprockets in the interval before, rad/s
+        ("right_speed", np.float64),
         ("fix_factors", np.float64, (MOST_SOURCES,)),  # f, of the covariance of each source's fixes
         ("fix_log_weights", np.float64, (MOST_SOURCES, FIX_FACTORS)),
     ],

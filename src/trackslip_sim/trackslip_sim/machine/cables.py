@@ -22,7 +22,7 @@ class Cables:
 
     def __init__(self, p: EmulatorParameters) -> None:
         with ExitStack() as opened:
-            self._bus = CanBus(p.can_interface, p.can_channel, p.can_port)
+            self._bus = CanBus(p.can_interface, p.can_channel, {"port": p.can_port})
             opened.callback(self._bus.close)
             self._ports = {}
             for sensor in (WATSON, SICK):

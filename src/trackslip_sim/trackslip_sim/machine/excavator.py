@@ -8,14 +8,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import config_file, node_defaults
+from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import Parameters, from_flat
+from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_frames import ENCODERS, PRESSURES, FrameSet
+from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
 from trackslip_drivers.protocols.watson import BITS_PER_CHAR, GRAVITY, TESLA_PER_MILLIGAUSS, Layout
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
-from trackslip_sim.devices.can_device import CanDevice
+from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, CanDevice
 from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.sick_device import SickDevice
 from trackslip_sim.devices.watson_device import WatsonDevice
@@ -58,10 +59,10 @@ class EmulatedExcavator:
         self.end_ns = self.drive_start_ns + round(window.duration * 1e9)
         self.sensors = MachineSensors(window, p.noise, self.drive_start_ns, p.seed)
         self.faults = Faults(load_scenario(p.scenario).faults, self.drive_start_ns)
-        can = default_parameters(CanDriverParameters, "can_driver")
+        can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
         watson = default_parameters(WatsonParameters, "watson_imu")
         sick = default_parameters(SickParameters, "sick_pls")
-        frames = FrameSet(config_file(can.dbc_file))
+        frames = load_frames(can)
         layout = Layout(watson.channels, watson.formats, watson.full_scales)
         self._scanner = SiteScanner(p.site, p.vehicle, p.seed)
         self._readings = readings = FaultyReadings(
@@ -69,7 +70,7 @@ class EmulatedExcavator:
         )
         boot_ns = round(p.can_delay * 1e9)
         measures = (readings.sprockets, readings.hydraulics)
-        self.can = CanDevice(frames, can.belt_ratio, *measures, start_ns + boot_ns)
+        self.can = CanDevice(frames, *measures, start_ns + boot_ns)
         self._watson_line = BaudLine(watson.serial_baud, BITS_PER_CHAR)
         self.watson = WatsonDevice(layout, self._watson_line, readings.imu, True, start_ns)
         self.sick = SickDevice(sick, p.sick_start, readings.ranges, start_ns)

@@ -13,11 +13,11 @@ import numpy as np
 
 from trackslip_bags.messages import make
 from trackslip_bags.writer import BagWriter
-from trackslip_common.config_files import config_file
 from trackslip_common.tally import Tally
+from trackslip_drivers import can_parameters
 from trackslip_drivers import conversions as of_sensors
 from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_frames import FrameSet
+from trackslip_drivers.protocols.can_frames import load_frames
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.protocols.sick_session import Phase, SickSession
 from trackslip_drivers.protocols.watson import Layout
@@ -80,8 +80,8 @@ class _Host:
         self.excavator = EmulatedExcavator(p, window, START_NS)
         self._window = window
         self._tally = Tally()
-        can = default_parameters(CanDriverParameters, "can_driver")
-        self._can = ExcavatorCan(can, FrameSet(config_file(can.dbc_file)), self._tally)
+        can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
+        self._can = ExcavatorCan(can, load_frames(can), self._tally)
         watson = default_parameters(WatsonParameters, "watson_imu")
         layout = Layout(watson.channels, watson.formats, watson.full_scales)
         self._imu = WatsonStream(layout, watson.serial_baud, 0, self._tally)
@@ -99,8 +99,7 @@ class _Host:
         """All that arrives by now."""
         add = self.recording.add
         for frame in self.excavator.step_can(now_ns):
-            sample = self._can.receive(*frame, now_ns)
-            if sample is not None:
+            for sample in self._can.receive(*frame, now_ns):
                 add("sprockets" if isinstance(sample, SprocketSample) else "hydraulics", sample, now_ns)
         sent = self.excavator.step_watson(now_ns)
         for line in self._imu.feed(sent, now_ns) if sent else ():

@@ -28,6 +28,7 @@ from trackslip_common.message_fields import RECORDS, ReportFields
 from trackslip_common.parameters import reloadable
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.measurements import (
+    FORGET,
     FREEZE,
     RELOAD,
     RESET,
@@ -54,7 +55,7 @@ from trackslip_tools.replay.series import Series, SeriesCollector
 
 SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
 
-_COMMANDS = (RESET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
+_COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
 
 
 class Logged(NamedTuple):
