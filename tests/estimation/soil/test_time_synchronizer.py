@@ -20,7 +20,7 @@ from trackslip_estimation.soil.records import (
     SoilInput,
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.time_synchronizer import SAMPLE, add, is_ready, new_synchronizer, take
+from trackslip_estimation.soil.time_synchronizer import SAMPLE, add, is_ready, new_synchronizer, pop_oldest
 
 P = load_soil_parameters().moments
 NUMBERS = record_of(P)
@@ -62,7 +62,7 @@ class Inbox:
         found = []
         while is_ready(self._synchronizer, NUMBERS[0]):
             sample = np.zeros(1, SAMPLE)
-            take(self._synchronizer, NUMBERS[0], sample[0])
+            pop_oldest(self._synchronizer, NUMBERS[0], sample[0])
             found.append(sample[0])
         return found
 

@@ -30,5 +30,7 @@ def estimator_health(
         return Health(WARN, "frozen: poses are ignored", values)
     lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost(now_ns).items()]
     return (
-        Health(WARN, f"nothing taken of {', '.join(lost)}", values) if lost else Health(OK, "running", values)
+        Health(WARN, f"nothing accepted of {', '.join(lost)}", values)
+        if lost
+        else Health(OK, "running", values)
     )

@@ -74,7 +74,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def reload(self, values: dict[str, Any]) -> None:
         """Before its first run, the estimator is made anew; later it goes on with other values."""
         if self.has_run:
-            self._take(Reload(values))
+            self._process(Reload(values))
         else:
             self._estimator = SlipEstimator(self.settings, learned=self._kept.learned)
         self._watch.expect(self.settings.timeouts_ns())
@@ -96,19 +96,19 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_sprockets(self, message: Any) -> None:
         self._heard = time.monotonic()
-        self._take(conversions.sprockets(message, "sprockets"))
+        self._process(conversions.sprockets(message, "sprockets"))
 
     def _on_imu(self, message: Any, source: str, variance: float) -> None:
-        self._take(conversions.yaw_rate(message, source, variance))
+        self._process(conversions.yaw_rate(message, source, variance))
 
     def _on_pose(self, message: Any, source: str) -> None:
-        self._take(conversions.pose_fix(message, source))
+        self._process(conversions.pose_fix(message, source))
 
     def _on_heading(self, message: Any, source: str, variance: float) -> None:
         self._take(conversions.heading_fix(message, source, variance))
 
     def _on_slips(self, message: Any, source: str) -> None:
-        self._take(conversions.slip_fix(message, source))
+        self._process(conversions.slip_fix(message, source))
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         return self._obey(Command(RESET), response, "the estimate begins anew; what was learned is kept")
@@ -119,12 +119,12 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         return self._obey(Command(FORGET), response, "the estimate begins anew, with nothing learned")
 
     def _on_freeze(self, request: Any, response: Any) -> Any:
-        text = "poses are ignored from now on" if request.data else "poses are taken again"
+        text = "poses are ignored from now on" if request.data else "poses are used again"
         return self._obey(Command(FREEZE if request.data else UNFREEZE), response, text)
 
     def _obey(self, command: Command, response: Any, text: str) -> Any:
         if self.active:
-            self._take(command)
+            self._process(command)
             self._watch.clear()
         response.success, response.message = self.active, text if self.active else "the node is not active"
         return response
@@ -136,7 +136,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self.get_logger().info("tf2_msgs is not installed: no tf")
             return None
 
-    def _take(self, given: Input) -> None:
+    def _process(self, given: Input) -> None:
         report, estimate = self._estimator.process(given)
         if estimate is not None:  # first: somebody steers by it
             self._publish(estimate)

@@ -36,7 +36,7 @@ DEFAULT_FILES = ("pc05.yaml", "slip_estimator.yaml")
 
 @dataclass(frozen=True, kw_only=True)
 class SlipEstimatorParameters(ModelParameters):
-    """Everything the slip estimator can be told."""
+    """All parameters of the slip estimator."""
 
     vehicle: Vehicle
     motion: MotionParameters
@@ -83,7 +83,7 @@ class SlipEstimatorParameters(ModelParameters):
         "fastest a sprocket can turn; positions asking for more have jumped", unit="rad/s", gt=0.0
     )
     gate_probability: float = parameter(
-        "χ² probability inside which a measurement is taken", gt=0.0, lt=1.0, read_only=False
+        "χ² probability inside which a measurement is accepted", gt=0.0, lt=1.0, read_only=False
     )
     gate_relaxation: float = parameter(
         "factor by which the gate of yaw rates or slips widens with each further timeout of its source",
@@ -138,7 +138,7 @@ class SlipEstimatorParameters(ModelParameters):
         }
 
     def of_kind(self, kind: str) -> dict[str, Any]:
-        """Topic → what is told of it, of the sources of one of the lists of ``KINDS``."""
+        """Topic → what is stated of it, of the sources of one of the lists of ``KINDS``."""
         return {topic: self.sources[group_name(topic)] for topic in named(getattr(self, kind))}
 
     def poses(self) -> dict[str, PoseSource]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is told of each source of measurements: a group of parameters ``sources.<name>``.
+"""What is stated of each source of measurements: a group of parameters ``sources.<name>``.
 
 A list of topics for each kind of source says which there are; the group of a topic has its name with ``_``
 for ``/``: ``imu/data_raw`` has ``sources.imu_data_raw.sign``. What is not given is as ``config/sources.yaml``

@@ -65,11 +65,15 @@ def _row(seed: int, soil: str, m: DrawnMachine, s: Score) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table; returns the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=40, help="drives (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="at a time (default: one per core)")
     args = parser.parse_args(argv)
-    print("seed soil            mm   NEES  s>30  heading σ        ends m (d²)                          machine")
+    print(
+        "seed soil            mm   NEES  s>30  heading σ        ends m (d²)                          machine"
+    )
     scores = []
     with ProcessPoolExecutor(args.jobs) as pool:
         for seed, found in enumerate(pool.map(scored, range(args.seeds))):

@@ -51,7 +51,9 @@ def score(drive: RandomDrive, p: SlipEstimatorParameters) -> Score:
     nees = np.einsum("ki,ki->k", errors, np.linalg.solve(P, errors[:, :, np.newaxis])[:, :, 0])
     gaps = np.diff(drive.fix_times, append=np.inf)
     last, back = drive.fix_times[:-1][gaps[:-1] > _SILENCE], drive.fix_times[1:][gaps[:-1] > _SILENCE]
-    stays = [np.any((drive.fix_times > t0 + _SETTLED - 1.0) & (drive.fix_times <= t0 + _SETTLED)) for t0 in back]
+    stays = [
+        np.any((drive.fix_times > t0 + _SETTLED - 1.0) & (drive.fix_times <= t0 + _SETTLED)) for t0 in back
+    ]
     settled = np.searchsorted(t, back[np.array(stays, dtype=bool)] + _SETTLED)
     settled = settled[settled < len(t)]
     long = back[back - last > _LONG]
@@ -64,7 +66,9 @@ def score(drive: RandomDrive, p: SlipEstimatorParameters) -> Score:
         nees=float(nees.mean()),
         longest=_longest(nees > LARGE) * float(t[1] - t[0]),
         headings=np.abs(errors[settled, 2]) / np.sqrt(P[settled, 2, 2]),
-        ends=np.einsum("ki,ki->k", planar, np.linalg.solve(P[ends, :2, :2], planar[:, :, np.newaxis])[:, :, 0]),
+        ends=np.einsum(
+            "ki,ki->k", planar, np.linalg.solve(P[ends, :2, :2], planar[:, :, np.newaxis])[:, :, 0]
+        ),
         end_errors=np.hypot(*planar.T),
         refused_in_a_row=_longest(~path.accepted),
     )

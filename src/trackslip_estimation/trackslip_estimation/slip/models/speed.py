@@ -202,7 +202,9 @@ def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[f
     changing = e.changing * c.rolling_radius * motion.departure
     yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
     of_tracks = drive.adaptation.track_variance * track_exposure(drive, c)
-    of_speed = (steady**2 + changing**2) * yielding + e.standing**2 + c.adaptation.forward**2 * of_tracks / 4.0
+    of_speed = (
+        (steady**2 + changing**2) * yielding + e.standing**2 + c.adaptation.forward**2 * of_tracks / 4.0
+    )
     of_rate = ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
     return of_speed, of_rate / (c.tread * c.tread)
 
