@@ -13,11 +13,10 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from fixtures.excavator_bus import FRAMES
 
-from trackslip_common.config_files import config_file, node_defaults
+from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
-from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_frames import FrameSet
 from trackslip_drivers.protocols.watson import BITS_PER_CHAR, Layout
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
 from trackslip_drivers.sick_parameters import SickParameters
@@ -111,7 +110,6 @@ def yard(stamp_ns):
 
 
 def plug_can(port):
-    p = defaults(CanDriverParameters, "can_driver")
     begin_ns = time.time_ns()
 
     def sprockets(stamp_ns):
@@ -121,8 +119,8 @@ def plug_can(port):
     def hydraulics(stamp_ns):
         return HydraulicsSample(stamp_ns, 4.0e6, -2.0e6, 0.5, -0.25, 18.0e6)
 
-    device = CanDevice(FrameSet(config_file(p.dbc_file)), p.belt_ratio, sprockets, hydraulics, begin_ns)
-    bus = CanBus("udp_multicast", MULTICAST, port)
+    device = CanDevice(FRAMES, sprockets, hydraulics, begin_ns)
+    bus = CanBus("udp_multicast", MULTICAST, {"port": port})
 
     def step(now_ns):
         for frame in device.step(now_ns):

@@ -10,7 +10,14 @@ NODES = (
     *("slip_estimator", "soil_estimator", "record", "emulator"),
 )
 REFUSED = {
-    "can_driver": {"can_port": 80, "belt_ratio": "three", "dbc_file": "missing.dbc", "autostart": 5},
+    "can_driver": {
+        "can_port": 80,
+        "can_bitrate": "fast",
+        "can_options": "fd",
+        "dbc_file": "missing.dbc",
+        "roles_file": "missing.yaml",
+        "autostart": 5,
+    },
     "watson_imu": {"serial_baud": 0, "parity": 7},
     "sick_pls": {"range_max": -1.0, "parity": "X", "glare_is_nan": "yes, please", "serial_baud": 1200},
     "box_localizer": {"range_stddev": -0.1, "laser_x": "here", "vehicle__box_length": 0.0},

@@ -215,5 +215,6 @@ VALUED = {
         "noise",
         "occlusion",
         "glare",
+        "multipath",
     )
 }

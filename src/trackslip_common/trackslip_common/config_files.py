@@ -85,7 +85,11 @@ def node_defaults(node: str, *files: str) -> dict[str, Any]:
     return values
 
 
-def parameters_text(parameters: Mapping[str, Any], node: str) -> str:
-    """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them."""
-    text: str = yaml.safe_dump({node: {"ros__parameters": dict(parameters)}}, sort_keys=False)
+def parameters_text(parameters: Mapping[str, Any], node: str, **beside: Any) -> str:
+    """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them.
+
+    ``beside`` them stands what else the node started from.
+    """
+    content = {"ros__parameters": dict(parameters), **beside}
+    text: str = yaml.safe_dump({node: content}, sort_keys=False)
     return text

@@ -67,6 +67,10 @@ class TrackslipNode(GuardedNode, Generic[P]):
         """What stands behind the node: its device, where it has one."""
         return self.get_name()
 
+    def started_from(self) -> dict[str, Any]:
+        """What the node started from beside its parameters, by name, for the parameters' topic."""
+        return {}
+
     def start(self) -> None:
         """Configure and activate, unless ``autostart`` is false; raises what these do."""
         if self.common.autostart:
@@ -137,5 +141,5 @@ class TrackslipNode(GuardedNode, Generic[P]):
     def _publish_parameters(self) -> None:
         """With which the estimates from now on are made: a bag carries them along."""
         if self.parameters_topic:
-            text = parameters_text(to_flat(self.settings), self.get_name())
+            text = parameters_text(to_flat(self.settings), self.get_name(), **self.started_from())
             self._parameters_used.publish(String(data=text))

@@ -23,7 +23,7 @@ DEFAULT_FILES = ("pc05.yaml", "soil_estimator.yaml")
 
 @dataclass(frozen=True, kw_only=True)
 class SoilEstimatorParameters(Parameters):
-    """Everything the soil estimator can be told."""
+    """All parameters of the soil estimator."""
 
     vehicle: Vehicle
     moments: SynchronizerParameters

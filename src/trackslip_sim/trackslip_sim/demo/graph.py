@@ -4,6 +4,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+SENSOR_TOPICS = ("sprockets", "hydraulics", "imu/data_raw", "imu/mag", "scan")  # of the emulated machine
+
 _CAN = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2"}
 
 
