@@ -60,7 +60,9 @@ def test_parameter_file_that_is_not_yaml(programs):
 
 
 def test_unknown_parameter_in_a_file(programs):
-    (programs.folder / "one.yaml").write_text("watson_imu: {ros__parameters: {nonsense: 1}}", encoding="utf-8")
+    (programs.folder / "one.yaml").write_text(
+        "watson_imu: {ros__parameters: {nonsense: 1}}", encoding="utf-8"
+    )
     is_refused(programs.node("watson_imu", "--params-file", "one.yaml"), "'nonsense'", "serial_port")
 
 

@@ -64,7 +64,7 @@ KINDS: Mapping[str, TopicKind] = {
     "reference_pose": TopicKind(
         required={"x": _LENGTH, "y": _LENGTH, "yaw": _ANGLE},
         optional={},
-        frame="odom",
+        frame="map",
         stddev=("x", "y", "yaw"),
     ),
     "hydraulics": TopicKind(

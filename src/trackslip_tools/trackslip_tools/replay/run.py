@@ -16,6 +16,7 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Command, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE, RESULT
@@ -25,7 +26,7 @@ from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, Rows, to_meas
 from trackslip_tools.replay.comparison import LiveComparer, LiveComparison, odometry_rows, slip_rows
 from trackslip_tools.replay.dead_reckoning import DrivenCollector, Path, Sprocketed, dead_reckon
 from trackslip_tools.replay.growing import GrowingRows
-from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, InputStream, Logged
+from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, InputStream, Logged
 from trackslip_tools.replay.scoring import (
     NeesCollector,
     Score,
@@ -98,7 +99,7 @@ def replay(
     """
     began = time.monotonic()
     reference = reference or own_reference(bag)
-    of_both = (ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
+    of_both = (ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
     stream = InputStream(bag, p, filters, _scored(reference).union(of_both))
     collector = _Collector(stream, reference, compares=not filters.changes_inputs)
     soil = (
@@ -146,7 +147,7 @@ class _Collector:
         self._scored = _scored(reference)
         self._estimates, self._series = GrowingRows(KEPT), SeriesCollector()
         self._driven, self._rejected = DrivenCollector(), Tally()
-        self._comparer, self._compares = LiveComparer(), compares
+        self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
 
     def add(self, part: Part) -> None:
         """More of the bag."""
@@ -184,7 +185,10 @@ class _Collector:
         nothing = np.empty(0, ESTIMATE)
         if ODOMETRY in self._stream.topics:
             live = tables[ODOMETRY].rows if ODOMETRY in tables else nothing
-            self._comparer.add_odometry(live, odometry_rows(estimates))
+            self._comparer.add_odometry(live, odometry_rows(estimates, estimates))
+        if LOCAL_ODOMETRY in self._stream.topics:
+            live = tables[LOCAL_ODOMETRY].rows if LOCAL_ODOMETRY in tables else nothing
+            self._comparer.add_local(live, odometry_rows(estimates, self._local.advance(estimates)))
         if TRACK_SLIP in self._stream.topics:
             live = tables[TRACK_SLIP].rows if TRACK_SLIP in tables else nothing
             self._comparer.add_slips(live, slip_rows(estimates))
