@@ -27,7 +27,8 @@ from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.truth.record import Truth
-from trackslip_tools.replay.dead_reckoning import dead_reckon
+from trackslip_tools.replay.dead_reckoning import DrivenCollector, dead_reckon
+from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.run import Replay, replay
 from trackslip_tools.replay.scoring import MOVING, in_order
 
@@ -52,7 +53,7 @@ TRIALS = (Trial("thesis", 80.0, 40.0), Trial("slalom", 60.0, 25.0), Trial("field
 
 
 @dataclass(frozen=True)
-class Bars:
+class Accuracy:
     """Errors, each with its limit in ``LIMITS``."""
 
     position: float  # m, RMS of e
@@ -67,10 +68,10 @@ class Bars:
         return [name for name, limit in vars(LIMITS).items() if not getattr(self, name) <= limit]
 
 
-LIMITS = Bars(0.03, 0.01, 0.04, 0.12, 0.3, 0.2)
+LIMITS = Accuracy(0.03, 0.01, 0.04, 0.12, 0.3, 0.2)
 
 
-def measure(trial: Trial, soil: str, seed: int, directory: Path) -> Bars:
+def measure(trial: Trial, soil: str, seed: int, directory: Path) -> Accuracy:
     """Drive, record into ``directory``, replay, compare with the truth."""
     given = {"scenario": trial.scenario, "duration": trial.duration, "soil": soil, "seed": seed}
     emulated = load_emulator_parameters(given)
@@ -78,7 +79,7 @@ def measure(trial: Trial, soil: str, seed: int, directory: Path) -> Bars:
     path = directory / f"{trial.scenario}_{soil}_{seed}"
     record_drive(emulated, truth, path)
     with open_bag(path) as bag:
-        return _Comparison(bag, emulated, truth).bars(trial)
+        return _Comparison(bag, emulated, truth).accuracy(trial)
 
 
 class _Comparison:
@@ -90,7 +91,7 @@ class _Comparison:
         self._lead_in = emulated.lead_in
         self._p: SlipEstimatorParameters = load_slip_parameters()
 
-    def bars(self, trial: Trial) -> Bars:
+    def accuracy(self, trial: Trial) -> Accuracy:
         """All of them."""
         whole, end = self._replay(()), trial.silent_from + OUTAGE
         begin = self._lead_in + trial.silent_from
@@ -102,13 +103,13 @@ class _Comparison:
 
         _, errors = self._errors(whole)
         blind = lost("box_pose", "imu/data_raw")
-        return Bars(
+        return Accuracy(
             _rms(np.hypot(errors[:, 0], errors[:, 1])),
             _rms(errors[:, 2]),
             self._turn_slip(whole),
             lost("box_pose"),
             blind,
-            blind / self._dead_reckoning_error(whole, trial.silent_from, end),
+            blind / self._dead_reckoning_error(trial.silent_from, end),
         )
 
     def _replay(self, withheld: tuple[Withhold, ...]) -> Replay:
@@ -140,9 +141,11 @@ class _Comparison:
         slips = estimates["slips"][:, :2]
         return _rms((slips - np.column_stack((at.left_slip, at.right_slip)))[scored])
 
-    def _dead_reckoning_error(self, result: Replay, begin: float, end: float) -> float:
+    def _dead_reckoning_error(self, begin: float, end: float) -> float:
         """m, of driving by the sprockets alone from the true pose at ``begin`` to ``end``, s of the drive."""
-        sprockets = result.sprockets
+        driven = DrivenCollector()
+        driven.add(read_inputs(self._bag, self._p, InputFilters(), ()).rows)
+        sprockets = driven.sprockets()
         assert sprockets is not None
         stamps = [START_NS + round((self._lead_in + t) * 1e9) for t in (begin, end)]
         start, goal = (self._truth.at(t) for t in (begin, end))
@@ -156,7 +159,7 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def table(seeds: int) -> Iterator[tuple[str, Bars]]:
+def table(seeds: int) -> Iterator[tuple[str, Accuracy]]:
     """Drive, soil and seed; what they came to."""
     with tempfile.TemporaryDirectory(prefix="trackslip_bars_") as directory:
         for trial in TRIALS:

@@ -39,7 +39,7 @@ _TAIL = 0.025  # of χ², either side of the band for that mean
 
 
 class Innovations(NamedTuple):
-    """What a source's measurements were found to be, in the order in which they were taken."""
+    """What a source's measurements were found to be, in the order in which they came."""
 
     times: FloatArray  # (n,) s from the bag's first message, by stamp
     nis: FloatArray  # (n,)
@@ -50,14 +50,17 @@ class Innovations(NamedTuple):
     @property
     def mean_ratio(self) -> float:
         """Mean of NIS over degrees of freedom of what was accepted: 1 if the filter is consistent."""
-        taken = ~self.refused
-        return float(self.nis[taken].sum() / self.freedoms[taken].sum()) if taken.any() else float("nan")
+        accepted = ~self.refused
+        return (
+            float(self.nis[accepted].sum() / self.freedoms[accepted].sum())
+            if accepted.any()
+            else float("nan")
+        )
 
 
 def innovations_of(run: Run) -> dict[str, Innovations]:
     """By source; of measurements that came as far as being compared with the estimate."""
     reports = run.details.reports
-    reports = reports[(reports["dof"] > 0) & np.isfinite(reports["nis"])]
     by_source = {
         run.details.sources[k]: reports[reports["source"] == k] for k in np.unique(reports["source"])
     }
@@ -96,7 +99,7 @@ def _points(innovations: Innovations) -> Iterator[Curve]:
     gate = (innovations.gates / innovations.freedoms)[order]
     yield Curve("gate", ORANGE, innovations.times[order], gate, Form.DASHED)
     for label, chosen, form in (
-        ("taken", ~innovations.refused, Form.POINTS),
+        ("accepted", ~innovations.refused, Form.POINTS),
         ("refused", innovations.refused, Form.CROSSES),
     ):
         if chosen.any():
@@ -113,12 +116,12 @@ def _expected(innovations: Innovations) -> Curve:
 
 
 def _moving_mean(innovations: Innovations, label: str, colour: str) -> Curve:
-    """Over the measurements that were taken, at the last one of each window."""
-    taken = ~innovations.refused
-    order = np.argsort(innovations.times[taken], kind="stable")
-    columns = (innovations.nis[taken][order], innovations.freedoms[taken][order])
+    """Over the measurements that were accepted, at the last one of each window."""
+    accepted = ~innovations.refused
+    order = np.argsort(innovations.times[accepted], kind="stable")
+    columns = (innovations.nis[accepted][order], innovations.freedoms[accepted][order])
     nis, freedoms = (np.convolve(column, np.ones(WINDOW), mode="valid") for column in columns)
-    times = innovations.times[taken][order][WINDOW - 1 :][: len(nis)]
+    times = innovations.times[accepted][order][WINDOW - 1 :][: len(nis)]
     return Curve(label, colour, times, nis[: len(times)] / freedoms[: len(times)])
 
 
@@ -141,29 +144,21 @@ def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
 
     Fixes older than the first estimate, or without one that was published before they came, are left out.
     """
-    fixes, estimates = run.details.fixes, run.details.estimates
+    fixes = run.details.fixes
     refused = [outcome for outcome in Outcome if outcome.refused]
-    before = np.searchsorted(estimates["stamp_ns"], fixes["stamp_ns"], "right")
-    before = np.minimum(before, fixes["published"]) - 1
-    compared = (before >= 0) & ~np.isin(fixes["outcome"], refused)
+    compared = fixes["expected"] & ~np.isin(fixes["outcome"], refused)
     found = {}
-    for source, told in run.parameters.poses().items():
+    for source, stated in run.parameters.poses().items():
         numbers = [k for k, name in enumerate(run.details.sources) if name == source]
-        own = compared & np.isin(fixes["source"], numbers)
-        if own.any():
-            after = np.minimum(before[own] + 1, fixes["published"][own] - 1)
-            whitened = _whitened(fixes[own], estimates[before[own]], estimates[after], told)
-            found[source] = (run.recording.seconds(fixes["stamp_ns"][own]), whitened)
+        own = fixes[compared & np.isin(fixes["source"], numbers)]
+        if len(own):
+            found[source] = run.recording.seconds(own["stamp_ns"]), _whitened(own, stated)
     return found
 
 
-def _whitened(fixes: Rows, first: Rows, last: Rows, source: PoseSource) -> FloatArray:
-    """w (n, 3) against the estimate at the stamp of each fix, between the two published about it."""
-    span_ns = np.maximum(last["stamp_ns"] - first["stamp_ns"], 1)
-    share = (fixes["stamp_ns"] - first["stamp_ns"]) / span_ns * (last["stamp_ns"] > first["stamp_ns"])
-    step = last["pose"] - first["pose"]
-    step[:, YAW] = _wrapped(step[:, YAW])
-    pose, P = _at_sensor(first["pose"] + share[:, np.newaxis] * step, first["pose_covariance"], source)
+def _whitened(fixes: Rows, source: PoseSource) -> FloatArray:
+    """w (n, 3) against what was expected of each fix."""
+    pose, P = _at_sensor(fixes["pose"], fixes["pose_covariance"], source)
     R = fixes["noise"].copy()
     floors = np.array((source.position_floor, source.position_floor, source.heading_floor))
     diagonal = np.arange(3)
