@@ -140,7 +140,7 @@ class Programs:
         self.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), _MARK: self._mark}
 
     def node(self, executable: str, *arguments: str, **parameters: Any) -> Program:
-        """An executable of ours with ROS parameters; ``vehicle__tread`` is ``vehicle.tread``."""
+        """An executable of ours with ROS parameters; ``noise__gyro_bias`` is ``noise.gyro_bias``."""
         given = list(arguments)
         for name, value in parameters.items():
             text = yaml.safe_dump(value, default_flow_style=True).splitlines()[0]

@@ -15,9 +15,10 @@ import numpy as np
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned_text import Finding, findings
+from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Command, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE, RESULT
@@ -28,7 +29,7 @@ from trackslip_tools.replay.comparison import LiveComparer, LiveComparison, odom
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
-from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, InputStream, Logged
+from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, InputStream, Logged
 from trackslip_tools.replay.reckoning import Reckoning
 from trackslip_tools.replay.scoring import Score, in_order, path_of
 from trackslip_tools.replay.series import Series, SeriesCollector, reduced
@@ -88,6 +89,7 @@ class Replay:
     live: LiveComparison | None = None
     paths: dict[str, Path] = field(default_factory=dict)
     soil: SoilReplay | None = None  # where the bag has hydraulics
+    vehicle: str = ""  # its name
     learned: list[Known] = field(default_factory=list)  # in the course of it
     start: str = ""  # what it started from, where that is not the parameters alone
 
@@ -107,9 +109,9 @@ def replay(
     """
     began = time.monotonic()
     reference = reference or own_reference(bag)
-    of_both = (ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
+    of_both = (ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
     stream = InputStream(bag, p, filters, _scored(reference).union(of_both))
-    collector = _Collector(stream, reference, p.vehicle, compares=not filters.changes_inputs)
+    collector = _Collector(stream, reference, p.vehicle.kinematics, compares=not filters.changes_inputs)
     soil = (
         SoilRun(bag.start_ns, filters, of_soil)
         if of_soil is not None and HYDRAULICS in stream.topics
@@ -125,6 +127,7 @@ def replay(
     result = collector.result()
     result.start = start
     result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
+    result.vehicle = p.vehicle.name
     result.elapsed_s = time.monotonic() - began
     return result
 
@@ -158,7 +161,7 @@ class _Collector:
     """What is kept of the parts."""
 
     def __init__(
-        self, stream: InputStream, reference: str | None, vehicle: Vehicle, *, compares: bool
+        self, stream: InputStream, reference: str | None, vehicle: Kinematics, *, compares: bool
     ) -> None:
         self._stream, self._reference = stream, reference
         self._scored = _scored(reference)
@@ -169,7 +172,7 @@ class _Collector:
             name: Reckoning(vehicle, with_gyro=name == "encoder_gyro")
             for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
         }
-        self._comparer, self._compares = LiveComparer(), compares
+        self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
         self._learned: list[Known] = []
 
     def add(self, part: Part) -> None:
@@ -233,7 +236,10 @@ class _Collector:
         nothing = np.empty(0, ESTIMATE)
         if ODOMETRY in self._stream.topics:
             live = tables[ODOMETRY].rows if ODOMETRY in tables else nothing
-            self._comparer.add_odometry(live, odometry_rows(estimates))
+            self._comparer.add_odometry(live, odometry_rows(estimates, estimates))
+        if LOCAL_ODOMETRY in self._stream.topics:
+            live = tables[LOCAL_ODOMETRY].rows if LOCAL_ODOMETRY in tables else nothing
+            self._comparer.add_local(live, odometry_rows(estimates, self._local.advance(estimates)))
         if TRACK_SLIP in self._stream.topics:
             live = tables[TRACK_SLIP].rows if TRACK_SLIP in tables else nothing
             self._comparer.add_slips(live, slip_rows(estimates))
