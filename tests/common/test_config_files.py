@@ -12,11 +12,11 @@ from trackslip_common.config_files import (
     config_file,
     node_defaults,
     node_parameters,
-    parse_yaml,
     read_yaml,
 )
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, from_flat, to_flat
+from trackslip_common.yaml_text import parse_yaml
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters

@@ -16,18 +16,22 @@ ALLOWED = {package: {"trackslip_msgs", *LAYERS[:k]} for k, package in enumerate(
 ALLOWED["trackslip_drivers"] = {"trackslip_msgs", "trackslip_common"}
 ALLOWED["trackslip_sim"].add("trackslip_drivers")
 ROSDEP_KEYS = {
+    "bokeh": "python3-bokeh-pip",
     "can": "python3-can",
     "cantools": "python3-cantools-pip",
     "jinja2": "python3-jinja2",
+    "joblib": "python3-joblib",
     "matplotlib": "python3-matplotlib",
     "msgpack": "python3-msgpack",
+    "numba": "python3-numba",
     "numpy": "python3-numpy",
+    "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "serial": "python3-serial",
     "yaml": "python3-yaml",
 }
-# From pip, as the README says (Ubuntu 24.04 has no rosdep key of numba): requirements/with-apt-ros.txt.
-PIP_ONLY = {"bokeh", "distributed", "joblib", "mcap", "numba", "rich", "rosbags"}
+PIP_ONLY = {"distributed", "mcap"}  # rosdep has no key of theirs: from pip, as the README says
 
 
 def imported(package: str) -> dict[str, set[str]]:

@@ -6,11 +6,10 @@ A bag then replays with the vehicle it was recorded on, wherever its files have 
 
 from typing import Any
 
-import yaml
-
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
+from trackslip_common.yaml_text import parse_yaml
 
 PARAMETERS_TOPIC = "slip_estimator/parameters"
 PARAMETERS_TYPE = "std_msgs/msg/String"
@@ -37,6 +36,6 @@ def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]
         InputError: it is no parameter file.
     """
     try:
-        return flatten(yaml.safe_load(content.data)[node]["ros__parameters"])
-    except (yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        return flatten(parse_yaml(content.data, f"{node}/parameters")[node]["ros__parameters"])
+    except (InputError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"bag '{bag.path}': {node}/parameters holds no parameters of {node}") from error

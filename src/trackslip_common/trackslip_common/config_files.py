@@ -2,7 +2,6 @@
 """Finds and reads the YAML files of ``config/``: the one place where defaults live."""
 
 import os
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,19 +10,9 @@ import yaml
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
+from trackslip_common.yaml_text import LONGEST, parse_yaml
 
 _SHARE = Path("share/trackslip_common/config")
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML with numbers as ROS reads them: ``1e-3`` and ``1.5e6`` are numbers, not text."""
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
 
 
 def config_directory() -> Path:
@@ -53,18 +42,6 @@ def config_file(name: str) -> Path:
     raise InputError(f"file '{name}' not found, here or in {config_directory()}")
 
 
-def parse_yaml(text: str, where: str) -> Any:
-    """What a YAML text holds; ``where`` opens the message.
-
-    Raises:
-        InputError: the text is not YAML.
-    """
-    try:
-        return yaml.load(text, Loader=_Loader)
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date or number that does not exist
-        raise InputError(f"{where}: not YAML ({' '.join(str(error).split())})") from error
-
-
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file whose top level is a mapping.
 
@@ -72,7 +49,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         InputError: the file is missing, is not YAML, or holds no mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8") as file:
+            text = file.read(LONGEST + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
     tree = parse_yaml(text, str(path))

@@ -4,13 +4,28 @@
 from collections.abc import Iterable
 from enum import IntEnum
 
+_LONGEST_LINE = 900  # characters
+
+
+def printable(text: str, longest: int = 200) -> str:
+    """A text on one line, with what a terminal would obey escaped; cut where it is longer."""
+    shown = "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: longest + 1]
+    )
+    return shown if len(text) <= longest else f"{shown[:longest]} …"
+
 
 class InputError(ValueError):
     """What the user gave cannot be used.
 
     Its text is the single line shown on stderr before leaving with ``ExitCode.BAD_INPUT``: it names the
-    thing, the value given, and what is accepted.
+    thing, the value given, and what is accepted. Names and values in it may be anybody's: what would steer a
+    terminal is shown escaped, and what is endless is cut.
     """
+
+    def __str__(self) -> str:
+        """One printable line."""
+        return printable(super().__str__(), _LONGEST_LINE)
 
 
 class ExitCode(IntEnum):

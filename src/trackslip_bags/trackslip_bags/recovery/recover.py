@@ -19,6 +19,7 @@ from trackslip_bags.recovery.salvage import DamagedFile, SalvagedTopic, is_mcap
 from trackslip_bags.sources import TopicInfo, bag_files
 from trackslip_bags.writer import BagWriter, own_schema
 from trackslip_common.errors import InputError
+from trackslip_common.yaml_text import parse_yaml
 
 _CDR = b"\0"  # how every CDR message begins
 _ENCODINGS = {MessageDefinitionFormat.MSG: SchemaEncoding.ROS2, MessageDefinitionFormat.IDL: "ros2idl"}
@@ -157,7 +158,7 @@ def _stated_count(path: Path) -> int | None:
     """How many messages the recorder wrote, by its own word."""
     try:
         text = (path / METADATA).read_text(encoding="utf-8")
-        count = yaml.safe_load(text)["rosbag2_bagfile_information"]["message_count"]
+        count = parse_yaml(text, "metadata")["rosbag2_bagfile_information"]["message_count"]
     except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
         return None
     return count if isinstance(count, int) else None

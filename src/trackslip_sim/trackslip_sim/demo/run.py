@@ -17,6 +17,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.soils import load_soils
 from trackslip_sim.demo.graph import DemoOptions, demo_nodes
+from trackslip_sim.demo.output import claim
 from trackslip_sim.demo.picture import draw
 from trackslip_sim.demo.processes import DemoFailure, Processes, interrupts_noted
 from trackslip_sim.demo.results import evaluate
@@ -31,7 +32,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run it; returns the exit code."""
     console = Console(highlight=False)
     try:
-        return _run(_options(argv), console)
+        options = _options(argv)
+        with claim(options.output):
+            return _run(options, console)
     except InputError as error:
         print(error, file=sys.stderr)
         return ExitCode.BAD_INPUT
@@ -70,8 +73,6 @@ def _duration(text: str) -> float:
 
 def _run(options: argparse.Namespace, console: Console) -> int:
     output: Path = options.output
-    shutil.rmtree(output, ignore_errors=True)
-    output.mkdir(parents=True)
     nodes = DemoOptions(
         devices=(output / "dev").resolve(),
         bag=(output / "bag").resolve(),

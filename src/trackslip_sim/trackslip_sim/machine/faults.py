@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-import yaml
-
 from trackslip_common.errors import InputError
+from trackslip_common.yaml_text import parse_yaml
 from trackslip_sim.scenarios.checks import number, refuse_unknown, text
 
 CAN, WATSON, SICK = SENSORS = ("can", "watson", "sick")
@@ -131,10 +130,7 @@ def parse_fault(yaml_text: str, now: float) -> Fault:
     Raises:
         InputError: the text is no YAML mapping, or its content is refused.
     """
-    try:
-        tree = yaml.safe_load(yaml_text)
-    except yaml.YAMLError as error:
-        raise InputError(f"fault: not YAML ({' '.join(str(error).split())})") from error
+    tree = parse_yaml(yaml_text, "fault")
     if not isinstance(tree, Mapping):
         raise InputError(f"fault: {yaml_text!r} is refused; accepted: a mapping of {', '.join(_KEYS)}")
     return read_fault({"start": now, **tree})

@@ -10,10 +10,11 @@ from typing import Any
 from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag, require_topics
-from trackslip_common.config_files import config_file, node_parameters, parse_yaml, read_yaml
+from trackslip_common.config_files import config_file, node_parameters, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flat_fields, to_flat
 from trackslip_common.topics import TOPICS
+from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters

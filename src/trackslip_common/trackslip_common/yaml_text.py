@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads YAML from anybody: with numbers as ROS reads them, and within limits.
+
+Nesting, values and whole numbers are limited: no text takes more than moments, or gives what cannot be shown.
+"""
+
+import re
+from typing import Any
+
+import yaml
+
+from trackslip_common.errors import InputError
+
+LONGEST = 1_000_000  # characters
+_DEEPEST = 40  # mappings and lists inside each other
+_MOST = 100_000  # values
+_LARGEST = 2**63  # of a whole number, as in a ROS parameter
+# What PyYAML's constructors let through for tags and values that are wrong, beside its own errors.
+_WRONG = (yaml.YAMLError, ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError)
+
+
+class _Loader(yaml.SafeLoader):
+    """``1e-3`` and ``1.5e6`` are numbers, not text; and what nobody needs is refused."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = 0
+        self._values = 0  # so far, those that aliases stand for counted again
+        self._values_of: dict[yaml.Node, int] = {}  # what one that is whole counts for
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node:
+        """One node, unless it lies too deep, or is an alias of what it is in itself or of too much."""
+        event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]
+        if self._depth >= _DEEPEST:
+            raise _refused(event, f"nested too deep; accepted: up to {_DEEPEST} levels")
+        self._depth += 1
+        before = self._values
+        node: yaml.Node = super().compose_node(parent, index)  # type: ignore[assignment]
+        if isinstance(event, yaml.AliasEvent):
+            if node not in self._values_of:
+                raise _refused(event, "an alias of what it stands in")
+            self._values += self._values_of[node]
+        else:
+            self._values += 1
+            self._values_of[node] = self._values - before
+        if self._values > _MOST:
+            raise _refused(event, f"too many values; accepted: up to {_MOST}")
+        self._depth -= 1
+        return node
+
+    def construct_whole_number(self, node: yaml.ScalarNode) -> int:
+        """A whole number of 64 bits."""
+        value: int = self.construct_yaml_int(node)
+        if not -_LARGEST <= value < _LARGEST:
+            raise _refused(node, "a whole number beyond 64 bits")
+        return value
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_whole_number)
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """What a YAML text holds; ``where`` opens the message.
+
+    Raises:
+        InputError: the text is not YAML, or beyond the limits.
+    """
+    if len(text) > LONGEST:
+        raise InputError(f"{where}: {len(text)} characters; accepted: up to {LONGEST}")
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except _WRONG as error:
+        raise InputError(f"{where}: not YAML ({' '.join(str(error).split())})") from error
+
+
+def _refused(at: Any, problem: str) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=at.start_mark)

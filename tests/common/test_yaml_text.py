@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""YAML from anybody: read, or refused in one line, in moments."""
+
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.config_files import read_yaml
+from trackslip_common.errors import InputError
+from trackslip_common.yaml_text import parse_yaml
+
+BOMB = "a0: &a0 [x,x,x,x,x,x,x,x,x,x]\n" + "".join(
+    f"a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 12)
+)
+HOSTILE = {
+    "a_bad_date": "tread: 2026-13-45",
+    "a_bad_time": "tread: 2026-01-01T99:99:99Z",
+    "a_5000_digit_number": f"tread: {'7' * 5000}",
+    "a_number_too_long_to_show": f"tread: 0x{'f' * 100_000}",
+    "a_4000_digit_number": f"tread: {'7' * 4000}",
+    "deep_nesting": "[" * 5000,
+    "deep_nesting_closed": "[" * 5000 + "]" * 5000,
+    "deep_mappings": "".join(f"{' ' * k}a:\n" for k in range(500)),
+    "a_recursive_anchor": "a: &a [*a]",
+    "a_recursive_mapping": "a: &a {b: *a}",
+    "exploding_anchors": BOMB,
+    "a_merge_of_itself": "a: &a {<<: *a}",
+    "a_wrong_tag_of_int": "a: !!int ''",
+    "a_wrong_tag_of_bool": "a: !!bool maybe",
+    "a_wrong_tag_of_timestamp": "a: !!timestamp noon",
+    "a_tag_of_python": "a: !!python/object/apply:os.system ['true']",
+    "an_unhashable_key": "? [a, b]\n: 1",
+    "a_control_character": "a: \x1b[2J",
+    "two_megabytes": "a: " + "x" * 2_000_000,
+}
+
+
+@pytest.mark.parametrize("defect", HOSTILE)
+def test_hostile_yaml_is_refused_in_one_line(defect: str, tmp_path: Path) -> None:
+    file = tmp_path / "hostile.yaml"
+    file.write_text(HOSTILE[defect], encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_yaml(file)
+    line = str(refused.value)
+    assert "hostile.yaml" in line
+    assert len(line) < 1000
+    assert line.isprintable()
+
+
+@given(st.text(alphabet="&*[]{}!:,-?|>'\"%@`#<= \n\tab019.eE+_~\x00\x1b\u2028", max_size=60))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    with suppress(InputError):
+        parse_yaml(text, "text")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("1e-3", 0.001), ("1.5e+6", 1.5e6), ("0x10", 16), ("-9223372036854775808", -(2**63)), ("no", False)],
+)
+def test_values_are_read_as_ros_reads_them(text: str, value: object) -> None:
+    assert parse_yaml(f"a: {text}", "text") == {"a": value}
+
+
+def test_what_names_and_values_hold_cannot_reach_the_terminal() -> None:
+    error = InputError('unknown parameter "\x1b]0;title\x07" and\nmore')
+    assert str(error).isprintable()
+    assert "\\x1b]0;title\\x07" in str(error)

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demo's directory: nothing in it is removed that a demo did not make."""
+
+import os
+
+import pytest
+
+from trackslip_common.errors import InputError
+from trackslip_sim.demo.output import MARKER, claim
+
+
+def test_demo_removed_any_directory_it_was_given(tmp_path):
+    mine = tmp_path / "results"
+    mine.mkdir()
+    (mine / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match=r"results.*not a demo's.*accepted"):
+        claim(mine)
+    assert (mine / "thesis.tex").read_text() == "years of work"
+    assert not (mine / MARKER).exists()
+
+
+@pytest.mark.parametrize("before", ["absent", "empty", "nested"])
+def test_new_and_empty_directories_are_taken(tmp_path, before):
+    output = tmp_path / ("a/b/demo" if before == "nested" else "demo")
+    if before == "empty":
+        output.mkdir()
+    with claim(output):
+        assert (output / MARKER).is_file()
+
+
+def test_an_earlier_demos_results_are_replaced_and_other_files_stay(tmp_path):
+    output = tmp_path / "demo"
+    with claim(output):
+        (output / "bag").mkdir()
+        (output / "bag" / "bag_0.mcap").write_bytes(b"old")
+        (output / "summary.json").write_text("{}")
+        (output / "slip_estimator.log").write_text("old")
+    (output / "notes.txt").write_text("the user's")
+    with claim(output):
+        assert sorted(path.name for path in output.iterdir()) == sorted([MARKER, "notes.txt"])
+
+
+def test_links_are_not_followed_when_results_are_replaced(tmp_path):
+    output, mine = tmp_path / "demo", tmp_path / "archive"
+    mine.mkdir()
+    (mine / "bag_0.mcap").write_bytes(b"kept")
+    with claim(output):
+        (output / "bag").symlink_to(mine)
+    with claim(output):
+        assert not os.path.lexists(output / "bag")
+    assert (mine / "bag_0.mcap").read_bytes() == b"kept"
+
+
+def test_a_second_demo_in_one_directory_is_refused(tmp_path):
+    output = tmp_path / "demo"
+    with claim(output):
+        (output / "summary.json").write_text("{}")
+        with pytest.raises(InputError, match=r"another demo .*accepted"):
+            claim(output)
+        assert (output / "summary.json").exists()
+    with claim(output):
+        pass
+
+
+@pytest.mark.parametrize("made", ["a file", "below a file"])
+def test_what_cannot_be_a_directory_is_refused_in_one_line(tmp_path, made):
+    (tmp_path / "demo").write_text("a file")
+    with pytest.raises(InputError, match="demo"):
+        claim(tmp_path / "demo" / "below" if made == "below a file" else tmp_path / "demo")
+    assert (tmp_path / "demo").read_text() == "a file"
