@@ -240,7 +240,7 @@ BAD_LOGS = {
     "line 6: not a table (unexpected end of data)": LOG.replace("1150,360", '1150,"360'),
     "not a table (field larger than field limit (131072))": LOG.replace("1150", "1" * 200_000),
     "holds zero bytes": LOG.replace("1150", "11\x0050"),
-    "line 5, column 't': 3e+09 s is too late for a stamp; accepted: less than 2^31 s": LOG.replace(
+    "line 5, column 't': 3000000000 s is too late for a stamp; accepted: less than 2^31 s": LOG.replace(
         "1150", "2999999900000"
     ),
     "line 5, column 't': '1763673783000000' is not accepted; accepted: a number of ms (is its unit us?)": (

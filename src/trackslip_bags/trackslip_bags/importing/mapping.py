@@ -43,7 +43,7 @@ from trackslip_common.vehicle import Vehicle
 
 _COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
 _OF_CSV = ("file", "time", "received", "new_when_changes")
-_OF_BAG = ("from", "left", "right", "use", "stamp", "child_frame", "position_only")
+_OF_BAG = ("left", "right", "use", "stamp", "child_frame", "position_only")
 _FROM = "from"  # the key by which a section names a topic of a bag
 
 
@@ -156,7 +156,8 @@ def _topic(
         raise InputError(f"{where}: topics: unknown key '{name}'{like}; accepted: {accepted}")
     tree = section(place, value)
     role = choice(f"{place}.role", tree.get("role", ROLE_OF_TOPIC.get(name)), ROLES)
-    check_keys(place, tree, (), (*ROLES[role].fields, *_keys_of(ROLES[role], (*_OF_CSV, *_OF_BAG))))
+    own = (_FROM, *_keys_of(ROLES[role], _OF_BAG)) if _FROM in tree else _keys_of(ROLES[role], _OF_CSV)
+    check_keys(place, tree, (), own if _FROM in tree else (*ROLES[role].fields, *own))
     of_both = {
         "name": name,
         "where": place,
@@ -172,7 +173,6 @@ def _topic(
 
 
 def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping[str, Any]) -> CsvTopic:
-    check_keys(where, tree, (), (*role.fields, *_keys_of(role, _OF_CSV)))
     given = [name for name in role.fields if name in tree]
     role.check(where, set(given))
     if "time" not in tree:
@@ -192,7 +192,6 @@ def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
 
 
 def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping[str, Any]) -> BagTopic:
-    check_keys(where, tree, (_FROM,), _keys_of(role, _OF_BAG))
     joints = {side: _joints(f"{where}.{side}", tree[side]) for side in ("left", "right") if side in tree}
     columns = [axis for axis, spread in of_both["spreads"].items() if isinstance(spread.value, Column)]
     if columns:
