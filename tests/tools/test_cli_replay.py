@@ -27,6 +27,7 @@ KEYS = {"duration_s", "messages", "rejected", "final", "rmse", "nees", "real_tim
 def without_time(found: dict[str, Any]) -> dict[str, Any]:
     """But for the time it took; a mean's last digit depends on the pieces in which a bag is read."""
     kept = {name: value for name, value in found.items() if name != "real_time_factor"}
+    kept["rmse"] = {name: value and round(value, 9) for name, value in kept["rmse"].items()}
     return kept | {name: round(kept[name], 9) for name in ("nees", "nees_position") if kept.get(name)}
 
 

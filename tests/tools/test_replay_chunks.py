@@ -127,14 +127,23 @@ def test_the_length_of_the_batches_changes_nothing(
         assert result.soil is not None
         states = [repr(vars(state)) for state in result.soil.states]
         forces = result.soil.forces.tobytes()
-        assert result.nees is not None
-        nees = round(result.nees, 9)  # a sum over the batches
-        return [details.reports.tobytes(), details.estimates.tobytes(), forces, states, result.scores, nees]
+        numbers = [result.nees, result.slip_rmse]
+        numbers += [value for scored in result.scores.values() for value in vars(scored).values()]
+        rounded = [round(number, 9) for number in numbers if number is not None]  # sums over the batches
+        return [
+            details.reports.tobytes(),
+            details.fixes.tobytes(),
+            details.estimates.tobytes(),
+            forces,
+            states,
+            rounded,
+        ]
 
     expected = found()
     monkeypatch.setattr(chunks, "STRETCH_NS", 700_000_000)
     assert found() == expected
-    assert len(expected[3]) > 40
+    assert len(expected[4]) > 40
+    assert len(expected[5]) == 11
 
 
 def test_columns_give_what_messages_give(emulated_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:

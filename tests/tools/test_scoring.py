@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.errors import PathErrors
 from trackslip_tools.replay.scoring import (
     Score,
-    mean_nees,
     moving_slips,
     path_of,
     score,
@@ -41,6 +41,13 @@ def estimates(*of: tuple[int, tuple[float, float, float], FloatArray]) -> Rows:
         record["stamp_ns"], record["pose"] = EPOCH_NS + ms * MS, pose
         record["pose_covariance"] = covariance
     return found
+
+
+def mean_nees(own: Rows, reference: Path) -> float | None:
+    x, y, heading = reference.poses.T
+    errors = PathErrors()
+    errors.add_estimates(own, series_of(stamp_ns=reference.stamps_ns, x=x, y=y, heading=heading).rows)
+    return errors.nees
 
 
 def test_a_path_against_itself_has_no_error() -> None:

@@ -25,10 +25,9 @@ from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.output import EstimateWriter
-from trackslip_tools.replay.run import Replay, replay
+from trackslip_tools.replay.run import Part, Replay, replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_messages
-from trackslip_tools.report.details import Details
 
 SOURCE = {"slip_sources": ["slip_seed"]}
 MODELS = ("free_slips", "turning")
@@ -53,16 +52,21 @@ def seeded(
     return write_bag(tmp_path_factory.mktemp("seeds") / "bag", [*lines, *found])
 
 
-def replayed(path: Path, details: Details | None = None, **changes: Any) -> Replay:
-    watch = (details or Details()).add
+def replayed(path: Path, parts: list[Part] | None = None, **changes: Any) -> Replay:
+    watch = ([] if parts is None else parts).append
     with open_bag(path) as bag:
         return replay(bag, load_slip_parameters(changes), InputFilters(), None, watch=watch)
 
 
-def reports_of(details: Details) -> list[Report]:
-    names = ("stamp_ns", "outcome", "nis", "gate", "dof")
-    rows = zip(details.reports["source"].tolist(), details.reports[list(names)].tolist(), strict=True)
-    return [Report(details.sources[source], row[0], Outcome(row[1]), *row[2:]) for source, row in rows]
+def reports_of(parts: list[Part]) -> list[Report]:
+    found = []
+    for part in parts:
+        names = [part.sources[source] for source in part.arrivals["source"]]
+        rows = part.results[["stamp_ns", "outcome", "nis", "gate", "dof"]].tolist()
+        found += [
+            Report(name, row[0], Outcome(row[1]), *row[2:]) for name, row in zip(names, rows, strict=True)
+        ]
+    return found
 
 
 def numbers(result: Replay) -> list[bytes]:
@@ -71,9 +75,9 @@ def numbers(result: Replay) -> list[bytes]:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_replay_takes_seeds_as_the_estimator_does(seeded: Path, model: str) -> None:
-    details = Details()
-    result = replayed(seeded, details, **SOURCE, model=model)
-    reports = [report for report in reports_of(details) if report.source == "slip_seed"]
+    parts: list[Part] = []
+    result = replayed(seeded, parts, **SOURCE, model=model)
+    reports = [report for report in reports_of(parts) if report.source == "slip_seed"]
     assert [report.outcome for report in reports] == [Outcome.ACCEPTED, Outcome.INVALID]
     assert result.messages["slip_seed"] == 2
     assert result.rejected.total["slip_seed", "invalid"] == 1
@@ -90,10 +94,11 @@ def test_replay_takes_seeds_as_the_estimator_does(seeded: Path, model: str) -> N
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_live_run_with_seeds_is_given_back(seeded: Path, model: str, tmp_path: Path) -> None:
-    p, details = load_slip_parameters(SOURCE | {"model": model}), Details()
+    p = load_slip_parameters(SOURCE | {"model": model})
+    parts: list[Part] = []
     with open_bag(seeded) as bag, EstimateWriter(tmp_path / "own", p) as writer:
         replay(bag, p, InputFilters(), None, watch=writer.add)
-    replayed(seeded, details, **SOURCE, model=model)
+    replayed(seeded, parts, **SOURCE, model=model)
     messages = []
     for path in (seeded, tmp_path / "own"):
         with open_bag(path) as bag:
@@ -101,7 +106,7 @@ def test_a_live_run_with_seeds_is_given_back(seeded: Path, model: str, tmp_path:
     with BagWriter(tmp_path / "live") as live:
         for message in sorted(messages, key=lambda m: m.log_time_ns):
             live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
-        for sequence, report in enumerate(reports_of(details)):  # a journal in the order of arrival
+        for sequence, report in enumerate(reports_of(parts)):  # a journal in the order of arrival
             raw = serialize(conversions.measurement_report(make, report, sequence))
             live.write("/measurement_reports", REPORTS, raw, LAST_NS + sequence)
     again = replayed(tmp_path / "live", **SOURCE, model=model)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
@@ -58,10 +59,13 @@ def make_log(arrivals: Records, p: SlipEstimatorParameters) -> Log:
     Raises:
         InputError: there is none to start from.
     """
-    arrivals = arrivals[np.lexsort((arrivals["source"], arrivals["kind"], arrivals["stamp_ns"]))]
+    order = stamp_order(arrivals)
+    arrivals = arrivals if (np.diff(order) == 1).all() else arrivals[order]
     estimator = SlipEstimator(p)
-    parts = [arrivals[k : k + _BLOCK] for k in range(0, len(arrivals), _BLOCK)]
-    outcomes = np.concatenate([np.empty(0), *(estimator.process_records(a)["outcome"] for a in parts)])
+    outcomes = np.empty(len(arrivals), np.int64)
+    for first in range(0, len(arrivals), _BLOCK):
+        part = slice(first, first + _BLOCK)
+        outcomes[part] = estimator.process_records(arrivals[part])["outcome"]
     begins = np.flatnonzero(outcomes == Outcome.ACCEPTED)
     if not begins.size:
         raise InputError(f"measurements: none of {len(arrivals)} to start from (start: {p.start})")
@@ -70,7 +74,14 @@ def make_log(arrivals: Records, p: SlipEstimatorParameters) -> Log:
         arrivals["kind"][: begins[0]] == SPROCKETS
     )
     head = begins[0] + 1
-    return Log(arrivals[:head][used[:head]], arrivals[head:][used[head:]])
+    rest = arrivals[head:]  # of a long bag they are hundreds of MB: no copy where all are used
+    return Log(arrivals[:head][used[:head]], rest if used[head:].all() else rest[used[head:]])
+
+
+def stamp_order(measurements: Records) -> NDArray[np.int64]:
+    """(n,) places in which (n,) records of ``MEASUREMENT`` stand by stamp, kind and source."""
+    keys = measurements["source"], measurements["kind"], measurements["stamp_ns"]
+    return np.lexsort(keys).astype(np.int64, copy=False)
 
 
 def run_log(log: Log, p: SlipEstimatorParameters) -> Iterator[Block]:

@@ -27,7 +27,8 @@ from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.truth.record import Truth
-from trackslip_tools.replay.dead_reckoning import dead_reckon
+from trackslip_tools.replay.dead_reckoning import DrivenCollector, dead_reckon
+from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.run import Replay, replay
 from trackslip_tools.replay.scoring import MOVING, in_order
 
@@ -108,7 +109,7 @@ class _Comparison:
             self._turn_slip(whole),
             lost("box_pose"),
             blind,
-            blind / self._dead_reckoning_error(whole, trial.silent_from, end),
+            blind / self._dead_reckoning_error(trial.silent_from, end),
         )
 
     def _replay(self, withheld: tuple[Withhold, ...]) -> Replay:
@@ -140,9 +141,11 @@ class _Comparison:
         slips = estimates["slips"][:, :2]
         return _rms((slips - np.column_stack((at.left_slip, at.right_slip)))[scored])
 
-    def _dead_reckoning_error(self, result: Replay, begin: float, end: float) -> float:
+    def _dead_reckoning_error(self, begin: float, end: float) -> float:
         """m, of driving by the sprockets alone from the true pose at ``begin`` to ``end``, s of the drive."""
-        sprockets = result.sprockets
+        driven = DrivenCollector()
+        driven.add(read_inputs(self._bag, self._p, InputFilters(), ()).rows)
+        sprockets = driven.sprockets()
         assert sprockets is not None
         stamps = [START_NS + round((self._lead_in + t) * 1e9) for t in (begin, end)]
         start, goal = (self._truth.at(t) for t in (begin, end))

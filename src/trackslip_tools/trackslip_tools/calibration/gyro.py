@@ -45,24 +45,29 @@ class _Pair(NamedTuple):
     t: FloatArray  # (k,) s
     headings: FloatArray  # (k,) rad
     variances: FloatArray  # (k,)
+    follows: NDArray[np.bool_]  # (k − 1,) whether the next heading follows from it, as the gyro turned
     gyro: Series
     angle: CubicHermiteSpline  # Θ
 
     def increments(self) -> Increments:
-        """From heading to heading; those with a gap of the gyro in between are left out."""
-        margins = self.t[:-1] - _LARGEST_DELAY, self.t[1:] + _LARGEST_DELAY
-        kept = unbroken(self.gyro.t, *margins)
+        """From heading to heading, of those that are ``kept``."""
+        kept = self.kept
         joined = kept & np.concatenate(([False], kept[:-1]))
         before, after = self.variances[:-1], self.variances[1:]
         z, walk = np.diff(self.headings), np.diff(self.t)
         return Increments(z[kept], before[kept], after[kept], walk[kept], joined[kept])
 
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """(k − 1,) whether heading follows heading, and the gyro has no gap in between."""
+        margins = self.t[:-1] - _LARGEST_DELAY, self.t[1:] + _LARGEST_DELAY
+        return self.follows & unbroken(self.gyro.t, *margins)
+
     def design(self, delay: float) -> FloatArray:
         """(n, 3) what the gyro turned, its rate changed, and the time that went by, with those increments."""
-        margins = self.t[:-1] - _LARGEST_DELAY, self.t[1:] + _LARGEST_DELAY
         at = self.t - delay
         columns = (np.diff(self.angle(at)), np.diff(self.angle(at, 1)), np.diff(self.t))
-        return np.column_stack(columns)[unbroken(self.gyro.t, *margins)]
+        return np.column_stack(columns)[self.kept]
 
 
 def mounting(recordings: Sequence[Recording]) -> dict[str, Finding]:
@@ -71,7 +76,7 @@ def mounting(recordings: Sequence[Recording]) -> dict[str, Finding]:
     for k, recording in enumerate(recordings):
         t, rates = recording.gyro
         for span in spans(recording, Motion.TURNING, _SHORTEST, settling=0.0):
-            inside = span.holds(t)
+            inside = recording.gyro.between(*span)
             rows.append(rates[inside])
             clusters.append(blocks(t[inside], 1.0, k))
     rates, cluster, turned = np.concatenate(rows), np.concatenate(clusters), _turned(recordings)
@@ -130,7 +135,7 @@ def _fitted(pairs: Sequence[_Pair]) -> tuple[Fit | None, float]:
 
 
 def _pair(recording: Recording) -> _Pair | None:
-    """None where either is missing. Doubtful headings are left out, and those that do not fit the gyro."""
+    """None where either is missing. Doubtful headings are left out."""
     gyro, (t, poses) = recording.gyro, recording.poses
     if len(gyro.t) < 4:
         return None
@@ -139,21 +144,21 @@ def _pair(recording: Recording) -> _Pair | None:
     t, headings, variances = t[sure], poses[sure, 2], np.maximum(poses[sure, 5], _FLOOR**2)
     if len(t) < 4:
         return None
-    angle = CubicHermiteSpline(gyro.t, recording.turned(), gyro.values[:, 2])
+    angle = CubicHermiteSpline(gyro.t, recording.turned, gyro.values[:, 2])
     X = np.column_stack((angle(t), t, np.ones(len(t))))
-    rest = headings - X @ np.linalg.lstsq(X, headings, rcond=None)[0]
-    away = np.abs(rest - np.median(rest))
-    fits = away <= _OUTLIER * max(1.4826 * float(np.median(away)), 10.0 * _FLOOR)
-    return _Pair(t[fits], headings[fits], variances[fits], gyro, angle) if fits.sum() >= 4 else None
+    shown = X @ np.linalg.lstsq(X, headings, rcond=None)[0]
+    rest = np.unwrap(headings - shown)  # where fixes were missing for a while, whole turns may be too
+    steps = np.abs(np.diff(rest) - np.median(np.diff(rest)))
+    follows = steps <= _OUTLIER * max(1.4826 * float(np.median(steps)), 10.0 * _FLOOR)
+    return _Pair(t, shown + rest, variances, follows, gyro, angle) if follows.sum() >= 4 else None
 
 
 def _turned(recordings: Sequence[Recording]) -> float:
     """What the gyro shows of all turns, rad."""
     total = 0.0
     for recording in recordings:
-        angle = recording.turned()
         for span in spans(recording, Motion.TURNING, _SHORTEST, settling=0.0):
-            within = angle[span.holds(recording.gyro.t)]
+            within = recording.turned[recording.gyro.between(*span)]
             total += abs(float(within[-1] - within[0])) if len(within) else 0.0
     return total
 

@@ -3,13 +3,16 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.input_filters import relative
 from trackslip_bags.reader import Bag, require_topics
-from trackslip_bags.tables import read_tables
+from trackslip_bags.tables import TopicTable, read_tables
+from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import (
     RECORDS,
@@ -22,7 +25,14 @@ from trackslip_common.message_fields import (
     dtype_of,
     poses_of,
 )
-from trackslip_estimation.slip.motion import Motion, MotionParameters, MotionState, Speeds, classify
+from trackslip_estimation.slip.motion import (
+    MOTION,
+    SPEEDS,
+    Motion,
+    MotionParameters,
+    limits_record,
+    update_motion,
+)
 from trackslip_tools.replay.inputs import SPROCKETS
 
 FloatArray = NDArray[np.float64]
@@ -30,12 +40,32 @@ Rows = NDArray[np.void]
 
 HYDRAULICS = "hydraulics"
 
+_Readings = tuple[NDArray[np.int64], FloatArray]  # (n,) stamps, (n, k)
+
+
+class _Wanted(NamedTuple):
+    """What is read of a topic, and what is kept of it."""
+
+    topic: str  # "" for none
+    kind: RecordClass
+    values_of: Callable[[Rows], FloatArray]
+
+    def readings(self, rows: Rows) -> _Readings:
+        """Stamps and values of those that are numbers."""
+        values = self.values_of(rows)
+        sound = np.isfinite(values[:, :2]).all(axis=1)
+        return rows["stamp_ns"][sound], values[sound]
+
 
 class Series(NamedTuple):
     """Readings in the order of their stamps."""
 
     t: FloatArray  # (n,) s
     values: FloatArray  # (n, k)
+
+    def between(self, begin: float, end: float) -> slice:
+        """Where the readings of these times stand, s, both included."""
+        return slice(int(np.searchsorted(self.t, begin)), int(np.searchsorted(self.t, end, side="right")))
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +79,22 @@ class Recording:
     hydraulics: Series  # left, right: Pa; left, right spool (nan where there is none)
     motion: NDArray[np.int64]  # (n,) Motion at each sprocket sample
 
+    @cached_property
     def turned(self) -> FloatArray:
         """(n,) integral of the gyro's rate about its z axis, at its stamps, rad; bias and all."""
         t, rates = self.gyro
         steps = np.diff(t) * (rates[1:, 2] + rates[:-1, 2]) / 2.0
         return np.concatenate(([0.0], np.cumsum(steps)))[: len(t)]
 
-    def angles_at(self, t: FloatArray) -> FloatArray:
-        """(n, 2) of the left and right sprocket at other times, rad."""
-        known, angles = self.sprockets
-        return np.column_stack([np.interp(t, known, column) for column in angles.T])
+    @cached_property
+    def mean_angle(self) -> FloatArray:
+        """(n,) of both sprockets, rad."""
+        return np.asarray(self.sprockets.values.mean(axis=1))
+
+    @cached_property
+    def difference(self) -> FloatArray:
+        """(n,) angle of the right sprocket less that of the left, rad."""
+        return np.asarray(self.sprockets.values[:, 1] - self.sprockets.values[:, 0])
 
 
 def read_recording(bag: Bag, gyro: str, poses: str, limits: MotionParameters) -> Recording:
@@ -68,43 +104,63 @@ def read_recording(bag: Bag, gyro: str, poses: str, limits: MotionParameters) ->
         InputError: the bag lacks the sprockets, or a topic is of a type that does not serve.
     """
     require_topics(bag, [SPROCKETS])
-    driven = _integrated(_series(bag, SPROCKETS, SprocketFields, _sprockets))
-    fixes = _series(bag, poses, PoseFields, _poses)
-    fixes.values[:, 2] = np.unwrap(fixes.values[:, 2])
-    return Recording(
-        bag.path.name,
-        driven,
-        _series(bag, gyro, ImuFields, _rates),
-        fixes,
-        _series(bag, HYDRAULICS, HydraulicsFields, _hydraulics),
-        motions(driven, limits),
+    driven, turns, fixes, oil = _series(
+        bag,
+        _Wanted(SPROCKETS, SprocketFields, _sprockets),
+        _Wanted(gyro, ImuFields, _rates),
+        _Wanted(poses, PoseFields, _poses),
+        _Wanted(HYDRAULICS, HydraulicsFields, _hydraulics),
     )
+    driven = _integrated(driven)
+    fixes.values[:, 2] = np.unwrap(fixes.values[:, 2])
+    return Recording(bag.path.name, driven, turns, fixes, oil, motions(driven, limits))
 
 
 def motions(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
     """(n,) standing, straight or turning at each sample; unknown at the first."""
-    t, angles = sprockets
-    state, found = MotionState(), [int(Motion.UNKNOWN)]
-    for dt, (left, right) in zip(np.diff(t).tolist(), np.diff(angles, axis=0).tolist(), strict=True):
-        state = classify(state, Speeds(left / dt, right / dt, dt, differenced=True), dt, limits)
-        found.append(int(state.motion))
-    return np.array(found[: len(t)], dtype=np.int64)
+    found = np.full(len(sprockets.t), int(Motion.UNKNOWN))
+    records = np.zeros(1, MOTION), np.zeros(1, SPEEDS), limits_record(limits)
+    _motions(sprockets.t, sprockets.values, records, found)
+    return found
 
 
-def _series(bag: Bag, topic: str, kind: RecordClass, values_of: Callable[[Rows], FloatArray]) -> Series:
-    """One topic by stamp, the first of each stamp; readings that are no numbers are left out."""
-    parts = [np.empty(0, dtype_of(kind))]
-    for stretch in read_tables(bag, [topic] if topic else []):
-        for table in stretch.values():
-            if RECORDS.get(table.type_name) not in _ACCEPTED[kind]:
-                accepted = " or ".join(name for name, known in RECORDS.items() if known in _ACCEPTED[kind])
-                raise InputError(f"bag '{bag.path}': {topic} is a {table.type_name}; accepted: {accepted}")
-            parts.append(table.rows(kind))
-    rows = np.concatenate(parts)
-    values = values_of(rows)
-    sound = np.isfinite(values[:, :2]).all(axis=1)
-    stamps_ns, first = np.unique(rows["stamp_ns"][sound], return_index=True)
-    return Series((stamps_ns - bag.start_ns) * 1e-9, values[sound][first])
+@compiled
+def _motions(t: FloatArray, angles: FloatArray, records: Any, found: NDArray[np.int64]) -> None:
+    motion, speeds, limits = records
+    motion[0].changing = speeds[0].differenced = True
+    for k in range(1, len(t)):
+        dt = t[k] - t[k - 1]
+        speeds[0].interval = dt
+        speeds[0].left = (angles[k, 0] - angles[k - 1, 0]) / dt
+        speeds[0].right = (angles[k, 1] - angles[k - 1, 1]) / dt
+        update_motion(motion[0], speeds[0], dt, limits[0], 0.0)
+        found[k] = motion[0].motion
+
+
+def _series(bag: Bag, *wanted: _Wanted) -> list[Series]:
+    """Topics by stamp, the first of each stamp; readings that are no numbers are left out."""
+    parts = [[one.readings(np.empty(0, dtype_of(one.kind)))] for one in wanted]
+    for stretch in read_tables(bag, [one.topic for one in wanted if one.topic]):
+        tables = {relative(name): table for name, table in stretch.items()}
+        for one, own in zip(wanted, parts, strict=True):
+            if one.topic in tables:
+                own.append(one.readings(_rows(bag, one, tables[one.topic])))
+    return [_in_order(parts.pop(0), bag.start_ns) for _ in wanted]
+
+
+def _rows(bag: Bag, wanted: _Wanted, table: TopicTable) -> Rows:
+    if RECORDS.get(table.type_name) not in _ACCEPTED[wanted.kind]:
+        accepted = " or ".join(name for name, known in RECORDS.items() if known in _ACCEPTED[wanted.kind])
+        raise InputError(f"bag '{bag.path}': {wanted.topic} is a {table.type_name}; accepted: {accepted}")
+    return table.rows(wanted.kind)
+
+
+def _in_order(parts: list[_Readings], start_ns: int) -> Series:
+    stamps_ns, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    if (np.diff(stamps_ns) <= 0).any():
+        stamps_ns, first = np.unique(stamps_ns, return_index=True)
+        values = values[first]
+    return Series((stamps_ns - start_ns) * 1e-9, values)
 
 
 def _sprockets(rows: Rows) -> FloatArray:

@@ -61,23 +61,21 @@ def half_width(stddev: float, dof: int) -> float:
 
 def clustered(X: FloatArray, z: FloatArray, clusters: IntArray) -> Fit | None:
     """Ordinary least squares; ``clusters`` (n,) numbers the cluster of each row. None: too few of them."""
-    names = np.unique(clusters)
-    count = len(names)
-    if count <= X.shape[1]:
+    names, of = np.unique(clusters, return_inverse=True)
+    count, size = len(names), X.shape[1]
+    if count <= size:
         return None
-    A, b = X.T @ X, X.T @ z
-    values = _solved(A, b)
-    if values is None:
+    products = np.zeros((count, size, size + 1))  # of each cluster: XᵀX and Xᵀz
+    for i in range(size):
+        for k, column in enumerate((*X.T, z)):
+            products[:, i, k] = np.bincount(of, X[:, i] * column, count)
+    total = products.sum(axis=0)
+    values = _solved(total[np.newaxis])
+    without = _solved(total - products)
+    if values is None or without is None:  # None of these: one cluster alone carries a coefficient
         return None
-    without = []
-    for name in names:
-        rows = clusters == name
-        left_out = _solved(A - X[rows].T @ X[rows], b - X[rows].T @ z[rows])
-        if left_out is None:  # one cluster alone carries a coefficient
-            return None
-        without.append(left_out - values)
-    moved = np.array(without)
-    return Fit(values, (count - 1) / count * moved.T @ moved, count - 1)
+    moved = without - values
+    return Fit(values[0], (count - 1) / count * moved.T @ moved, count - 1)
 
 
 def of_increments(X: FloatArray, data: Increments) -> Fit | None:
@@ -137,13 +135,15 @@ def _weighed(
     return (cost, values, covariance) if sign > 0.0 and math.isfinite(cost) else None
 
 
-def _solved(A: FloatArray, b: FloatArray) -> FloatArray | None:
-    """A⁻¹ b; None where A is singular, but for rounding."""
-    scale = np.sqrt(np.diag(A))
-    if not (scale > 0.0).all():
+def _solved(normal: FloatArray) -> FloatArray | None:
+    """(c, p) A⁻¹ b, of A beside b (c, p, p + 1); None where an A is singular, but for rounding."""
+    A, b = normal[:, :, :-1], normal[:, :, -1]
+    diagonals = np.diagonal(A, axis1=1, axis2=2)
+    if not (diagonals > 0.0).all():
         return None
-    unit = A / np.outer(scale, scale)
-    if np.linalg.cond(unit) > 1e12:
+    scale = np.sqrt(diagonals)
+    unit = A / scale[:, :, np.newaxis] / scale[:, np.newaxis, :]
+    if (np.linalg.cond(unit) > 1e12).any():
         return None
-    solved: FloatArray = np.linalg.solve(unit, b / scale) / scale
+    solved: FloatArray = np.linalg.solve(unit, (b / scale)[:, :, np.newaxis])[:, :, 0] / scale
     return solved

@@ -23,11 +23,6 @@ class Span(NamedTuple):
     begin: float
     end: float
 
-    def holds(self, t: FloatArray) -> NDArray[np.bool_]:
-        """Which of these times lie in it."""
-        inside: NDArray[np.bool_] = (t >= self.begin) & (t <= self.end)
-        return inside
-
 
 def spans(recording: Recording, motion: Motion, least: float, settling: float = _SETTLING) -> list[Span]:
     """Stretches of ``motion`` without a gap in the sprockets, ``settling`` s less at both ends."""

@@ -47,11 +47,11 @@ def _closed(hydraulics: Series) -> Series:
 def _at_rest(series: Sequence[tuple[Recording, Series, int]], sensor: str, unit: str) -> Finding:
     """Mean of a column over all standing but odd seconds; the errors within a second may go together."""
     readings, clusters = [], []
-    for k, (recording, (t, values), column) in enumerate(series):
+    for k, (recording, own, column) in enumerate(series):
         for span in spans(recording, Motion.STANDING, 1.0):
-            inside = span.holds(t)
-            readings.append(values[inside, column])
-            clusters.append(blocks(t[inside], 1.0, k))
+            inside = own.between(*span)
+            readings.append(own.values[inside, column])
+            clusters.append(blocks(own.t[inside], 1.0, k))
     z = np.concatenate(readings) if readings else np.empty(0)
     cluster = np.concatenate(clusters) if clusters else np.empty(0, dtype=np.int64)
     usual = _usual(z, cluster)

@@ -31,7 +31,6 @@ _WINDOW = 0.05  # s, half of that over which sprocket speeds are taken: a count 
 _BLOCK = 5.0  # s in which errors of the yaw rate go together: a turn, more or less
 _ROUNDS = 4  # of Gauss and Newton
 _WEAK = 0.05  # of the variance of the yaw rate, left over
-_DIFFERENCE = np.array((-1.0, 1.0))
 _NO_TURNS = "no turns with the gyro recorded"
 
 
@@ -77,10 +76,11 @@ def _against_sprockets(recordings: Sequence[Recording], late: float) -> tuple[Fi
         at = t - late
         margin = _LATEST + 2.0 * _WINDOW
         kept = unbroken(recording.sprockets.t, t - margin, t + margin)
-        left, right = (recording.angles_at(at + shift) for shift in (-_WINDOW, _WINDOW))
-        farther = [recording.angles_at(at + shift) for shift in (-2.0 * _WINDOW, 0.0, 2.0 * _WINDOW)]
-        rate = (right - left) @ _DIFFERENCE / (2.0 * _WINDOW)
-        change = (farther[2] - 2.0 * farther[1] + farther[0]) @ _DIFFERENCE / (2.0 * _WINDOW) ** 2
+        angles = [
+            np.interp(at + k * _WINDOW, recording.sprockets.t, recording.difference) for k in range(-2, 3)
+        ]
+        rate = (angles[3] - angles[1]) / (2.0 * _WINDOW)
+        change = (angles[4] - 2.0 * angles[2] + angles[0]) / (2.0 * _WINDOW) ** 2
         ones = np.zeros((len(t), len(recordings)))
         ones[:, k] = 1.0
         rows.append(np.column_stack((rate, -change, ones))[kept])

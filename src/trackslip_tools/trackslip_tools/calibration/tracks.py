@@ -41,13 +41,10 @@ class Gyro(NamedTuple):
     scale: float  # below 0 where it is upside down
     bias: float  # rad/s
 
-    def headings(self, recording: Recording, t: FloatArray) -> FloatArray | None:
-        """Turn since the first of these times; None where the gyro is not recorded throughout."""
-        known = recording.gyro.t
-        if not unbroken(known, t[:1], t[-1:])[0]:
-            return None
-        shown = np.interp(t, known, recording.turned())
-        return np.asarray((shown - shown[0] - self.bias * (t - t[0])) / self.scale)
+    def headings(self, recording: Recording, t: FloatArray) -> FloatArray:
+        """Turn at these times since one that is common to all; the gyro is to be recorded."""
+        shown = np.interp(t, recording.gyro.t, recording.turned)
+        return np.asarray((shown - self.bias * t) / self.scale)
 
 
 class Turns(NamedTuple):
@@ -59,12 +56,12 @@ class Turns(NamedTuple):
 
 def way_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
     """r (1 − i₀) from the straights."""
-    parts = [
-        part
-        for recording in recordings
-        for span in spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
-        if (part := _straight(recording, span, gyro)) is not None
-    ]
+    parts = []
+    for recording in recordings:
+        straights = spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
+        for span, known in zip(straights, _with_gyro(recording, straights), strict=True):
+            part = _straight(recording, span, gyro if known else None)
+            parts += [] if part is None else [part]
     way = sum(float(np.abs(data.z.sum())) for data, _ in parts)
     if way < LEAST_WAY:
         return refused(f"straights with fixes of {way:.1f} m in all; needed: {LEAST_WAY:g} m", "m")
@@ -79,41 +76,44 @@ def way_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
 
 def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
     """r κ/B from the turns."""
-    turned, differences = [], []
+    turned, differences = np.empty(0), np.empty(0)
     for recording in recordings:
-        for span in spans(recording, Motion.TURNING, _SHORTEST_TURN):
-            edges = np.array(span)
-            headings = gyro.headings(recording, edges)
-            if headings is not None:
-                left, right = np.diff(recording.angles_at(edges), axis=0)[0]
-                turned.append(float(headings[1]))
-                differences.append(right - left)
+        turns = spans(recording, Motion.TURNING, _SHORTEST_TURN)
+        edges = np.array(turns).reshape(-1, 2)[_with_gyro(recording, turns)]
+        if len(edges):
+            angles = np.interp(edges, recording.sprockets.t, recording.difference)
+            differences = np.append(differences, np.diff(angles))
+            turned = np.append(turned, np.diff(gyro.headings(recording, edges)))
     if len(turned) < LEAST_TURNS:
         reason = f"{len(turned)} turns of {_SHORTEST_TURN:g} s with the gyro recorded; needed: {LEAST_TURNS}"
         return Turns(refused(reason, "1"), float("nan"))
-    X, z = np.array(differences)[:, np.newaxis], np.array(turned)
-    fit = clustered(X, z, np.arange(len(z)))
+    fit = clustered(differences[:, np.newaxis], turned, np.arange(len(turned)))
     if fit is None:
         return Turns(refused("one turn outweighs all others", "1"), float("nan"))
-    basis = f"{len(z)} turns, {np.abs(z).sum():.1f} rad"
-    return Turns(found(fit.values[0], fit.spread(), "1", basis), float(np.std(z / X[:, 0], ddof=1)))
+    basis = f"{len(turned)} turns, {np.abs(turned).sum():.1f} rad"
+    return Turns(found(fit.values[0], fit.spread(), "1", basis), float(np.std(turned / differences, ddof=1)))
 
 
-def _straight(recording: Recording, span: Span, gyro: Gyro) -> tuple[Increments, FloatArray] | None:
+def _with_gyro(recording: Recording, stretches: Sequence[Span]) -> NDArray[np.bool_]:
+    """(n,) of which the gyro was recorded throughout."""
+    begins, ends = np.array(stretches).reshape(-1, 2).T
+    return unbroken(recording.gyro.t, begins, ends)
+
+
+def _straight(recording: Recording, span: Span, gyro: Gyro | None) -> tuple[Increments, FloatArray] | None:
     """Way from fix to fix along the heading, and what the sprockets turned; None where there is little of it.
 
     The gyro carries the heading within the straight, where it is recorded; the whole is turned so that no
     way is left across.
     """
-    t, poses = recording.poses
-    inside = span.holds(t)
-    if inside.sum() < _LEAST_FIXES:
+    inside = recording.poses.between(*span)
+    t, fixes = recording.poses.t[inside], recording.poses.values[inside]
+    if len(t) < _LEAST_FIXES:
         return None
-    t, fixes = t[inside], poses[inside]
     steps = np.diff(fixes[:, :2], axis=0) @ _COMPLEX
-    headings = gyro.headings(recording, (t[1:] + t[:-1]) / 2.0)
-    steps = steps if headings is None else steps * np.exp(-1j * headings)
-    turned = np.diff(recording.angles_at(t).mean(axis=1))
+    if gyro is not None:
+        steps = steps * np.exp(-1j * gyro.headings(recording, (t[1:] + t[:-1]) / 2.0))
+    turned = np.diff(np.interp(t, recording.sprockets.t, recording.mean_angle))
     total = np.sum(steps) * np.sign(np.sum(turned))
     if total == 0.0:
         return None

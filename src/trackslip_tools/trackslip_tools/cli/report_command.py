@@ -13,7 +13,7 @@ from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.progress import shown
 from trackslip_tools.replay.arrivals import Rows
-from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.run import replay
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.panel import MOST_RUNS
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:
     """(n,) ESTIMATE."""
-    found = GrowingRows(ESTIMATE)
+    found = GrowingRows(ESTIMATE, MOST_DRAWN)
     smooth_bag(bag, p, filters, None, lambda block: found.add(block.smoothed))
     return found.rows()
 

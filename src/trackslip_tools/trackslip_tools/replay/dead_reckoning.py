@@ -19,6 +19,8 @@ from trackslip_tools.replay.growing import GrowingRows
 
 FloatArray = NDArray[np.float64]
 
+_REORDERED_NS = 2_000_000_000  # by which stamps may be out of order: the estimator's window
+_SILENT_NS = 60_000_000_000  # of the gyro, after which its rate is held
 _LARGEST = 1e9  # rad, rad/s: beyond it is no measurement
 _SPROCKETED = np.dtype(
     [("stamp_ns", np.int64), ("speeds", np.float64, (2,)), ("positions", np.float64, (2,))]
@@ -64,34 +66,86 @@ class DrivenCollector:
 
     def add(self, rows: Rows) -> None:
         """More rows of ``ARRIVAL``."""
-        self._sprockets.add(_sprocketed(rows[rows["kind"] == SPROCKETS]))
-        of_gyro = rows[rows["kind"] == YAW_RATE]
-        rates, variances = of_gyro["value"][:, 0], of_gyro["noise"][:, 0, 0]
-        sound = (np.abs(rates) < _LARGEST) & (variances > 0.0) & (variances < _LARGEST**2)
-        self._gyro.add(_records(of_gyro["stamp_ns"][sound], rate=rates[sound]))
+        self._sprockets.add(_sprocketed(rows))
+        self._gyro.add(_yaw_rates(rows))
 
     def sprockets(self) -> Sprocketed | None:
         """None where there are none."""
-        rows = _by_stamp(self._sprockets)
-        if not len(rows):
-            return None
-        positions = None if np.isnan(rows["positions"]).any() else rows["positions"]
-        return Sprocketed(rows["stamp_ns"], rows["speeds"], positions)
+        rows = _by_stamp(self._sprockets.rows())
+        return _samples(rows) if len(rows) else None
 
     def gyro(self) -> Gyro | None:
         """None where there is none."""
-        rows = _by_stamp(self._gyro)
+        rows = _by_stamp(self._gyro.rows())
         return Gyro(rows["stamp_ns"], rows["rate"]) if len(rows) else None
+
+
+class DeadReckoner:
+    """Dead reckoning of arrivals that come piece by piece, once it is known where it begins."""
+
+    def __init__(self, vehicle: Vehicle, *, with_gyro: bool) -> None:
+        self._vehicle, self._with_gyro = vehicle, with_gyro
+        self._sprockets: list[Rows] = []
+        self._gyro: list[Rows] = []
+        self._at: tuple[int, FloatArray] | None = None  # stamp and pose at the end of what is done
+        self.first_ns: int | None = None  # stamp of the first sprocket sample
+
+    def add(self, rows: Rows) -> None:
+        """More rows of ``ARRIVAL``."""
+        for parts, found in ((self._sprockets, _sprocketed(rows)), (self._gyro, _yaw_rates(rows))):
+            if len(found):
+                parts.append(found)
+        if self.first_ns is None and self._sprockets:
+            self.first_ns = int(self._sprockets[0]["stamp_ns"].min())
+
+    def begin(self, stamp_ns: int, pose: FloatArray) -> None:
+        """From this pose (3,) on."""
+        self._at = stamp_ns, pose
+
+    def advance(self, *, whole: bool = False) -> Path | None:
+        """On from where it has come to, as far as no late sample can change it, or all the way."""
+        if self._at is None or not self._sprockets or (self._with_gyro and not self._gyro):
+            return None
+        sprockets = _by_stamp(np.concatenate(self._sprockets))
+        last_ns = int(sprockets["stamp_ns"][-1])
+        until_ns, gyro = last_ns - _REORDERED_NS, None
+        if self._with_gyro:
+            rates = _by_stamp(np.concatenate(self._gyro))
+            gyro = Gyro(rates["stamp_ns"], rates["rate"])
+            until_ns = min(until_ns, max(int(gyro.stamps_ns[-1]), last_ns - _SILENT_NS))
+        end = len(sprockets) if whole else int(np.searchsorted(sprockets["stamp_ns"], until_ns, side="right"))
+        if not end or sprockets["stamp_ns"][end - 1] <= self._at[0]:
+            return None
+        path = dead_reckon(self._vehicle, _samples(sprockets[:end]), *self._at, gyro)
+        self._at = int(path.stamps_ns[-1]), path.poses[-1]
+        self._sprockets = [sprockets[end - 1 :]]
+        if gyro is not None:
+            self._gyro = [rates[max(int(np.searchsorted(gyro.stamps_ns, self._at[0])) - 1, 0) :]]
+        return path
 
 
 def _sprocketed(rows: Rows) -> Rows:
     """Speeds and positions of the samples that are numbers; positions may be missing as a pair."""
+    rows = rows[rows["kind"] == SPROCKETS]
     speeds, positions = (
         np.column_stack((rows[f"left_{name}"], rows[f"right_{name}"])) for name in ("speed", "angle")
     )
     sound = (np.abs(speeds) < _LARGEST).all(axis=1)
     sound &= (np.abs(positions) < _LARGEST).all(axis=1) | np.isnan(positions).all(axis=1)
     return _records(rows["stamp_ns"][sound], speeds=speeds[sound], positions=positions[sound])
+
+
+def _yaw_rates(rows: Rows) -> Rows:
+    """Those that are numbers."""
+    rows = rows[rows["kind"] == YAW_RATE]
+    rates, variances = rows["value"][:, 0], rows["noise"][:, 0, 0]
+    sound = (np.abs(rates) < _LARGEST) & (variances > 0.0) & (variances < _LARGEST**2)
+    return _records(rows["stamp_ns"][sound], rate=rates[sound])
+
+
+def _samples(rows: Rows) -> Sprocketed:
+    positions = None if np.isnan(rows["positions"]).any() else rows["positions"]
+    return Sprocketed(rows["stamp_ns"], rows["speeds"], positions)
 
 
 def _records(stamps_ns: NDArray[np.int64], **columns: FloatArray) -> Rows:
@@ -103,8 +157,7 @@ def _records(stamps_ns: NDArray[np.int64], **columns: FloatArray) -> Rows:
     return found
 
 
-def _by_stamp(collected: GrowingRows) -> Rows:
-    rows = collected.rows()
+def _by_stamp(rows: Rows) -> Rows:
     if (np.diff(rows["stamp_ns"]) >= 0).all():
         return rows
     return rows[np.argsort(rows["stamp_ns"], kind="stable")]

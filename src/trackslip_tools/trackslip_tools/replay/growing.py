@@ -6,31 +6,39 @@ from numpy.typing import NDArray
 
 Rows = NDArray[np.void]
 
+MOST_DRAWN = 300_000  # records of what is kept for pictures, not for scores: 50 min of 100 Hz
 _FIRST, _GROWTH = 4096, 1.1  # records; share of those there are
 
 
 class GrowingRows:
-    """Keeps the fields of ``dtype`` of the records that are added."""
+    """Keeps the fields of ``dtype`` of the records that are added: all, or so many that are evenly spread."""
 
-    def __init__(self, dtype: np.dtype[np.void]) -> None:
+    def __init__(self, dtype: np.dtype[np.void], most: int | None = None) -> None:
         self._rows = np.empty(_FIRST, dtype)
-        self._count = 0
+        self._count, self._most = 0, most
+        self._seen, self._stride = 0, 1  # of all that were added, which are kept
 
     def __len__(self) -> int:
         return self._count
 
     def add(self, more: Rows) -> None:
         """(n,) records that have at least these fields."""
-        end = self._count + len(more)
+        kept = more[-self._seen % self._stride :: self._stride]
+        self._seen += len(more)
+        end = self._count + len(kept)
         if end == self._count:
             return
         if end > len(self._rows):
             self._rows.resize(max(end, round(_GROWTH * len(self._rows))), refcheck=False)
         for name in self._rows.dtype.names or ():
-            self._rows[name][self._count : end] = more[name]
+            self._rows[name][self._count : end] = kept[name]
         self._count = end
+        while self._most is not None and self._count > self._most:
+            half = self._rows[: self._count : 2].copy()
+            self._count, self._stride = len(half), 2 * self._stride
+            self._rows[: self._count] = half
 
     def rows(self) -> Rows:
-        """All of them; nothing is added after this."""
+        """All that were kept; nothing is added after this."""
         self._rows.resize(self._count, refcheck=False)
         return self._rows

@@ -127,9 +127,9 @@ def text(result: Replay, elapsed_s: float) -> str:
 
 
 def _final(result: Replay) -> dict[str, float] | None:
-    if not len(result.estimates):
+    if not len(result.last):
         return None
-    last = result.estimates[-1]
+    last = result.last[0]
     x, y, yaw = last["pose"].tolist()
     left, right, _ = last["slips"].tolist()
     return {"x": x, "y": y, "yaw": yaw, "left_slip": left, "right_slip": right}

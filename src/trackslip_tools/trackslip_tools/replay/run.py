@@ -15,6 +15,7 @@ import numpy as np
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Command, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -23,19 +24,13 @@ from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, Rows, to_measurements
 from trackslip_tools.replay.comparison import LiveComparer, LiveComparison, odometry_rows, slip_rows
-from trackslip_tools.replay.dead_reckoning import DrivenCollector, Path, Sprocketed, dead_reckon
-from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.errors import PathErrors, SlipErrors
+from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, InputStream, Logged
-from trackslip_tools.replay.scoring import (
-    NeesCollector,
-    Score,
-    in_order,
-    moving_slips,
-    path_of,
-    score,
-    slip_rmse,
-)
-from trackslip_tools.replay.series import Series, SeriesCollector, reduced, series_of
+from trackslip_tools.replay.reckoning import Reckoning
+from trackslip_tools.replay.scoring import Score, in_order, path_of
+from trackslip_tools.replay.series import Series, SeriesCollector, reduced
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilReplay, SoilRun
 
 TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
@@ -64,16 +59,16 @@ Watch = Callable[[Part], None]
 
 @dataclass
 class Replay:
-    """All that a replay found out."""
+    """All that a replay found out; of long bags estimates, series and paths are thinned, not the scores."""
 
     duration_s: float
     elapsed_s: float
     messages: Counter[str]  # by topic, all that was read
     estimates: Rows  # (n,) KEPT, what the estimator published
     rejected: Tally
+    last: Rows = field(default_factory=lambda: np.empty(0, KEPT))  # (1,), or (0,) where there is none
     reference: str | None = None
     series: dict[str, Series] = field(default_factory=dict)  # of truth and reference
-    sprockets: Sprocketed | None = None  # where there is a reference
     scores: dict[str, Score | None] = field(default_factory=dict)
     nees: float | None = None
     slip_rmse: float | None = None
@@ -99,7 +94,7 @@ def replay(
     reference = reference or own_reference(bag)
     of_both = (ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
     stream = InputStream(bag, p, filters, _scored(reference).union(of_both))
-    collector = _Collector(stream, reference, compares=not filters.changes_inputs)
+    collector = _Collector(stream, reference, p.vehicle, compares=not filters.changes_inputs)
     soil = (
         SoilRun(bag.start_ns, filters, of_soil)
         if of_soil is not None and HYDRAULICS in stream.topics
@@ -111,7 +106,7 @@ def replay(
             published = part.results["published"]
             soil.add(part.estimates, part.arrivals["log_time_ns"][published], part.tables)
         watch(part)
-    result = collector.result(p)
+    result = collector.result()
     result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
     result.elapsed_s = time.monotonic() - began
     return result
@@ -139,43 +134,73 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
 class _Collector:
     """What is kept of the parts."""
 
-    def __init__(self, stream: InputStream, reference: str | None, *, compares: bool) -> None:
-        self._stream, self._reference, self._nees = stream, reference, NeesCollector()
+    def __init__(
+        self, stream: InputStream, reference: str | None, vehicle: Vehicle, *, compares: bool
+    ) -> None:
+        self._stream, self._reference = stream, reference
         self._scored = _scored(reference)
-        self._estimates, self._series = GrowingRows(KEPT), SeriesCollector()
-        self._driven, self._rejected = DrivenCollector(), Tally()
+        self._estimates, self._series = GrowingRows(KEPT, MOST_DRAWN), SeriesCollector(most=MOST_DRAWN)
+        self._last, self._rejected = np.empty(0, KEPT), Tally()
+        self._errors, self._slips = PathErrors(), SlipErrors(vehicle.tread)
+        self._reckonings = {
+            name: Reckoning(vehicle, with_gyro=name == "encoder_gyro")
+            for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
+        }
         self._comparer, self._compares = LiveComparer(), compares
 
     def add(self, part: Part) -> None:
         """More of the bag."""
         estimates = part.estimates
-        self._estimates.add(estimates)
+        self._keep(estimates)
         refused = part.results["outcome"] != Outcome.ACCEPTED
         pairs = np.column_stack((part.arrivals["source"][refused], part.results["outcome"][refused]))
         for (source, outcome), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
             self._rejected.add(part.sources[source], Outcome(outcome), int(count))
-        if self._scored:
-            self._driven.add(part.arrivals)
-        for topic in self._scored & part.tables.keys():
-            self._series.add(topic, part.tables[topic].rows)
+        tables = {topic: part.tables[topic].rows for topic in self._scored & part.tables.keys()}
+        for topic, rows in tables.items():
+            self._series.add(topic, rows)
+        self._slips.add(estimates, *(tables.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY)))
         if self._reference is not None:
-            logged = part.tables.get(self._reference)
-            self._nees.add(estimates, None if logged is None else reduced(logged.rows))
+            rows = tables.get(self._reference)
+            reference = None if rows is None else reduced(rows)
+            self._errors.add_estimates(estimates, reference)
+            for reckoning in self._reckonings.values():
+                reckoning.add(part.arrivals, reference)
         if self._compares:
             self._compare(part.tables, estimates)
 
-    def result(self, p: SlipEstimatorParameters) -> Replay:
+    def result(self) -> Replay:
         """When all was added."""
         stream = self._stream
-        estimates, series = self._estimates.rows(), self._series.series()
         found = Replay(
-            stream.duration_s, 0.0, stream.messages, estimates, self._rejected, self._reference, series
+            stream.duration_s, 0.0, stream.messages, self._estimates.rows(), self._rejected, self._last
         )
-        _score(found, p, self._driven)
-        found.nees = self._nees.mean()
+        found.reference, found.series = self._reference, self._series.series()
+        found.slip_rmse = self._slips.rmse
+        if len(found.estimates):
+            found.paths["filter"] = path_of(in_order(found.estimates))
+        if self._reference is not None and self._reference in found.series:
+            self._score(found, self._reference)
         if self._compares and stream.messages[ODOMETRY]:
             found.live = self._comparer.result(stream.counts)
         return found
+
+    def _keep(self, estimates: Rows) -> None:
+        if len(estimates):
+            self._estimates.add(estimates)
+            self._last = np.empty(1, KEPT)
+            for name in KEPT.names or ():
+                self._last[name] = estimates[name][-1]
+
+    def _score(self, found: Replay, reference: str) -> None:
+        """Paths beside the filter's, and the errors of all against the reference."""
+        first_ns = next((r.first_ns for r in self._reckonings.values()), None)
+        found.paths["reference"] = reference_path(found.series[reference], first_ns or 0)
+        found.scores["filter"], found.nees = self._errors.score, self._errors.nees
+        for name, reckoning in self._reckonings.items():
+            path, found.scores[name] = reckoning.result()
+            if path is not None:
+                found.paths[name] = path
 
     def _compare(self, tables: dict[str, Logged], estimates: Rows) -> None:
         """Every live number against the replayed one of the same stamp."""
@@ -195,37 +220,6 @@ def _scored(reference: str | None) -> frozenset[str]:
 def own_reference(bag: Bag) -> str | None:
     """The topic to score against where none is named, if the bag has one."""
     return next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
-
-
-def _score(result: Replay, p: SlipEstimatorParameters, driven: DrivenCollector) -> None:
-    """Paths of filter and dead reckoning, and their errors against the reference."""
-    estimates = in_order(result.estimates)
-    if len(estimates):
-        result.paths["filter"] = path_of(estimates)
-    result.slip_rmse = slip_error(result.series, estimates, p.vehicle.tread)
-    series = result.series.get(result.reference or "")
-    if series is None:
-        return
-    sprockets, gyro = driven.sprockets(), driven.gyro()
-    reference = reference_path(series, 0 if sprockets is None else int(sprockets.stamps_ns[0]))
-    if sprockets is not None and len(reference.stamps_ns):
-        start = (reference.stamps_ns[0], reference.poses[0])
-        result.paths["dead_reckoning"] = dead_reckon(p.vehicle, sprockets, *start)
-        if gyro is not None:
-            result.paths["encoder_gyro"] = dead_reckon(p.vehicle, sprockets, *start, gyro)
-    result.paths["reference"], result.sprockets = reference, sprockets
-    for name in ("dead_reckoning", "encoder_gyro", "filter"):
-        result.scores[name] = score(result.paths[name], reference) if name in result.paths else None
-
-
-def slip_error(series: dict[str, Series], estimates: Rows, tread: float) -> float | None:
-    """Of estimates in order, against the true slips, where the bag has them; while the machine moves."""
-    slips, odometry = (series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
-    if slips is None or odometry is None or not len(estimates):
-        return None
-    left, right = estimates["slips"][:, 0], estimates["slips"][:, 1]
-    own = series_of(stamp_ns=estimates["stamp_ns"], left_slip=left, right_slip=right)
-    return slip_rmse(own, moving_slips(odometry, slips, tread))
 
 
 def reference_path(series: Series, from_ns: int) -> Path:

@@ -55,16 +55,19 @@ def series_of(**columns: Any) -> Series:
 
 
 class SeriesCollector:
-    """Makes series of tables that come piece by piece; ``detailed`` topics keep their covariances."""
+    """Makes series of tables that come piece by piece; ``detailed`` topics keep their covariances.
 
-    def __init__(self, detailed: frozenset[str] = frozenset()) -> None:
-        self._detailed = detailed
+    ``most``: so many rows of each are kept, evenly spread; None: all.
+    """
+
+    def __init__(self, detailed: frozenset[str] = frozenset(), most: int | None = None) -> None:
+        self._detailed, self._most = detailed, most
         self._parts: dict[str, GrowingRows] = {}
 
     def add(self, topic: str, rows: Rows) -> None:
         """More of a topic: records of a class of ``message_fields``."""
         found = reduced(rows, detailed=topic in self._detailed)
-        self._parts.setdefault(topic, GrowingRows(found.dtype)).add(found)
+        self._parts.setdefault(topic, GrowingRows(found.dtype, self._most)).add(found)
 
     def series(self) -> dict[str, Series]:
         """Each in the order of the stamps; of several rows with the same stamp the last."""

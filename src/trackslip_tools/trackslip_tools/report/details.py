@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a report shows of a replay beside its scores: every estimate, report and fix, as arrays."""
-
-from dataclasses import dataclass, field
-from functools import partial
+"""What a report shows of a replay beside its scores: estimates, what was compared with them, and fixes."""
 
 import numpy as np
+from numpy.typing import NDArray
 
+from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import ESTIMATE, POSE
 from trackslip_tools.replay.arrivals import ARRIVAL, Rows
-from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.run import Part
+
+IntArray = NDArray[np.int64]
 
 REPORT = np.dtype(
     [
@@ -19,36 +20,53 @@ REPORT = np.dtype(
         ("dof", np.int64),
         ("nis", np.float64),
         ("gate", np.float64),
-        ("published", np.int64),  # estimates before it
     ],
     align=True,
 )
 FIX = np.dtype(
-    [*((n, REPORT[n]) for n in REPORT.names or ()), *((n, ARRIVAL[n]) for n in ("value", "noise"))]
+    [
+        *((n, REPORT[n]) for n in REPORT.names or ()),
+        *((n, ARRIVAL[n]) for n in ("value", "noise")),
+        ("expected", np.bool_),  # whether an estimate of its time was published before it came; that is:
+        ("pose", np.float64, (3,)),  # of base_link at its stamp
+        ("pose_covariance", np.float64, (3, 3)),
+    ]
 )
+_RECENT_NS = 60_000_000_000  # by which a fix may be late
 
 
-@dataclass(eq=False)
 class Details:
-    """Collects them from the parts of a replay."""
+    """Collects them from the parts of a replay; of a long one, estimates are thinned."""
 
-    sources: tuple[str, ...] = ()
-    _estimates: GrowingRows = field(default_factory=partial(GrowingRows, ESTIMATE))
-    _reports: GrowingRows = field(default_factory=partial(GrowingRows, REPORT))
-    _fixes: GrowingRows = field(default_factory=partial(GrowingRows, FIX))
+    def __init__(self) -> None:
+        self.sources: tuple[str, ...] = ()
+        self._estimates = GrowingRows(ESTIMATE, MOST_DRAWN)
+        self._reports, self._fixes = GrowingRows(REPORT), GrowingRows(FIX)
+        self._recent = np.empty(0, ESTIMATE)
 
     def add(self, part: Part) -> None:
         """More of a replay."""
         self.sources = part.sources
-        found, results = np.empty(len(part.results), FIX), part.results
+        results = part.results
+        found = np.zeros(len(results), FIX)
         for name in ("stamp_ns", "outcome", "dof", "nis", "gate"):
             found[name] = results[name]
         for name in ("source", "value", "noise"):
             found[name] = part.arrivals[name]
-        found["published"] = len(self._estimates) + np.cumsum(results["published"]) - results["published"]
-        self._estimates.add(part.estimates)
-        self._reports.add(found)
-        self._fixes.add(found[part.arrivals["kind"] == POSE])
+        estimates = part.estimates
+        self._estimates.add(estimates)
+        self._reports.add(found[(found["dof"] > 0) & np.isfinite(found["nis"])])
+        is_pose = part.arrivals["kind"] == POSE
+        published = np.cumsum(results["published"]) - results["published"]
+        fixes = found[is_pose]
+        if len(estimates) and len(self._recent) and self._recent["stamp_ns"][-1] >= estimates["stamp_ns"][0]:
+            self._recent = self._recent[:0]  # stamps went back
+        known = np.concatenate((self._recent, estimates))
+        _expect(fixes, known, len(self._recent) + published[is_pose])
+        self._fixes.add(fixes)
+        if len(known):
+            oldest_ns = known["stamp_ns"][-1] - _RECENT_NS
+            self._recent = known[np.searchsorted(known["stamp_ns"], oldest_ns) :]
 
     @property
     def estimates(self) -> Rows:
@@ -57,10 +75,26 @@ class Details:
 
     @property
     def reports(self) -> Rows:
-        """(n,) REPORT in the order of arrival."""
+        """(n,) REPORT of what came as far as being compared with the estimate, in the order of arrival."""
         return self._reports.rows()
 
     @property
     def fixes(self) -> Rows:
         """(n,) FIX, those of poses, with what they stated."""
         return self._fixes.rows()
+
+
+def _expect(fixes: Rows, estimates: Rows, published: IntArray) -> None:
+    """Fill in what was expected of (n,) FIX, each by the first ``published`` (n,) of the estimates."""
+    before = np.searchsorted(estimates["stamp_ns"], fixes["stamp_ns"], "right")
+    before = np.minimum(before, published) - 1
+    fixes["expected"] = before >= 0
+    known = fixes["expected"]
+    first = estimates[before[known]]
+    last = estimates[np.minimum(before[known] + 1, published[known] - 1)]
+    span_ns = np.maximum(last["stamp_ns"] - first["stamp_ns"], 1)
+    share = (fixes["stamp_ns"][known] - first["stamp_ns"]) / span_ns * (last["stamp_ns"] > first["stamp_ns"])
+    step = last["pose"] - first["pose"]
+    step[:, YAW] = np.angle(np.exp(1j * step[:, YAW]))
+    fixes["pose"][known] = first["pose"] + share[:, np.newaxis] * step
+    fixes["pose_covariance"][known] = first["pose_covariance"]

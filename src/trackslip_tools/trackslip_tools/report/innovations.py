@@ -57,7 +57,6 @@ class Innovations(NamedTuple):
 def innovations_of(run: Run) -> dict[str, Innovations]:
     """By source; of measurements that came as far as being compared with the estimate."""
     reports = run.details.reports
-    reports = reports[(reports["dof"] > 0) & np.isfinite(reports["nis"])]
     by_source = {
         run.details.sources[k]: reports[reports["source"] == k] for k in np.unique(reports["source"])
     }
@@ -141,29 +140,21 @@ def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
 
     Fixes older than the first estimate, or without one that was published before they came, are left out.
     """
-    fixes, estimates = run.details.fixes, run.details.estimates
+    fixes = run.details.fixes
     refused = [outcome for outcome in Outcome if outcome.refused]
-    before = np.searchsorted(estimates["stamp_ns"], fixes["stamp_ns"], "right")
-    before = np.minimum(before, fixes["published"]) - 1
-    compared = (before >= 0) & ~np.isin(fixes["outcome"], refused)
+    compared = fixes["expected"] & ~np.isin(fixes["outcome"], refused)
     found = {}
-    for source, told in run.parameters.poses().items():
+    for source, stated in run.parameters.poses().items():
         numbers = [k for k, name in enumerate(run.details.sources) if name == source]
-        own = compared & np.isin(fixes["source"], numbers)
-        if own.any():
-            after = np.minimum(before[own] + 1, fixes["published"][own] - 1)
-            whitened = _whitened(fixes[own], estimates[before[own]], estimates[after], told)
-            found[source] = (run.recording.seconds(fixes["stamp_ns"][own]), whitened)
+        own = fixes[compared & np.isin(fixes["source"], numbers)]
+        if len(own):
+            found[source] = run.recording.seconds(own["stamp_ns"]), _whitened(own, stated)
     return found
 
 
-def _whitened(fixes: Rows, first: Rows, last: Rows, source: PoseSource) -> FloatArray:
-    """w (n, 3) against the estimate at the stamp of each fix, between the two published about it."""
-    span_ns = np.maximum(last["stamp_ns"] - first["stamp_ns"], 1)
-    share = (fixes["stamp_ns"] - first["stamp_ns"]) / span_ns * (last["stamp_ns"] > first["stamp_ns"])
-    step = last["pose"] - first["pose"]
-    step[:, YAW] = _wrapped(step[:, YAW])
-    pose, P = _at_sensor(first["pose"] + share[:, np.newaxis] * step, first["pose_covariance"], source)
+def _whitened(fixes: Rows, source: PoseSource) -> FloatArray:
+    """w (n, 3) against what was expected of each fix."""
+    pose, P = _at_sensor(fixes["pose"], fixes["pose_covariance"], source)
     R = fixes["noise"].copy()
     floors = np.array((source.position_floor, source.position_floor, source.heading_floor))
     diagonal = np.arange(3)

@@ -18,28 +18,21 @@ from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import TOPICS
-from trackslip_estimation.slip.estimator import SlipEstimator, make_estimate
+from trackslip_estimation.slip.estimator import make_estimate
 from trackslip_estimation.slip.log import make_log
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS
 from trackslip_tools.replay.arrivals import Rows
-from trackslip_tools.replay.growing import GrowingRows
-from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, Inputs, read_inputs
+from trackslip_tools.replay.errors import PathErrors, SlipErrors
+from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP
 from trackslip_tools.replay.output import message_of
-from trackslip_tools.replay.run import (
-    TRUE_ODOMETRY,
-    TRUE_SLIP,
-    own_reference,
-    reference_path,
-    slip_error,
-)
-from trackslip_tools.replay.scoring import mean_nees, path_of, score
+from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, own_reference
+from trackslip_tools.replay.series import Series
+from trackslip_tools.replay.settled import read_settled
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth
 
 Watch = Callable[[Smoothed], None]
 
-_KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "pose_covariance", "slips")], align=True)
 SMOOTHED = "smoothed/"  # before the names of the topics
 
 
@@ -101,31 +94,74 @@ def smooth_bag(
     """
     began = time.monotonic()
     reference = reference or own_reference(bag)
-    inputs = read_inputs(bag, p, filters, (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ())))
-    _require_one_time(bag, inputs, p.history_window)
-    kept = GrowingRows(_KEPT), GrowingRows(_KEPT)
-    for block in smoothed_blocks(inputs, p):
-        for of, estimates in zip(kept, block, strict=True):
-            of.add(estimates)
+    wanted = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
+    measurements, series = read_settled(bag, p, filters, wanted)
+    truth = _Truth(series, reference)
+    of_filter, of_smoother = (_Compared(p.vehicle.tread) for _ in range(2))
+    count, stamps_ns = 0, [0, 0]
+    for block in smoothed_blocks(measurements, p):
+        if not len(block.smoothed):
+            continue
+        stamps_ns = [
+            stamps_ns[0] if count else int(block.smoothed["stamp_ns"][0]),
+            int(block.smoothed["stamp_ns"][-1]),
+        ]
+        count += len(block.smoothed)
+        rows = truth.until(stamps_ns[1])
+        of_filter.add(block.filtered, rows)
+        of_smoother.add(block.smoothed, rows)
         watch(block)
-    filtered, smoothed = (of.rows() for of in kept)
-    of_filter, of_smoother = (
-        _errors(estimates, inputs, reference, p.vehicle.tread) for estimates in (filtered, smoothed)
-    )
-    stamps_ns = smoothed["stamp_ns"]
-    duration_s = (int(stamps_ns[-1]) - int(stamps_ns[0])) * 1e-9 if len(stamps_ns) else 0.0
-    elapsed_s = time.monotonic() - began
-    return SmoothedBag(len(smoothed), duration_s, reference, of_filter, of_smoother, elapsed_s)
+    found = of_filter.errors(), of_smoother.errors()
+    duration_s = (stamps_ns[1] - stamps_ns[0]) * 1e-9
+    return SmoothedBag(count, duration_s, reference, *found, time.monotonic() - began)
 
 
-def smoothed_blocks(inputs: Inputs, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
-    """Filter and smoother over a bag's inputs; nothing where there is nothing to start from."""
-    measurements = inputs.measurements(SlipEstimator(p).sources)
+def smoothed_blocks(measurements: Rows, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
+    """Filter and smoother over a bag's measurements; nothing where there is nothing to start from."""
     try:
         log = make_log(measurements, p)
     except InputError:
         return
     yield from smooth(log, p)
+
+
+class _Truth:
+    """Series of truth and reference, a stretch after the other."""
+
+    def __init__(self, series: dict[str, Series], reference: str | None) -> None:
+        self._series = [series.get(topic or "") for topic in (TRUE_SLIP, TRUE_ODOMETRY, reference)]
+        self._begin = [0, 0, 0]
+
+    def until(self, stamp_ns: int) -> list[Rows | None]:
+        """Rows of true slips, true odometry and reference, from where the last stretch ended."""
+        found: list[Rows | None] = []
+        for k, series in enumerate(self._series):
+            if series is None:
+                found.append(None)
+                continue
+            end = int(np.searchsorted(series.stamps_ns, stamp_ns, side="right"))
+            found.append(series.rows[self._begin[k] : end])
+            self._begin[k] = end
+        return found
+
+
+class _Compared:
+    """One set of estimates against the truth."""
+
+    def __init__(self, tread: float) -> None:
+        self._path, self._slips = PathErrors(), SlipErrors(tread)
+
+    def add(self, estimates: Rows, truth: list[Rows | None]) -> None:
+        """More of both."""
+        slips, odometry, reference = truth
+        self._path.add_estimates(estimates, reference)
+        self._slips.add(estimates, slips, odometry)
+
+    def errors(self) -> Errors:
+        """Of all that was added."""
+        score = self._path.score
+        position, heading = (None, None) if score is None else (score.position, score.heading)
+        return Errors(position, heading, self._slips.rmse, self._path.nees)
 
 
 class SmoothedWriter:
@@ -158,27 +194,3 @@ class SmoothedWriter:
 
     def _write(self, topic: str, type_name: str, message: Any, stamp_ns: int) -> None:
         self._bag.write(absolute(topic), type_name, serialize(message), stamp_ns)
-
-
-def _require_one_time(bag: Bag, inputs: Inputs, window_s: float) -> None:
-    """A clock that was set back makes two times of one: their stamps cannot be told apart."""
-    rows = inputs.rows[inputs.rows["kind"] == SPROCKETS]
-    back_s = -np.diff(rows["stamp_ns"]) * 1e-9
-    for k in np.flatnonzero(back_s > window_s)[:1].tolist():
-        at_s = (int(rows["log_time_ns"][k + 1]) - bag.start_ns) * 1e-9
-        accepted = "accepted: a part with one time (--start, --stop)"
-        raise InputError(
-            f"bag '{bag.path}': the clock goes back by {back_s[k]:.1f} s at {at_s:.2f} s; {accepted}"
-        )
-
-
-def _errors(estimates: Rows, inputs: Inputs, reference: str | None, tread: float) -> Errors:
-    series = inputs.series.get(reference or "")
-    slip = slip_error(inputs.series, estimates, tread)
-    if series is None or not len(estimates):
-        return Errors(None, None, slip, None)
-    path = reference_path(series, int(estimates["stamp_ns"][0]))
-    found = score(path_of(estimates), path)
-    if found is None:
-        return Errors(None, None, slip, None)
-    return Errors(found.position, found.heading, slip, mean_nees(estimates, path))

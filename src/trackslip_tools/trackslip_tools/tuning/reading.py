@@ -4,10 +4,9 @@
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.run import own_reference, reference_path
+from trackslip_tools.replay.settled import read_settled
 from trackslip_tools.tuning.task import Task, make_task
 
 
@@ -27,9 +26,8 @@ def read_task(
         InputError: the bag lacks what is needed.
     """
     reference = reference or own_reference(bag)
-    inputs = read_inputs(bag, p, filters, (reference,) if reference else ())
-    measurements = inputs.measurements(SlipEstimator(p).sources)
-    series = inputs.series.get(reference or "")
+    measurements, found = read_settled(bag, p, filters, (reference,) if reference else ())
+    series = found.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")
     return make_task(str(bag.path), measurements, p, None if series is None else reference_path(series, 0))

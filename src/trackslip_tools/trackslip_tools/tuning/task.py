@@ -11,7 +11,7 @@ so that one spike does not outweigh a drive, and a filter that refuses everythin
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,7 +39,7 @@ _SCORED = 2000  # samples of a reference, spread evenly, that tell as much as al
 class _Run(NamedTuple):
     """What a run over a log leaves to be scored."""
 
-    innovations: Records  # (k,) dof, NIS, ln |S|, outcome of each measurement
+    innovations: "_Innovations"
     means: FloatArray  # (m, 3) poses at the entries asked for
     covariances: FloatArray  # (m, 3, 3)
 
@@ -72,10 +72,10 @@ class Task:
             InputError: a value is refused.
         """
         p = changed(self.p, values)
-        rest, keep = self.log.rest, self._around_reference()
+        keep = self._around_reference()
         result = _run(self.log, p, keep)
-        innovations = _innovations(rest["source"], result.innovations, list(p.timeouts_ns()))
-        return Score(*innovations, *self._errors(rest["stamp_ns"][keep], result))
+        errors = self._errors(self.log.rest["stamp_ns"][keep], result)
+        return Score(*result.innovations.score(), *errors)
 
     def _around_reference(self) -> NDArray[np.bool_]:
         """(k,) the sprocket samples, where the estimator publishes, next to the samples of the reference."""
@@ -117,31 +117,46 @@ def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, referenc
 
 def _run(log: Log, p: SlipEstimatorParameters, keep: NDArray[np.bool_]) -> _Run:
     """One run over a log, with the poses after the entries to ``keep`` (k,)."""
-    fields = ["dof", "nis", "log_determinant", "outcome"]
-    innovations, means, covariances = [], [np.empty((0, 3))], [np.empty((0, 3, 3))]
+    innovations = _Innovations(list(p.timeouts_ns()))
+    means, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
     for block in run_log(log, p):
-        kept = keep[block.first : block.first + len(block.states)]
-        innovations.append(block.updates[fields].copy())
+        stretch = slice(block.first, block.first + len(block.states))
+        innovations.add(log.rest["source"][stretch], block.updates)
+        kept = keep[stretch]
         means.append(block.states["mean"][kept][:, POSE])
         covariances.append(block.states["covariance"][kept][:, POSE, POSE])
-    return _Run(np.concatenate(innovations), np.concatenate(means), np.concatenate(covariances))
+    return _Run(innovations, np.concatenate(means), np.concatenate(covariances))
 
 
-def _innovations(
-    sources: NDArray[np.int64], found: Records, names: list[str]
-) -> tuple[float, dict[str, float], dict[str, int]]:
-    """The first three of a ``Score``; ``sources`` (k,) are numbers of ``names``."""
-    measured = found["dof"] > 0
-    sources, found = sources[measured], found[measured]
-    dof, nis = found["dof"], found["nis"]
-    normal = -0.5 * (nis + found["log_determinant"] + dof * math.log(2.0 * math.pi)) + math.log1p(-_WRONG)
-    normal[np.isnan(normal)] = -np.inf
-    mixed = np.logaddexp(normal, np.log(_WRONG * _DENSITIES)[dof])
-    accepted = found["outcome"] == Outcome.ACCEPTED
-    mean_nis, rejected = {}, {}
-    for number, name in enumerate(names):
-        of = sources == number
-        if of.any():
-            rejected[name] = int((of & ~accepted).sum())
-            mean_nis[name] = float(nis[of & accepted].sum() / max(dof[of & accepted].sum(), 1))
-    return float(mixed.mean()) if mixed.size else -math.inf, mean_nis, rejected
+class _Innovations:
+    """Sums over the innovations of a run; sources are numbers of ``names``."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
+        self._likelihood, self._count = 0.0, 0
+        self._nis, self._dof, self._refused, self._seen = np.zeros((4, len(names)))
+
+    def add(self, sources: NDArray[np.int64], updates: Records) -> None:
+        """More of them, (k,) each."""
+        measured = updates["dof"] > 0
+        sources, found = sources[measured], updates[measured]
+        dof, nis = found["dof"], found["nis"]
+        normal = -0.5 * (nis + found["log_determinant"] + dof * math.log(2.0 * math.pi)) + math.log1p(-_WRONG)
+        normal[np.isnan(normal)] = -np.inf
+        self._likelihood += float(np.sum(np.logaddexp(normal, np.log(_WRONG * _DENSITIES)[dof])))
+        self._count += len(dof)
+        named = sources < len(self._names)  # a pose that a user set has no source
+        sources, nis, dof = sources[named], nis[named], dof[named]
+        accepted = found["outcome"][named] == Outcome.ACCEPTED
+        size = len(self._names)
+        self._nis += np.bincount(sources[accepted], nis[accepted], size)
+        self._dof += np.bincount(sources[accepted], dof[accepted], size)
+        self._refused += np.bincount(sources[~accepted], minlength=size)
+        self._seen += np.bincount(sources, minlength=size)
+
+    def score(self) -> tuple[float, dict[str, float], dict[str, int]]:
+        """The first three of a ``Score``."""
+        seen = [k for k, count in enumerate(self._seen) if count]
+        mean_nis = {self._names[k]: float(self._nis[k] / max(self._dof[k], 1.0)) for k in seen}
+        rejected = {self._names[k]: int(self._refused[k]) for k in seen}
+        return self._likelihood / self._count if self._count else -math.inf, mean_nis, rejected

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of what comes piece by piece, against a truth that is never behind it: exact, in bounded memory."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.scoring import (
+    Score,
+    errors_of,
+    in_order,
+    moving_slips,
+    nees_of_each,
+    path_of,
+    slip_errors,
+)
+from trackslip_tools.replay.series import Rows, Series, series_of
+
+FloatArray = NDArray[np.float64]
+
+_RECENT_NS = 1_000_000_000  # a truth of the same time may be logged so much later
+
+
+class Waiting:
+    """Rows that wait until something else has come as far."""
+
+    def __init__(self) -> None:
+        self._parts: list[Rows] = []
+
+    def add(self, rows: Rows | None) -> None:
+        """More of them, with the field ``stamp_ns``."""
+        if rows is not None and len(rows):
+            self._parts.append(rows)
+
+    @property
+    def last_ns(self) -> int:
+        """The newest stamp; 0 where none waits."""
+        return max((int(rows["stamp_ns"].max()) for rows in self._parts), default=0)
+
+    def due(self, stamp_ns: int) -> Rows | None:
+        """Those up to a stamp, which leave, by stamp; of several with one stamp the last. None: none."""
+        if not self._parts:
+            return None
+        rows = self._parts[0] if len(self._parts) == 1 else np.concatenate(self._parts)
+        due = rows["stamp_ns"] <= stamp_ns
+        self._parts = [] if due.all() else [rows[~due]]
+        return in_order(rows[due]) if due.any() else None
+
+
+class PathErrors:
+    """RMS errors of a path, and its mean NEES where its poses have covariances."""
+
+    def __init__(self) -> None:
+        self._reference = Waiting()  # stamp_ns, x, y, heading
+        self._recent: tuple[Path, FloatArray] | None = None  # the end of the piece before
+        self._position = self._heading = self._nees = 0.0  # sums of squares
+        self._count = self._with_nees = 0
+
+    def add(self, path: Path, reference: Rows | None, covariances: FloatArray | None = None) -> None:
+        """More of both; ``covariances`` (n, 3, 3) of the path's poses."""
+        self._reference.add(reference)
+        if not len(path.stamps_ns):
+            return
+        P = np.empty((len(path.stamps_ns), 0, 0)) if covariances is None else covariances
+        if self._recent is not None and self._recent[0].stamps_ns[-1] < path.stamps_ns[0]:
+            path, P = _joined(*self._recent, path, P)
+        recent = slice(int(np.searchsorted(path.stamps_ns, path.stamps_ns[-1] - _RECENT_NS)), None)
+        self._recent = Path(path.stamps_ns[recent], path.poses[recent]), P[recent]
+        due = self._reference.due(int(path.stamps_ns[-1]))
+        if due is None:
+            return
+        true = Path(due["stamp_ns"], np.column_stack([due[name] for name in ("x", "y", "heading")]))
+        errors = errors_of(path, true)
+        self._count += len(errors)
+        self._position += float(np.sum(errors[:, :2] ** 2))
+        self._heading += float(np.sum(errors[:, 2] ** 2))
+        if covariances is not None:
+            self._nees += float(np.sum(nees_of_each(path, P, true)[0]))
+            self._with_nees += len(errors)
+
+    def add_estimates(self, estimates: Rows, reference: Rows | None) -> None:
+        """More of both; (n,) with stamp_ns, pose, pose_covariance."""
+        estimates = in_order(estimates)
+        self.add(path_of(estimates), reference, estimates["pose_covariance"])
+
+    @property
+    def score(self) -> Score | None:
+        """None where nothing was compared."""
+        if not self._count:
+            return None
+        position, heading = (math.sqrt(total / self._count) for total in (self._position, self._heading))
+        return Score(self._count, position, heading)
+
+    @property
+    def nees(self) -> float | None:
+        """Mean; None where nothing was compared."""
+        return self._nees / self._with_nees if self._with_nees else None
+
+
+class SlipErrors:
+    """RMS error of left and right slip together, while a track's frame moves; ``tread`` in m."""
+
+    def __init__(self, tread: float) -> None:
+        self._tread = tread
+        self._slips, self._odometry = Waiting(), Waiting()
+        self._recent: Rows | None = None  # estimates
+        self._sum, self._count = 0.0, 0
+
+    def add(self, estimates: Rows, slips: Rows | None, odometry: Rows | None) -> None:
+        """More of the estimates (stamp_ns, slips) and of both truths."""
+        self._slips.add(slips)
+        self._odometry.add(odometry)
+        if not len(estimates):
+            return
+        estimates = in_order(estimates)
+        if self._recent is not None and self._recent["stamp_ns"][-1] < estimates["stamp_ns"][0]:
+            estimates = np.concatenate((self._recent, estimates))
+        self._recent = estimates[
+            np.searchsorted(estimates["stamp_ns"], estimates["stamp_ns"][-1] - _RECENT_NS) :
+        ]
+        until_ns = min(int(estimates["stamp_ns"][-1]), self._slips.last_ns, self._odometry.last_ns)
+        true, driven = self._slips.due(until_ns), self._odometry.due(until_ns)
+        if true is None or driven is None:
+            return
+        left, right = estimates["slips"][:, 0], estimates["slips"][:, 1]
+        own = series_of(stamp_ns=estimates["stamp_ns"], left_slip=left, right_slip=right)
+        errors = slip_errors(own, moving_slips(Series(driven), Series(true), self._tread))
+        self._sum, self._count = self._sum + float(np.sum(errors**2)), self._count + errors.size
+
+    @property
+    def rmse(self) -> float | None:
+        """None where nothing was compared."""
+        return math.sqrt(self._sum / self._count) if self._count else None
+
+
+def _joined(before: Path, P_before: FloatArray, path: Path, P: FloatArray) -> tuple[Path, FloatArray]:
+    """Two pieces of a path, its heading continuous, and their covariances."""
+    stamps_ns = np.concatenate((before.stamps_ns, path.stamps_ns))
+    poses = np.concatenate((before.poses, path.poses))
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Path(stamps_ns, poses), np.concatenate((P_before, P))

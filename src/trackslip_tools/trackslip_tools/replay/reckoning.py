@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A path without a filter beside a replay: begun at the reference's first pose, scored, kept for pictures."""
+
+import numpy as np
+
+from trackslip_common.vehicle import Vehicle
+from trackslip_tools.replay.dead_reckoning import DeadReckoner, Path
+from trackslip_tools.replay.errors import PathErrors
+from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
+from trackslip_tools.replay.scoring import Score
+from trackslip_tools.replay.series import Rows
+
+_PATH = np.dtype([("stamp_ns", np.int64), ("pose", np.float64, (3,))])
+
+
+class Reckoning:
+    """One of them: of a long bag it is thinned, once it is scored."""
+
+    def __init__(self, vehicle: Vehicle, *, with_gyro: bool) -> None:
+        self._reckoner = DeadReckoner(vehicle, with_gyro=with_gyro)
+        self._errors, self._drawn = PathErrors(), GrowingRows(_PATH, MOST_DRAWN)
+        self._unbegun: list[Rows] | None = []  # of the reference, until it is known where to begin
+
+    @property
+    def first_ns(self) -> int | None:
+        """Stamp of the first sprocket sample."""
+        return self._reckoner.first_ns
+
+    def add(self, arrivals: Rows, reference: Rows | None) -> None:
+        """More of both; rows of the reference have stamp_ns, x, y, heading."""
+        self._reckoner.add(arrivals)
+        if self._unbegun is not None:
+            self._unbegun += [] if reference is None else [reference]
+            self._begin(self._unbegun)
+        self._extend(self._reckoner.advance(), reference)
+
+    def result(self) -> tuple[Path | None, Score | None]:
+        """When all was added."""
+        self._extend(self._reckoner.advance(whole=True), None)
+        rows = self._drawn.rows()
+        return (Path(rows["stamp_ns"], rows["pose"]) if len(rows) else None), self._errors.score
+
+    def _begin(self, known: list[Rows]) -> None:
+        """At the first pose of the reference that is not before the first sprocket sample."""
+        first_ns = self.first_ns
+        if first_ns is None or not known:
+            return
+        reference = np.concatenate(known)
+        later = reference[reference["stamp_ns"] >= first_ns]
+        if len(later):
+            start = later[np.argmin(later["stamp_ns"])]
+            pose = np.array([start[name] for name in ("x", "y", "heading")])
+            self._reckoner.begin(int(start["stamp_ns"]), pose)
+            self._unbegun = None
+
+    def _extend(self, path: Path | None, reference: Rows | None) -> None:
+        nothing = Path(np.empty(0, np.int64), np.empty((0, 3)))
+        self._errors.add(path or nothing, reference)
+        if path is not None:
+            rows = np.empty(len(path.stamps_ns), _PATH)
+            rows["stamp_ns"], rows["pose"] = path.stamps_ns, path.poses
+            self._drawn.add(rows if not len(self._drawn) else rows[1:])
