@@ -193,7 +193,11 @@ def test_what_does_not_fit_is_named_in_one_line(log: Path, tmp_path: Path, messa
     mapping, rest = BAD[message]
     if message.startswith("topics both"):
         pressures = {"column": "p", "unit": "bar"}
-        hydraulics = {"left_pressure": pressures, "right_pressure": pressures, "time": {"column": "t", "unit": "s"}}
+        hydraulics = {
+            "left_pressure": pressures,
+            "right_pressure": pressures,
+            "time": {"column": "t", "unit": "s"},
+        }
         mapping = changed(hydraulics=hydraulics)
     with pytest.raises(InputError) as caught:
         imported(log, tmp_path, mapping)
@@ -230,8 +234,8 @@ def test_a_cut_bag_of_ros1_names_what_mends_it(tmp_path: Path) -> None:
 def test_a_mapping_of_columns_is_not_for_a_bag(log: Path, tmp_path: Path) -> None:
     speeds = {side: {"column": side, "unit": "rad/s"} for side in ("left_velocity", "right_velocity")}
     mapping = {"time": {"column": "t", "unit": "s"}, "topics": {"sprockets": speeds}}
-    with pytest.raises(InputError, match="a bag, and .* names columns; accepted: topics with 'from'"):
+    with pytest.raises(InputError, match=r"a bag, and .* names columns; accepted: topics with 'from'"):
         imported(log, tmp_path, mapping)
     (tmp_path / "log.csv").write_text("t\n0\n", encoding="utf-8")
-    with pytest.raises(InputError, match="no bag, and .* names topics of one"):
+    with pytest.raises(InputError, match=r"no bag, and .* names topics of one"):
         imported(tmp_path / "log.csv", tmp_path)

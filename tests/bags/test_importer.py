@@ -185,10 +185,10 @@ BAD_MAPPINGS = {
         topics__sprockets__left_position={"column": "wl", "unit": "rad"}
     ),
     "sprockets: unknown key 'stddev'": changed(topics__sprockets__stddev={"x": 1.0}),
-    "sprockets.left_velocity.unit: 'deg/sec' is unknown, did you mean 'deg/s'?; accepted: rad/s, deg/s": changed(
+    "sprockets.left_velocity.unit: 'deg/sec' is unknown, did you mean 'deg/s'?; accepted: rad/s": changed(
         topics__sprockets__left_velocity__unit="deg/sec"
     ),
-    "imu/data_raw.angular_velocity_z.unit: 'm/s' is a unit of speed; accepted: rad/s, deg/s, °/s, rpm": changed(
+    "imu/data_raw.angular_velocity_z.unit: 'm/s' is a unit of speed; accepted: rad/s, deg/s": changed(
         topics__imu__angular_velocity_z__unit="m/s"
     ),
     "sprockets.left_velocity: a speed over ground needs a vehicle in the mapping": changed(
@@ -213,7 +213,9 @@ BAD_MAPPINGS = {
     "parameters: ['tread'] is not accepted": changed(parameters=["tread"]),
     "parameters.vehicle: parameter 'mass' is missing": changed(parameters={"vehicle": {"tread": 1.0}}),
     "parameters.vehicle: unknown parameter 'wheels'": changed(parameters={"vehicle": {"wheels": 4}}),
-    "no column 'speed'; the columns are: t, wl, wr": changed(topics__sprockets__left_velocity__column="speed"),
+    "no column 'speed'; the columns are: t, wl, wr": changed(
+        topics__sprockets__left_velocity__column="speed"
+    ),
     "no column 'm'": changed(topics__reference_pose__new_when_changes="m"),
     "column 'gx' never changes": changed(topics__reference_pose__new_when_changes="gx"),
     "line 2, column 't': -1.000 s is before 0; accepted: a 'start'": changed(start=-2.0),
@@ -236,7 +238,9 @@ BAD_LOGS = {
     "line 6, column 't' goes back from 101.15 s to 101.1 s": LOG.replace("1200", "1100"),
     "line 5 has 10 cells, the header 12": LOG.replace("-25,90,10,20\n1200", "-25,90\n1200"),
     "line 3 has 13 cells, the header 12 (decimal commas?)": LOG.replace("1050,180", "1050,180,5"),
-    "line 3, column 'wl': '180,5' has a decimal comma": LOG.replace(",", ";").replace("1050;180", "1050;180,5"),
+    "line 3, column 'wl': '180,5' has a decimal comma": LOG.replace(",", ";").replace(
+        "1050;180", "1050;180,5"
+    ),
     "line 6: not a table (unexpected end of data)": LOG.replace("1150,360", '1150,"360'),
     "not a table (field larger than field limit (131072))": LOG.replace("1150", "1" * 200_000),
     "holds zero bytes": LOG.replace("1150", "11\x0050"),

@@ -25,6 +25,7 @@ ROSDEP_KEYS = {
     "msgpack": "python3-msgpack",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
+    "pymap3d": "python3-pymap3d",
     "rich": "python3-rich",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",

@@ -121,6 +121,25 @@ def test_nees_is_none_where_nothing_is_covered() -> None:
     assert mean_nees(own, path((0,), (0, 0, 0))) == 0.0
 
 
+def test_a_reference_of_positions_is_scored_as_such() -> None:
+    """No heading of it counts, be it nan: 0.1 m with σ = 0.1 m is 1 of 2."""
+    own = estimates(*((t, (0.1, 0, 3.0), np.diag((0.01, 0.01, 1e-9))) for t in (0, 100)))
+    reference = path((0, 100), (0, 0, math.nan), (0, 0, math.nan))
+    errors = PathErrors()
+    errors.add(path_of(own), reference_rows(reference), own["pose_covariance"])
+    assert errors.score == score(path_of(own), reference) == Score(2, pytest.approx(0.1), None)
+    assert (errors.nees, errors.nees_position) == (None, pytest.approx(1.0))
+
+
+def test_headings_count_where_the_reference_has_them() -> None:
+    own = estimates(*((t, (0.1, 0, 0.2), np.eye(3) * 0.01) for t in (0, 100)))
+    reference = path((0, 100), (0, 0, math.nan), (0, 0, 0))
+    errors = PathErrors()
+    errors.add(path_of(own), reference_rows(reference), own["pose_covariance"])
+    assert errors.score == Score(2, pytest.approx(0.1), pytest.approx(0.2))
+    assert (errors.nees, errors.nees_position) == (pytest.approx(5.0), pytest.approx(1.0))
+
+
 def slips(stamps_ns: Any, left: Any, right: Any) -> Series:
     return series_of(stamp_ns=stamps_ns, left_slip=left, right_slip=right)
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping import BagTopic, Joints, needs_geometry
 from trackslip_bags.importing.roles import (
     FIX,
@@ -21,8 +22,15 @@ from trackslip_bags.importing.roles import (
     TRANSFORMS,
     TWISTS,
 )
-from trackslip_bags.importing.local import LocalFrame
-from trackslip_bags.importing.samples import FloatArray, IntArray, Values, differences, track_speeds, without_heading, yaw_of
+from trackslip_bags.importing.samples import (
+    FloatArray,
+    IntArray,
+    Values,
+    differences,
+    track_speeds,
+    without_heading,
+    yaw_of,
+)
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import PLANE_IN_6
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
@@ -57,7 +65,9 @@ def _joints(message: Any, topic: BagTopic) -> Iterator[Reading]:
     for values, use in ((message.velocity, "velocities"), (message.position, "positions")):
         for side in sides:
             known = topic.uses in ("both", use) and len(values) == len(at)
-            mean = sum(float(values[at[name]]) for name in side.names) / len(side.names) if known else math.nan
+            mean = (
+                sum(float(values[at[name]]) for name in side.names) / len(side.names) if known else math.nan
+            )
             row.append(mean * side.ratio)
     yield Reading(message.header, tuple(row), "" if any(map(math.isfinite, row)) else "holds no such numbers")
 
@@ -166,7 +176,12 @@ def values_of(
             return _pose_values(rows, topic, type_name, local)
         case "fix":
             covariance = rows[:, 3:12].reshape(-1, 3, 3)
-            return {"place": rows[:, :3], "covariance": covariance, "kind": rows[:, 12], "status": rows[:, 13]}
+            return {
+                "place": rows[:, :3],
+                "covariance": covariance,
+                "kind": rows[:, 12],
+                "status": rows[:, 13],
+            }
         case _:
             return dict(zip(ROLES["hydraulics"].fields, rows.T, strict=True))
 

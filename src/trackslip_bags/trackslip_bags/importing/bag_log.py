@@ -124,9 +124,8 @@ class _Collector:
             wanted = [name for joints in topic.joints.values() for name in joints.names]
             like = next((text for name in wanted if (text := did_you_mean(name, self._seen))), "")
             asked = ", ".join(wanted) or "left_sprocket, right_sprocket (no left and right in the mapping)"
-            return (
-                f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {', '.join(self._seen)}"
-            )
+            there = ", ".join(self._seen)
+            return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"
         reasons = ", ".join(f"{n}: {reason}" for reason, n in self._left_out.items())
         child = f" of child frame '{topic.child_frame}'" if topic.child_frame else ""
         return f"{topic.where}: no message of {topic.source}{child} serves ({reasons or 'there is none'})"

@@ -44,7 +44,7 @@ class Spread:
 
 
 def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
-    """``{column: …, unit: …}`` with ``scale`` and ``origin`` where wanted; no unit where there is no quantity.
+    """``{column: …, unit: …}`` with ``scale`` and ``origin`` if wanted; no unit without a quantity.
 
     Raises:
         InputError: a key, unit or value is not accepted.
@@ -78,7 +78,7 @@ def read_time(where: str, value: Any) -> TimeColumn:
         raise InputError(f"{where}.unit: '{unit}' is unknown{like}; accepted: {', '.join(accepted)}")
     offset_ns = zone_offset_ns(str(zone))
     if offset_ns is None:
-        raise InputError(f"{where}.zone: {zone!r} is not accepted; accepted: Z, or as \"+02:00\"")
+        raise InputError(f'{where}.zone: {zone!r} is not accepted; accepted: Z, or as "+02:00"')
     return TimeColumn(name, unit, offset_ns)
 
 
@@ -123,7 +123,7 @@ def _variance(where: str, value: Any, quantity: str) -> float | Column:
     if not isinstance(value, Mapping):
         return number(where, value)
     unit = str(value.get("unit"))
-    squares = {}
+    squares: dict[str, float] = {}
     for known, factor in UNITS[quantity].items():
         inside = f"({known})" if "/" in known or "^" in known else known
         squares |= {f"{inside}^2": factor * factor, f"{inside}²": factor * factor}
@@ -133,5 +133,3 @@ def _variance(where: str, value: Any, quantity: str) -> float | Column:
         accepted = ", ".join(name for name in squares if name.endswith("^2"))
         raise InputError(f"{where}.unit: '{unit}' is unknown{like}; accepted: {accepted}")
     return Column(texts(f"{where}.column", value["column"]), quantity, squares[unit])
-
-

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,8 +88,8 @@ class _Chosen:
         self.rows = rows.copy()
         self.left_out: Counter[str] = Counter()
 
-    def drop(self, bad: Rows, reason: str) -> None:
-        """Rows that do not serve."""
+    def drop(self, bad: Any, reason: str) -> None:
+        """Rows that do not serve, (rows,) of bool."""
         count = int((self.rows & bad).sum())
         if count:
             self.left_out[reason] += count
@@ -112,7 +113,9 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     rows = chosen.rows
     if not rows.any():
         reasons = ", ".join(f"{n} rows: {reason}" for reason, n in chosen.left_out.items()) or "all are blank"
-        raise InputError(f"{topic.where}: no row of {table.path} gives a message ({reasons}); accepted: some that do")
+        raise InputError(
+            f"{topic.where}: no row of {table.path} gives a message ({reasons}); accepted: some that do"
+        )
     columns = {name: array[rows] for name, array in columns.items()}
     spreads = {axis: array[rows] for axis, array in spreads.items()}
     values = _values(columns, spreads, stamps_ns[rows], topic, local)
@@ -141,12 +144,9 @@ def _values(
 
 def _si(table: Table, column: Column, topic: CsvTopic) -> FloatArray:
     """(rows,) SI; what is along the ground as that of a sprocket, in a topic of sprockets."""
-    values = np.mean([table.numbers[name] for name in column.names], axis=0)
+    values: FloatArray = np.mean([table.numbers[name] for name in column.names], axis=0)
     known = values[np.isfinite(values)]
-    if column.origin == FIRST:
-        origin = float(known[0]) if known.size else 0.0
-    else:
-        origin = float(column.origin)
+    origin = float(column.origin) if column.origin != FIRST else float(known[0]) if known.size else 0.0
     found: FloatArray = (values - origin) * column.factor
     if topic.role == "sprockets" and topic.geometry is not None and column is not topic.columns.get("speed"):
         found = found / topic.geometry.rolling_radius if column.quantity in ("speed", "length") else found
@@ -155,11 +155,12 @@ def _si(table: Table, column: Column, topic: CsvTopic) -> FloatArray:
 
 def _variance(table: Table, spread: Spread) -> FloatArray:
     """(rows,) variances, or covariances."""
+    values: FloatArray = np.full(len(table.lines), 1.0)
     if isinstance(spread.value, Column):
         column = spread.value
         values = np.mean([table.numbers[name] for name in column.names], axis=0) * column.factor
     else:
-        values = np.full(len(table.lines), spread.value)
+        values = values * spread.value
     return np.square(values) if spread.is_stddev else values
 
 
@@ -196,9 +197,13 @@ def _checked(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
         place = f"{table.path}: line {table.lines[bad[0]]}, column '{column.name}'"
         seconds = times_ns[bad[0]] * 1e-9
         if seconds < 0.0:
-            raise InputError(f"{place}: {seconds:.3f} s is before 0; accepted: a 'start' that makes it 0 or later")
+            raise InputError(
+                f"{place}: {seconds:.3f} s is before 0; accepted: a 'start' that makes it 0 or later"
+            )
         like = too_late(int(raw_ns[bad[0]]), column)
-        raise InputError(f"{place}: {seconds:.12g} s is too late for a stamp{like}; accepted: less than 2^31 s")
+        raise InputError(
+            f"{place}: {seconds:.12g} s is too late for a stamp{like}; accepted: less than 2^31 s"
+        )
     return times_ns
 
 
@@ -310,6 +315,4 @@ def _fix(columns: Values, spreads: Values) -> Values:
 def _place(columns: Values) -> FloatArray:
     """(n, 3) rad, rad, m; the altitude nan where it is unknown."""
     nothing = np.full(len(columns["latitude"]), np.nan)
-    return np.column_stack(
-        (columns["latitude"], columns["longitude"], columns.get("altitude", nothing))
-    )
+    return np.column_stack((columns["latitude"], columns["longitude"], columns.get("altitude", nothing)))

@@ -206,7 +206,7 @@ class _Reader:
 
 
 def _head(path: Path, stream: Any) -> tuple[list[str], str, int, bool]:
-    """Names, delimiter, lines up to and with the names, and whether rows follow at once (names in a comment)."""
+    """Names, delimiter, lines up to and with the names, whether rows follow at once (names in a comment)."""
     comment, skipped = "", 0
     while True:
         position = stream.tell()
@@ -228,7 +228,9 @@ def _split(path: Path, line: str) -> tuple[list[str], str]:
     try:
         names = next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=True), [])
     except csv.Error as error:
-        raise InputError(f"{path}: line of names: not a table ({error}); accepted: quotes that close") from error
+        raise InputError(
+            f"{path}: line of names: not a table ({error}); accepted: quotes that close"
+        ) from error
     return [name.strip() for name in names], delimiter
 
 

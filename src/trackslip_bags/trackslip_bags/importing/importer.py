@@ -75,7 +75,9 @@ def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Impor
             bag.write(absolute(one.topic), type_name, serialize(one.message(row)), log_time_ns)
     left_out = {absolute(one.topic): dict(one.left_out) for one in samples if one.left_out}
     late = {absolute(one.topic): found for one in samples if (found := _lateness(one)) is not None}
-    used = any("latitude" in getattr(t, "columns", ()) or isinstance(t, BagTopic) for t in mapping.topics.values())
+    used = any(
+        "latitude" in getattr(t, "columns", ()) or isinstance(t, BagTopic) for t in mapping.topics.values()
+    )
     return Imported(bag.counts, left_out, late, local.datum if used else None, notes)
 
 
@@ -89,7 +91,9 @@ def _read(logs: Sequence[Path], mapping: LogMapping, local: LocalFrame) -> tuple
     if of_bag:
         others = [path for path in logs if not is_bag(path)]
         if others:
-            raise InputError(f"{others[0]}: no bag, and {mapping.path} names topics of one (from); accepted: a bag")
+            raise InputError(
+                f"{others[0]}: no bag, and {mapping.path} names topics of one (from); accepted: a bag"
+            )
         return read_bag_log(logs, of_bag, local)
     if any(map(is_bag, logs)):
         raise InputError(f"{logs[0]}: a bag, and {mapping.path} names columns; accepted: topics with 'from'")

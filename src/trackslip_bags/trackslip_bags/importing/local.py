@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Positions on the Earth as east and north of a datum (WGS84)."""
 
+import math
+
 import numpy as np
 import pymap3d
 from numpy.typing import NDArray
@@ -20,8 +22,8 @@ class LocalFrame:
         """(n, 2) m of (n, 3) latitude and longitude, rad, and altitude, m (nan: that of the datum)."""
         if self.datum is None:
             latitude, longitude, altitude = place[0].tolist()
-            degrees = np.degrees((latitude, longitude)).tolist()
-            self.datum = Datum(*degrees, altitude if np.isfinite(altitude) else 0.0)
+            altitude = altitude if math.isfinite(altitude) else 0.0
+            self.datum = Datum(math.degrees(latitude), math.degrees(longitude), altitude)
         degrees = np.degrees(place[:, :2])
         altitudes = np.where(np.isnan(place[:, 2]), self.datum.altitude, place[:, 2])
         east, north, _ = pymap3d.geodetic2enu(degrees[:, 0], degrees[:, 1], altitudes, *self.datum)

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapping file of ``trackslip import``: what of a log is what. docs/import.md has the whole form.
 
-    time: {column: t, unit: s}             # of CSV logs
-    topics:
-      sprockets:                           # columns of a CSV log …
-        left_velocity: {column: wl, unit: deg/s, scale: -1.0}
-        right_velocity: {column: wr, unit: deg/s}
-      imu/data_raw: {from: /imu/data}      # … or a topic of a bag
-      reference_pose: {x: …, y: …, yaw: …, stddev: {x: 0.02, y: 0.02, yaw: 0.01}}
-    parameters: {…}                        # of slip_estimator, kept in the bag
+time: {column: t, unit: s}             # of CSV logs
+topics:
+  sprockets:                           # columns of a CSV log …
+    left_velocity: {column: wl, unit: deg/s, scale: -1.0}
+    right_velocity: {column: wr, unit: deg/s}
+  imu/data_raw: {from: /imu/data}      # … or a topic of a bag
+  reference_pose: {x: …, y: …, yaw: …, stddev: {x: 0.02, y: 0.02, yaw: 0.01}}
+parameters: {…}                        # of slip_estimator, kept in the bag
 """
 
 from collections.abc import Mapping
@@ -131,7 +131,7 @@ def read_mapping(path: Path) -> LogMapping:
         raise InputError(f"{where}: topics is empty; accepted: {', '.join(ROLE_OF_TOPIC)}")
     parameters = section(f"{where}: parameters", tree.get("parameters", {}))
     geometry = _geometry_of(where, parameters)
-    common = {name: tree[name] for name in ("time", "received") if name in tree}
+    common: dict[str, Any] = {name: tree[name] for name in ("time", "received") if name in tree}
     found = {name: _topic(where, name, topic, common, geometry) for name, topic in topics.items()}
     if len({isinstance(topic, BagTopic) for topic in found.values()}) > 1:
         raise InputError(f"{where}: topics both with and without '{_FROM}'; accepted: one log, a bag or CSV")
@@ -176,7 +176,9 @@ def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
     given = [name for name in role.fields if name in tree]
     role.check(where, set(given))
     if "time" not in tree:
-        raise InputError(f"{where}: key 'time' is missing, here or for all topics; accepted: {{column, unit}}")
+        raise InputError(
+            f"{where}: key 'time' is missing, here or for all topics; accepted: {{column, unit}}"
+        )
     columns = {name: read_column(f"{where}.{name}", tree[name], role.fields[name]) for name in given}
     _require_spreads(where, role, of_both["spreads"], set(given))
     _require_geometry(where, columns, of_both["geometry"])
@@ -239,7 +241,9 @@ def _require_spreads(where: str, role: Role, spreads: Mapping[str, Spread], give
     headed = given & {"yaw", "heading", "qz"}
     for axis in ("x", "y", *(("yaw",) if headed else ())):
         if axis not in spreads:
-            raise InputError(f"{where}: stddev of {axis} is missing; accepted: {axis} under stddev or covariance")
+            raise InputError(
+                f"{where}: stddev of {axis} is missing; accepted: {axis} under stddev or covariance"
+            )
     if "yaw" in spreads and not headed:
         raise InputError(f"{where}: stddev of yaw, and no yaw; accepted: yaw, heading, or qx + qy + qz + qw")
 

@@ -96,8 +96,8 @@ def without_heading(pose: FloatArray, covariance: FloatArray) -> Values:
 
 def _sprockets(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     names = [LEFT_SPROCKET, RIGHT_SPROCKET]
-    positions = values["position"] if np.isfinite(values["position"]).all() else []
-    return {"name": names, "position": positions, "velocity": values["velocity"]}
+    known = np.isfinite(values["position"]).all()
+    return {"name": names, "position": values["position"] if known else [], "velocity": values["velocity"]}
 
 
 def _imu(values: Mapping[str, FloatArray]) -> dict[str, Any]:
@@ -116,7 +116,7 @@ def _imu(values: Mapping[str, FloatArray]) -> dict[str, Any]:
 
 
 def _imu_covariance(vector: FloatArray, covariance: FloatArray) -> list[float]:
-    """Nine numbers; axes that were not measured have a variance of UNOBSERVED, and if none was, −1 says so."""
+    """Nine numbers; axes that were not measured have the variance UNOBSERVED; if none was, −1 says so."""
     missing = np.isnan(vector)
     if missing.all():
         return [UNKNOWN] + [0.0] * 8

@@ -8,7 +8,9 @@ from typing import Any
 from trackslip_common.errors import InputError, did_you_mean
 
 
-def check_keys(where: str, tree: Mapping[str, Any], required: Collection[str], optional: Collection[str]) -> None:
+def check_keys(
+    where: str, tree: Mapping[str, Any], required: Collection[str], optional: Collection[str]
+) -> None:
     """All required keys are there, and no unknown ones.
 
     Raises:

@@ -54,7 +54,7 @@ def _notes(imported: Imported) -> Iterator[str]:
         latitude, longitude, altitude = imported.datum
         yield f"datum: latitude {latitude:.9f}, longitude {longitude:.9f} deg, altitude {altitude:.3f} m"
     for topic, late in imported.lateness.items():
-        yield f"late: {topic} came {late.median:.3f} s after its stamps (median), {late.longest:.3f} s at most"
+        yield f"late: {topic} came {late.median:.3f} s after its stamps, at most {late.longest:.3f} s"
         if late.is_other_clock:
             yield f"note: stamps of {topic} and the log are of different clocks (stamp: log, or time_offset)"
     for topic, reasons in imported.left_out.items():

@@ -44,7 +44,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     known = commands()
     asked = next((word for word in argv if not word.startswith("-")), None)
     if asked is not None and asked not in known:
-        raise InputError(f"trackslip: no command '{asked}'{did_you_mean(asked, known)} (see trackslip --help)")
+        raise InputError(
+            f"trackslip: no command '{asked}'{did_you_mean(asked, known)} (see trackslip --help)"
+        )
     parser = _Parser(
         prog="trackslip",
         description="The workbench around bags.",
