@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of another robot, of both ROS, through import, replay and report, with nothing written by hand but a mapping."""
+"""Logs of another robot, of both ROS, through import, replay and report, with nothing by hand but a mapping."""
 
 import json
 from pathlib import Path
@@ -73,7 +73,7 @@ def bag(ros2_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("name", ["ros1_log", "ros2_log"])
 def test_a_four_wheel_robot_goes_through(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    """Fixes of 3 cm at 5 Hz, 0.12 s late; the encoders alone are off by metres, as it turns at 0.8 of them."""
+    """Fixes of 3 cm at 5 Hz, 0.12 s late; encoders alone are off by metres, as it turns at 0.8 of them."""
     made = imported(tmp_path, request.getfixturevalue(name), mapping())
     found = replayed(made)
     assert found["rmse"]["dead_reckoning"] > 1.0
