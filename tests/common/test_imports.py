@@ -32,7 +32,8 @@ ROSDEP_KEYS = {
     "serial": "python3-serial",
     "yaml": "python3-yaml",
 }
-PIP_ONLY = {"distributed", "mcap"}  # rosdep has no key of theirs: from pip, as the README says
+# rosdep has no key of theirs: from pip, as the README says; lz4 and zstandard come with mcap.
+PIP_ONLY = {"distributed", "lz4", "mcap", "zstandard"}
 
 
 def imported(package: str) -> dict[str, set[str]]:

@@ -133,7 +133,7 @@ def test_all_that_a_user_asks_is_done_told_and_given_back(programs, observer):
 
     half, longer, tread = (
         number("gate_probability", 0.5),
-        numbers("pose_timeouts", 3.0),
+        number("sources.box_pose.timeout", 3.0),
         number("vehicle.tread", 0.7),
     )
     for wanted, successful in (

@@ -14,7 +14,7 @@ REFUSED = {
     "watson_imu": {"serial_baud": 0, "parity": 7},
     "sick_pls": {"range_max": -1.0, "parity": "X", "glare_is_nan": "yes, please", "serial_baud": 1200},
     "box_localizer": {"range_stddev": -0.1, "laser_x": "here", "vehicle__box_length": 0.0},
-    "slip_estimator": {"history_window": 100.0, "use_heading": 1, "vehicle__tread": -1.0},
+    "slip_estimator": {"history_window": 100.0, "publish_tf": 1, "vehicle__tread": -1.0},
     "soil_estimator": {"forces_period": 0.0, "dynamics__mu_r": -1.0, "vehicle__mass": "heavy"},
     "record": {"more_topics": "((", "output": 1, "split_size": -1, "split_duration": -1.0},
     "emulator": {"lead_in": -1.0, "seed": "one", "soil": "cheese", "scenario": "moon", "mode": "magic"},

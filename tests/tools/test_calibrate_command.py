@@ -63,7 +63,7 @@ def test_replay_takes_the_file(found: dict[str, Any], tmp_path: Path) -> None:
     options = ["--params", str(found["file"]), "--json", str(summary)]
     assert main(["replay", DRIVES[0], *options]) == ExitCode.DONE
     assert json.loads(summary.read_text())["rmse"]["filter"] < 0.02
-    assert found["parameters"]["slip_estimator"]["yaw_rate_signs"] == [1]
+    assert found["parameters"]["slip_estimator"]["sources.imu_data_raw.sign"] == 1
     assert found["bags"] == DRIVES
 
 

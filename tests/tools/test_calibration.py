@@ -254,8 +254,9 @@ def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
     tree = read_yaml(path)
     p = load_slip_parameters(node_parameters(tree, NODE, str(path)))
     assert p.vehicle.rolling_radius == calibration.findings["rolling_radius"].value
-    assert p.yaw_rate_signs == (-1,)
-    assert p.yaw_rate_scales[0] == pytest.approx(0.985, abs=0.02)
+    gyro = p.gyros()["imu/data_raw"]
+    assert gyro.sign == -1
+    assert gyro.scale == pytest.approx(0.985, abs=0.02)
     assert p.turning.initial_efficiency == pytest.approx(made.efficiency, abs=0.02)
     assert tree["watson_imu"]["ros__parameters"]["time_offset"] == pytest.approx(-made.gyro_late, abs=0.03)
     late = made.gyro_late + made.pose_late
@@ -267,7 +268,9 @@ def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
 
 
 def test_a_scaled_gyro_is_read_in_true_units() -> None:
-    estimator = SlipEstimator(load_slip_parameters({"yaw_rate_signs": [-1], "yaw_rate_scales": [0.5]}))
+    estimator = SlipEstimator(
+        load_slip_parameters({"sources.imu_data_raw.sign": -1, "sources.imu_data_raw.scale": 0.5})
+    )
     records = to_records([YawRate("imu/data_raw", 1, 0.2, 4e-6)], estimator.sources)
     z, R = observed(records[0], False, estimator.config[0])
     assert (z[0], R[0, 0]) == (pytest.approx(-0.4), pytest.approx(16e-6))

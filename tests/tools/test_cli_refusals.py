@@ -28,7 +28,7 @@ WriteBag = Callable[..., Path]
         ("--set slip_estimator.history_window=long", "'long' is not a number; accepted: > 0"),
         ("--set slip_estimator.history_window=", "None is not a number"),
         ("--set slip_estimator.jump_confirmations=2.5", "2.5 is not a whole number; accepted: >= 2"),
-        ("--set slip_estimator.use_heading=1", "1 is not true or false"),
+        ("--set slip_estimator.publish_tf=1", "1 is not true or false"),
         ("--set slip_estimator.start=now", "accepted: one of first_fix, initial_pose"),
         ("--set slip_estimator.pose_sources=box_pose", "'box_pose' is not a list of text"),
         ("--set slip_estimator.odom_frame=2001-99-99", "not YAML"),

@@ -131,7 +131,7 @@ def test_a_replay_of_a_recorded_run_matches_it(
 ) -> None:
     """What a replay wrote, put beside its inputs, is a recording; it replays to the same numbers."""
     made = tmp_path / "made"
-    summary(bag, "--output", made, "--set", "slip_estimator.pose_timeouts=[9.0]")
+    summary(bag, "--output", made, "--set", "slip_estimator.sources.box_pose.timeout=9")
     with open_bag(made) as estimates:
         assert {t.removeprefix("/"): i.type_name for t, i in estimates.topics.items()} == {
             topic: TOPICS[topic].type_name

@@ -63,8 +63,8 @@ def spiked(measurements: tuple[Measurement, ...], changes: dict[str, Any]) -> Ro
     "changes",
     [
         {},
-        {"model": "icr", "pose_lever_arms_x": [0.4], "yaw_rate_signs": [-1]},
-        {"model": "free_slips", "filter": "daf", "use_heading": False},
+        {"model": "icr", "sources.box_pose.lever_arm_x": 0.4, "sources.imu_data_raw.sign": -1},
+        {"model": "free_slips", "filter": "daf", "sources.box_pose.use_heading": False},
     ],
 )
 def test_many_at_once_are_one_by_one(log: Any, changes: dict[str, Any]) -> None:

@@ -29,7 +29,7 @@ objective: pose
 evaluations: 24
 seed: 1
 parameters:
-  pose_timeouts: {low: 0.1, high: 3.0, scale: log}
+  sources.box_pose.timeout: {low: 0.1, high: 3.0, scale: log}
   gate_relaxation: {low: 2.0, high: 20.0}
 """
 
@@ -59,7 +59,9 @@ def test_it_leaves_parameters_and_evidence(
     found = json.loads((out / "evidence.json").read_text())
     layer = node_parameters(read_yaml(out / "slip_estimator.yaml"), NODE, "tuned")
     assert layer["gate_relaxation"] == found["values"]["after"]["gate_relaxation"]
-    assert load_slip_parameters(layer).pose_timeouts == (found["values"]["after"]["pose_timeouts"],)
+    assert load_slip_parameters(layer).timeouts_ns()["box_pose"] == round(
+        found["values"]["after"]["sources.box_pose.timeout"] * 1e9
+    )
     assert main(["replay", str(emulated_bag), "--params", str(out / "slip_estimator.yaml")]) == ExitCode.DONE
 
     before = (out / "evidence.json").read_text()
@@ -140,9 +142,10 @@ def recorded(scenario: str, soil: str, seed: int, path: Path) -> Path:
 def start_off(plan: Path, file: Path, factor: float) -> Path:
     """Process noise off by a factor; where it is too small, that of the fixes is ten times too large."""
     ours = load_slip_parameters()
-    layer: dict[str, Any] = {name: factor * value_of(ours, name) for name in read_plan(plan).bounds}
-    floors = (0.07, 0.28) if factor < 1.0 else (ours.pose_position_floors[0], ours.pose_heading_floors[0])
-    layer |= {"pose_position_floors": [floors[0]], "pose_heading_floors": [floors[1]]}
+    names = [name for name in read_plan(plan).bounds if "*" not in name]
+    layer: dict[str, Any] = {name: factor * value_of(ours, name) for name in names}
+    if factor < 1.0:
+        layer |= {"sources.box_pose.position_floor": 0.07, "sources.box_pose.heading_floor": 0.28}
     file.write_text(yaml.safe_dump({NODE: {"ros__parameters": layer}}))
     return file
 

@@ -36,7 +36,7 @@ objective: {objective}
 evaluations: 40
 seed: 3
 parameters:
-  pose_position_floors: {{low: 0.005, high: 2.0, scale: log}}
+  "sources.*.position_floor": {{low: 0.005, high: 2.0, scale: log}}
   gate_relaxation: {{low: 2.0, high: 20.0}}
 """
 
@@ -76,12 +76,12 @@ def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: Work | None = N
 
 def test_a_plan_maps_its_unit_cube_onto_the_bounds(tmp_path: Path) -> None:
     plan = plan_of(tmp_path)
-    assert plan.values(np.zeros(2)) == {"pose_position_floors": 0.005, "gate_relaxation": 2.0}
-    assert plan.values(np.ones(2)) == {"pose_position_floors": 2.0, "gate_relaxation": 20.0}
+    assert plan.values(np.zeros(2)) == {"sources.*.position_floor": 0.005, "gate_relaxation": 2.0}
+    assert plan.values(np.ones(2)) == {"sources.*.position_floor": 2.0, "gate_relaxation": 20.0}
     middle = plan.values(np.full(2, 0.5))
-    assert middle == pytest.approx({"pose_position_floors": 0.1, "gate_relaxation": 11.0})
+    assert middle == pytest.approx({"sources.*.position_floor": 0.1, "gate_relaxation": 11.0})
     p = changed(load_slip_parameters(), middle)
-    assert p.pose_position_floors == (middle["pose_position_floors"],)
+    assert p.poses()["box_pose"].position_floor == middle["sources.*.position_floor"]
     np.testing.assert_allclose(plan.shares(p), 0.5)
     np.testing.assert_allclose(plan.shares(changed(p, {"gate_relaxation": 100.0})), (0.5, 1.0))
 
@@ -135,7 +135,7 @@ def test_an_effort_that_does_not_fit_is_refused(tmp_path: Path, text: str, words
 
 def test_fixes_are_most_likely_with_the_noise_that_they_have(drive: Callable[..., Any]) -> None:
     task = task_of(drive)
-    scores = {floor: task.score({"pose_position_floors": floor}) for floor in (0.01, 0.03, 0.1, 0.3, 1.0)}
+    scores = {floor: task.score({"sources.*.position_floor": floor}) for floor in (0.01, 0.03, 0.1, 0.3, 1.0)}
     assert max(scores, key=lambda floor: scores[floor].log_likelihood) == 0.1
     assert scores[0.1].nis["box_pose"] == pytest.approx(1.0, abs=0.25)
     assert scores[0.01].rejected["box_pose"] > 10 > scores[0.1].rejected["box_pose"]
@@ -143,7 +143,7 @@ def test_fixes_are_most_likely_with_the_noise_that_they_have(drive: Callable[...
 
 def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
     task = task_of(drive)
-    values = {"pose_position_floors": 0.1, "noise.slip_moving": 0.02}
+    values = {"sources.*.position_floor": 0.1, "noise.slip_moving": 0.02}
     estimator = SlipEstimator(changed(task.p, values))
     given = sorted(measurements(drive), key=lambda m: m.stamp_ns)
     results = estimator.process_records(records(given, task.p))
@@ -159,7 +159,7 @@ def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
 
 
 def test_a_spike_costs_no_more_than_a_wrong_measurement_may(drive: Callable[..., Any]) -> None:
-    task = task_of(drive, pose_position_floors=[0.1])
+    task = task_of(drive, **{"sources.box_pose.position_floor": 0.1})
     spiked = records(measurements(drive), task.p)
     fixes = np.flatnonzero(spiked["kind"] == POSE)
     spiked["value"][fixes[20]] = 1e3, -1e3, 0.0
@@ -214,10 +214,10 @@ def test_a_search_that_has_not_converged_keeps_to_its_points() -> None:
 
 def test_tuning_mends_what_was_wrong_and_shows_it(drive: Callable[..., Any], tmp_path: Path) -> None:
     """Fixes ten times as bad as they say: found on three bags, and good for each that had no say."""
-    tasks = [task_of(drive, seed, pose_position_floors=[0.01]) for seed in range(3)]
+    tasks = [task_of(drive, seed, **{"sources.box_pose.position_floor": 0.01}) for seed in range(3)]
     plan = plan_of(tmp_path)
     result = tuned(tmp_path, tasks, plan)
-    assert result.values["pose_position_floors"] == pytest.approx(0.1, rel=0.3)
+    assert result.values["sources.*.position_floor"] == pytest.approx(0.1, rel=0.3)
     for before, after in zip(result.before, result.after, strict=True):
         assert after.position < before.position  # most of it the filter had found by itself
         assert 1.0 < after.nees < before.nees / 5.0
@@ -228,7 +228,10 @@ def test_tuning_mends_what_was_wrong_and_shows_it(drive: Callable[..., Any], tmp
 
     write_evidence(tmp_path / "out", result, tasks[0].p)
     layer = node_parameters(read_yaml(tmp_path / "out" / PARAMETERS), NODE, "tuned")
-    assert load_slip_parameters(layer).pose_position_floors == (result.values["pose_position_floors"],)
+    assert (
+        load_slip_parameters(layer).poses()["box_pose"].position_floor
+        == result.values["sources.*.position_floor"]
+    )
     table = (tmp_path / "out" / TABLE).read_text()
     assert table.count("| bag1") == 3
     assert "Bags that had no say are better off" in table
@@ -239,7 +242,7 @@ def test_values_that_only_fit_their_own_bags_are_not_better_for_others(
     drive: Callable[..., Any], tmp_path: Path
 ) -> None:
     """One bag's fixes are bad, the other's good: what is found on either harms the other."""
-    p = load_slip_parameters({"model": "free_slips", "pose_position_floors": [0.1]})
+    p = load_slip_parameters({"model": "free_slips", "sources.box_pose.position_floor": 0.1})
     tasks = [
         make_task(f"bag{k}", records(measurements(drive, k, sigma), p), p, None)
         for k, sigma in enumerate((0.01, 1.0))
@@ -255,7 +258,7 @@ def test_values_that_only_fit_their_own_bags_are_not_better_for_others(
 
 
 def test_position_is_an_objective_too(drive: Callable[..., Any], tmp_path: Path) -> None:
-    task = task_of(drive, pose_position_floors=[0.01])
+    task = task_of(drive, **{"sources.box_pose.position_floor": 0.01})
     result = tuned(tmp_path, [task], plan_of(tmp_path, objective="position"))
     assert result.after[0].position < 0.8 * result.before[0].position
     assert result.folds == []

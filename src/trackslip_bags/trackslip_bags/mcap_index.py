@@ -15,6 +15,8 @@ from mcap.summary import Summary
 from mcap.well_known import MessageEncoding
 from numpy.typing import NDArray
 
+from trackslip_bags.unpacking import plain
+
 IntArray = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
@@ -23,7 +25,6 @@ _RECORD = (("opcode", "u1"), ("length", "<u8"))
 _HEADER = (("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("sent", "<u8"))
 _MESSAGE = np.dtype([*_RECORD, *_HEADER])  # of a message, up to its content
 _ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])  # of a message index
-_COMPRESSIONS = ("", "lz4", "zstd")
 
 
 class Located(NamedTuple):
@@ -105,11 +106,7 @@ def content_of(part: Part) -> Bytes:
     stated = index.compression, index.compressed_size, index.uncompressed_size
     if stated != (chunk.compression, len(chunk.data), chunk.uncompressed_size):
         raise ValueError("a chunk that differs from its index")
-    if chunk.compression not in _COMPRESSIONS:
-        raise ValueError("a chunk of another compression")
-    records, size = get_chunk_data_stream(chunk, validate_crc=True)
-    if size != index.uncompressed_size:
-        raise ValueError("a chunk of another size")
+    records, size = get_chunk_data_stream(plain(chunk), validate_crc=True)
     return np.frombuffer(records.read(size), np.uint8)
 
 

@@ -6,6 +6,7 @@ A bag then replays with the vehicle it was recorded on, wherever its files have 
 
 from typing import Any
 
+from trackslip_bags.old_parameters import current_names
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
@@ -24,8 +25,13 @@ def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
     Raises:
         InputError: what is on the topic is no parameter file.
     """
+    return current_names(stated_parameters(bag, node))
+
+
+def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
+    """The same by the names that they had when it was recorded."""
     for message in bag.messages([f"{node}/parameters"]):
-        return read_parameters(bag, bag.deserialize(message.raw, message.type_name), node)
+        return _read(bag, bag.deserialize(message.raw, message.type_name), node)
     return {}
 
 
@@ -35,6 +41,10 @@ def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]
     Raises:
         InputError: it is no parameter file.
     """
+    return current_names(_read(bag, content, node))
+
+
+def _read(bag: Bag, content: Any, node: str) -> dict[str, Any]:
     try:
         return flatten(parse_yaml(content.data, f"{node}/parameters")[node]["ros__parameters"])
     except (InputError, KeyError, TypeError, AttributeError) as error:

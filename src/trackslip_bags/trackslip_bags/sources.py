@@ -11,7 +11,10 @@ from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 
+from trackslip_bags import unpacking
 from trackslip_bags.recovery.salvage import Salvage, salvage
+
+unpacking.limit_rosbags()
 
 
 class BagMessage(NamedTuple):
@@ -51,11 +54,18 @@ class WholeBag:
     """A bag, or one file of it, that rosbags reads."""
 
     def __init__(self, path: Path) -> None:
+        for packed in path.glob("*.zstd"):
+            unpacking.check_packed_file(packed)
         self._reader = Reader(path)
         self._reader.open()
+        self._packed = self._reader.compression_mode == "message"
+        if self._packed and isinstance(
+            self._reader.storage, DirectoryReader
+        ):  # rosbags does it without a limit
+            self._reader.storage.metadata = self._reader.storage.metadata._replace(compression_mode=None)
         self.start_ns = self._reader.start_time
         self.end_ns = self._reader.end_time - 1
-        self.files = _mcap_files(self._reader)
+        self.files = () if self._packed else _mcap_files(self._reader)
 
     def topics(self) -> dict[str, TopicInfo]:
         return merged({c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in self._reader.connections)
@@ -65,7 +75,8 @@ class WholeBag:
         if not connections:
             return
         for connection, time_ns, raw in self._reader.messages(connections, start_ns, stop_ns):
-            yield BagMessage(connection.topic, connection.msgtype, time_ns, raw)
+            content = unpacking.message(raw) if self._packed else raw
+            yield BagMessage(connection.topic, connection.msgtype, time_ns, content)
 
     def close(self) -> None:
         self._reader.close()
@@ -76,8 +87,7 @@ def _mcap_files(reader: Reader) -> tuple[Path, ...]:
     storage = reader.storage
     storages = storage.storages if isinstance(storage, DirectoryReader) else [storage]
     files = [Path(str(s.path)) for s in storages if isinstance(s, McapReader)]
-    is_plain = len(files) == len(storages) and reader.compression_mode != "message"
-    return tuple(files) if is_plain else ()
+    return tuple(files) if len(files) == len(storages) else ()
 
 
 class SalvagedFile:

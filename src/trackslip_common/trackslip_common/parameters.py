@@ -7,6 +7,9 @@ parameter descriptors of the nodes. A bad value is refused with one line, never 
     @dataclass(frozen=True, kw_only=True)
     class Vehicle(Parameters):
         tread: float = parameter("distance between the track centre lines", unit="m", gt=0.0)
+
+A field that is ``Parameters`` itself is a group of them. A field that is a ``Mapping`` holds a group for each
+of the names that other parameters give, as ``groups_of`` says.
 """
 
 import dataclasses
@@ -16,8 +19,9 @@ import typing
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from trackslip_common.errors import InputError
 
@@ -39,12 +43,12 @@ class Spec:
     ge: float | None = None
     lt: float | None = None
     le: float | None = None
-    choices: tuple[str, ...] = ()
+    choices: tuple[str | int, ...] = ()
     read_only: bool = True
 
     def accepts(self, value: object) -> bool:
         """Whether one scalar lies in the range (its type is checked elsewhere)."""
-        if isinstance(value, str):
+        if self.choices or isinstance(value, str):
             return not self.choices or value in self.choices
         if not isinstance(value, (int, float)) or (isinstance(value, float) and not math.isfinite(value)):
             return False
@@ -58,7 +62,7 @@ class Spec:
     def accepted(self) -> str:
         """The range as text, for messages."""
         if self.choices:
-            return "one of " + ", ".join(self.choices)
+            return "one of " + ", ".join(map(str, self.choices))
         bounds = [
             f"{sign} {bound:g}"
             for sign, bound in ((">", self.gt), (">=", self.ge), ("<", self.lt), ("<=", self.le))
@@ -76,7 +80,7 @@ def parameter(
     ge: float | None = None,
     lt: float | None = None,
     le: float | None = None,
-    choices: tuple[str, ...] = (),
+    choices: tuple[str | int, ...] = (),
     read_only: bool = True,
 ) -> Any:
     """A dataclass field with its ``Spec``; it has no default: defaults live in ``config/``."""
@@ -84,8 +88,29 @@ def parameter(
     return dataclasses.field(metadata={_METADATA_KEY: spec})
 
 
+class Group(NamedTuple):
+    """What one of several groups of a kind consists of, and what it has where nothing else is given."""
+
+    kind: "type[Parameters]"
+    defaults: Mapping[str, Any]  # by name within the group
+
+
 class Parameters:
     """Base of the frozen parameter dataclasses: refuses bad values when constructed."""
+
+    @classmethod
+    def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
+        """Field of kind ``Mapping`` → name → group, as the values (dotted names) ask for; none by default.
+
+        Raises:
+            InputError: the values that name the groups are refused.
+        """
+        return {}
+
+    @classmethod
+    def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+        """Values by dotted name, with others over them."""
+        return {**below, **above}
 
     def __post_init__(self) -> None:
         """Check each field against its ``Spec``.
@@ -99,31 +124,61 @@ class Parameters:
 
 
 def own_fields(cls: type) -> Iterator[tuple[str, Any, Spec | None]]:
-    """(name, type, spec) of each field; spec is None for a nested group of parameters."""
+    """(name, type, spec) of each field; spec is None for a nested group of parameters, or several."""
     hints = typing.get_type_hints(cls)
     for field in dataclasses.fields(cls):
         yield field.name, hints[field.name], field.metadata.get(_METADATA_KEY)
 
 
-def flat_fields(cls: type, prefix: str = "") -> Iterator[tuple[str, Any, Spec]]:
-    """(dotted name, type, spec) of every parameter below ``cls``, as a node declares them."""
+def flat_fields(of: type[Parameters] | Parameters, prefix: str = "") -> Iterator[tuple[str, Any, Spec]]:
+    """(dotted name, type, spec) of every parameter of a record, as a node declares them.
+
+    Of a class the same, but for the groups that its values name.
+    """
+    record, cls = (None, of) if isinstance(of, type) else (of, type(of))
     for name, kind, spec in own_fields(cls):
-        if spec is None:
-            yield from flat_fields(kind, f"{prefix}{name}.")
-        else:
+        value = getattr(record, name, None)
+        if spec is not None:
             yield prefix + name, kind, spec
+        elif not _is_several(kind):
+            yield from flat_fields(kind if value is None else value, f"{prefix}{name}.")
+        else:
+            for key, group in (value or {}).items():
+                yield from flat_fields(group, f"{prefix}{name}.{key}.")
 
 
 def to_flat(record: Parameters, prefix: str = "") -> dict[str, Any]:
     """Dotted name → value; tuples become lists, as YAML and ROS parameters hold them."""
     flat: dict[str, Any] = {}
-    for name, _, spec in own_fields(type(record)):
+    for name, kind, spec in own_fields(type(record)):
         value = getattr(record, name)
-        if spec is None:
+        if spec is not None:
+            flat[prefix + name] = list(value) if isinstance(value, tuple) else value
+        elif not _is_several(kind):
             flat |= to_flat(value, f"{prefix}{name}.")
         else:
-            flat[prefix + name] = list(value) if isinstance(value, tuple) else value
+            for key, group in value.items():
+                flat |= to_flat(group, f"{prefix}{name}.{key}.")
     return flat
+
+
+def reloadable(of: type[Parameters] | Parameters) -> frozenset[str]:
+    """Dotted names of the parameters that may change while what uses them runs."""
+    return frozenset(name for name, _, spec in flat_fields(of) if not spec.read_only)
+
+
+def known_names(cls: type[Parameters], values: Mapping[str, Any], where: str) -> list[str]:
+    """Every dotted name that ``cls`` has with these values.
+
+    Raises:
+        InputError: the values that name groups are refused.
+    """
+    names = [name for name, _, _ in flat_fields(cls)]
+    for field, groups in cls.groups_of(values, where).items():
+        names += [
+            f"{field}.{key}.{n}" for key, group in groups.items() for n, _, _ in flat_fields(group.kind)
+        ]
+    return names
 
 
 def from_flat(cls: type[T], values: Mapping[str, Any], where: str, prefix: str = "") -> T:
@@ -132,21 +187,64 @@ def from_flat(cls: type[T], values: Mapping[str, Any], where: str, prefix: str =
     Raises:
         InputError: a name is unknown or missing, or a value is refused.
     """
-    known = {name: (kind, spec) for name, kind, spec in flat_fields(cls, prefix)}
-    for name in values:
-        if name not in known:
-            raise InputError(f"{where}: unknown parameter '{name}'; accepted: {', '.join(known)}")
+    known = dict.fromkeys(prefix + name for name in known_names(cls, values, where))
+    unknown = next((name for name in values if name not in known), None)
+    if unknown is not None:
+        raise InputError(f"{where}: unknown parameter '{unknown}'{_hint(unknown, list(known))}")
+    groups = cls.groups_of(values, where)
     arguments: dict[str, Any] = {}
     for name, kind, spec in own_fields(cls):
         full = prefix + name
-        if spec is None:
-            inside = {k: v for k, v in values.items() if k.startswith(f"{full}.")}
-            arguments[name] = from_flat(kind, inside, where, f"{full}.")
-        elif full not in values:
-            raise InputError(f"{where}: parameter '{full}' is missing ({spec.description})")
-        else:
+        if spec is not None:
+            if full not in values:
+                raise InputError(f"{where}: parameter '{full}' is missing ({spec.description})")
             arguments[name] = _coerce(f"{where}: {full}", values[full], kind, spec)
+        elif not _is_several(kind):
+            arguments[name] = from_flat(kind, _inside(values, f"{full}."), where, f"{full}.")
+        else:
+            arguments[name] = {
+                key: _group(group, values, where, f"{full}.{key}.") for key, group in groups[name].items()
+            }
     return cls(**arguments)
+
+
+def checked(cls: type[Parameters], name: str, value: Any, where: str) -> Any:
+    """The value of one field of ``cls``, as its record has it.
+
+    Raises:
+        InputError: it is refused.
+    """
+    kind, spec = next((kind, spec) for field, kind, spec in own_fields(cls) if field == name)
+    return _coerce(f"{where}: {name}", value, kind, spec or Spec(""))
+
+
+def _group(group: Group, values: Mapping[str, Any], where: str, prefix: str) -> Parameters:
+    """One of several groups: its defaults, and over them what is given."""
+    defaults = {prefix + name: value for name, value in group.defaults.items()}
+    return from_flat(group.kind, defaults | _inside(values, prefix), where, prefix)
+
+
+def _inside(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name.startswith(prefix)}
+
+
+def _is_several(kind: Any) -> bool:
+    """Whether a field holds groups by name, not one."""
+    return typing.get_origin(kind) is Mapping
+
+
+def _hint(unknown: str, known: list[str]) -> str:
+    """What the first part of a dotted name that is not known might have been, or may be."""
+    parts = unknown.split(".")
+    for depth, part in enumerate(parts):
+        before = "".join(f"{p}." for p in parts[:depth])
+        there = dict.fromkeys(n.removeprefix(before).partition(".")[0] for n in known if n.startswith(before))
+        if part not in there:
+            like = get_close_matches(part, list(there), n=1)
+            if like:
+                return f", did you mean '{before}{like[0]}'?"
+            return f"; accepted: {', '.join(before + name for name in there) or 'a value, no group'}"
+    return f"; accepted: {', '.join(name for name in known if name.startswith(f'{unknown}.'))}"
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

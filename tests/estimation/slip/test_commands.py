@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from trackslip_bags.messages import make
 from trackslip_common.errors import InputError
+from trackslip_common.parameters import reloadable
 from trackslip_estimation.slip.conversions import transforms
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import (
@@ -27,7 +28,7 @@ from trackslip_estimation.slip.measurements import (
     Report,
     Sprockets,
 )
-from trackslip_estimation.slip.parameters import load_slip_parameters, reloadable
+from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.source_watch import SourceWatch
 
 S = 1_000_000_000
@@ -148,9 +149,9 @@ def test_a_given_pose_without_a_covariance_is_refused(found: list[Measurement]) 
 
 def test_the_gate_changes_while_it_runs(found: list[Measurement]) -> None:
     estimator = running(found)
-    timeouts = {"pose_timeouts", "yaw_rate_timeouts", "slip_timeouts"}
-    assert {"gate_probability", "gate_relaxation", *timeouts} == reloadable()
-    estimator.process(Reload({"gate_probability": 0.5, "pose_timeouts": [3.0]}))
+    timeouts = {"sources.box_pose.timeout", "sources.imu_data_raw.timeout"}
+    assert {"gate_probability", "gate_relaxation", *timeouts} == reloadable(estimator.parameters)
+    estimator.process(Reload({"gate_probability": 0.5, "sources.box_pose.timeout": 3.0}))
     reports = [estimator.process(m)[0] for m in after(found, 8.0)]
     (gate,) = {r.gate for r in reports if r.source == "imu/data_raw"}
     assert gate == pytest.approx(chi2.ppf(0.5, 1))

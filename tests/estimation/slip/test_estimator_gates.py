@@ -74,7 +74,7 @@ def test_the_gate_widens_by_source_and_closes_again(drive: Callable[..., Any], t
     """That of a gyro does; that of poses stays as it is: silence says nothing for them."""
     driven = drive([(12.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     outage = [m for m in driven.measurements if isinstance(m, Sprockets) or not 4 * S < m.stamp_ns < 8 * S]
-    reports = thesis_run(outage, gate_relaxation=7.0, yaw_rate_timeouts=[1.0]).reports
+    reports = thesis_run(outage, gate_relaxation=7.0, **{"sources.imu_data_raw.timeout": 1.0}).reports
     closed = chi2.ppf(0.9999, 1)
     after = [r.gate for r in reports if r.source == "imu/data_raw" and r.stamp_ns >= 8 * S]
     assert after[0] == pytest.approx(closed * 7.0 ** (4.0 - 1.0), rel=0.1)
@@ -89,7 +89,7 @@ def test_a_gyro_that_insists_has_another_bias(drive: Callable[..., Any], thesis_
         replace(m, rate=m.rate + 0.3) if isinstance(m, YawRate) and m.stamp_ns > 10 * S else m
         for m in driven.measurements
     ]
-    steps = thesis_run(stepped, yaw_rate_timeouts=[2.0])
+    steps = thesis_run(stepped, **{"sources.imu_data_raw.timeout": 2.0})
     gated = [r.stamp_ns for r in steps.reports if r.source == "imu/data_raw" and r.outcome is Outcome.GATED]
     assert 10 * S < min(gated) < 10.2 * S
     assert 12 * S < max(gated) < 16 * S
@@ -180,7 +180,9 @@ def test_by_default_one_gyro_reading_shows_no_other_ground() -> None:
 def test_reports_state_the_gate(drive: Callable[..., Any], thesis_run: Run) -> None:
     found = drive([(2.0, 2.0, 2.0, 0.1, 0.1, 0.0)]).measurements
     for use_heading, dof in ((True, 3), (False, 2)):
-        reports = thesis_run(found, gate_probability=0.99, use_heading=use_heading).reports
+        reports = thesis_run(
+            found, gate_probability=0.99, **{"sources.box_pose.use_heading": use_heading}
+        ).reports
         for source, expected in (("box_pose", dof), ("imu/data_raw", 1)):
             some = next(r for r in reports if r.source == source and np.isfinite(r.nis))
             factor = SOFT if source == "box_pose" else 1.0

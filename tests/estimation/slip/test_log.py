@@ -30,7 +30,9 @@ SEGMENTS = [
 
 
 def parameters(**changes: Any) -> SlipEstimatorParameters:
-    return load_slip_parameters({"pose_timeouts": [0.3], "yaw_rate_timeouts": [0.5]}, changes)
+    return load_slip_parameters(
+        {"sources.box_pose.timeout": 0.3, "sources.imu_data_raw.timeout": 0.5}, changes
+    )
 
 
 def measurements(drive: Callable[..., Any], seed: int = 0) -> list[Measurement]:
@@ -93,7 +95,9 @@ def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
-@pytest.mark.parametrize("changes", [{}, {"use_heading": False, "pose_lever_arms_x": [0.4]}])
+@pytest.mark.parametrize(
+    "changes", [{}, {"sources.box_pose.use_heading": False, "sources.box_pose.lever_arm_x": 0.4}]
+)
 def test_it_ends_as_the_estimator_does(
     drive: Callable[..., Any], model: str, filter_: str, changes: dict[str, Any]
 ) -> None:
@@ -164,7 +168,7 @@ def test_a_sprocket_sample_says_no_more_than_it_drove(drive: Callable[..., Any])
 def test_what_is_rejected_leaves_mean_and_covariance_untouched(drive: Callable[..., Any]) -> None:
     """Whatever was tried with it on the way: bit for bit the prior."""
     for filter_ in ("ekf", "daf"):
-        p = parameters(filter=filter_, pose_lever_arms_x=[0.4])
+        p = parameters(filter=filter_, **{"sources.box_pose.lever_arm_x": 0.4})
         run = ran(log_of(with_faults(measurements(drive)), p), p)
         gated = run.updates["outcome"] == Outcome.GATED
         assert set(run.measurements["kind"][gated]) >= {POSE}
@@ -231,7 +235,9 @@ def test_a_log_without_a_start_is_refused(drive: Callable[..., Any]) -> None:
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
 def test_nothing_is_compiled_while_driving(drive: Callable[..., Any], model: str) -> None:
     """Arrays of another layout would stop the estimator for seconds."""
-    p = parameters(model=model, use_heading=False, pose_lever_arms_x=[0.3])
+    p = parameters(
+        model=model, **{"sources.box_pose.use_heading": False}, **{"sources.box_pose.lever_arm_x": 0.3}
+    )
     estimator = SlipEstimator(p)
     before = list(live.process.signatures)
     steps = [estimator.process(m) for m in measurements(drive)]

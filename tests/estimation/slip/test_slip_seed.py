@@ -138,7 +138,7 @@ def test_a_seed_far_off_is_gated_until_it_has_not_agreed_for_long(
 ) -> None:
     given = drive([(8.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements
     for timeout, outcome in ((3600.0, Outcome.GATED), (0.5, Outcome.ACCEPTED)):
-        p = load_slip_parameters(SOURCE | {"model": model, "slip_timeouts": [timeout]})
+        p = load_slip_parameters(SOURCE | {"model": model, "sources.slip_seed.timeout": timeout})
         estimator = SlipEstimator(p)
         for m in given:
             estimator.process(m)
@@ -159,8 +159,8 @@ def test_nobody_listens_unless_asked(drive: Callable[..., Any]) -> None:
     assert p.slip_sources == ("",)
     assert "slip_seed" not in p.timeouts_ns()
     assert list(load_slip_parameters(SOURCE).timeouts_ns()) == ["box_pose", "imu/data_raw", "slip_seed"]
-    with pytest.raises(InputError, match="slip_timeouts"):
-        load_slip_parameters(SOURCE | {"slip_timeouts": [1.0, 2.0]})
+    with pytest.raises(InputError, match=r"sources\.slip_seed\.timeout: \[1\.0\]"):
+        load_slip_parameters(SOURCE | {"sources.slip_seed.timeout": [1.0]})
 
 
 BAD: tuple[tuple[tuple[float, float], Any], ...] = (

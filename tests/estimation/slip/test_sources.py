@@ -21,7 +21,11 @@ S = 1_000_000_000
 LEVER = (0.8, -0.4)
 
 
-FLOORS = {"pose_position_floors": [0.001], "pose_heading_floors": [0.001], "pose_heading_ceilings": [0.3]}
+FLOORS = {
+    "sources.box_pose.position_floor": 0.001,
+    "sources.box_pose.heading_floor": 0.001,
+    "sources.box_pose.heading_ceiling": 0.3,
+}
 
 
 def state(seed: int = 0) -> Gaussian:
@@ -84,7 +88,7 @@ def end_of(found: list[Measurement], **changes: Any) -> tuple[Any, list[Outcome]
     return estimator.estimate(), outcomes
 
 
-ANTENNA = {"pose_lever_arms_x": [LEVER[0]], "pose_lever_arms_y": [LEVER[1]]}
+ANTENNA = {"sources.box_pose.lever_arm_x": LEVER[0], "sources.box_pose.lever_arm_y": LEVER[1]}
 
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
@@ -94,7 +98,7 @@ def test_an_antenna_off_centre_gives_the_pose_of_base_link(
 ) -> None:
     driven = drive([(6.0, 2.0, 2.0, 0.05, 0.05, 0.0), (9.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     found = displaced(driven.measurements, driven.truth)
-    chosen = {"model": model, "filter": filter_, "position_only": ["box_pose"]}
+    chosen = {"model": model, "filter": filter_, "sources.box_pose.use_heading": False}
     end, outcomes = end_of(found, **chosen, **ANTENNA)
     truth = driven.truth[end.stamp_ns]
     assert np.hypot(*(end.pose - truth[:3])[:2]) < 0.06
@@ -107,7 +111,7 @@ def test_an_antenna_off_centre_gives_the_pose_of_base_link(
 def test_position_and_motion_give_the_heading_that_no_fix_has(drive: Callable[..., Any]) -> None:
     driven = drive([(15.0, 2.0, 2.0, 0.05, 0.05, 0.0)])
     found = displaced(driven.measurements, driven.truth)
-    changes = {"position_only": ["box_pose"], "initial_yaw": 0.3, "initial_yaw_stddev": 0.5}
+    changes = {"sources.box_pose.use_heading": False, "initial_yaw": 0.3, "initial_yaw_stddev": 0.5}
     end, _ = end_of(found, **changes, **ANTENNA)
     assert abs(end.pose[2]) < 0.05
     assert np.sqrt(end.pose_covariance[2, 2]) < 0.05
@@ -125,7 +129,9 @@ def test_a_heading_that_is_not_used_may_have_any_variance(drive: Callable[..., A
             spoilt.append(replace(m, pose=m.pose + np.array((0.0, 0.0, 2.0)), covariance=covariance))
         else:
             spoilt.append(m)
-    end, outcomes = end_of(spoilt, use_heading=False, initial_yaw=0.1, initial_yaw_stddev=0.01)
+    end, outcomes = end_of(
+        spoilt, **{"sources.box_pose.use_heading": False}, initial_yaw=0.1, initial_yaw_stddev=0.01
+    )
     assert Outcome.INVALID not in outcomes
     assert end.pose[2] == pytest.approx(0.1, abs=0.05)
     used = SlipEstimator(load_slip_parameters({}))
@@ -144,9 +150,9 @@ def test_sources_side_by_side_each_have_their_own(drive: Callable[..., Any]) -> 
     both = sorted([*driven.measurements, *gnss], key=lambda m: m.stamp_ns)
     changes = {
         "pose_sources": ["box_pose", "gnss"],
-        "position_only": ["gnss"],
-        "pose_lever_arms_x": [0.0, LEVER[0]],
-        "pose_lever_arms_y": [0.0, LEVER[1]],
+        "sources.gnss.use_heading": False,
+        "sources.gnss.lever_arm_x": LEVER[0],
+        "sources.gnss.lever_arm_y": LEVER[1],
     }
     estimator = SlipEstimator(load_slip_parameters(changes))
     reports = [estimator.process(m)[0] for m in both]
@@ -160,7 +166,7 @@ def test_sources_side_by_side_each_have_their_own(drive: Callable[..., Any]) -> 
 def test_a_gyro_upside_down_is_turned_over(drive: Callable[..., Any]) -> None:
     driven = drive([(10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     flipped = [replace(m, rate=-m.rate) if isinstance(m, YawRate) else m for m in driven.measurements]
-    right, outcomes = end_of(flipped, yaw_rate_signs=[-1])
+    right, outcomes = end_of(flipped, **{"sources.imu_data_raw.sign": -1})
     np.testing.assert_array_equal(right.pose, end_of(driven.measurements)[0].pose)
     assert Outcome.GATED not in outcomes
 
@@ -168,7 +174,9 @@ def test_a_gyro_upside_down_is_turned_over(drive: Callable[..., Any]) -> None:
 def test_nobody_is_believed_better_than_the_floors() -> None:
     tiny = PoseFix("box_pose", S, np.zeros(3), np.diag((1e-12, 1e-12, 1e-12)))
     estimator = SlipEstimator(
-        load_slip_parameters({"pose_position_floors": [0.02], "pose_heading_floors": [0.01]})
+        load_slip_parameters(
+            {"sources.box_pose.position_floor": 0.02, "sources.box_pose.heading_floor": 0.01}
+        )
     )
     assert estimator.process(tiny)[0].outcome is Outcome.ACCEPTED
     end = estimator.estimate()
@@ -186,17 +194,31 @@ def test_nobody_is_believed_better_than_the_floors() -> None:
     ("changes", "words"),
     [
         (
-            {"pose_timeouts": [1.0, 2.0]},
-            "pose_timeouts: 2 values for the sources 'box_pose'; accepted: one for all",
+            {"sources.box_pose.timeouts": 1.0},
+            "unknown parameter 'sources.box_pose.timeouts', did you mean 'sources.box_pose.timeout'?",
         ),
-        ({"pose_lever_arms_x": []}, "pose_lever_arms_x: 0 values"),
-        ({"yaw_rate_signs": [1, 1]}, "yaw_rate_signs: 2 values"),
-        ({"yaw_rate_signs": [0]}, "yaw_rate_signs: 0 is out of range; accepted: 1 or -1"),
-        ({"yaw_rate_signs": [2]}, "2 is out of range"),
-        ({"pose_sources": ["a", "a"]}, "one is named twice"),
-        ({"position_only": ["gnss"]}, "position_only: 'gnss' is no pose source; accepted: box_pose"),
-        ({"pose_timeouts": [0.0]}, "pose_timeouts[0]: 0.0 is out of range"),
-        ({"pose_position_floors": [0.0]}, "pose_position_floors[0]: 0.0 is out of range"),
+        ({"sources.boxpose.timeout": 1.0}, "did you mean 'sources.box_pose'?"),
+        (
+            {"sources.rtk.lever_arm_x": 1.0},
+            "unknown parameter 'sources.rtk.lever_arm_x'; accepted: sources.box_pose, sources.imu_data_raw",
+        ),
+        ({"sources.imu_data_raw.lever_arm_x": 1.0}, "unknown parameter 'sources.imu_data_raw.lever_arm_x'"),
+        (
+            {"sources.box_pose": 1.0},
+            "unknown parameter 'sources.box_pose'; accepted: sources.box_pose.timeout",
+        ),
+        ({"sources.box_pose.lever_arm_x": []}, "sources.box_pose.lever_arm_x: [] is not a number"),
+        ({"sources.box_pose.lever_arm_x": 1e3}, "lever_arm_x: 1000.0 is out of range; accepted: >= -100 and"),
+        (
+            {"sources.imu_data_raw.sign": 0},
+            "sources.imu_data_raw.sign: 0 is out of range; accepted: one of 1, -1",
+        ),
+        ({"pose_sources": ["a", "a"]}, "pose_sources: 'a': one is named twice; accepted: each once"),
+        ({"pose_sources": ["imu/data_raw"]}, "yaw_rate_sources: 'imu/data_raw': one is named twice"),
+        ({"pose_sources": ["a/b", "a_b"]}, "pose_sources: 'a_b': 'a/b' has the same name"),
+        ({"pose_sources": "box_pose"}, "pose_sources: 'box_pose' is not a list of text"),
+        ({"sources.box_pose.timeout": 0.0}, "sources.box_pose.timeout: 0.0 is out of range"),
+        ({"sources.box_pose.position_floor": 0.0}, "sources.box_pose.position_floor: 0.0 is out of range"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(changes: dict[str, Any], words: str) -> None:
@@ -214,7 +236,7 @@ def test_no_sources_at_all_are_allowed() -> None:
 
 def test_covariances_stay_positive_with_a_lever_arm(drive: Callable[..., Any]) -> None:
     driven = drive([(5.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
-    estimator = SlipEstimator(load_slip_parameters({**ANTENNA, "position_only": ["box_pose"]}))
+    estimator = SlipEstimator(load_slip_parameters({**ANTENNA, "sources.box_pose.use_heading": False}))
     for m in displaced(driven.measurements, driven.truth):
         estimator.process(m)
         if estimator.started:
@@ -233,3 +255,17 @@ def test_a_doubtful_heading_is_not_a_measurement() -> None:
     records = to_records(fixes, {"box_pose": 0})
     assert [shows_heading(record, c) for record in records] == [True, True, False, False]
     assert [len(observed(record, False, c)[0]) for record in records] == [3, 3, 2, 2]
+
+
+def test_what_is_said_of_a_source_that_another_layer_takes_away_is_no_mistake() -> None:
+    told = {"pose_sources": ["rtk"], "sources.rtk.lever_arm_x": 0.3}
+    p = load_slip_parameters(told)
+    assert list(p.sources) == ["rtk", "imu_data_raw"]
+    assert (p.poses()["rtk"].lever, p.poses()["rtk"].stamp_error) == ((0.3, 0.0), 0.03)
+    assert list(load_slip_parameters(told, {"pose_sources": [""]}).sources) == ["imu_data_raw"]
+    assert list(p.changed({"pose_sources": ["box_pose"]}).sources) == ["box_pose", "imu_data_raw"]
+
+
+def test_the_box_is_stamped_better_than_a_source_that_nobody_knows() -> None:
+    assert load_slip_parameters().poses()["box_pose"].stamp_error == 0.003
+    assert load_slip_parameters({"pose_sources": ["fix"]}).poses()["fix"].stamp_error == 0.03

@@ -8,11 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from trackslip_common.parameters import reloadable
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.pressure_watch import PressureFault
 from trackslip_estimation.soil.records import SOIL_INPUT, Hydraulics, SoilInput, TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
-from trackslip_estimation.soil.soil_parameters import load_soil_parameters, reloadable
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
@@ -152,7 +153,7 @@ def test_a_track_that_spins_at_the_limit_is_getting_stuck_and_an_ordinary_turn_i
     patient = spinning.parameters.changed({"stuck_time": 1e6})
     spinning.use(patient)
     assert spinning.struggling == (False, False)
-    assert reloadable() == {"low_reserve", "high_slip", "stuck_time"}
+    assert reloadable(SoilEstimatorParameters) == {"low_reserve", "high_slip", "stuck_time"}
 
 
 def test_a_clock_set_back_begins_anew() -> None:

@@ -19,6 +19,7 @@ from mcap.well_known import MessageEncoding
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 
 from trackslip_bags.metadata import Schema as KnownSchema
+from trackslip_bags.unpacking import plain
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9  # bytes before the content of a record: what it is (1), its length (8)
@@ -132,7 +133,7 @@ class DamagedFile:
         stream = ReadDataStream(BytesIO(content))
         try:
             if opcode == Opcode.CHUNK:
-                return list(breakup_chunk(Chunk.read(stream), validate_crc=True))
+                return list(breakup_chunk(plain(Chunk.read(stream)), validate_crc=True))
             if opcode == Opcode.MESSAGE:
                 return [Message.read(stream, len(content))]
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):

@@ -16,7 +16,7 @@ from trackslip_common.nodes.guarded import GuardedNode
 from trackslip_common.nodes.health import OK, Health, diagnostics
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
-from trackslip_common.parameters import Parameters, to_flat
+from trackslip_common.parameters import Parameters, reloadable, to_flat
 from trackslip_common.tally import Tally
 
 P = TypeVar("P", bound=Parameters)
@@ -110,7 +110,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
 
     def _on_set_parameters(self, parameters: list[Any]) -> SetParametersResult:
         """Those that may change while the node runs; ROS itself refuses the others."""
-        known = node_parameters.reloadable(type(self.settings))
+        known = reloadable(self.settings)
         values = {p.name: p.value for p in parameters if p.name in known}
         before = self.settings
         try:

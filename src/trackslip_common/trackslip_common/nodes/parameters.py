@@ -43,20 +43,15 @@ def read_overrides(
     shared = to_flat(common)
     shared |= {key: given.pop(key) for key in shared.keys() & given.keys()}
     return from_flat(CommonParameters, shared, name), from_flat(
-        kind, node_defaults(name, *default_files) | given, name
+        kind, kind.overlaid(node_defaults(name, *default_files), given), name
     )
 
 
 def declare(node: Node, record: Parameters) -> None:
     """Declare each parameter to ROS with its value, unit and range."""
     values = to_flat(record)
-    for key, kind, spec in flat_fields(type(record)):
+    for key, kind, spec in flat_fields(record):
         node.declare_parameter(key, values[key], _descriptor(kind, spec), ignore_override=True)
-
-
-def reloadable(kind: type[Parameters]) -> frozenset[str]:
-    """Dotted names of the parameters that may change after the start."""
-    return frozenset(name for name, _, spec in flat_fields(kind) if not spec.read_only)
 
 
 def changed(record: P, values: Mapping[str, Any], where: str) -> P:

@@ -56,8 +56,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._tf = self._advertise_tf() if p.publish_tf else None
         self.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
         self.subscribe(topic_class(SET_POSE), SET_POSE, partial(self._on_pose, source=SET_POSE))
-        for source in named(p.yaw_rate_sources):
-            self.subscribe(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
+        for source, gyro in p.gyros().items():
+            on_imu = partial(self._on_imu, source=source, variance=gyro.stddev**2)
+            self.subscribe(topic_class("imu/data_raw"), source, on_imu)
         for source in named(p.pose_sources):
             self.subscribe(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source in named(p.slip_sources):
@@ -82,8 +83,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._heard = time.monotonic()
         self._take(conversions.sprockets(message, "sprockets"))
 
-    def _on_imu(self, message: Any, source: str) -> None:
-        self._take(conversions.yaw_rate(message, source, self.settings.yaw_rate_stddev**2))
+    def _on_imu(self, message: Any, source: str, variance: float) -> None:
+        self._take(conversions.yaw_rate(message, source, variance))
 
     def _on_pose(self, message: Any, source: str) -> None:
         self._take(conversions.pose_fix(message, source))

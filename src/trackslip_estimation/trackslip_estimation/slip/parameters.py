@@ -10,19 +10,26 @@ from numpy.typing import NDArray
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flat_fields, from_flat, parameter, to_flat
+from trackslip_common.parameters import Group, checked, from_flat, parameter, to_flat
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.motion import MotionParameters
 from trackslip_estimation.slip.records import MOST_SOURCES
-from trackslip_estimation.slip.sources import PoseSource, YawRateSource, each, named
+from trackslip_estimation.slip.sources import (
+    KINDS,
+    PoseSource,
+    Source,
+    YawRateSource,
+    group_name,
+    named,
+    source_groups,
+)
 
 FloatArray = NDArray[np.float64]
 
 NODE = "slip_estimator"
 DEFAULT_FILES = ("pc05.yaml", "slip_estimator.yaml")
-_EACH = "one for each source, or one for all"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,51 +44,14 @@ class SlipEstimatorParameters(ModelParameters):
     odom_frame: str = parameter("site frame of the estimate and of the pose sources")
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
     pose_sources: tuple[str, ...] = parameter("topics of PoseWithCovarianceStamped; '' names none")
-    use_heading: bool = parameter("whether the heading of the pose sources is a measurement too")
-    position_only: tuple[str, ...] = parameter("pose sources whose heading is none; '' names none")
-    pose_lever_arms_x: tuple[float, ...] = parameter(f"place of its sensor in base_link; {_EACH}", unit="m")
-    pose_lever_arms_y: tuple[float, ...] = parameter(f"place of its sensor in base_link; {_EACH}", unit="m")
-    pose_position_floors: tuple[float, ...] = parameter(
-        f"smallest standard deviation of x and y that is believed; {_EACH}", unit="m", gt=0.0
-    )
-    pose_heading_floors: tuple[float, ...] = parameter(
-        f"smallest standard deviation of the heading that is believed; {_EACH}", unit="rad", gt=0.0
-    )
-    pose_heading_ceilings: tuple[float, ...] = parameter(
-        f"standard deviation of a heading beyond which it is not used; {_EACH}", unit="rad", gt=0.0
-    )
-    pose_stamp_errors: tuple[float, ...] = parameter(
-        f"standard deviation of a delay that all its stamps have, which is estimated; {_EACH}",
-        unit="s",
-        ge=0.0,
-    )
-    pose_timeouts: tuple[float, ...] = parameter(
-        f"with nothing accepted for so long it counts as lost; {_EACH}",
-        unit="s",
-        ge=0.01,
-        le=3600.0,
-        read_only=False,
-    )
     yaw_rate_sources: tuple[str, ...] = parameter(
         "topics of Imu whose z rate is a measurement; '' names none"
     )
-    yaw_rate_signs: tuple[int, ...] = parameter(
-        f"1, or -1 for a gyro that is upside down; {_EACH}", ge=-1, le=1
-    )
-    yaw_rate_scales: tuple[float, ...] = parameter(
-        f"what it shows of 1 rad/s: its scale times the cosine of its tilt; {_EACH}", gt=0.0
-    )
-    yaw_rate_timeouts: tuple[float, ...] = parameter(
-        f"as pose_timeouts, and its gate widens; {_EACH}", unit="s", ge=0.01, le=3600.0, read_only=False
-    )
-    yaw_rate_stddev: float = parameter("where an Imu message gives no variance", unit="rad/s", gt=0.0)
     slip_sources: tuple[str, ...] = parameter(
         "topics of TrackSlip that are measurements: [slip_seed], the soil estimator's, which rests on these "
         "very slips and so feeds back; '' names none"
     )
-    slip_timeouts: tuple[float, ...] = parameter(
-        f"as yaw_rate_timeouts; {_EACH}", unit="s", ge=0.01, le=86400.0, read_only=False
-    )
+    sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
     start: str = parameter("what the estimate starts from", choices=("first_fix", "initial_pose"))
     initial_x: float = parameter("x at the start, with start: initial_pose", unit="m")
@@ -130,57 +100,50 @@ class SlipEstimatorParameters(ModelParameters):
         if self.max_gap < self.history_window:
             accepted = f"at least history_window, {self.history_window:g} s"
             raise InputError(f"{NODE}: max_gap: {self.max_gap:g} is out of range; accepted: {accepted}")
-        if 0 in self.yaw_rate_signs:
-            raise InputError(f"{NODE}: yaw_rate_signs: 0 is out of range; accepted: 1 or -1")
-        for name in set(named(self.position_only)) - set(self.pose_sources):
-            accepted = ", ".join(named(self.pose_sources)) or "none, there are no pose_sources"
-            raise InputError(f"{NODE}: position_only: '{name}' is no pose source; accepted: {accepted}")
         if len(self.timeouts_ns()) >= MOST_SOURCES:
             raise InputError(
                 f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}"
             )
 
-    def poses(self) -> dict[str, PoseSource]:
-        """What each pose source is told.
+    @classmethod
+    def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
+        """One for each source that the lists name.
 
         Raises:
-            InputError: a list has neither one value nor as many as there are sources.
+            InputError: a list is none, or names one twice.
         """
-        sources = named(self.pose_sources)
-        columns = (
-            [self.use_heading and name not in self.position_only for name in sources],
-            zip(
-                self._each("pose_lever_arms_x", self.pose_sources),
-                self._each("pose_lever_arms_y", self.pose_sources),
-                strict=True,
-            ),
-            self._each("pose_position_floors", self.pose_sources),
-            self._each("pose_heading_floors", self.pose_sources),
-            self._each("pose_heading_ceilings", self.pose_sources),
-            (round(t * 1e9) for t in self._each("pose_timeouts", self.pose_sources)),
-            self._each("pose_stamp_errors", self.pose_sources),
-        )
-        rows = zip(sources, *columns, strict=True)
-        return {source: PoseSource(*row) for source, *row in rows}
+        lists = {kind: checked(cls, kind, values[kind], where) for kind in KINDS if kind in values}
+        return {"sources": source_groups(lists, where)}
+
+    @classmethod
+    def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+        """Values with others over them; with other lists of sources, the groups of those that went go too."""
+        values = super().overlaid(below, above)
+        if above.keys().isdisjoint(KINDS):
+            return values
+        there = {group_name(str(topic)) for kind in KINDS for topic in values.get(kind, ())}
+        return {
+            name: value
+            for name, value in values.items()
+            if name in above or not name.startswith("sources.") or name.split(".")[1] in there
+        }
+
+    def of_kind(self, kind: str) -> dict[str, Any]:
+        """Topic → what is told of it, of the sources of one of the lists of ``KINDS``."""
+        return {topic: self.sources[group_name(topic)] for topic in named(getattr(self, kind))}
+
+    def poses(self) -> dict[str, PoseSource]:
+        """By topic."""
+        return self.of_kind("pose_sources")
 
     def gyros(self) -> dict[str, YawRateSource]:
-        """What each yaw-rate source is told.
-
-        Raises:
-            InputError: a list has neither one value nor as many as there are sources.
-        """
-        signs = self._each("yaw_rate_signs", self.yaw_rate_sources)
-        scales = self._each("yaw_rate_scales", self.yaw_rate_sources)
-        timeouts = (round(t * 1e9) for t in self._each("yaw_rate_timeouts", self.yaw_rate_sources))
-        rows = zip(named(self.yaw_rate_sources), signs, scales, timeouts, strict=True)
-        return {source: YawRateSource(*row) for source, *row in rows}
+        """By topic."""
+        return self.of_kind("yaw_rate_sources")
 
     def timeouts_ns(self) -> dict[str, int]:
-        """Of each source but the sprockets."""
-        sources: dict[str, PoseSource | YawRateSource] = {**self.poses(), **self.gyros()}
-        timeouts_ns = (round(t * 1e9) for t in self._each("slip_timeouts", self.slip_sources))
-        slips = dict(zip(named(self.slip_sources), timeouts_ns, strict=True))
-        return {name: source.timeout_ns for name, source in sources.items()} | slips
+        """Of each source but the sprockets, by topic."""
+        sources = {topic: source for kind in KINDS for topic, source in self.of_kind(kind).items()}
+        return {topic: source.timeout_ns for topic, source in sources.items()}
 
     def changed(self, values: Mapping[str, Any]) -> "SlipEstimatorParameters":
         """These parameters with other values; dotted names.
@@ -188,21 +151,13 @@ class SlipEstimatorParameters(ModelParameters):
         Raises:
             InputError: a name is unknown or a value refused.
         """
-        return from_flat(SlipEstimatorParameters, to_flat(self) | dict(values), NODE)
+        return from_flat(type(self), self.overlaid(to_flat(self), values), NODE)
 
     def initial_pose(self) -> tuple[FloatArray, FloatArray]:
         """(3,) x, y, heading to start from, and (3, 3) covariance."""
         deviations = (self.initial_position_stddev, self.initial_position_stddev, self.initial_yaw_stddev)
         pose = np.array((self.initial_x, self.initial_y, self.initial_yaw))
         return pose, np.diag(np.square(deviations))
-
-    def _each(self, name: str, sources: tuple[str, ...]) -> list[Any]:
-        return each(f"{NODE}: {name}", getattr(self, name), sources)
-
-
-def reloadable() -> frozenset[str]:
-    """The parameters that may change while the estimator runs; dotted names."""
-    return frozenset(name for name, _, spec in flat_fields(SlipEstimatorParameters) if not spec.read_only)
 
 
 def load_slip_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SlipEstimatorParameters:
@@ -213,5 +168,5 @@ def load_slip_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SlipE
     """
     values = node_defaults(NODE, *DEFAULT_FILES)
     for layer in layers:
-        values |= layer
+        values = SlipEstimatorParameters.overlaid(values, layer)
     return from_flat(SlipEstimatorParameters, values, where)

@@ -1,35 +1,86 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the parameters state of each source."""
+"""What is told of each source of measurements: a group of parameters ``sources.<name>``.
 
-from collections.abc import Sequence
+A list of topics for each kind of source says which there are; the group of a topic has its name with ``_``
+for ``/``: ``imu/data_raw`` has ``sources.imu_data_raw.sign``. What is not given is as ``config/sources.yaml``
+says of the kind. Another kind: its list and dataclass in ``KINDS``, its block in that file.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from functools import cache
+from typing import Any
 
+from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
+from trackslip_common.parameters import Group, Parameters, parameter
 
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class PoseSource:
-    """A source of poses."""
-
-    use_heading: bool
-    lever: tuple[float, float]  # m, place of the sensor in base_link
-    position_floor: float  # m, smallest standard deviation that is believed
-    heading_floor: float  # rad
-    heading_ceiling: float  # rad, standard deviation beyond which a fix's heading is not used
-    timeout_ns: int
-    stamp_error: float  # s, standard deviation of a delay that all its stamps have
+_TIMEOUT = "with nothing accepted for so long it counts as lost"
 
 
-@dataclass(frozen=True)
-class YawRateSource:
-    """A gyro."""
+@dataclass(frozen=True, kw_only=True)
+class Source(Parameters):
+    """What all kinds have."""
 
-    sign: int  # −1 where it is mounted upside down
-    scale: float  # what it shows of 1 rad/s
-    timeout_ns: int
+    timeout: float = parameter(_TIMEOUT, unit="s", ge=0.01, le=86400.0, read_only=False)
+
+    @property
+    def timeout_ns(self) -> int:
+        """Timeout in ns."""
+        return round(self.timeout * 1e9)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSource(Source):
+    """Poses of one sensor."""
+
+    use_heading: bool = parameter("whether its heading is a measurement too")
+    lever_arm_x: float = parameter("place of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0)
+    lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
+    lever_arm_z: float = parameter(
+        "above the ground; of no effect as long as tilt is not estimated", unit="m", ge=-100.0, le=100.0
+    )
+    position_floor: float = parameter(
+        "smallest standard deviation of x and y that is believed", unit="m", gt=0.0
+    )
+    heading_floor: float = parameter(
+        "smallest standard deviation of the heading that is believed", unit="rad", gt=0.0
+    )
+    heading_ceiling: float = parameter(
+        "standard deviation of a heading beyond which it is not used", unit="rad", gt=0.0
+    )
+    stamp_error: float = parameter(
+        "standard deviation of a delay that all its stamps have, which is estimated",
+        unit="s",
+        ge=0.0,
+        le=10.0,
+    )
+
+    @property
+    def lever(self) -> tuple[float, float]:
+        """Place of the sensor in base_link, m."""
+        return self.lever_arm_x, self.lever_arm_y
+
+
+@dataclass(frozen=True, kw_only=True)
+class YawRateSource(Source):
+    """A gyro; its gate widens with each further timeout."""
+
+    sign: int = parameter("1, or -1 for a gyro that is upside down", choices=(1, -1))
+    scale: float = parameter("what it shows of 1 rad/s: its scale times the cosine of its tilt", gt=0.0)
+    stddev: float = parameter("where its message gives no variance", unit="rad/s", gt=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlipSource(Source):
+    """Slips that were estimated elsewhere; its gate widens with each further timeout."""
+
+
+KINDS: Mapping[str, type[Source]] = {
+    "pose_sources": PoseSource,
+    "yaw_rate_sources": YawRateSource,
+    "slip_sources": SlipSource,
+}
 
 
 def named(sources: Sequence[str]) -> list[str]:
@@ -37,18 +88,31 @@ def named(sources: Sequence[str]) -> list[str]:
     return [source for source in sources if source]
 
 
-def each(parameter: str, values: Sequence[T], sources: Sequence[str]) -> list[T]:
-    """A parameter's value for each source: one holds for all.
+def group_name(topic: str) -> str:
+    """Under ``sources``, of the source on this topic."""
+    return topic.strip("/").replace("/", "_")
+
+
+def source_groups(lists: Mapping[str, Sequence[str]], where: str) -> dict[str, Group]:
+    """Name → group of each source of the lists (name of a kind's list → topics).
 
     Raises:
-        InputError: there are neither one nor as many as there are sources.
+        InputError: two topics have one name.
     """
-    names = named(sources)
-    if len(set(names)) < len(names):
-        raise InputError(f"sources {', '.join(names)}: one is named twice; accepted: each once")
-    if len(values) not in (1, len(names)):
-        raise InputError(
-            f"{parameter}: {len(values)} values for the sources '{', '.join(names)}'; "
-            "accepted: one for all, or one for each"
-        )
-    return list(values) * len(names) if len(values) == 1 else list(values)
+    topics: dict[str, str] = {}
+    groups: dict[str, Group] = {}
+    for kind in KINDS:
+        for topic in named(lists.get(kind, ())):
+            name = group_name(topic)
+            if name in groups:
+                both = (
+                    "one is named twice" if topics[name] == topic else f"'{topics[name]}' has the same name"
+                )
+                raise InputError(f"{where}: {kind}: '{topic}': {both}; accepted: each once")
+            topics[name], groups[name] = topic, Group(KINDS[kind], _defaults()[kind])
+    return groups
+
+
+@cache
+def _defaults() -> Mapping[str, Mapping[str, Any]]:
+    return read_yaml(config_file("sources.yaml"))

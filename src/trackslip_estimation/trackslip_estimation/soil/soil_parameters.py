@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import Parameters, flat_fields, from_flat, parameter, to_flat
+from trackslip_common.parameters import Parameters, from_flat, parameter, to_flat
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
@@ -54,11 +54,6 @@ class SoilEstimatorParameters(Parameters):
             InputError: a name is unknown or a value refused.
         """
         return from_flat(SoilEstimatorParameters, to_flat(self) | dict(values), NODE)
-
-
-def reloadable() -> frozenset[str]:
-    """The parameters that may change while the estimator runs; dotted names."""
-    return frozenset(name for name, _, spec in flat_fields(SoilEstimatorParameters) if not spec.read_only)
 
 
 def load_soil_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SoilEstimatorParameters:

@@ -8,7 +8,7 @@ from typing import Any
 
 from trackslip_common.config_files import node_defaults
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
-from trackslip_estimation.slip.sources import named
+from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.calibration import gyro, standing, timing, tracks
 from trackslip_tools.calibration.finding import Finding, found, refused
 from trackslip_tools.calibration.recording import Recording
@@ -125,17 +125,12 @@ def _parameters(
     if findings["rolling_radius"].value is not None:
         for node in _VEHICLE_NODES:
             add(node, "vehicle.rolling_radius", findings["rolling_radius"].value)
-    gyros = named(p.yaw_rate_sources)
-    for name, key in (("yaw_rate_signs", "gyro_sign"), ("yaw_rate_scales", "gyro_scale")):
-        value = findings[key].value
-        if value is not None and sources[0] in gyros:
-            own = (
-                list(getattr(p, name))
-                if len(getattr(p, name)) == len(gyros)
-                else list(getattr(p, name)) * len(gyros)
-            )
-            own[gyros.index(sources[0])] = round(value) if key == "gyro_sign" else abs(value)
-            add(NODE, name, own)
+    if sources[0] in p.gyros():
+        group = f"sources.{group_name(sources[0])}"
+        if findings["gyro_sign"].value is not None:
+            add(NODE, f"{group}.sign", round(findings["gyro_sign"].value))
+        if findings["gyro_scale"].value is not None:
+            add(NODE, f"{group}.scale", abs(findings["gyro_scale"].value))
     efficiency = findings["turning_efficiency"]
     if efficiency.value is not None and efficiency.interval is not None and 0.0 < efficiency.value <= 1.0:
         add(NODE, "turning.initial_efficiency", efficiency.value)

@@ -14,7 +14,9 @@ from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.replay.output import EstimateWriter, summary, text
 from trackslip_tools.replay.run import Part, replay
 
-EXAMPLE = "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.pose_timeouts=[3.0]"
+EXAMPLE = (
+    "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.sources.box_pose.timeout=3"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative
-from trackslip_bags.parameters import bag_parameters
+from trackslip_bags.old_parameters import current_names
+from trackslip_bags.parameters import stated_parameters
 from trackslip_bags.reader import Bag, require_topics
-from trackslip_common.config_files import config_file, node_parameters, read_yaml
+from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Parameters, flat_fields, to_flat
+from trackslip_common.parameters import Parameters, known_names, to_flat
 from trackslip_common.topics import TOPICS
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
@@ -95,8 +96,15 @@ def _layers(
     bag: Bag, files: Iterable[str], settings: Iterable[str], node: str, kind: type[Parameters]
 ) -> list[Mapping[str, Any]]:
     """What the bag carries for a node, then each file, then ``--set``."""
-    known = {name for name, _, _ in flat_fields(kind)}
-    carried = bag_parameters(bag, node)
+    stated = stated_parameters(bag, node)
+    carried = current_names(stated)
+    if carried.keys() != stated.keys():
+        print(
+            "note: the bag's parameters have names of an earlier version; read as those of today",
+            file=sys.stderr,
+        )
+    values = kind.overlaid(node_defaults(node, f"{node}.yaml"), carried)
+    known = set(known_names(kind, values, f"bag '{bag.path}'"))
     for name in sorted(carried.keys() - known):
         print(f"note: the bag's parameter '{name}' is not one of this version", file=sys.stderr)
     layers: list[Mapping[str, Any]] = [{n: v for n, v in carried.items() if n in known}]
@@ -129,8 +137,7 @@ def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, r
     if reference is not None and types[reference] not in _POSES:
         accepted = " or ".join(_POSES)
         raise InputError(f"--reference {reference}: it is a {types[reference]}; accepted: {accepted}")
-    sources = (*p.pose_sources, *p.yaw_rate_sources, *p.slip_sources)
-    known = types.keys() | {SPROCKETS, *filter(None, sources)}
+    known = types.keys() | {SPROCKETS, *p.timeouts_ns()}
     for option, named in (("--withhold", filters.withhold), ("--thin", filters.thin)):
         for edit in named:
             if edit.topic not in known:

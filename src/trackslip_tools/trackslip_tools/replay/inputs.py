@@ -25,6 +25,7 @@ from trackslip_bags.reader import Bag, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import RECORDS, ReportFields
+from trackslip_common.parameters import reloadable
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.measurements import (
     FREEZE,
@@ -34,7 +35,7 @@ from trackslip_estimation.slip.measurements import (
     UNFREEZE,
     Reload,
 )
-from trackslip_estimation.slip.parameters import SlipEstimatorParameters, reloadable
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.arrivals import (
     ARRIVAL,
     IS_COMMAND,
@@ -87,6 +88,7 @@ class InputStream:
         backwards = {after: before for before, after in filters.remap.items()}
         require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
         self._bag, self._filters, self._tables = bag, filters, tables
+        self._reloadable = reloadable(p)
         self._readers = _readers(p)
         self.sources = (*self._readers, RELOAD, *_COMMANDS)
         wanted = {*self._readers, REPORTS, RELOAD, *tables}
@@ -114,7 +116,7 @@ class InputStream:
         commands = [self.sources.index(name) for name in _COMMANDS]
         order = LiveOrder(self._journaled(), commands, self.sources.index(SPROCKETS))
         self.counts = order.counts
-        parameters = _ParameterChanges(self._bag, self.reloads)
+        parameters = _ParameterChanges(self._bag, self._reloadable, self.reloads)
         for stretch in read_tables(self._bag, self._names, *self._span):
             rows, lines = self._arrivals(stretch, parameters), self._lines(stretch)
             ready = order.push(filtering(rows), lines, stretch.until_ns)
@@ -188,8 +190,9 @@ class InputStream:
 class _ParameterChanges:
     """What was changed of the parameters while the estimator ran, by the bag's later messages."""
 
-    def __init__(self, bag: Bag, reloads: list[Reload]) -> None:
-        self._bag, self._reloads = bag, reloads
+    def __init__(self, bag: Bag, names: Collection[str], reloads: list[Reload]) -> None:
+        """``names``: of the parameters that may change."""
+        self._bag, self._names, self._reloads = bag, frozenset(names), reloads
         self._before: dict[str, Any] | None = None
 
     def rows(self, table: TopicTable, source: int) -> Rows:
@@ -200,7 +203,7 @@ class _ParameterChanges:
         for k in range(len(table)):
             before = bag_parameters(self._bag) if self._before is None else self._before
             now = read_parameters(self._bag, table.message(k))
-            changed = {n: now[n] for n in reloadable() & now.keys() if now[n] != before.get(n)}
+            changed = {n: now[n] for n in self._names & now.keys() if now[n] != before.get(n)}
             if changed:
                 changes[k], rows["reload"][k] = True, len(self._reloads)
                 self._reloads.append(Reload(changed))
@@ -248,7 +251,7 @@ def read_inputs(
 
 def _readers(p: SlipEstimatorParameters) -> dict[str, SourceReader]:
     readers = {SPROCKETS: SPROCKET_READER}
-    readers |= dict.fromkeys(filter(None, p.yaw_rate_sources), yaw_rate_reader(p.yaw_rate_stddev**2))
+    readers |= {topic: yaw_rate_reader(gyro.stddev**2) for topic, gyro in p.gyros().items()}
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
 

@@ -63,9 +63,10 @@ def parameter_rows(runs: Sequence[Run]) -> list[Row]:
 def _rows(defaults: Parameters, of_runs: Sequence[Parameters], node: str) -> list[Row]:
     columns = [to_flat(parameters) for parameters in (defaults, *of_runs)]
     rows = []
-    for name, _, spec in flat_fields(type(defaults)):
+    fields = {name: spec for p in (defaults, *of_runs) for name, _, spec in flat_fields(p)}
+    for name, spec in fields.items():
         meaning = f"{spec.description}, {spec.unit}" if spec.unit else spec.description
-        rows.append((f"{node}.{name}", meaning, *(_value(column[name]) for column in columns)))
+        rows.append((f"{node}.{name}", meaning, *(_value(column.get(name, "–")) for column in columns)))
     return rows
 
 

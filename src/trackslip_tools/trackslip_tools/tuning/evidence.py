@@ -11,7 +11,7 @@ import yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
-from trackslip_tools.tuning.plan import changed
+from trackslip_tools.tuning.plan import changed, expanded
 from trackslip_tools.tuning.task import Score
 from trackslip_tools.tuning.tuner import Tuning
 
@@ -26,7 +26,7 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
     """
     values = to_flat(changed(p, tuning.values))
     tree: dict[str, Any] = {}
-    for name in tuning.values:
+    for name in (full for tuned in tuning.values for full in expanded(p, tuned)):
         *groups, last = name.split(".")
         inner = tree
         for group in groups:

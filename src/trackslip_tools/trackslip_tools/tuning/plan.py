@@ -4,28 +4,30 @@
 objective: likelihood          # of the innovations; pose: of a reference's poses; position: its mean error
 evaluations: 500               # sets of parameters that one search may try
 seed: 0
-parameters:                    # of slip_estimator, dotted names; a list gets the same value everywhere
+parameters:                    # of slip_estimator, dotted names; sources.*.NAME: of each source that has it
   turning.turning_velocity_error: {low: 0.01, high: 1.0, scale: log}
 """
 
+import fnmatch
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Parameters, flat_fields, from_flat, parameter
+from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, parameter, to_flat
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.sources import KINDS
 
 FloatArray = NDArray[np.float64]
 
 LIKELIHOOD, POSE, POSITION = "likelihood", "pose", "position"
-_AT_READING = "yaw_rate_stddev"  # goes into the measurements when a bag is read
+_AT_READING = "sources.*.stddev"  # goes into the measurements when a bag is read
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +89,7 @@ class Plan:
         }
 
     def shares(self, p: SlipEstimatorParameters) -> FloatArray:
-        """(d,) the point of present values; of a list the first."""
+        """(d,) the point of present values; of several sources that of the first."""
         return np.array([bounds.share(value_of(p, name)) for name, bounds in self.bounds.items()])
 
 
@@ -110,35 +112,54 @@ def read_plan(path: Path) -> Plan:
 
 
 def value_of(p: SlipEstimatorParameters, name: str) -> float:
-    """The value of a parameter by its dotted name; of a list the first."""
-    value: Any = p
-    for part in name.split("."):
-        value = getattr(value, part)
-    return float(value[0] if isinstance(value, tuple) else value)
+    """The value of a parameter by its dotted name; of several sources that of the first.
+
+    Raises:
+        InputError: there is no such source.
+    """
+    value: float = to_flat(p)[expanded(p, name)[0]]
+    return value
+
+
+def expanded(p: SlipEstimatorParameters, name: str) -> list[str]:
+    """The parameters that a name of a tune file means.
+
+    Raises:
+        InputError: there are none.
+    """
+    found = fnmatch.filter((n for n, kind, _ in flat_fields(p) if kind is float), name)
+    if not found:
+        accepted = ", ".join(f"sources.{group}" for group in p.sources) or "none, there are no sources"
+        raise InputError(f"{name}: no such source to tune; accepted: {accepted}")
+    return found
 
 
 def changed(p: SlipEstimatorParameters, values: Mapping[str, float]) -> SlipEstimatorParameters:
-    """Parameters with other values; a list gets the value everywhere.
+    """Parameters with other values.
 
     Raises:
-        InputError: a value is refused.
+        InputError: a value is refused, or there is no such source.
     """
-    kinds = {name: kind for name, kind, _ in flat_fields(SlipEstimatorParameters)}
-    return p.changed({name: value if kinds[name] is float else [value] for name, value in values.items()})
+    return p.changed({full: value for name, value in values.items() for full in expanded(p, name)})
+
+
+def _numbers() -> dict[str, Spec]:
+    """What can be tuned, ``*`` standing for the name of any source."""
+    fields = [*flat_fields(SlipEstimatorParameters)]
+    fields += [
+        ("sources.*." + name, kind, spec) for k in KINDS.values() for name, kind, spec in flat_fields(k)
+    ]
+    return {name: spec for name, kind, spec in fields if kind is float and name != _AT_READING}
 
 
 def _bounds(where: str, name: str, given: object) -> Bounds:
-    numbers = {
-        known: spec
-        for known, kind, spec in flat_fields(SlipEstimatorParameters)
-        if kind in (float, tuple[float, ...]) and known != _AT_READING
-    }
-    if name not in numbers:
+    numbers, known = _numbers(), re.sub(r"^sources\.[^.]+\.", "sources.*.", name)
+    if known not in numbers:
         raise InputError(f"{where}: not to be tuned; accepted: {', '.join(numbers)}")
     if not isinstance(given, Mapping):
         raise InputError(f"{where}: {given!r} gives no bounds; accepted: {{low: …, high: …, scale: log}}")
     bounds = from_flat(Bounds, {"scale": "linear", **given}, where)
     for end in (bounds.low, bounds.high):
-        if not numbers[name].accepts(end):
-            raise InputError(f"{where}: {end:g} is out of range; accepted: {numbers[name].accepted()}")
+        if not numbers[known].accepts(end):
+            raise InputError(f"{where}: {end:g} is out of range; accepted: {numbers[known].accepted()}")
     return bounds

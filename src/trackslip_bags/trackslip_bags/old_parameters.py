@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters in bags of earlier versions, by the names of today: the one place that knows those of before."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from trackslip_estimation.slip.sources import group_name, named
+
+# Until November 2026 each number of the sources was a list: a value for each source, or one for all.
+_LISTS = {
+    "pose_sources": {
+        "pose_lever_arms_x": "lever_arm_x",
+        "pose_lever_arms_y": "lever_arm_y",
+        "pose_position_floors": "position_floor",
+        "pose_heading_floors": "heading_floor",
+        "pose_heading_ceilings": "heading_ceiling",
+        "pose_stamp_errors": "stamp_error",
+        "pose_timeouts": "timeout",
+    },
+    "yaw_rate_sources": {
+        "yaw_rate_signs": "sign",
+        "yaw_rate_scales": "scale",
+        "yaw_rate_timeouts": "timeout",
+    },
+    "slip_sources": {"slip_timeouts": "timeout"},
+}
+_DEFAULTS = {"pose_sources": ["box_pose"], "yaw_rate_sources": ["imu/data_raw"]}  # of mappings that name none
+
+
+def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
+    """The same parameters by the names of today."""
+    values = dict(stated)
+    for kind, keys in _LISTS.items():
+        topics = named(stated.get(kind, _DEFAULTS.get(kind, ())))
+        for old, key in keys.items():
+            if old in values:
+                values |= _one_each(topics, key, values.pop(old))
+    poses, gyros = (named(stated.get(kind, default)) for kind, default in _DEFAULTS.items())
+    if {"use_heading", "position_only"} & values.keys():
+        used, without = values.pop("use_heading", True), values.pop("position_only", ())
+        values |= _one_each(poses, "use_heading", [used and topic not in without for topic in poses])
+    if "yaw_rate_stddev" in values:
+        values |= _one_each(gyros, "stddev", [values.pop("yaw_rate_stddev")])
+    return values
+
+
+def _one_each(topics: Sequence[str], key: str, given: Sequence[Any]) -> dict[str, Any]:
+    """A parameter of each source of a list; a list of the wrong length was never in use."""
+    each = list(given) * len(topics) if len(given) == 1 else given
+    return {f"sources.{group_name(topic)}.{key}": value for topic, value in zip(topics, each, strict=False)}

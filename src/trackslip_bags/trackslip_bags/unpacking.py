@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Unpacks what bags hold packed: never to more than it states, nor to more than a recorder would write."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+
+import lz4.frame
+import zstandard
+from mcap.records import Chunk
+from rosbags.rosbag2 import storage_mcap
+
+LARGEST = 256_000_000  # bytes of a chunk; recorders write chunks of 1 to 10 MB
+_RATIO = 200  # of a file to its packed form; recordings reach some 20
+_PIECE = 1 << 20  # bytes that are unpacked at once
+
+
+def _as_it_is(data: bytes, _: int) -> bytes:
+    return data
+
+
+def _zstd(data: bytes, most: int) -> bytes:
+    content: bytes = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(most)
+    return content
+
+
+def _lz4(data: bytes, most: int) -> bytes:
+    content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
+    return content
+
+
+_KINDS: Mapping[str, Callable[[bytes, int], bytes]] = MappingProxyType(
+    {"": _as_it_is, "lz4": _lz4, "zstd": _zstd}
+)
+
+
+def unpacked(data: bytes, compression: str, size: int) -> bytes:
+    """The ``size`` bytes that a chunk states.
+
+    Raises:
+        ValueError: it states too much, unpacks to another size, or is of another compression.
+    """
+    if size > LARGEST:
+        raise ValueError(f"a chunk of {size / 1e6:.0f} MB; accepted: up to {LARGEST / 1e6:.0f} MB")
+    if compression not in _KINDS:
+        raise ValueError(f"a chunk of compression '{compression}'; accepted: lz4, zstd or none")
+    content = _KINDS[compression](data, size + 1)
+    if len(content) != size:
+        raise ValueError("a chunk that unpacks to another size than it states")
+    return content
+
+
+def plain(chunk: Chunk) -> Chunk:
+    """A chunk with its records unpacked.
+
+    Raises:
+        ValueError: as ``unpacked``.
+    """
+    data = unpacked(chunk.data, chunk.compression, chunk.uncompressed_size)
+    return replace(chunk, compression="", data=data)
+
+
+def message(data: bytes) -> bytes:
+    """A message that was packed by itself.
+
+    Raises:
+        ValueError: it unpacks to more than ``LARGEST``.
+    """
+    content = _zstd(data, LARGEST + 1)
+    if len(content) > LARGEST:
+        raise ValueError(f"a message that unpacks to more than {LARGEST / 1e6:.0f} MB")
+    return content
+
+
+def check_packed_file(path: Path) -> None:
+    """Look how much a file that was packed whole (``.zstd``) unpacks to.
+
+    Raises:
+        ValueError: to many times more than a recording does.
+    """
+    packed = path.stat().st_size
+    most, size = max(LARGEST, _RATIO * packed), 0
+    with path.open("rb") as file:
+        stream = zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
+        while piece := stream.read(_PIECE):
+            size += len(piece)
+            if size > most:
+                raise ValueError(f"{path.name}: {packed} bytes that unpack to more than {most / 1e6:.0f} MB")
+
+
+def limit_rosbags() -> None:
+    """Have rosbags, which unpacks chunks without a limit, do it by ``unpacked``."""
+    for kind in _KINDS:
+        storage_mcap.DECOMPRESSORS[kind] = partial(_named, kind)
+
+
+def _named(compression: str, data: bytes, size: int) -> bytes:
+    return unpacked(data, compression, size)

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of earlier versions replay with what their parameters meant."""
+
+from typing import Any
+
+import pytest
+
+from trackslip_bags.old_parameters import current_names
+from trackslip_estimation.slip.parameters import load_slip_parameters
+
+
+def test_lists_become_groups() -> None:
+    stated = {
+        "pose_sources": ["box_pose", "gnss/pose"],
+        "position_only": ["gnss/pose"],
+        "use_heading": True,
+        "pose_lever_arms_x": [0.0, 0.4],
+        "pose_timeouts": [2.0],
+        "yaw_rate_sources": ["imu/data_raw"],
+        "yaw_rate_signs": [-1],
+        "yaw_rate_stddev": 0.01,
+        "slip_sources": [""],
+        "slip_timeouts": [3600.0],
+    }
+    p = load_slip_parameters(current_names(stated))
+    assert [source.use_heading for source in p.poses().values()] == [True, False]
+    assert [source.lever for source in p.poses().values()] == [(0.0, 0.0), (0.4, 0.0)]
+    assert [source.timeout for source in p.poses().values()] == [2.0, 2.0]
+    gyro = p.gyros()["imu/data_raw"]
+    assert (gyro.sign, gyro.stddev) == (-1, 0.01)
+
+
+@pytest.mark.parametrize("stated", [{}, {"pose_sources": ["rtk"], "sources.rtk.lever_arm_x": 0.3}])
+def test_names_of_today_stay(stated: dict[str, Any]) -> None:
+    assert current_names(stated) == stated
+
+
+def test_a_mapping_of_before_that_names_no_source_means_the_default_ones() -> None:
+    assert current_names({"use_heading": False}) == {"sources.box_pose.use_heading": False}

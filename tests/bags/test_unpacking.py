@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is packed small and unpacks to much: refused, and the memory it asks for is never taken."""
+
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame
+import pytest
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from trackslip_bags.chunks import read_stretches
+from trackslip_bags.reader import open_bag
+from trackslip_bags.unpacking import LARGEST, check_packed_file, message, unpacked
+from trackslip_common.errors import InputError
+
+MEMORY = 1_500_000_000  # bytes of address space that a reader is given
+PACKED = {
+    "zstd": lambda size: zstandard.ZstdCompressor().compress(b"\0" * size),
+    "zstd_in_frames": lambda size: zstandard.ZstdCompressor().compress(b"\0" * (size // 10)) * 10,
+    "lz4": lambda size: lz4.frame.compress(b"\0" * size),
+}
+
+
+@pytest.mark.parametrize("kind", PACKED)
+def test_chunk_is_unpacked_to_what_it_states(kind: str) -> None:
+    assert unpacked(PACKED[kind](5000), kind.partition("_")[0], 5000) == b"\0" * 5000
+
+
+@pytest.mark.parametrize("kind", PACKED)
+@pytest.mark.parametrize("stated", [0, 4999, 5001])
+def test_chunk_of_another_size_than_it_states(kind: str, stated: int) -> None:
+    with pytest.raises(ValueError, match="another size"):
+        unpacked(PACKED[kind](5000), kind.partition("_")[0], stated)
+
+
+def test_chunk_that_states_too_much() -> None:
+    with pytest.raises(ValueError, match="4000 MB; accepted"):
+        unpacked(b"", "zstd", 4_000_000_000)
+
+
+def test_message_that_unpacks_to_too_much() -> None:
+    packer = zstandard.ZstdCompressor().compressobj()
+    pieces = [packer.compress(b"\0" * 1_000_000) for _ in range(LARGEST // 1_000_000 + 1)]
+    packed = b"".join([*pieces, packer.flush()])
+    with pytest.raises(ValueError, match="more than 256 MB"):
+        message(packed)
+    assert message(zstandard.ZstdCompressor().compress(b"abc")) == b"abc"
+
+
+def test_file_that_unpacks_to_too_much(tmp_path: Path) -> None:
+    file = tmp_path / "bag.db3.zstd"
+    piece = zstandard.ZstdCompressor().compress(b"\0" * 20_000_000)
+    file.write_bytes(piece * 20)
+    with pytest.raises(ValueError, match="unpack to more than"):
+        check_packed_file(file)
+    file.write_bytes(piece)
+    check_packed_file(file)
+
+
+def _info(bag: Path) -> None:
+    with open_bag(bag) as opened:
+        for _ in read_stretches(opened, ["/a"]):
+            pass
+
+
+def test_131_kb_that_unpack_to_4_gb(tmp_path: Path, bomb: Callable[[Path, int], None]) -> None:
+    """A chunk that states 4 GB, in a process that may not have as much."""
+    file = tmp_path / "bomb.mcap"
+    bomb(file, 4_000_000_000)
+    assert file.stat().st_size < 200_000
+    code = f"from bags.test_unpacking import _info; from pathlib import Path; _info(Path({str(file)!r}))"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[1],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
+        check=False,
+    )
+    assert "InputError" in done.stderr
+    assert "4000 MB" in done.stderr
+
+
+def test_chunk_that_lies_about_its_size(tmp_path: Path, bomb: Callable[[Path, int], None]) -> None:
+    file = tmp_path / "bomb.mcap"
+    bomb(file, 1000)
+    with pytest.raises(InputError, match=r"damaged inside .*another size"):
+        _info(file)
+
+
+@pytest.fixture
+def bomb() -> Callable[[Path, int], None]:
+    """A function that writes a file whose one chunk, of 0.1 MB, states another size."""
+
+    def write(file: Path, stated: int) -> None:
+        with file.open("wb") as stream:
+            writer = Writer(stream, compression=CompressionType.ZSTD)
+            writer.start("ros2")
+            schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+            channel = writer.register_channel("/a", "cdr", schema)
+            writer.add_message(channel, 1, b"\0" * 100_000, 1)
+            writer.finish()
+        _restate(file, stated)
+
+    return write
+
+
+def _restate(file: Path, stated: int) -> None:
+    """Write another uncompressed size into the chunk and into the index of chunks."""
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    (index,) = summary.chunk_indexes
+    before, after = (n.to_bytes(8, "little") for n in (index.uncompressed_size, stated))
+    data = file.read_bytes()
+    assert data.count(before) == 2
+    file.write_bytes(data.replace(before, after))
