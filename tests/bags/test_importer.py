@@ -14,11 +14,12 @@ import yaml
 
 from trackslip_bags.importing.importer import import_log
 from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.parameters import PARAMETERS_TOPIC, bag_parameters
+from trackslip_bags.parameters import PARAMETERS_TOPIC, bag_parameters, bag_vehicle
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
+from trackslip_common.vehicle import load_vehicle
 from trackslip_estimation.slip.conversions import UNOBSERVED
 from trackslip_tools.cli import import_command, info_command
 
@@ -122,18 +123,16 @@ def test_the_bag_is_in_the_order_of_stamps(tmp_path: Path) -> None:
 
 
 def test_parameters_travel_in_the_bag(tmp_path: Path) -> None:
-    vehicle = read_mapping(config_file("mappings/warthog.yaml")).parameters["vehicle"]
-    mapping = changed(parameters={"vehicle": vehicle, "late_window": 0.5})
+    mapping = changed(vehicle="warthog", parameters={"late_window": 0.5})
     with open_bag(import_text(tmp_path, mapping=mapping)) as bag:
-        parameters = bag_parameters(bag)
-    assert parameters["vehicle.tread"] == 1.08
-    assert parameters["late_window"] == 0.5
-    assert len(parameters) == len(vehicle) + 1
+        assert bag_vehicle(bag) == load_vehicle("warthog")
+        assert bag_parameters(bag) == {"late_window": 0.5}
 
 
 def test_no_parameters_no_message(tmp_path: Path) -> None:
     with open_bag(import_text(tmp_path, mapping=changed(parameters=None))) as bag:
         assert bag_parameters(bag) == {}
+        assert bag_vehicle(bag) is None
         assert f"/{PARAMETERS_TOPIC}" not in bag.topics
 
 
@@ -211,8 +210,13 @@ BAD_MAPPINGS = {
     "time.unit: 'sec' is unknown; accepted: s, ms, us, µs, ns": changed(time__unit="sec"),
     "start: 'noon' is not accepted": changed(start="noon"),
     "parameters: ['tread'] is not accepted": changed(parameters=["tread"]),
-    "parameters.vehicle: parameter 'mass' is missing": changed(parameters={"vehicle": {"tread": 1.0}}),
-    "parameters.vehicle: unknown parameter 'wheels'": changed(parameters={"vehicle": {"wheels": 4}}),
+    "parameters.vehicle: accepted: vehicle, beside parameters": changed(
+        parameters={"vehicle": {"tread": 1.0}}
+    ),
+    "vehicle 'wartog': no such vehicle or file, did you mean 'warthog'?": changed(vehicle="wartog"),
+    "vehicle: parameter 'kinematics.tread' is missing": changed(
+        vehicle={"kinematics": {"rolling_radius": 0.3, "contact_length": 1.0}}
+    ),
     "no column 'speed'; the columns are: t, wl, wr": changed(
         topics__sprockets__left_velocity__column="speed"
     ),
@@ -316,4 +320,4 @@ def test_the_warthog_log(tmp_path: Path) -> None:
         assert np.mean(accelerations) == pytest.approx(9.81, abs=0.1)
         stamps = np.diff([stamp_ns_of(m) for m in contents(bag, "reference_pose")])
         assert stamps.min() > 0
-        assert bag_parameters(bag)["vehicle.tread"] == 1.08
+        assert bag_vehicle(bag) == load_vehicle("warthog")

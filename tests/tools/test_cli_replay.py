@@ -118,7 +118,7 @@ def test_a_remapped_topic_is_the_source(
 def test_parameters_come_in_layers(bag: Path, tmp_path: Path, summary: Summary) -> None:
     wide = tmp_path / "wide.yaml"
     wide.write_text("/**: {ros__parameters: {vehicle: {tread: 1.46}}}\n", encoding="utf-8")
-    tread = "slip_estimator.vehicle.tread"
+    tread = "slip_estimator.vehicle.kinematics.tread"
     default, by_file = summary(bag), summary(bag, "--params", wide)
     assert by_file["rmse"]["dead_reckoning"] != default["rmse"]["dead_reckoning"]
     assert summary(bag, "--set", f"{tread}=1.46")["rmse"] == by_file["rmse"]
@@ -147,7 +147,7 @@ def test_a_replay_of_a_recorded_run_matches_it(
             recording.write(message.topic, message.type_name, message.raw, end_ns + k)
     assert summary(both)["replay_matches"] is True
     assert "replay_matches" not in summary(both, "--withhold", "box_pose:4:5")
-    assert summary(both, "--set", "slip_estimator.vehicle.tread=0.74")["replay_matches"] is False
+    assert summary(both, "--set", "slip_estimator.vehicle.kinematics.tread=0.74")["replay_matches"] is False
 
 
 def test_info_lists_the_topics(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of another robot, of both ROS, through import, replay and report, with nothing by hand but a mapping."""
+"""Logs of another robot, of both ROS, through import, replay and report: by hand is only a mapping."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,6 @@ import pytest
 import yaml
 from fixtures.robot_logs import RADIUS, TREAD, drive, write_ros1, write_ros2
 
-from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode
 from trackslip_tools.cli.main import main
 
@@ -23,8 +22,7 @@ WHEELS = {
 
 def mapping(**changed: Any) -> dict[str, Any]:
     """Of the four-wheel robot, its topics changed."""
-    warthog = yaml.safe_load(config_file("mappings/warthog.yaml").read_text(encoding="utf-8"))
-    vehicle = {**warthog["parameters"]["vehicle"], "rolling_radius": RADIUS, "tread": TREAD}
+    kinematics = {"rolling_radius": RADIUS, "tread": TREAD, "contact_length": 0.5}
     topics = {
         "sprockets": WHEELS,
         "imu/data_raw": {"from": "/imu/data"},
@@ -32,13 +30,8 @@ def mapping(**changed: Any) -> dict[str, Any]:
         "reference_pose": {"from": "/truth", "stddev": {"x": 0.001, "y": 0.001, "yaw": 0.001}},
         **changed,
     }
-    parameters = {
-        "pose_sources": ["mocap_pose"],
-        "max_sprocket_speed": 20.0,
-        "encoder_resolution": 0.0,
-        "vehicle": vehicle,
-    }
-    return {"topics": topics, "parameters": parameters}
+    parameters = {"pose_sources": ["mocap_pose"], "max_sprocket_speed": 20.0, "encoder_resolution": 0.0}
+    return {"topics": topics, "vehicle": {"kinematics": kinematics}, "parameters": parameters}
 
 
 def imported(folder: Path, log: Path, content: dict[str, Any]) -> Path:

@@ -24,6 +24,8 @@ from trackslip_bags.reader import absolute
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
 _CSV = (".csv", ".txt", ".tsv", ".dat")
@@ -64,13 +66,15 @@ def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Impor
     local = LocalFrame(mapping.datum)
     samples, notes = _read(logs, mapping, local)
     samples = [_from_zero(one) for one in samples]
+    if not any(len(one.stamps_ns) for one in samples):
+        raise InputError(f"{logs[0]}: no message has a stamp of 0 s or later; accepted: another time_offset")
+    samples = [one for one in samples if len(one.stamps_ns)]
     with BagWriter(output) as bag:
-        first = True
+        begin_ns = min(int(one.log_times_ns.min()) for one in samples)
+        for topic, text in _latched(mapping):
+            data = serialize(make(PARAMETERS_TYPE, data=text))
+            bag.write(absolute(topic), PARAMETERS_TYPE, data, begin_ns)
         for log_time_ns, one, row in _in_log_order(samples):
-            if first and mapping.parameters:
-                text = serialize(make(PARAMETERS_TYPE, data=parameters_text(mapping.parameters, SLIP_NODE)))
-                bag.write(absolute(PARAMETERS_TOPIC), PARAMETERS_TYPE, text, log_time_ns)
-            first = False
             type_name = ROLES[one.role].type_name
             bag.write(absolute(one.topic), type_name, serialize(one.message(row)), log_time_ns)
     left_out = {absolute(one.topic): dict(one.left_out) for one in samples if one.left_out}
@@ -110,6 +114,14 @@ def _csv_files(path: Path) -> list[Path]:
     if not found:
         raise InputError(f"{path}: neither a bag nor a directory of CSV files ({', '.join(_CSV)})")
     return found
+
+
+def _latched(mapping: LogMapping) -> Iterator[tuple[str, str]]:
+    """What a bag begins with: its vehicle, and what the estimator is told."""
+    if mapping.vehicle is not None:
+        yield VEHICLE, vehicle_text(mapping.vehicle)
+    if mapping.parameters:
+        yield PARAMETERS_TOPIC, parameters_text(mapping.parameters, SLIP_NODE)
 
 
 def _from_zero(one: Samples) -> Samples:

@@ -8,7 +8,8 @@ topics:
     right_velocity: {column: wr, unit: deg/s}
   imu/data_raw: {from: /imu/data}      # … or a topic of a bag
   reference_pose: {x: …, y: …, yaw: …, stddev: {x: 0.02, y: 0.02, yaw: 0.01}}
-parameters: {…}                        # of slip_estimator, kept in the bag
+vehicle: warthog                       # a name of config/vehicles, a file, or {kinematics: {…}}
+parameters: {…}                        # of slip_estimator; both are kept in the bag
 """
 
 from collections.abc import Mapping
@@ -39,7 +40,7 @@ from trackslip_bags.importing.tree import (
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError, did_you_mean
 from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import VehicleParameters, load_vehicle
 
 _COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
 _OF_CSV = ("file", "time", "received", "new_when_changes")
@@ -114,23 +115,28 @@ class LogMapping:
     start_ns: int
     datum: Datum | None  # None: the first position
     topics: Mapping[str, CsvTopic | BagTopic]
+    vehicle: VehicleParameters | None
     parameters: Mapping[str, Any]
 
 
-def read_mapping(path: Path) -> LogMapping:
-    """Read a mapping file.
+def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMapping:
+    """Read a mapping file; ``vehicle`` replaces its own.
 
     Raises:
         InputError: it cannot be read, or a key, unit or value in it is not accepted.
     """
     tree = read_yaml(path)
     where = str(path)
-    check_keys(where, tree, ("topics",), ("time", "received", "start", "datum", "parameters"))
+    check_keys(where, tree, ("topics",), ("time", "received", "start", "datum", "vehicle", "parameters"))
     topics = section(f"{where}: topics", tree["topics"])
     if not topics:
         raise InputError(f"{where}: topics is empty; accepted: {', '.join(ROLE_OF_TOPIC)}")
     parameters = section(f"{where}: parameters", tree.get("parameters", {}))
-    geometry = _geometry_of(where, parameters)
+    if "vehicle" in parameters:
+        raise InputError(f"{where}: parameters.vehicle: accepted: vehicle, beside parameters")
+    if vehicle is None and "vehicle" in tree:
+        vehicle = _vehicle(path, tree["vehicle"])
+    geometry = None if vehicle is None else _geometry(vehicle)
     common: dict[str, Any] = {name: tree[name] for name in ("time", "received") if name in tree}
     found = {name: _topic(where, name, topic, common, geometry) for name, topic in topics.items()}
     if len({isinstance(topic, BagTopic) for topic in found.values()}) > 1:
@@ -142,6 +148,7 @@ def read_mapping(path: Path) -> LogMapping:
         start_ns=nanoseconds(f"{where}: start", tree.get("start", 0.0)),
         datum=_datum(f"{where}: datum", tree.get("datum", FIRST)),
         topics=found,
+        vehicle=vehicle,
         parameters=parameters,
     )
 
@@ -260,12 +267,21 @@ def needs_geometry() -> str:
     return "a speed over ground needs a vehicle in the mapping, or geometry: {rolling_radius: …, tread: …}"
 
 
-def _geometry_of(where: str, parameters: Mapping[str, Any]) -> Geometry | None:
-    if "vehicle" not in parameters:
-        return None
-    place = f"{where}: parameters.vehicle"
-    vehicle = from_flat(Vehicle, flatten(section(place, parameters["vehicle"])), place)
-    return Geometry(vehicle.rolling_radius, vehicle.tread)
+def _vehicle(path: Path, value: Any) -> VehicleParameters:
+    """By its name, from a file, here or beside the mapping, or as it stands in the mapping."""
+    where = f"{path}: vehicle"
+    if isinstance(value, Mapping):
+        return from_flat(VehicleParameters, {"name": path.stem, **flatten(value)}, where)
+    name = text(where, value)
+    beside = path.parent / name
+    try:
+        return load_vehicle(str(beside) if beside.is_file() else name)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _geometry(vehicle: VehicleParameters) -> Geometry:
+    return Geometry(vehicle.kinematics.rolling_radius, vehicle.kinematics.tread)
 
 
 def _own_geometry(where: str, value: Any) -> Geometry:

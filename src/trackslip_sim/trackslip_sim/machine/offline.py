@@ -15,6 +15,8 @@ from trackslip_bags.messages import make
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import config_file
 from trackslip_common.tally import Tally
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_drivers import conversions as of_sensors
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.protocols.can_frames import FrameSet
@@ -89,10 +91,12 @@ class _Host:
         self._session = SickSession(self._sick, self._tally)
         self._baud = self._session.baud
         box = default_parameters(BoxNodeParameters, box_parameters.NODE, *box_parameters.DEFAULT_FILES)
-        self._vehicle = box.vehicle
-        self._localizer = BoxLocalizer(box, box.vehicle)
+        self._vehicle = p.vehicle.whole()
+        self._localizer = BoxLocalizer(box, p.vehicle.box)
         serializers = sensor_serializers(watson, _BODY_FRAME) | self._truth_serializers()
         self.recording = Recording(bag, serializers)
+        text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
+        self.recording.add(VEHICLE, text, START_NS)
         self._written_ns = START_NS
 
     def step(self, now_ns: int) -> None:

@@ -11,6 +11,8 @@ from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode
+from trackslip_common.vehicle import load_vehicle
+from trackslip_tools.cli import replay_options
 
 EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --output out/field_log"
 
@@ -31,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="columns and units, or topics; a path or a file of config/ (docs/import.md)",
     )
+    replay_options.add_vehicle(parser, "the mapping's")
     add("--output", metavar="BAG", type=Path, required=True, help="directory to create")
 
 
@@ -40,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the log, the mapping or the output cannot be used.
     """
-    imported = import_log(args.logs, read_mapping(config_file(args.mapping)), args.output)
+    vehicle = None if args.vehicle is None else load_vehicle(args.vehicle)
+    imported = import_log(args.logs, read_mapping(config_file(args.mapping), vehicle), args.output)
     with open_bag(args.output) as bag:
         print(describe(bag))
     for line in _notes(imported):

@@ -15,7 +15,7 @@ import numpy as np
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Command, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -78,6 +78,7 @@ class Replay:
     paths: dict[str, Path] = field(default_factory=dict)
     soil: SoilReplay | None = None  # where the bag has hydraulics
     no_estimate: str = ""  # why there is none, or none with a heading
+    vehicle: str = ""  # its name
 
 
 def replay(
@@ -97,7 +98,7 @@ def replay(
     reference = reference or own_reference(bag)
     of_both = (ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
     stream = InputStream(bag, p, filters, _scored(reference).union(of_both))
-    collector = _Collector(stream, reference, p.vehicle, compares=not filters.changes_inputs)
+    collector = _Collector(stream, reference, p.vehicle.kinematics, compares=not filters.changes_inputs)
     soil = (
         SoilRun(bag.start_ns, filters, of_soil)
         if of_soil is not None and HYDRAULICS in stream.topics
@@ -112,6 +113,7 @@ def replay(
     result = collector.result()
     result.no_estimate = why_no_estimate(bag, p, filters, collector.taken)
     result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
+    result.vehicle = p.vehicle.name
     result.elapsed_s = time.monotonic() - began
     return result
 
@@ -139,7 +141,7 @@ class _Collector:
     """What is kept of the parts."""
 
     def __init__(
-        self, stream: InputStream, reference: str | None, vehicle: Vehicle, *, compares: bool
+        self, stream: InputStream, reference: str | None, vehicle: Kinematics, *, compares: bool
     ) -> None:
         self._stream, self._reference = stream, reference
         self._scored = _scored(reference)
@@ -168,8 +170,8 @@ class _Collector:
             self._series.add(topic, rows)
         self._slips.add(estimates, *(tables.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY)))
         if self._reference is not None:
-            rows = tables.get(self._reference)
-            reference = None if rows is None else reduced(rows)
+            logged = tables.get(self._reference)
+            reference = None if logged is None else reduced(logged)
             self._errors.add_estimates(estimates, reference)
             for reckoning in self._reckonings.values():
                 reckoning.add(part.arrivals, reference)
