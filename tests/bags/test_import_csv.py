@@ -16,6 +16,7 @@ from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.importing.times import time_ns
 from trackslip_bags.reader import open_bag
+from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.units import UNITS
@@ -297,3 +298,10 @@ def test_a_mistyped_key_is_named(tmp_path: Path, message: str) -> None:
         imported(tmp_path, "t,l,r\n1,2,3\n", {"sprockets": WHEELS}, **MISTAKES[message])
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["warthog", "gnss_machine", "four_wheels"])
+def test_the_mappings_of_the_project_are_read(name: str) -> None:
+    mapping = read_mapping(config_file(f"mappings/{name}.yaml"))
+    assert "sprockets" in mapping.topics
+    assert mapping.vehicle is not None

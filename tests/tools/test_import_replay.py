@@ -5,33 +5,27 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
-from fixtures.robot_logs import RADIUS, TREAD, drive, write_ros1, write_ros2
+from fixtures.robot_logs import EPOCH_NS, drive, write_gnss_csv, write_ros1, write_ros2
 
+from trackslip_bags.reader import open_bag
+from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode
+from trackslip_common.make import stamp_ns_of
 from trackslip_tools.cli.main import main
 
 TRUTH = drive(40.0)
-WHEELS = {
-    "from": "/joint_states",
-    "left": ["front_left_wheel", "rear_left_wheel"],
-    "right": {"joints": ["front_right_wheel", "rear_right_wheel"], "sign": -1},
-}
 
 
 def mapping(**changed: Any) -> dict[str, Any]:
     """Of the four-wheel robot, its topics changed."""
-    kinematics = {"rolling_radius": RADIUS, "tread": TREAD, "contact_length": 0.5}
-    topics = {
-        "sprockets": WHEELS,
-        "imu/data_raw": {"from": "/imu/data"},
-        "mocap_pose": {"role": "pose", "from": "/mocap", "stddev": {"x": 0.03, "y": 0.03, "yaw": 0.05}},
-        "reference_pose": {"from": "/truth", "stddev": {"x": 0.001, "y": 0.001, "yaw": 0.001}},
-        **changed,
-    }
-    parameters = {"pose_sources": ["mocap_pose"], "max_sprocket_speed": 20.0, "encoder_resolution": 0.0}
-    return {"topics": topics, "vehicle": {"kinematics": kinematics}, "parameters": parameters}
+    found: dict[str, Any] = yaml.safe_load(
+        config_file("mappings/four_wheels.yaml").read_text(encoding="utf-8")
+    )
+    found["topics"] |= changed
+    return found
 
 
 def imported(folder: Path, log: Path, content: dict[str, Any]) -> Path:
@@ -76,6 +70,27 @@ def test_a_four_wheel_robot_goes_through(name: str, tmp_path: Path, request: pyt
     page = tmp_path / "report.html"
     assert main(["report", str(made), "--output", str(page)]) == ExitCode.DONE
     assert "of the position" not in page.read_text(encoding="utf-8")
+
+
+def test_a_machine_with_gnss_goes_through(tmp_path: Path) -> None:
+    """Three files, RTK of 2 cm at 5 Hz on the boom's side, and a heading that is blank for two seconds."""
+    truth = drive(40.0, tread=2.38)
+    logs = write_gnss_csv(tmp_path / "logs", truth, (-1.2, 0.6))
+    bag, out = tmp_path / "bag", tmp_path / "estimates"
+    arguments = ["--mapping", "mappings/gnss_machine.yaml", "--output", str(bag)]
+    assert main(["import", str(logs), *arguments]) == ExitCode.DONE
+    replayed(bag, "--output", str(out))
+    c, s = np.cos(truth.pose[0, 2]), np.sin(truth.pose[0, 2])
+    antenna = truth.pose[0, :2] + np.array((-1.2, 0.6)) @ np.array(((c, s), (-s, c)))  # the first fix, nearly
+    errors = []
+    with open_bag(out) as estimates:
+        for m in estimates.messages(["odometry"]):
+            odometry = estimates.deserialize(m.raw, m.type_name)
+            k = round((stamp_ns_of(odometry) - EPOCH_NS) / 20e6)
+            place = odometry.pose.pose.position
+            errors.append(np.hypot(*(truth.pose[k, :2] - antenna - (place.x, place.y))))
+    assert len(errors) > 1900
+    assert np.sqrt(np.mean(np.square(errors))) < 0.06  # with the noise of the fix that is the datum
 
 
 def test_the_order_of_arrival_is_that_of_the_robot(ros2_log: Path, bag: Path, tmp_path: Path) -> None:
