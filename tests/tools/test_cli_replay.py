@@ -117,7 +117,10 @@ def test_a_remapped_topic_is_the_source(
 
 def test_parameters_come_in_layers(bag: Path, tmp_path: Path, summary: Summary) -> None:
     wide = tmp_path / "wide.yaml"
-    wide.write_text("/**: {ros__parameters: {vehicle: {tread: 1.46}}}\n", encoding="utf-8")
+    wide.write_text(
+        "/**: {ros__parameters: {vehicle: {kinematics: {tread: 1.46}}, serial_port: /dev/x}}\n",
+        encoding="utf-8",
+    )
     tread = "slip_estimator.vehicle.kinematics.tread"
     default, by_file = summary(bag), summary(bag, "--params", wide)
     assert by_file["rmse"]["dead_reckoning"] != default["rmse"]["dead_reckoning"]
@@ -135,7 +138,13 @@ def test_a_replay_of_a_recorded_run_matches_it(
     with open_bag(made) as estimates:
         assert {t.removeprefix("/"): i.type_name for t, i in estimates.topics.items()} == {
             topic: TOPICS[topic].type_name
-            for topic in ("odometry", "track_slip", "measurement_reports", "slip_estimator/parameters")
+            for topic in (
+                "odometry",
+                "track_slip",
+                "measurement_reports",
+                "slip_estimator/parameters",
+                "vehicle",
+            )
         }
         written = [(m, estimates.deserialize(m.raw, m.type_name)) for m in estimates.messages()]
     in_order = sorted(written, key=lambda pair: getattr(pair[1], "sequence", -1))
