@@ -231,6 +231,16 @@ def test_a_cut_bag_of_ros1_names_what_mends_it(tmp_path: Path) -> None:
             imported(tmp_path / "robot.bag", tmp_path)
 
 
+def test_a_type_of_another_form_is_named(tmp_path: Path) -> None:
+    """A bag whose definition of JointState was damaged."""
+    log = write_ros1(tmp_path / "robot.bag", TRUTH)
+    log.write_bytes(log.read_bytes().replace(b"float64[] velocity", b"float64[] velocitx"))
+    with pytest.raises(
+        InputError, match=r"robot\.bag': bad sensor_msgs/msg/JointState on /joint_states \(.*velocity"
+    ):
+        imported(log, tmp_path)
+
+
 def test_a_mapping_of_columns_is_not_for_a_bag(log: Path, tmp_path: Path) -> None:
     speeds = {side: {"column": side, "unit": "rad/s"} for side in ("left_velocity", "right_velocity")}
     mapping = {"time": {"column": "t", "unit": "s"}, "topics": {"sprockets": speeds}}

@@ -250,6 +250,15 @@ def test_epochs_of_any_unit_are_exact(stamp_ns: int, unit: str) -> None:
     assert time_ns(cell, TimeColumn("t", unit)) == stamp_ns
 
 
+@pytest.mark.parametrize(
+    "cell", ["9" * 30, "1e999999", "1e9999999999999999999", "inf", "NaN5", "9999-01-01T00:00", ""]
+)
+def test_what_is_no_time_is_refused(cell: str) -> None:
+    for unit in ("s", "ns", "iso8601"):
+        with pytest.raises(ValueError, match=r".*"):
+            time_ns(cell, TimeColumn("t", unit))
+
+
 @given(st.text(max_size=30), st.sampled_from([*UNITS["time"], "iso8601"]))
 def test_no_cell_is_worse_than_a_wrong_time(cell: str, unit: str) -> None:
     try:

@@ -209,6 +209,7 @@ BAD_MAPPINGS = {
     "reference_pose.stddev.x: 0 is out of range; accepted: > 0": changed(topics__reference_pose__stddev__x=0),
     "time.unit: 'sec' is unknown; accepted: s, ms, us, µs, ns": changed(time__unit="sec"),
     "start: 'noon' is not accepted": changed(start="noon"),
+    "start: 1e+300 is out of range": changed(start=1e300),
     "parameters: ['tread'] is not accepted": changed(parameters=["tread"]),
     "parameters.vehicle: accepted: vehicle, beside parameters": changed(
         parameters={"vehicle": {"tread": 1.0}}

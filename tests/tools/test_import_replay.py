@@ -2,6 +2,7 @@
 """Logs of another robot, of both ROS, through import, replay and report: by hand is only a mapping."""
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,16 @@ import pytest
 import yaml
 from fixtures.robot_logs import EPOCH_NS, drive, write_gnss_csv, write_ros1, write_ros2
 
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode
 from trackslip_common.make import stamp_ns_of
+from trackslip_common.tally import Tally
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
+from trackslip_tools.replay.no_estimate import Taken, why_no_estimate
 
 TRUTH = drive(40.0)
 
@@ -121,7 +127,6 @@ NO_ESTIMATE = {
     "no fix came: nothing on box_pose; the bag has mocap_pose, reference_pose "
     "(--set slip_estimator.pose_sources=[mocap_pose])": ["pose_sources=[box_pose]"],
     "no fix came: pose_sources names none": ["pose_sources=['']"],
-    "every sample of the sprockets was refused (sprockets: 2000 invalid)": ["max_sprocket_speed=0.001"],
 }
 
 
@@ -130,6 +135,26 @@ def test_no_estimate_says_why(bag: Path, reason: str, capsys: pytest.CaptureFixt
     options = [word for text in NO_ESTIMATE[reason] for word in ("--set", f"slip_estimator.{text}")]
     assert replayed(bag, *options, code=ExitCode.FAILED)["final"] is None
     assert f"no estimate: {reason}" in capsys.readouterr().out
+
+
+REFUSED = {
+    "every sample of the sprockets was refused (sprockets: 9 invalid)": ({"sprockets": 9}, {"sprockets": 9}),
+    "every fix was refused (mocap_pose: 5 invalid)": ({"sprockets": 9, "mocap_pose": 5}, {"mocap_pose": 5}),
+    "no sprockets after the first fix": ({"sprockets": 9, "mocap_pose": 5}, {"mocap_pose": 4}),
+    "no sprockets between --start and --stop": ({"mocap_pose": 5}, {}),
+}
+
+
+@pytest.mark.parametrize("reason", REFUSED)
+def test_what_was_refused_is_counted_in_the_reason(bag: Path, reason: str) -> None:
+    given, invalid = REFUSED[reason]
+    rejected = Tally()
+    for source, count in invalid.items():
+        rejected.add(source, Outcome.INVALID, count)
+    rejected.add("imu/data_raw", Outcome.WAITING, 9)
+    p = load_slip_parameters({"pose_sources": ["mocap_pose"]})
+    with open_bag(bag) as opened:
+        assert why_no_estimate(opened, p, InputFilters(), Taken(Counter(given), rejected)) == reason
 
 
 def test_a_withheld_source_is_named(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,6 +18,7 @@ from trackslip_bags.importing.samples import Samples
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import absolute, open_bag
+from trackslip_bags.sources import error_line
 from trackslip_common.errors import InputError, did_you_mean
 
 _ROS1 = (".bag", ".bag.active")
@@ -88,7 +89,20 @@ class _Collector:
         self._seen: dict[str, None] = {}  # joints of messages that did not serve
 
     def add(self, message: Logged) -> None:
-        """One message of its topic."""
+        """One message of its topic.
+
+        Raises:
+            InputError: it is of another form than its type has elsewhere.
+        """
+        try:
+            self._add(message)
+        except (AttributeError, LookupError, TypeError, ValueError, OverflowError) as error:
+            text = (
+                f"bag '{self._log.path}': bad {self._type_name} on {self.topic.source} ({error_line(error)})"
+            )
+            raise InputError(text) from error
+
+    def _add(self, message: Logged) -> None:
         for reading in self._read(message.content, self.topic):
             stamp_ns = message.log_time_ns
             if self.topic.stamped and reading.header is not None:

@@ -156,7 +156,7 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
 def _topic(
     where: str, name: str, value: Any, common: Mapping[str, Any], geometry: Geometry | None
 ) -> CsvTopic | BagTopic:
-    place = f"{where}: {name}"
+    place = f"{where}: {text(f'{where}: topics', name)}"
     if name not in ROLE_OF_TOPIC and not (isinstance(value, Mapping) and "role" in value):
         like = did_you_mean(name, ROLE_OF_TOPIC)
         accepted = f"{', '.join(ROLE_OF_TOPIC)}, or any with a role"

@@ -4,7 +4,7 @@
 import re
 from contextlib import suppress
 from datetime import datetime, timezone
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 
 from trackslip_bags.importing.columns import ISO, TimeColumn, zone_offset_ns
 
@@ -49,7 +49,7 @@ def time_ns(cell: str, column: TimeColumn) -> int:
 def _number_ns(cell: str, unit: str) -> int:
     try:
         value = Decimal(cell) * _SCALES[unit]
-    except InvalidOperation as error:
+    except ArithmeticError as error:
         raise ValueError(cell) from error
     if not value.is_finite() or abs(value) > _LARGEST:
         raise ValueError(cell)
@@ -64,7 +64,10 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
     whole = datetime(*(int(part or 0) for part in parts), tzinfo=timezone.utc) - _EPOCH  # type: ignore[arg-type, misc]
     zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0
     nanoseconds = int((fraction or "0").ljust(9, "0"))
-    return (whole.days * 86400 + whole.seconds) * 1_000_000_000 + nanoseconds - zone_ns
+    found_ns = (whole.days * 86400 + whole.seconds) * 1_000_000_000 + nanoseconds - zone_ns
+    if abs(found_ns) > _LARGEST:
+        raise ValueError(cell)
+    return found_ns
 
 
 def too_late(value_ns: int, column: TimeColumn) -> str:

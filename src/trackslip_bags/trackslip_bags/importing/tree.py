@@ -7,6 +7,8 @@ from typing import Any
 
 from trackslip_common.errors import InputError, did_you_mean
 
+_LONGEST = 2.0**31  # s
+
 
 def check_keys(
     where: str, tree: Mapping[str, Any], required: Collection[str], optional: Collection[str]
@@ -82,12 +84,15 @@ def positive(where: str, value: Any) -> float:
 
 
 def nanoseconds(where: str, value: Any) -> int:
-    """A finite number of seconds, as ns.
+    """A number of seconds, as ns.
 
     Raises:
-        InputError: it is none.
+        InputError: it is none, or larger than any stamp.
     """
-    return round(number(where, value) * 1e9)
+    seconds = number(where, value)
+    if abs(seconds) > _LONGEST:
+        raise InputError(f"{where}: {seconds:g} is out of range; accepted: at most 2^31 s either way")
+    return round(seconds * 1e9)
 
 
 def choice(where: str, value: Any, accepted: Collection[str]) -> str:

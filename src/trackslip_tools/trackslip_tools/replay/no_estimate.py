@@ -11,11 +11,12 @@ from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
-from trackslip_estimation.slip.measurements import SET_POSE
+from trackslip_estimation.slip.measurements import SET_POSE, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import named
 from trackslip_tools.replay.inputs import SPROCKETS
 
+_WAITING = Outcome.WAITING.name.lower()
 _NO_FIXES = ("reference_pose",)  # poses that are no source unless somebody says so
 
 
@@ -58,8 +59,13 @@ def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters,
 
 
 def _all_refused(taken: Taken, sources: Iterable[str]) -> bool:
+    """Whether none would have served; what only waits for a start would have."""
     by_source = taken.rejected.by_source()
-    return all(sum(by_source.get(source, {}).values()) >= taken.given[source] for source in sources)
+    for source in sources:
+        refused = sum(n for reason, n in by_source.get(source, {}).items() if reason != _WAITING)
+        if refused < taken.given[source]:
+            return False
+    return True
 
 
 def _reasons(taken: Taken, sources: Iterable[str]) -> str:
