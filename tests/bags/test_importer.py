@@ -101,7 +101,7 @@ def test_units_signs_and_offsets(tmp_path: Path) -> None:
     assert len(sprockets[0].position) == len(sprockets[0].effort) == 0
     assert imu[0].angular_velocity.z == pytest.approx(math.pi / 2.0)
     assert imu[0].orientation_covariance[0] == imu[0].linear_acceleration_covariance[0] == -1.0
-    assert (imu[0].header.frame_id, poses[0].header.frame_id) == ("imu_link", "odom")
+    assert (imu[0].header.frame_id, poses[0].header.frame_id) == ("imu_link", "map")
     assert [stamp_ns_of(m) for m in poses] == [100_700_000_000, 100_800_000_000]
     position, turn = poses[0].pose.pose.position, poses[0].pose.pose.orientation
     assert (position.x, position.y, position.z) == (1.5, -0.25, 0.0)

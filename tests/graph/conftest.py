@@ -220,10 +220,11 @@ class Observer:
                 pytest.fail(f"waited for {what}; {surprise or 'too long'}")
             self._executor.spin_once(timeout_sec=0.05)
 
-    def subscribe(self, topic: str) -> list[Any]:
-        """The list that the topic's messages will be in."""
+    def subscribe(self, topic: str, as_topic: str | None = None) -> list[Any]:
+        """The list that the messages of a project topic, or of another one of the same kind, will be in."""
         received: list[Any] = []
-        self.node.create_subscription(topic_class(topic), topic, received.append, subscriber_qos(topic))
+        kind = as_topic or topic
+        self.node.create_subscription(topic_class(kind), topic, received.append, subscriber_qos(kind))
         return received
 
     def healths(self) -> list[Any]:

@@ -13,6 +13,7 @@ from trackslip_bags.reader import Bag, absolute
 OWN_OUTPUTS = frozenset(
     {
         "odometry",
+        "odometry/local",
         "track_slip",
         "track_forces",
         "soil",

@@ -29,6 +29,7 @@ TOPICS = {
     "scan": Topic("sensor_msgs/msg/LaserScan", Flow.SENSOR),
     "box_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
     "odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
+    "odometry/local": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),
     "soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),

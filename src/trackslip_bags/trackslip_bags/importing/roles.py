@@ -102,7 +102,7 @@ ROLES: Mapping[str, Role] = {
     ),
     "pose": Role(
         type_name=POSE,
-        frame="odom",
+        frame="map",
         fields={
             "x": _POSITION,
             "y": _POSITION,

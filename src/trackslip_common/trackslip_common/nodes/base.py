@@ -64,6 +64,11 @@ class TrackslipNode(GuardedNode, Generic[P]):
         """What /diagnostics shall report; asked only while the node is active."""
         return [Health(OK, "running")]
 
+    @property
+    def full_name(self) -> str:
+        """With the namespace."""
+        return self.get_fully_qualified_name().removeprefix("/")
+
     def start(self) -> None:
         """Configure and activate, unless ``autostart`` is false; raises what these do."""
         if self.common.autostart:
@@ -94,7 +99,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
             entries = []
         entries += [*self.callback_failures.health(), *self.send_failures.health()]
         stamp = self.get_clock().now().to_msg()
-        self._status.publish(diagnostics(self.get_name(), stamp, entries))
+        self._status.publish(diagnostics(self.full_name, stamp, entries))
 
     def _configure(self) -> None:
         self._settings_in_use = self.settings

@@ -13,7 +13,7 @@ from launch import LaunchContext
 _COMMON = {
     "vehicle": ("", "a name of config/vehicles, or a file (empty: pc05 is assumed)"),
     "params_file": ("", "ROS parameter file over the defaults of config/ and all other arguments"),
-    "namespace": ("", "of all nodes and their topics"),
+    "namespace": ("", "of all nodes and their topics, and before the frames odom and base_link"),
     "use_sim_time": ("false", "time from /clock, as a replay publishes it"),
     "log_level": ("info", "debug, info, warn, error or fatal"),
     "respawn": ("false", "start a node that ended anew"),
@@ -30,6 +30,7 @@ _OF_SENSOR = {
     "nmea_gnss": "gnss",
     "gnss_localizer": "gnss",
 }
+_WITH_PREFIX = ("slip_estimator", "soil_estimator")
 _WITH_VEHICLE = ("slip_estimator", "soil_estimator", "box_localizer", "emulator")
 
 
@@ -67,6 +68,8 @@ def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
         parameters["vehicle"] = given["vehicle"]
     if one.executable == "slip_estimator":
         parameters |= _sources(sensors)
+    if one.executable in _WITH_PREFIX and given["namespace"]:
+        parameters["frame_prefix"] = given["namespace"].strip("/") + "/"
     return Node(
         package=one.package,
         executable=one.executable,

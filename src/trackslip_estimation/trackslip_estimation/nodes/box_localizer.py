@@ -53,7 +53,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         if isinstance(fix, BoxFix):
             self._fixes += 1
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
-            self._poses.publish(conversions.pose_with_covariance(make, pose, self.settings.odom_frame))
+            self._poses.publish(conversions.pose_with_covariance(make, pose, self.settings.map_frame))
 
 
 def main() -> None:

@@ -17,6 +17,7 @@ from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import (
     FREEZE,
     RELOAD,
@@ -31,6 +32,8 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import named
+
+LOCAL = "odometry/local"
 
 
 class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
@@ -52,7 +55,10 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._taken = self._estimates = 0
         self._heard: float | None = None  # s, steady: when the last sprocket sample came
         self._odometry = self.advertise(topic_class("odometry"), "odometry")
-        self._pose_and_twist = conversions.blank_odometry(make, p.odom_frame, p.base_frame)
+        self._frames = conversions.Frames(*p.frames)
+        self._pose_and_twist = conversions.blank_odometry(make, self._frames.map, self._frames.base)
+        self._local, self._local_odometry = LocalOdometry(), self.advertise(topic_class(LOCAL), LOCAL)
+        self._local_message = conversions.blank_odometry(make, self._frames.odom, self._frames.base)
         self._track_slip = self.advertise(topic_class("track_slip"), "track_slip")
         self._vehicle = self.advertise(topic_class(VEHICLE), VEHICLE)
         self._reports = self.advertise(topic_class("measurement_reports"), "measurement_reports")
@@ -133,10 +139,12 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def _publish(self, estimate: Estimate) -> None:
         conversions.fill_odometry(self._pose_and_twist, estimate)
         self._odometry.publish(self._pose_and_twist)
-        frames = self.settings.odom_frame, self.settings.base_frame
-        self._track_slip.publish(conversions.track_slip(make, estimate, frames[1]))
+        self._track_slip.publish(conversions.track_slip(make, estimate, self._frames.base))
+        local = self._local.after(estimate)
+        conversions.fill_odometry(self._local_message, local)
+        self._local_odometry.publish(self._local_message)
         if self._tf is not None:
-            self._tf.publish(conversions.transforms(make, estimate, *frames))
+            self._tf.publish(conversions.transforms(make, estimate, local, self._frames))
         self._estimates += 1
 
 

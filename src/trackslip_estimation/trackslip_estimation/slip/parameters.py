@@ -40,8 +40,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     adaptation: AdaptationParameters
     filter: str = parameter("extended Kalman filter, or the thesis' Fig. 4.3", choices=("ekf", "daf"))
     kappa: float = parameter("of the daf: scales the higher moments of its points", gt=-7.0, le=100.0)
-    odom_frame: str = parameter("site frame of the estimate and of the pose sources")
+    map_frame: str = parameter("site frame of the estimate and of the pose sources")
+    odom_frame: str = parameter("frame of odometry/local, which never jumps")
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
+    frame_prefix: str = parameter("before odom_frame and base_frame, such as 'one/' where there are several")
     pose_sources: tuple[str, ...] = parameter("topics of PoseWithCovarianceStamped; '' names none")
     yaw_rate_sources: tuple[str, ...] = parameter(
         "topics of Imu whose z rate is a measurement; '' names none"
@@ -87,7 +89,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     gate_confirmations: int = parameter(
         "measurements in a row that must agree with each other before what the gate refuses is believed", ge=1
     )
-    publish_tf: bool = parameter("whether odom_frame → base_frame goes to /tf, where tf2_msgs is installed")
+    publish_tf: bool = parameter("whether map → odom → base goes to /tf, where tf2_msgs is installed")
 
     def __post_init__(self) -> None:
         """Check also what belongs together.
@@ -151,6 +153,11 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             InputError: a name is unknown or a value refused.
         """
         return from_flat(type(self), self.overlaid(to_flat(self), values), NODE)
+
+    @property
+    def frames(self) -> tuple[str, str, str]:
+        """Names of map, odom and base_link, as messages have them."""
+        return self.map_frame, self.frame_prefix + self.odom_frame, self.frame_prefix + self.base_frame
 
     def initial_pose(self) -> tuple[FloatArray, FloatArray]:
         """(3,) x, y, heading to start from, and (3, 3) covariance."""

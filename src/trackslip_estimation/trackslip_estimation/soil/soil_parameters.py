@@ -33,6 +33,7 @@ class SoilEstimatorParameters(WithVehicle):
     classes: ClassesParameters
     seed: SeedParameters
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
+    frame_prefix: str = parameter("before base_frame, such as 'one/' where there are several")
     forces_period: float = parameter("between two messages on track_forces", unit="s", gt=0.0, le=10.0)
     soil_period: float = parameter("between two messages on soil", unit="s", gt=0.0, le=60.0)
     low_reserve: float = parameter(

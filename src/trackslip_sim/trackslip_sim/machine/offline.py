@@ -55,7 +55,7 @@ _FORCES_NS = 100_000_000
 _SOIL_NS = 1_000_000_000
 _WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes, while the window still has the truth
 _DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
-_BODY_FRAME, _SITE_FRAME = "base_link", "odom"
+_BODY_FRAME, _SITE_FRAME = "base_link", "map"
 
 
 def record_drive(p: EmulatorParameters, truth: Truth | TruthWindow, path: Path) -> dict[str, int]:

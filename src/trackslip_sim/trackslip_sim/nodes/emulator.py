@@ -34,7 +34,7 @@ _TRUTH_PERIOD_NS = 10_000_000
 _FORCES_PERIOD_NS = 100_000_000
 _SOIL_PERIOD_NS = 1_000_000_000
 _DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
-_FRAMES = ("odom", "base_link")
+_FRAMES = ("map", "base_link")
 
 
 class EmulatorNode(TrackslipNode[EmulatorParameters]):

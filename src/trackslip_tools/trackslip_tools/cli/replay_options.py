@@ -36,6 +36,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files"
     )
     add_vehicle(parser, "the bag's")
+    add_namespace(parser)
     add("--remap", metavar="from:=to", action="append", default=[], help="read topic 'from' as 'to'")
     add("--start", metavar="S", type=float, default=0.0, help="seconds from the bag's first message")
     add("--stop", metavar="S", type=float, default=float("inf"), help="seconds from the bag's first message")
@@ -61,6 +62,12 @@ def add_vehicle(parser: argparse.ArgumentParser, default: str) -> None:
     """Declare ``--vehicle``."""
     about = f"a name of config/vehicles, or a file (default: {default}, else {ASSUMED})"
     parser.add_argument("--vehicle", metavar="NAME|FILE", help=about)
+
+
+def add_namespace(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--namespace``."""
+    about = "the machine's part of a bag: topic sprockets is /NS/sprockets, and so on"
+    parser.add_argument("--namespace", metavar="NS", default="", help=about)
 
 
 def filters_of(args: argparse.Namespace) -> InputFilters:

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     recordings: dict[Path, Recording] = {}
     runs = []
     for path, name in shown(pairs, "replaying"):
-        with open_bag(path) as bag:
+        with open_bag(path, args.namespace) as bag:
             given = ([] if name == _OWN else [name], args.set)
             p = replay_options.parameters_of(bag, *given, args.vehicle)
             of_soil = replay_options.soil_parameters_of(bag, p, *given)

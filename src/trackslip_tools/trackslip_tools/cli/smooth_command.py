@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         InputError: the bag, a parameter or an option cannot be used.
     """
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.namespace) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
         p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)

@@ -15,9 +15,10 @@ from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, make_step
+from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.inputs import ODOMETRY, REPORTS, TRACK_SLIP
+from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, REPORTS, TRACK_SLIP
 from trackslip_tools.replay.run import Part, Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
@@ -34,7 +35,7 @@ class EstimateWriter:
 
     def __init__(self, path: Path, p: SlipEstimatorParameters) -> None:
         self._bag, self._p = BagWriter(path), p
-        self._sequence = 0
+        self._sequence, self._local = 0, LocalOdometry()
         self._logged_ns: int | None = None
 
     def __enter__(self) -> "EstimateWriter":
@@ -57,6 +58,8 @@ class EstimateWriter:
             if estimate is not None:
                 for topic in (ODOMETRY, TRACK_SLIP):
                     self._write(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
+                message = message_of(LOCAL_ODOMETRY, self._local.after(estimate), self._p)
+                self._write(LOCAL_ODOMETRY, message, estimate.stamp_ns)
 
     def add_soil(self, soil: SoilReplay) -> None:
         """What the soil estimator gave, when all is done."""
@@ -76,10 +79,12 @@ class EstimateWriter:
 
 
 def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:
-    """The message that the live node publishes for an estimate on ``odometry`` or ``track_slip``."""
-    if topic == ODOMETRY:
-        return conversions.odometry(make, estimate, p.odom_frame, p.base_frame)
-    return conversions.track_slip(make, estimate, p.base_frame)
+    """The message that the live node publishes for an estimate on one of its topics."""
+    frames = conversions.Frames(*p.frames)
+    if topic in (ODOMETRY, LOCAL_ODOMETRY):
+        parent = frames.map if topic == ODOMETRY else frames.odom
+        return conversions.odometry(make, estimate, parent, frames.base)
+    return conversions.track_slip(make, estimate, frames.base)
 
 
 def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Command, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE, RESULT
@@ -27,7 +28,7 @@ from trackslip_tools.replay.comparison import LiveComparer, LiveComparison, odom
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
-from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP, InputStream, Logged
+from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, InputStream, Logged
 from trackslip_tools.replay.no_estimate import Taken, why_no_estimate
 from trackslip_tools.replay.reckoning import Reckoning
 from trackslip_tools.replay.scoring import Score, in_order, path_of, reference_path
@@ -96,7 +97,7 @@ def replay(
     """
     began = time.monotonic()
     reference = reference or own_reference(bag)
-    of_both = (ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
+    of_both = (ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
     stream = InputStream(bag, p, filters, _scored(reference).union(of_both))
     collector = _Collector(stream, reference, p.vehicle.kinematics, compares=not filters.changes_inputs)
     soil = (
@@ -152,7 +153,7 @@ class _Collector:
             name: Reckoning(vehicle, with_gyro=name == "encoder_gyro")
             for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
         }
-        self._comparer, self._compares = LiveComparer(), compares
+        self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
         self.taken = Taken(Counter(), self._rejected)
 
     def add(self, part: Part) -> None:
@@ -218,7 +219,10 @@ class _Collector:
         nothing = np.empty(0, ESTIMATE)
         if ODOMETRY in self._stream.topics:
             live = tables[ODOMETRY].rows if ODOMETRY in tables else nothing
-            self._comparer.add_odometry(live, odometry_rows(estimates))
+            self._comparer.add_odometry(live, odometry_rows(estimates, estimates))
+        if LOCAL_ODOMETRY in self._stream.topics:
+            live = tables[LOCAL_ODOMETRY].rows if LOCAL_ODOMETRY in tables else nothing
+            self._comparer.add_local(live, odometry_rows(estimates, self._local.advance(estimates)))
         if TRACK_SLIP in self._stream.topics:
             live = tables[TRACK_SLIP].rows if TRACK_SLIP in tables else nothing
             self._comparer.add_slips(live, slip_rows(estimates))
