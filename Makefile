@@ -6,12 +6,13 @@ SOIL ?=
 VEHICLE ?=
 OUTPUT ?=
 RUNS ?=
+SEEDS ?=
 ARGS ?=
 VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars test soak lint bench fuzz bags figures clean
+.PHONY: help setup checks demo bars drives test soak lint bench fuzz bags figures clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,6 +29,9 @@ demo: setup ## drive the emulated excavator, record, replay, score; results in o
 
 bars: setup ## errors on drives like the demo's on four soils, with and without laser and gyro, beside their limits
 	@$(ENTER) exec $(VENV)/python -m trackslip_sim.demo.bars
+
+drives: setup ## forty random drives of random machines, in and out of the laser's sight, against their bars (SEEDS=40)
+	@$(ENTER) exec $(VENV)/python -m trackslip_sim.drives.main $(if $(SEEDS),--seeds '$(SEEDS)')
 
 # The graph's tests run one by one, beside the others; a failed one is tried again and reported: a busy machine can
 # stall a process for seconds.

@@ -28,7 +28,15 @@ from trackslip_tools.replay.run import replay
 
 RUNS = 3
 DRIVE = 20.0  # s of the live graph
-_NODES = ("can_driver", "watson_imu", "sick_pls", "box_localizer", "slip_estimator", "record")
+_NODES = (
+    "can_driver",
+    "watson_imu",
+    "sick_pls",
+    "box_localizer",
+    "slip_estimator",
+    "soil_estimator",
+    "record",
+)
 
 
 def main() -> int:
@@ -60,8 +68,10 @@ def _drivers(directory: Path) -> None:
 
 def _graph(directory: Path) -> None:
     graph = bench_nodes.graph(directory, DRIVE)
-    for name in _NODES:
-        show(f"CPU of {name}, live graph", f"{graph.loads[name].cpu_percent:.1f} %")
+    loads = {name: graph.loads[name].cpu_percent for name in _NODES if name in graph.loads}
+    for name, percent in loads.items():
+        show(f"CPU of {name}, live graph", f"{percent:.1f} %")
+    show("CPU of all live nodes together", f"{sum(loads.values()):.1f} %", "", "≤ 30 %")
     for which in ("p50", "p99"):
         age, bare, floor = (getattr(it, which) for it in (graph.odometry, graph.bare, graph.floor))
         beside = f"{age / floor:.1f} × one hop of rclpy, {floor:.2f} ms"

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from trackslip_common.config_files import config_file, node_defaults
+from trackslip_common.config_files import load_parameters, node_defaults
 from trackslip_common.parameters import from_flat
+from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_frames import FrameSet
+from trackslip_drivers.protocols.can_frames import load_frames
 from trackslip_drivers.protocols.watson import BINARY, BITS_PER_CHAR, COMMAND_MODE, GRAVITY, Layout
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
 from trackslip_drivers.sick_parameters import SickParameters
@@ -49,10 +50,10 @@ def imu(stamp_ns: int) -> ImuSample:
 def main(directory: Path, can_port: int) -> None:
     """Emulate."""
     now_ns = time.time_ns()
-    can = from_flat(CanDriverParameters, node_defaults("can_driver", "can_driver.yaml"), "can_driver")
-    machine = CanDevice(FrameSet(config_file(can.dbc_file)), can.belt_ratio, sprockets, hydraulics, now_ns)
+    can = load_parameters(CanDriverParameters, can_parameters.NODE, can_parameters.DEFAULT_FILES)
+    machine = CanDevice(load_frames(can), sprockets, hydraulics, now_ns)
     line = node_defaults("emulator", "emulator.yaml")
-    bus = CanBus(line["can_interface"], line["can_channel"], can_port)
+    bus = CanBus(line["can_interface"], line["can_channel"], {"port": can_port})
     p = from_flat(WatsonParameters, node_defaults("watson_imu", "watson_imu.yaml"), "watson_imu")
     layout = Layout(p.channels, p.formats, p.full_scales)
     watson = WatsonDevice(layout, BaudLine(WATSON_BAUD, BITS_PER_CHAR), imu, True, now_ns)

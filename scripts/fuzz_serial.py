@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fuzz targets on serial lines: SICK telegrams, session and device; Watson lines and frames."""
+"""Fuzz targets on serial lines: SICK telegrams, session and device; Watson lines and frames; NMEA."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,8 +12,11 @@ from fuzz_script import pieces, script
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import Parameters, from_flat
 from trackslip_common.tally import Tally
+from trackslip_drivers.nmea_parameters import NmeaParameters
+from trackslip_drivers.protocols import nmea_sentences, sick_telegram
 from trackslip_drivers.protocols import sick_commands as commands
-from trackslip_drivers.protocols import sick_telegram
+from trackslip_drivers.protocols.nmea import LONGEST_LINE
+from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.protocols.sick_crc import sick_crc
 from trackslip_drivers.protocols.sick_scan import RawScan, Scan, decode_scan
 from trackslip_drivers.protocols.sick_session import Phase, SickSession
@@ -213,5 +216,31 @@ def watson(good: list[bytes]) -> Target:
     return one_input, [b"\x07" + joined, b"\xff" + good[0][:-1] + good[1], b"\x00i" + good[0][1:]]
 
 
+def nmea() -> Target:
+    """A receiver's sentences, whole with a right checksum, or as they come; then a good fix must be found."""
+    p = defaults(NmeaParameters, "nmea_gnss")
+    at = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
+    encoders = (nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, nmea_sentences.hdt)
+    good = [encode(at) for encode in (*encoders, nmea_sentences.pashr)]
+
+    def one_input(data: bytes) -> None:
+        stream = NmeaStream(p, Tally())
+        now_ns = 0
+        for content in data.split(b"\n"):
+            now_ns += 40 * MS
+            text = content.decode("latin-1")
+            whole = nmea_sentences.sentence(text) if content.isascii() else content + b"\n"
+            for sample in stream.feed(whole, now_ns):
+                assert np.isfinite(sample[1]), sample
+            assert stream.bytes_held <= LONGEST_LINE, f"{stream.bytes_held} bytes held"
+            stream.flush()
+        stream.feed(b"\n", now_ns)
+        samples = stream.feed(good[0] + good[1], now_ns + 1000 * MS)
+        assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples), "good fix not found"
+
+    bodies = [message[1:].partition(b"*")[0] for message in good]
+    return one_input, [b"\n".join(bodies), good[0] + good[1], b"GNTHS,12.5,A\nGNHDT,,T\nPASHR,POS,1"]
+
+
 _ALL = (sick_telegrams, sick_session, sick_device, watson_lines, watson_frames)
-TARGETS = {target.__name__: target for target in _ALL}
+TARGETS = {target.__name__: target for target in _ALL} | {"nmea_sentences": nmea}

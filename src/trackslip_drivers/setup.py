@@ -18,13 +18,14 @@ setup(
     zip_safe=False,
     maintainer="Trackslip maintainers",
     maintainer_email="maintainers@trackslip.invalid",
-    description="Drivers of the excavator's sensors: CAN (sprockets, hydraulics), Watson IMU, SICK PLS",
+    description="Drivers of the excavator's sensors: CAN, Watson IMU, SICK PLS, NMEA GNSS receivers",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
             "can_driver = trackslip_drivers.executables:can_driver",
             "watson_imu = trackslip_drivers.executables:watson_imu",
             "sick_pls = trackslip_drivers.executables:sick_pls",
+            "nmea_gnss = trackslip_drivers.executables:nmea_gnss",
         ]
     },
 )

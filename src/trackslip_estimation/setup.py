@@ -23,6 +23,7 @@ setup(
     entry_points={
         "console_scripts": [
             "box_localizer = trackslip_estimation.executables:box_localizer",
+            "gnss_localizer = trackslip_estimation.executables:gnss_localizer",
             "slip_estimator = trackslip_estimation.executables:slip_estimator",
             "soil_estimator = trackslip_estimation.executables:soil_estimator",
             "record = trackslip_estimation.executables:record",

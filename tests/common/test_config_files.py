@@ -18,7 +18,7 @@ from trackslip_common.config_files import (
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, to_flat
 from trackslip_common.yaml_text import parse_yaml
-from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers import can_parameters
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_estimation.box import parameters as box_parameters
@@ -30,7 +30,7 @@ NODES: dict[str, tuple[type[Parameters], tuple[str, ...]]] = {
     "slip_estimator": (slip_parameters.SlipEstimatorParameters, slip_parameters.DEFAULT_FILES),
     "box_localizer": (box_parameters.BoxNodeParameters, box_parameters.DEFAULT_FILES),
     "record": (RecordParameters, ("record.yaml",)),
-    "can_driver": (CanDriverParameters, ("can_driver.yaml",)),
+    "can_driver": (can_parameters.CanDriverParameters, can_parameters.DEFAULT_FILES),
     "watson_imu": (WatsonParameters, ("watson_imu.yaml",)),
     "sick_pls": (SickParameters, ("sick_pls.yaml",)),
     "emulator": (emulator_parameters.EmulatorParameters, emulator_parameters.DEFAULT_FILES),

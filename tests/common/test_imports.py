@@ -2,6 +2,7 @@
 """Imports between the packages run one way, and ``package.xml`` declares all others."""
 
 import ast
+import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -33,7 +34,7 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
 }
 # rosdep has no key of theirs: from pip, as the README says; lz4 and zstandard come with mcap.
-PIP_ONLY = {"distributed", "lz4", "mcap", "zstandard"}
+PIP_ONLY = {"distributed", "lz4", "mcap", "pynmeagps", "zstandard"}
 
 
 def imported(package: str) -> dict[str, set[str]]:
@@ -91,6 +92,14 @@ def _executables() -> dict[str, str]:
     return found
 
 
+def _sourced() -> list[str]:
+    """What to put before a command so that ROS is found, where this process was started without."""
+    script = Path(sys.prefix) / "trackslip.sh"
+    if os.environ.get("AMENT_PREFIX_PATH") or not script.is_file():
+        return []
+    return ["sh", "-c", f'. "{script}"; exec "$0" "$@"']
+
+
 def test_there_are_programs_to_look_at() -> None:
     assert len(_executables()) >= 6
     assert "trackslip_bags.nodes.record" in _executables()
@@ -100,7 +109,8 @@ def test_there_are_programs_to_look_at() -> None:
 def test_what_runs_on_the_vehicle_loads_no_desk_library(module: str) -> None:
     work = RECORDS if module.endswith(".record") else ""
     code = f"import sys, {module}\n{work}\nprint(*sorted({{n.partition('.')[0] for n in sys.modules}}))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    command = [*_sourced(), sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
     assert "rclpy" in loaded
     assert loaded & DESK == set()

@@ -10,6 +10,7 @@ import pytest
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flat_fields, flatten, from_flat, parameter, to_flat
+from trackslip_common.yaml_text import parse_yaml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,3 +165,16 @@ def test_construction_checks_as_well() -> None:
 def test_parameters_cannot_be_changed() -> None:
     with pytest.raises(FrozenInstanceError):
         cart().seats = 3  # type: ignore[misc]
+
+
+def test_parity_n_without_quotes_was_false():
+    """YAML 1.1 takes n, no, off and their likes for booleans, in rcl's reader as in PyYAML."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Line(Parameters):
+        parity: str = parameter("of the line", choices=("N", "E", "O"))
+
+    assert from_flat(Line, parse_yaml("parity: N", "text"), "line").parity == "N"
+    assert from_flat(Line, {"parity": False}, "line").parity == "N"
+    with pytest.raises(InputError, match="True is not text; accepted: one of N, E, O"):
+        from_flat(Line, {"parity": True}, "line")

@@ -3,12 +3,12 @@
 
 import can
 
-from trackslip_drivers.protocols.can_frames import ERROR_FLAG
-from trackslip_drivers.transports.can_bus import STANDARD_FLAG, CanBus
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG, STANDARD_FLAG
+from trackslip_drivers.transports.can_bus import CanBus
 
 
 def test_kinds_of_frames_on_the_virtual_bus():
-    port = CanBus("virtual", "kinds", 43113)
+    port = CanBus("virtual", "kinds", {})
     with can.Bus("kinds", interface="virtual") as peer:
         peer.send(can.Message(arbitration_id=0x7F, data=b"a", is_extended_id=False))
         peer.send(can.Message(arbitration_id=0x7F, data=b"b", is_extended_id=True))
@@ -18,8 +18,15 @@ def test_kinds_of_frames_on_the_virtual_bus():
     assert received == [(0x7F | STANDARD_FLAG, b"a"), (0x7F, b"b"), (0x40 | ERROR_FLAG, b"")]
 
 
+def test_settings_reach_the_bus():
+    port = CanBus("virtual", "settings", {"receive_own_messages": True})
+    port.write((0x123 | STANDARD_FLAG, b"own"))
+    assert [frame for frame, _ in port.read()] == [(0x123 | STANDARD_FLAG, b"own")]
+    port.close()
+
+
 def test_a_frame_is_handed_on_before_the_next_is_looked_for():
-    port = CanBus("virtual", "one by one", 43113)
+    port = CanBus("virtual", "one by one", {})
     with can.Bus("one by one", interface="virtual") as peer:
         peer.send(can.Message(arbitration_id=1))
         frames = iter(port.read())

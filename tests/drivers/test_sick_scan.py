@@ -125,6 +125,34 @@ def test_the_status_byte(byte: int, status: DeviceStatus) -> None:
     assert decoded(FULL[:-1] + bytes((byte,))).status == status
 
 
+@pytest.mark.parametrize(("severity", "text"), [(0, "none"), (4, "fatal"), (6, "severity 6")])
+def test_severity_has_a_word(severity: int, text: str) -> None:
+    assert DeviceStatus.from_byte(severity).severity_text == text
+
+
+@pytest.mark.parametrize(("count", "steps"), [(101, 1), (100, 1), (201, 2), (200, 2), (401, 4), (400, 4)])
+def test_field_of_100_degrees_was_refused(count: int, steps: int) -> None:
+    """Of an LMS, from −50° on; its interlaced scans have one value less."""
+    sample = decoded(raw(*[700] * count).payload(), LMS).sample
+    assert sample.angle_min == pytest.approx(math.radians(-50.0))
+    assert sample.angle_increment == pytest.approx(math.radians(1.0 / steps))
+    assert len(sample.ranges) == count
+    np.testing.assert_array_equal(decoded(encode_scan(sample, LMS), LMS).sample.ranges, sample.ranges)
+
+
+def test_scan_of_a_scanner_upside_down_was_mirrored() -> None:
+    """Its first ray is at +90° of its frame, and the last one measured is the first counter-clockwise."""
+    hanging = replace(PLS, clockwise=True)
+    scan = raw(*range(100, 461))
+    upright, turned = decoded(scan.payload()).sample, decoded(scan.payload(), hanging).sample
+    np.testing.assert_array_equal(turned.ranges, upright.ranges[::-1])
+    assert turned.angle_increment == upright.angle_increment
+    assert turned.angle_min == pytest.approx(upright.angle_min)
+    times = [s.stamp_ns + s.time_increment * 1e9 * np.arange(361) for s in (upright, turned)]
+    np.testing.assert_allclose(times[1], times[0][::-1], atol=1.0)
+    np.testing.assert_array_equal(decoded(encode_scan(turned, hanging), hanging).sample.ranges, turned.ranges)
+
+
 @pytest.mark.parametrize(
     ("payload", "fault"),
     [

@@ -216,6 +216,39 @@ def test_stopping_without_a_scanner_takes_no_longer_than_its_acknowledgement() -
     bench.run_until(Phase.STOPPED, within=0.1)
 
 
+@pytest.mark.parametrize("parameters", [PLS, LMS])
+def test_a_rate_that_the_scanner_refuses_was_asked_for_again_and_again(
+    parameters: SickParameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On an RS-232 line the scanner has no 500000 Bd: it streams at the next lower rate."""
+    bauds = {code: baud for baud, code in commands.BAUD_CODES.items() if baud != 500000}
+    monkeypatch.setattr(sick_device, "_BAUDS", bauds)
+    bench = Bench(replace(parameters, serial_baud=500000))
+    bench.run_until(Phase.STREAMING, within=6.0)
+    assert bench.device.baud == bench.host_baud == 38400
+    assert bench.count(SessionFault.BAUD) == 2
+    bench.run(3.0)
+    assert len(bench.scans) == bench.device.scans_emitted > 8
+    for scan, stamp_ns in zip(bench.scans, bench.device.stamps, strict=True):
+        assert abs(scan.sample.stamp_ns - stamp_ns) <= 5 * MS
+
+
+def test_a_line_that_does_not_carry_a_rate_is_used_at_a_lower_one() -> None:
+    bench = Bench(replace(PLS, serial_baud=500000))
+    receive = bench.device.receive
+
+    def deaf(data: bytes, now_ns: int, host_baud: int | None) -> None:
+        receive(b"" if bench.device.baud == 500000 else data, now_ns, host_baud)
+
+    bench.device.receive = deaf  # type: ignore[method-assign]
+    for _ in range(2):
+        bench.run_until(Phase.CHANGING_RATE, within=15.0)
+        bench.run_until(Phase.PROBING, within=5.0)
+        bench.device.power_cycle(bench.now_ns)  # or it would be deaf for ever
+    bench.run_until(Phase.STREAMING, within=15.0)
+    assert bench.host_baud == 38400
+
+
 OK, FAULT = b"\xa0\x00\x00", b"\xa0\x02\x00"
 INSTALL = commands.installation_mode(b"SICK_PLS")
 SET_BAUD = commands.set_baud(38400)
@@ -287,7 +320,7 @@ def test_a_refusal_starts_it_again(accepted: int, ack: bytes, reply: tuple[bytes
         puppet.answer(OK)
     assert puppet.answer(*reply, ack=ack) == frame(commands.STOP, TO_SENSOR)
     assert puppet.session.phase is Phase.PROBING
-    assert puppet.count(SessionFault.REFUSED) == 1
+    assert puppet.count(SessionFault.REFUSED if accepted == 1 else SessionFault.BAUD) == 1
 
 
 def test_a_refusal_to_stream_starts_it_again() -> None:

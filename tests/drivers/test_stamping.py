@@ -100,7 +100,7 @@ class Clocks:
             self.steady_ns += PERIOD
             self.offset_ns += round(slew * PERIOD)
             self.time.look(self.steady_ns + self.offset_ns, self.steady_ns)
-            arrival = self.time.steady(self.steady_ns + self.offset_ns - MS)
+            arrival = self.time.steady(self.steady_ns + self.offset_ns - MS, self.steady_ns)
             assert arrival == self.steady_ns - MS
             self.stamps.append(self.order.next(self.time.stamp(arrival)))
 
@@ -141,7 +141,7 @@ def test_arrival_from_before_a_jump_is_now():
         stale_ns = clocks.steady_ns + clocks.offset_ns - MS
         clocks.offset_ns += jump
         clocks.time.look(clocks.steady_ns + clocks.offset_ns, clocks.steady_ns)
-        assert clocks.time.steady(stale_ns) == clocks.steady_ns
+        assert clocks.time.steady(stale_ns, clocks.steady_ns) == clocks.steady_ns
 
 
 def test_order_is_kept_by_the_least_possible():
@@ -163,3 +163,23 @@ def test_host_clock_sees_the_host_set_back(monkeypatch):
     after = clock.stamp(steady[-1])
     assert 0 < after - before < 20 * S
     assert clock.lead_ns == pytest.approx(60 * S, abs=S)
+
+
+@pytest.mark.parametrize("silence_ms", [10, 400])
+def test_interrupted_look_at_the_clocks_stamped_as_early_as_the_last_one(monkeypatch, silence_ms):
+    """The host is busy between the two readings, after a while without data."""
+    import time
+
+    now = {"steady": 5 * S, "busy": 0}
+
+    def monotonic_ns():
+        now["steady"] += now["busy"]
+        return now["steady"]
+
+    monkeypatch.setattr(time, "monotonic_ns", monotonic_ns)
+    monkeypatch.setattr(time, "time_ns", lambda: now["steady"] + 1_700_000_000 * S)
+    clock = HostClock()
+    arrived_ns = now["steady"] = now["steady"] + silence_ms * MS
+    host_ns = time.time_ns()
+    now["busy"] = 3 * MS
+    assert clock.arrival(host_ns) == (arrived_ns, False)

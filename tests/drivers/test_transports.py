@@ -241,10 +241,10 @@ def test_stop_does_not_wait_for_an_opening_that_hangs():
 
 
 def test_frames_over_udp_multicast(received, start_link):
-    link = start_link(partial(CanBus, "udp_multicast", GROUP, UDP_PORT))
+    link = start_link(partial(CanBus, "udp_multicast", GROUP, {"port": UDP_PORT}))
     wait_for(lambda: link.state().connected)
-    peer = CanBus("udp_multicast", GROUP, UDP_PORT)
-    stranger = CanBus("udp_multicast", GROUP, UDP_PORT + 10000)
+    peer = CanBus("udp_multicast", GROUP, {"port": UDP_PORT})
+    stranger = CanBus("udp_multicast", GROUP, {"port": UDP_PORT + 10000})
     before_ns = time.time_ns()
     stranger.write((1, b"not ours"))
     for n in range(200):
@@ -271,6 +271,6 @@ def test_a_port_that_never_falls_silent_does_not_hold_up_the_end(received, start
 
 
 def test_missing_bus_is_an_error_of_the_link(start_link):
-    link = start_link(partial(CanBus, "socketcan", "no_such_bus", 43113))
+    link = start_link(partial(CanBus, "socketcan", "no_such_bus", {}))
     wait_for(lambda: link.state().errors >= 1)
     assert not link.state().connected

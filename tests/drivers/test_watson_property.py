@@ -84,7 +84,7 @@ def test_any_bytes_are_survived_in_bounded_memory_and_the_next_line_is_read(chun
     parser = WatsonStream(LAYOUT, 9600, 0, Tally())
     for chunk in chunks:
         parser.feed(chunk, arrival_ns)
-        assert len(parser._pending) <= parser.limit
+        assert parser.bytes_held <= parser.limit
     assert len(parser.feed(b"\r" + encode_line("R", {}, LAYOUT), arrival_ns)) >= 1
 
 

@@ -10,28 +10,33 @@ from std_msgs.msg import String
 
 pytestmark = pytest.mark.xdist_group("graph")
 
-NODE = {"can": "can_driver", "watson": "watson_imu", "sick": "sick_pls"}
-RATE = {"can": 100.0, "watson": 11.85, "sick": 1 / 0.24}  # Hz
+NODE = {"can": "can_driver", "watson": "watson_imu", "sick": "sick_pls", "gnss": "nmea_gnss"}
+RATE = {"can": 100.0, "watson": 11.85, "sick": 1 / 0.24, "gnss": 10.0}  # Hz
 OK, WARN = b"\0", b"\1"
-SERIAL = ("watson", "sick")
+SERIAL = ("watson", "sick", "gnss")
+ALL = ("can", *SERIAL)
 LONG = 1500.0  # s of driving: longer than any test
 
 # What happens at random: kind → (those whom it can befall, value).
 RANDOM_FAULTS = {
-    "power_cycle": (("can", "watson", "sick"), None),
-    "unplug": (("can", "watson", "sick"), None),
-    "lost_bytes": (("can", "watson", "sick"), 0.01),
-    "doubled_bytes": (("can", "watson", "sick"), 0.01),
-    "corrupted_bytes": (("can", "watson", "sick"), 0.01),
+    "power_cycle": (ALL, None),
+    "unplug": (ALL, None),
+    "lost_bytes": (ALL, 0.01),
+    "doubled_bytes": (ALL, 0.01),
+    "corrupted_bytes": (ALL, 0.01),
     "wrong_baud": (SERIAL, None),
     "bus_off": (("can",), None),
     "lost_frames": (("can",), 0.1),
-    "bursts": (("can", "watson", "sick"), 0.3),
-    "stuck": (("can", "watson", "sick"), None),
+    "bursts": (ALL, 0.3),
+    "stuck": (ALL, None),
     "noise": (("can", "watson", "sick"), 0.05),
     "pollution": (("sick",), None),
     "occlusion": (("sick",), 0.5),
     "glare": (("sick",), 0.3),
+    "rtk_float": (("gnss",), None),
+    "code_only": (("gnss",), None),
+    "no_fix": (("gnss",), None),
+    "multipath": (("gnss",), 2.0),
 }
 
 
@@ -41,7 +46,7 @@ class Rig:
     def __init__(self, programs, observer, udp_port):
         can = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2", "can_port": udp_port}
         devices = programs.folder / "devices"
-        drive = {"scenario": "straight", "duration": LONG, "mode": "thesis"}
+        drive = {"scenario": "straight", "duration": LONG, "mode": "thesis", "gnss.device.rate": 10.0}
         self._observer = observer
         self._fault = observer.publisher("emulator/fault")
         self._healths = {}
@@ -52,6 +57,7 @@ class Rig:
             "can_driver": programs.node("can_driver", **can),
             "watson_imu": programs.node("watson_imu", serial_port=str(devices / "watson")),
             "sick_pls": programs.node("sick_pls", serial_port=str(devices / "sick")),
+            "nmea_gnss": programs.node("nmea_gnss", serial_port=str(devices / "gnss")),
         }
         observer.wait_for_ends("emulator/fault", "emulator")
         self.wait_until_nominal()

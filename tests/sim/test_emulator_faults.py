@@ -213,5 +213,6 @@ VALUED = {
         "noise",
         "occlusion",
         "glare",
+        "multipath",
     )
 }

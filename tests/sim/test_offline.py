@@ -24,7 +24,7 @@ from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_pieces
 from trackslip_sim.truth.window import KEPT, TruthWindow
 
-PARAMETERS = load_emulator_parameters({"lead_in": 6.0, "seed": 5})
+PARAMETERS = load_emulator_parameters({"lead_in": 6.0, "seed": 5, "gnss.device.rate": 10.0})
 SCENARIO = load_scenario("patches").stretched(4.0)
 MS = 1_000_000
 WATSON = default_parameters(WatsonParameters, "watson_imu")
@@ -48,7 +48,14 @@ def test_skipped_ticks_change_nothing(
     monkeypatch.setattr(EmulatedExcavator, "next_ns", lambda _, now_ns, tick_ns: now_ns + tick_ns)
     record_drive(PARAMETERS, simulate(SCENARIO), tmp_path / "bag")
     assert messages(tmp_path / "bag") == recorded
-    assert {topic for topic, _, _ in recorded} >= {"/scan", "/box_pose", "/imu/data_raw", "/truth/soil"}
+    assert {topic for topic, _, _ in recorded} >= {
+        "/scan",
+        "/box_pose",
+        "/imu/data_raw",
+        "/gnss_pose",
+        "/heading",
+        "/truth/soil",
+    }
 
 
 def test_a_truth_in_pieces_gives_the_same_bag(

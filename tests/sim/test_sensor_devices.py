@@ -4,17 +4,15 @@
 import math
 
 import pytest
+from fixtures.excavator_bus import FRAMES, PARAMETERS
 
 from trackslip_common.config_files import config_file, read_yaml
-from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
-from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_frames import ENCODERS, PRESSURES, SPOOLS, FrameSet
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
 from trackslip_drivers.protocols.watson import BINARY, COMMAND_MODE, DECIMAL, REFERENCE, REINITIALISE, Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
-from trackslip_sim.devices.can_device import CanDevice
+from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, SPOOLS, CanDevice
 from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.watson_device import BANNER, TICK_NS, WatsonDevice
 
@@ -130,19 +128,13 @@ def hydraulics(stamp_ns):
 
 
 def test_bus_through_the_driver_in_simulated_time():
-    frames = FrameSet(config_file("excavator.dbc"))
-    values = read_yaml(config_file("can_driver.yaml"))["can_driver"]["ros__parameters"]
-    parameters = from_flat(CanDriverParameters, values, "can_driver.yaml")
-    device = CanDevice(frames, parameters.belt_ratio, sprockets, hydraulics, 0)
-    driver = ExcavatorCan(parameters, frames, Tally())
+    device = CanDevice(FRAMES, sprockets, hydraulics, 0)
+    driver = ExcavatorCan(PARAMETERS, FRAMES, Tally())
     rolls, forces = [], []
     for now_ns in range(0, 20 * S, 10 * MS):
         for arbitration_id, data in device.step(now_ns):
-            sample = driver.receive(arbitration_id, data, now_ns)
-            if isinstance(sample, SprocketSample):
-                rolls.append(sample)
-            elif sample is not None:
-                forces.append(sample)
+            for sample in driver.receive(arbitration_id, data, now_ns):
+                (rolls if isinstance(sample, SprocketSample) else forces).append(sample)
     assert device.frames_emitted == {ENCODERS: 2000, SPOOLS: 2000, PRESSURES: 2000}
     assert len(rolls) == 1999
     assert len(forces) == 2000
@@ -162,8 +154,7 @@ def test_bus_through_the_driver_in_simulated_time():
 
 
 def test_bus_catches_up_after_a_late_step():
-    frames = FrameSet(config_file("excavator.dbc"))
-    device = CanDevice(frames, 3.0, sprockets, hydraulics, 5 * MS)
+    device = CanDevice(FRAMES, sprockets, hydraulics, 5 * MS)
     assert device.step(0) == []
     assert len(device.step(5 * MS)) == 3
     assert len(device.step(36 * MS)) == 9

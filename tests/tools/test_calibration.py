@@ -143,7 +143,7 @@ def test_the_delay_of_the_gyro_leaves_room_for_the_lag_of_the_ground() -> None:
 
 
 @pytest.mark.parametrize("scale", [-0.97, 1.03])
-def test_a_gyro_upside_down_is_told_by_headings_and_by_the_tracks(scale: float) -> None:
+def test_a_gyro_upside_down_is_shown_by_headings_and_by_the_tracks(scale: float) -> None:
     one = recorded(Made(scale=scale), 2)
     blind = replace(one, poses=Series(np.empty(0), np.empty((0, 6))))
     for recording in (one, blind):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag of many minutes, made of a short one by ``scripts/long_bag.py``, is read in bounded memory."""
+"""A bag of many minutes, made of a short one by ``scripts/long_bag.py``, goes through in bounded memory."""
 
 import subprocess
 import sys
@@ -32,6 +32,16 @@ with open_bag(sys.argv[1]) as bag:
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
 """
 
+RUN = """
+import resource, sys
+from trackslip_tools.cli.main import main
+
+code = main(sys.argv[1:])
+print(code, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
+"""
+# MB of ten minutes more, before thinning begins: fifty times as much is what 8 h may take.
+GROWTHS = {"replay": 30.0, "calibrate": 25.0, "smooth": 30.0, "report": 60.0}
+
 
 def lengthened(path: Path, minutes: float, *options: str) -> Path:
     command = [sys.executable, ROOT / "scripts" / "long_bag.py", ROOT / "bags" / "slalom_sand", path]
@@ -48,6 +58,23 @@ def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
         return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
     assert largest(MINUTES) < largest(MINUTES / 2.0) + GROWTH
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("command", GROWTHS)
+def test_commands_keep_little_of_a_bag(tmp_path: Path, command: str) -> None:
+    """None holds what it reads as Python objects, or as whole records of messages."""
+    options = ["--output", str(tmp_path / "report.html")] if command == "report" else []
+
+    def largest(minutes: float) -> float:
+        path = lengthened(tmp_path / f"{minutes:g}", minutes, "--live")
+        arguments = [sys.executable, "-c", RUN, command, str(path), *options]
+        done = subprocess.run(arguments, capture_output=True, text=True, check=True)
+        code, megabytes = done.stdout.splitlines()[-1].split()
+        assert int(code) == 0
+        return float(megabytes)
+
+    assert largest(MINUTES) < largest(MINUTES / 2.0) + GROWTHS[command]
 
 
 @pytest.mark.timeout(600)

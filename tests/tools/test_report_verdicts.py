@@ -65,7 +65,7 @@ def consistent_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
     fixes["value"] = (1.0, 2.0, -np.pi) + factor * rng.normal(size=(size, 3)) @ theirs
     fixes["noise"] = theirs @ theirs
     details = Details()
-    details.add(Part(sources, arrivals.ravel(), results.ravel(), {}))
+    details.add(Part(sources, arrivals.ravel(), results.ravel(), {}, []))
     published = np.zeros(size, KEPT)
     return dataclasses.replace(run, replay=Replay(1.0, 1.0, Counter(), published, Tally()), details=details)
 

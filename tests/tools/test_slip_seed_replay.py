@@ -139,8 +139,8 @@ def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pyt
 
 
 def test_a_topic_of_another_type_is_refused(seeded: Path) -> None:
-    with pytest.raises(InputError, match="box_pose is a geometry_msgs"):
-        replayed(seeded, slip_sources=["box_pose"])
+    with pytest.raises(InputError, match="sprockets is a sensor_msgs"):
+        replayed(seeded, slip_sources=["sprockets"])
 
 
 def test_a_replay_writes_the_seeds_of_its_soil_estimator() -> None:

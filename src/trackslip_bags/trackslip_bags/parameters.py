@@ -4,6 +4,7 @@
 A bag then replays with the vehicle it was recorded on, wherever its files have gone.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 from trackslip_bags.old_parameters import current_names
@@ -48,8 +49,20 @@ def bag_vehicle(bag: Bag) -> VehicleParameters | None:
 def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
     """The same by the names that they had when it was recorded."""
     for message in bag.messages([f"{node}/parameters"]):
-        return _read(bag, bag.deserialize(message.raw, message.type_name), node)
+        content = bag.deserialize(message.raw, message.type_name)
+        return flatten(_read(bag, content, node)["ros__parameters"])
     return {}
+
+
+def bag_learned(bag: Bag, node: str = _NODE) -> Any:
+    """What the estimator had learned before the bag begins, as it stands beside the parameters; else None.
+
+    Raises:
+        InputError: what is on the topic is no parameter file.
+    """
+    for message in bag.messages([f"{node}/parameters"]):
+        return _read(bag, bag.deserialize(message.raw, message.type_name), node).get("learned")
+    return None
 
 
 def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]:
@@ -58,11 +71,15 @@ def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]
     Raises:
         InputError: it is no parameter file.
     """
-    return current_names(_read(bag, content, node))
+    return current_names(flatten(_read(bag, content, node)["ros__parameters"]))
 
 
-def _read(bag: Bag, content: Any, node: str) -> dict[str, Any]:
+def _read(bag: Bag, content: Any, node: str) -> Mapping[str, Any]:
+    """All that such a message has of the node."""
     try:
-        return flatten(parse_yaml(content.data, f"{node}/parameters")[node]["ros__parameters"])
+        found = parse_yaml(content.data, f"{node}/parameters")[node]
+        if isinstance(found, Mapping) and isinstance(found["ros__parameters"], Mapping):
+            return found
+        raise TypeError(node)
     except (InputError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"bag '{bag.path}': {node}/parameters holds no parameters of {node}") from error

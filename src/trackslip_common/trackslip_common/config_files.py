@@ -99,7 +99,11 @@ def load_parameters(cls: type[P], node: str, files: Sequence[str], *layers: Mapp
     return from_flat(cls, values, node)
 
 
-def parameters_text(parameters: Mapping[str, Any], node: str) -> str:
-    """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them."""
-    text: str = yaml.safe_dump({node: {"ros__parameters": dict(parameters)}}, sort_keys=False)
+def parameters_text(parameters: Mapping[str, Any], node: str, **beside: Any) -> str:
+    """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them.
+
+    ``beside`` them stands what else the node started from.
+    """
+    content = {"ros__parameters": dict(parameters), **beside}
+    text: str = yaml.safe_dump({node: content}, sort_keys=False)
     return text

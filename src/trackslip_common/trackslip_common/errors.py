@@ -8,7 +8,7 @@ _LONGEST_LINE = 900  # characters
 
 
 def printable(text: str, longest: int = 200) -> str:
-    """A text on one line, with what a terminal would obey escaped; cut where it is longer."""
+    """A text on one line, with what a terminal would interpret escaped; cut where it is longer."""
     shown = "".join(
         c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: longest + 1]
     )

@@ -93,6 +93,18 @@ class ImuFields(NamedTuple):
     variance_z: Annotated[float, At("angular_velocity_covariance", (8,))]  # (rad/s)², 0 where unknown
 
 
+class OrientationFields(NamedTuple):
+    """Of sensor_msgs/Imu, its orientation."""
+
+    stamp_ns: StampNs
+    qx: Annotated[float, At("orientation.x")]
+    qy: Annotated[float, At("orientation.y")]
+    qz: Annotated[float, At("orientation.z")]
+    qw: Annotated[float, At("orientation.w")]
+    absent: Annotated[float, At("orientation_covariance", (0,))]  # −1: there is none
+    variance_z: Annotated[float, At("orientation_covariance", (8,))]  # rad², 0 where unknown
+
+
 class PoseFields(NamedTuple):
     """Of geometry_msgs/PoseWithCovarianceStamped, and of the pose in nav_msgs/Odometry: the planar part."""
 
@@ -121,6 +133,28 @@ class OdometryFields(NamedTuple):
     v_y: Annotated[float, At("twist.twist.linear.y")]
     yaw_rate: Annotated[float, At("twist.twist.angular.z")]  # rad/s
     twist_covariance: Annotated[FloatArray, At("twist.covariance", _PLANE_IN_36, (3, 3))]
+
+
+class NavSatFields(NamedTuple):
+    """Of sensor_msgs/NavSatFix."""
+
+    stamp_ns: StampNs
+    latitude: Annotated[float, At("latitude")]  # °
+    longitude: Annotated[float, At("longitude")]
+    altitude: Annotated[float, At("altitude")]  # m above the ellipsoid, nan where unknown
+    status: Annotated[int, At("status.status")]  # −1: no fix
+    covariance: Annotated[FloatArray, At("position_covariance", (0, 1, 3, 4), (2, 2))]  # m², east and north
+    covariance_type: Annotated[int, At("position_covariance_type")]  # 0: unknown
+
+
+class QuaternionFields(NamedTuple):
+    """Of geometry_msgs/QuaternionStamped."""
+
+    stamp_ns: StampNs
+    qx: Annotated[float, At("quaternion.x")]
+    qy: Annotated[float, At("quaternion.y")]
+    qz: Annotated[float, At("quaternion.z")]
+    qw: Annotated[float, At("quaternion.w")]
 
 
 class SlipFields(NamedTuple):
@@ -191,6 +225,8 @@ RECORDS: dict[str, RecordClass] = {
     "sensor_msgs/msg/Imu": ImuFields,
     "geometry_msgs/msg/PoseWithCovarianceStamped": PoseFields,
     "nav_msgs/msg/Odometry": OdometryFields,
+    "sensor_msgs/msg/NavSatFix": NavSatFields,
+    "geometry_msgs/msg/QuaternionStamped": QuaternionFields,
     "trackslip_msgs/msg/TrackSlip": SlipFields,
     "trackslip_msgs/msg/TrackHydraulics": HydraulicsFields,
     "trackslip_msgs/msg/TrackForces": ForceFields,

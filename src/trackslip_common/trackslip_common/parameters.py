@@ -33,6 +33,11 @@ _SCALARS: Mapping[type, str] = MappingProxyType(
     {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 )
 
+# What YAML 1.1 takes for true or false without quotes, such as the parity N.
+_YAML_WORDS: Mapping[bool, tuple[str, ...]] = MappingProxyType(
+    {True: ("y", "yes", "on", "true"), False: ("n", "no", "off", "false")}
+)
+
 
 @dataclass(frozen=True)
 class Spec:
@@ -276,6 +281,8 @@ def _coerce(name: str, value: Any, kind: Any, spec: Spec) -> Any:
         value = tuple(_floated(item) if item_kind is float else item for item in value)
     elif kind is float:
         value = _floated(value)
+    elif kind is str and type(value) is bool:
+        value = next((c for c in spec.choices if str(c).lower() in _YAML_WORDS[value]), value)
     _check(name, value, kind, spec)
     return value
 

@@ -24,10 +24,15 @@ class Topic:
 TOPICS = {
     "sprockets": Topic("sensor_msgs/msg/JointState", Flow.SENSOR),
     "hydraulics": Topic("trackslip_msgs/msg/TrackHydraulics", Flow.SENSOR),
+    "swing": Topic("sensor_msgs/msg/JointState", Flow.SENSOR),
     "imu/data_raw": Topic("sensor_msgs/msg/Imu", Flow.SENSOR),
     "imu/mag": Topic("sensor_msgs/msg/MagneticField", Flow.SENSOR),
     "scan": Topic("sensor_msgs/msg/LaserScan", Flow.SENSOR),
+    "fix": Topic("sensor_msgs/msg/NavSatFix", Flow.SENSOR),
+    "heading": Topic("sensor_msgs/msg/Imu", Flow.SENSOR),
     "box_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
+    "gnss_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
+    "gnss_localizer/datum": Topic("sensor_msgs/msg/NavSatFix", Flow.LATCHED),
     "odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "odometry/local": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
@@ -50,3 +55,4 @@ TOPICS = {
 
 SENSOR_TOPICS = tuple(name for name, topic in TOPICS.items() if topic.flow is Flow.SENSOR)
 LEFT_SPROCKET, RIGHT_SPROCKET = "left_sprocket", "right_sprocket"
+SWING_JOINT = "swing"  # of the upper structure against the undercarriage

@@ -42,6 +42,7 @@ class _Loader(yaml.SafeLoader):
             self._values += self._values_of[node]
         else:
             self._values += 1
+            _check_keys(node)
             self._values_of[node] = self._values - before
         if self._values > _MOST:
             raise _refused(event, f"too many values; accepted: up to {_MOST}")
@@ -76,6 +77,16 @@ def parse_yaml(text: str, where: str) -> Any:
         return yaml.load(text, Loader=_Loader)
     except _WRONG as error:
         raise InputError(f"{where}: not YAML ({' '.join(str(error).split())})") from error
+
+
+def _check_keys(node: yaml.Node) -> None:
+    """A key that stands twice in a mapping would be taken once, silently."""
+    if isinstance(node, yaml.MappingNode):
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise _refused(key, f"'{key.value}' stands there twice")
+            seen.add(str(key.value))
 
 
 def _refused(at: Any, problem: str) -> yaml.MarkedYAMLError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drivers: CAN, Watson IMU, SICK PLS."""
+"""The drivers: CAN, Watson IMU, SICK PLS; with ``gnss:=true`` a GNSS receiver too."""
 
 from launch.actions import OpaqueFunction
 
@@ -7,7 +7,7 @@ from launch import LaunchDescription
 from trackslip_common.nodes.launching import Launched, declared, nodes
 
 PACKAGE = "trackslip_drivers"
-EXECUTABLES = ("can_driver", "watson_imu", "sick_pls")
+EXECUTABLES = ("can_driver", "watson_imu", "sick_pls", "nmea_gnss")
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -1,23 +1,72 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the node ``can_driver`` (values: ``config/can_driver.yaml``)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import parameter
+from trackslip_common.vehicle import WithVehicle
+from trackslip_common.yaml_text import parse_yaml
+
+NODE = "can_driver"
+DEFAULT_FILES = ("can_driver.yaml",)
+
+_OVER_NETWORK = ("udp_multicast", "socketcand")  # python-can's interfaces with a port
+_INTERFACES = (
+    *(
+        "socketcan",
+        "udp_multicast",
+        "virtual",
+        "slcan",
+        "socketcand",
+        "pcan",
+        "kvaser",
+        "vector",
+        "ixxat",
+        "serial",
+    ),
+    *("gs_usb", "cantact", "canalystii", "etas", "iscan", "neousys", "neovi", "nican", "nixnet", "robotell"),
+    *("seeedstudio", "systec", "usb2can"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class CanDriverParameters(Parameters):
-    """Bus, contract, and how counts become motion."""
+class CanDriverParameters(WithVehicle):
+    """Bus, contract, roles of its signals, and how they become motion."""
 
-    can_interface: str = parameter(
-        "python-can interface", choices=("socketcan", "udp_multicast", "virtual", "slcan", "socketcand")
-    )
+    can_interface: str = parameter("python-can interface", choices=_INTERFACES)
     can_channel: str = parameter("device or multicast address, as the interface names it")
-    can_port: int = parameter("UDP port, for udp_multicast only", ge=1024, le=65535)
+    can_port: int = parameter("UDP port of udp_multicast, TCP port of socketcand", ge=1024, le=65535)
+    can_host: str = parameter("host of socketcand; '' names none")
+    can_bitrate: int = parameter("of adapters that python-can sets up; 0: as it is", unit="bit/s", ge=0)
+    can_options: tuple[str, ...] = parameter("further settings of python-can, NAME=VALUE each; '' is none")
     dbc_file: str = parameter("contract of the frames; a path, or a name in config/")
+    roles_file: str = parameter("what its signals are for; a path, or a name in config/")
     time_offset: float = parameter("added to the stamp of every frame", unit="s")
-    belt_ratio: float = parameter("encoder turns per sprocket turn", gt=0.0)
     max_sprocket_speed: float = parameter("a reading that moved faster is refused", unit="rad/s", gt=0.0)
     velocity_window: int = parameter("readings in the velocity fit", ge=2, le=50)
-    spool_timeout: float = parameter("oldest spool position to go with a pressure", unit="s", gt=0.0)
+    pairing_timeout: float = parameter("oldest value that goes with those of another frame", unit="s", gt=0.0)
+
+    def bus_options(self) -> Mapping[str, Any]:
+        """What python-can is given beside interface and channel.
+
+        Raises:
+            InputError: an option is not of the form NAME=VALUE.
+        """
+        options: dict[str, Any] = {}
+        if self.can_interface in _OVER_NETWORK:
+            options["port"] = self.can_port
+        if self.can_host:
+            options["host"] = self.can_host
+        if self.can_bitrate:
+            options["bitrate"] = self.can_bitrate
+        for text in filter(None, self.can_options):
+            name, equals, value = text.partition("=")
+            if not equals or not name.isidentifier():
+                raise InputError(
+                    f"{NODE}: can_options: '{text}'; accepted: NAME=VALUE, as python-can names it"
+                )
+            options[name] = parse_yaml(value, f"{NODE}: can_options: {name}")
+        return options

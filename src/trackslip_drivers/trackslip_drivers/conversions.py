@@ -6,15 +6,26 @@ once, blank, and fills it anew for each sample: to make one takes ten times as l
 """
 
 import array
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header, set_stamp
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
-from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample, Vector
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
+from trackslip_drivers.records import (
+    FixSample,
+    HeadingSample,
+    HydraulicsSample,
+    ImuSample,
+    ScanSample,
+    SprocketSample,
+    SwingSample,
+    Vector,
+)
 
+_UNOBSERVED = 1e6  # rad², variance of roll and pitch
 _ABSENT = -1.0  # first element of the covariance of what is not measured (REP-145)
 
 
@@ -35,10 +46,28 @@ def blank_joint_state(make: Make, frame_id: str) -> Any:
 
 
 def fill_joint_state(message: Any, sample: SprocketSample) -> Any:
-    """The message with another sample in it."""
+    """The message with another sample in it; a position that is unknown reads nan, as in ros2_control."""
     set_stamp(message, sample.stamp_ns)
     message.position[0], message.position[1] = sample.left_position, sample.right_position
     message.velocity[0], message.velocity[1] = sample.left_velocity, sample.right_velocity
+    return message
+
+
+def blank_swing(make: Make, frame_id: str) -> Any:
+    """sensor_msgs/JointState for ``fill_swing``."""
+    return make(
+        "sensor_msgs/msg/JointState",
+        header=header(make, 0, frame_id),
+        name=[SWING_JOINT],
+        position=array.array("d", (0.0,)),
+        velocity=array.array("d", (0.0,)),
+    )
+
+
+def fill_swing(message: Any, sample: SwingSample) -> Any:
+    """The message with another sample in it."""
+    set_stamp(message, sample.stamp_ns)
+    message.position[0], message.velocity[0] = sample.position, sample.velocity
     return message
 
 
@@ -128,6 +157,42 @@ def laser_scan(make: Make, sample: ScanSample, frame_id: str) -> Any:
         range_min=sample.range_min,
         range_max=sample.range_max,
         ranges=array.array("f", sample.ranges.astype(np.float32).tobytes()),
+    )
+
+
+def nav_sat_fix(make: Make, sample: FixSample, frame_id: str) -> Any:
+    """sensor_msgs/NavSatFix; no service is named, as sentences of several systems do not tell."""
+    return make(
+        "sensor_msgs/msg/NavSatFix",
+        header=header(make, sample.stamp_ns, frame_id),
+        status=make("sensor_msgs/msg/NavSatStatus", status=int(sample.status), service=0),
+        latitude=sample.latitude,
+        longitude=sample.longitude,
+        altitude=sample.altitude,
+        position_covariance=np.diag(sample.variances).flatten(),
+        position_covariance_type=int(sample.covariance_type),
+    )
+
+
+def heading(make: Make, sample: HeadingSample, frame_id: str) -> Any:
+    """sensor_msgs/Imu with an orientation about the vertical alone, as that message has a covariance for it.
+
+    Rates and accelerations are absent (REP-145); an unknown accuracy is a covariance of zeros.
+    """
+    absent = np.zeros(9)
+    absent[0] = _ABSENT
+    known = sample.stddev > 0.0
+    covariance = np.diag((_UNOBSERVED, _UNOBSERVED, sample.stddev**2)).flatten() if known else np.zeros(9)
+    half = sample.yaw / 2.0
+    return make(
+        "sensor_msgs/msg/Imu",
+        header=header(make, sample.stamp_ns, frame_id),
+        orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)),
+        orientation_covariance=covariance,
+        angular_velocity=_zero_vector(make),
+        angular_velocity_covariance=absent,
+        linear_acceleration=_zero_vector(make),
+        linear_acceleration_covariance=absent.copy(),
     )
 
 

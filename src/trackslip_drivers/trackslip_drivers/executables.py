@@ -17,3 +17,8 @@ def watson_imu() -> None:
 def sick_pls() -> None:
     """See ``trackslip_drivers.nodes.sick_pls``."""
     start("trackslip_drivers.nodes.sick_pls")
+
+
+def nmea_gnss() -> None:
+    """See ``trackslip_drivers.nodes.nmea_gnss``."""
+    start("trackslip_drivers.nodes.nmea_gnss")

@@ -4,6 +4,7 @@
 A stamp is the time of the measurement on the host's clock, not of the arrival of its bytes.
 """
 
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,10 @@ Vector = tuple[float, float, float]
 
 
 class SprocketSample(NamedTuple):
-    """Both sprockets; positive drives forward. Positions are continuous (unwrapped)."""
+    """Both sprockets; positive drives forward. Positions are continuous (unwrapped).
+
+    They are nan where there are none, or where they do not continue those before: what was turned is unknown.
+    """
 
     stamp_ns: int
     left_position: float  # rad
@@ -24,7 +28,7 @@ class SprocketSample(NamedTuple):
 
 
 class HydraulicsSample(NamedTuple):
-    """Travel motors: differential pressures, spool positions, supply."""
+    """Travel motors: differential pressures, spool positions, supply; nan where there is none."""
 
     stamp_ns: int
     left_pressure: float  # Pa, positive drives forward
@@ -32,6 +36,14 @@ class HydraulicsSample(NamedTuple):
     left_spool: float  # -1 … 1
     right_spool: float  # -1 … 1
     supply_pressure: float  # Pa
+
+
+class SwingSample(NamedTuple):
+    """Upper structure against undercarriage, counter-clockwise."""
+
+    stamp_ns: int
+    position: float  # rad, −π … π
+    velocity: float  # rad/s
 
 
 class ImuSample(NamedTuple):
@@ -55,3 +67,39 @@ class ScanSample(NamedTuple):
     range_min: float  # m
     range_max: float  # m
     ranges: FloatArray  # (n,) m; +inf no return, -inf too close, nan invalid (REP-117)
+
+
+class FixStatus(IntEnum):
+    """How a position was found; numbers of sensor_msgs/NavSatStatus."""
+
+    SINGLE = 0
+    DIFFERENTIAL = 1
+    RTK = 2  # carrier phase, fixed or float: the variances tell which
+
+
+class CovarianceType(IntEnum):
+    """Where the variances of a position come from; numbers of sensor_msgs/NavSatFix."""
+
+    UNKNOWN = 0
+    APPROXIMATED = 1
+    DIAGONAL_KNOWN = 2
+
+
+class FixSample(NamedTuple):
+    """Position of an antenna, WGS84."""
+
+    stamp_ns: int
+    latitude: float  # °, north
+    longitude: float  # °, east
+    altitude: float  # m above the ellipsoid; nan: unknown
+    status: FixStatus
+    variances: Vector  # m², east, north, up
+    covariance_type: CovarianceType
+
+
+class HeadingSample(NamedTuple):
+    """Direction of a pair of antennas about the vertical."""
+
+    stamp_ns: int
+    yaw: float  # rad in (−π, π], east = 0, counter-clockwise
+    stddev: float  # rad; 0: unknown

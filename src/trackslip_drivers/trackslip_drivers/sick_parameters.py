@@ -13,11 +13,14 @@ class SickParameters(Parameters):
     """What the driver needs to know of one scanner, and of the line to it."""
 
     serial_port: str = parameter("device path or pyserial URL of the scanner")
-    serial_baud: int = parameter("rate that the scanner is switched to", unit="Bd", gt=0)
+    serial_baud: int = parameter(
+        "rate that the scanner is switched to; where it refuses, the next lower", unit="Bd", gt=0
+    )
     parity: str = parameter("parity of the line: N none, E even, O odd", choices=("N", "E", "O"))
     frame_id: str = parameter("frame that the scan is given in")
     time_offset: float = parameter("added to every stamp", unit="s")
     model: str = parameter("kind of scanner", choices=("pls", "lms"))
+    clockwise: bool = parameter("whether it hangs upside down, so that its rays run clockwise")
     range_min: float = parameter("nearer is 'too close' (-inf)", unit="m", ge=0.0)
     range_max: float = parameter("farther is 'no return' (+inf)", unit="m", gt=0.0)
     glare_is_nan: bool = parameter("whether a ray with the glare flag is invalid (NaN)")

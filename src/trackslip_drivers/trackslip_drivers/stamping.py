@@ -20,6 +20,10 @@ from enum import Enum
 
 _LONGEST_GAP = 12  # cycles; beyond, the sender may have restarted, or its 4-bit count have gone round
 
+_DAY_NS = 86_400_000_000_000
+_LONGEST_SILENCE_NS = 3_600_000_000_000  # of a sender whose clock is believed to have gone on
+_SAME_READING_NS = 500_000_000  # between what is told of one reading: half of the longest usual period
+
 _JUMP_NS = 20_000_000  # a change of the host's clock that no slewing makes
 _SLEWING = 1e-3  # of the time between looks; ntpd and chronyd stay below
 _OLDEST_NS = 1_000_000_000  # an arrival further back is from before a jump
@@ -74,6 +78,57 @@ class PeriodicStamps:
         return raw_ns
 
 
+class SenderClock:
+    """The filter for a sender that tells the time u_k of each reading, on a clock of its own.
+
+    s_k = min(r_k, s_{k−1} + (u_k − u_{k−1}) (1 + ρ)): n_k P is what the sender's clock says. That clock need
+    not be right, nor know the date: only differences of its time of day count, so that midnight, a wrong week
+    and a wrong year change nothing. Where it goes back (a leap second, another fix of it) all begins anew;
+    where it goes ahead, r_k is the smaller. A backlog that arrives at once keeps the times at which it was
+    measured.
+
+    Args:
+        tolerance: ρ, of both clocks together.
+        patience: after so many times in a row that were all later than the model has them, the least late
+            of these is the model.
+    """
+
+    def __init__(self, tolerance: float, patience: int) -> None:
+        self._pace = 1.0 + tolerance
+        self._patience = patience
+        self._told_ns: int | None = None  # what follows belongs to it
+        self._raw_ns = self._last_ns = 0
+        self._late, self._least_late_ns = 0, _DAY_NS
+
+    def restart(self) -> None:
+        """Start over: what comes next may not continue what was."""
+        self._told_ns = None
+
+    def filter(self, raw_ns: int, told_ns: int) -> int:
+        """The stamp of a reading that the sender says was made at ``told_ns`` of its day."""
+        if self._told_ns is None:
+            return self._restart_from(raw_ns, told_ns)
+        elapsed_ns = (told_ns - self._told_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2
+        if elapsed_ns == 0 and raw_ns - self._raw_ns < _SAME_READING_NS:  # more of the same reading
+            self._last_ns = min(self._last_ns, raw_ns)
+            return self._last_ns
+        modelled_ns = self._last_ns + round(elapsed_ns * self._pace)
+        if not 0 < elapsed_ns < _LONGEST_SILENCE_NS or raw_ns <= modelled_ns:
+            return self._restart_from(raw_ns, told_ns)
+        if raw_ns - self._raw_ns > elapsed_ns // 2:  # else it is catching up
+            self._late += 1
+            self._least_late_ns = min(self._least_late_ns, raw_ns - modelled_ns)
+        self._told_ns, self._raw_ns, self._last_ns = told_ns, raw_ns, modelled_ns
+        if self._late >= self._patience:
+            return self._restart_from(modelled_ns + self._least_late_ns, told_ns)
+        return modelled_ns
+
+    def _restart_from(self, stamp_ns: int, told_ns: int) -> int:
+        self._told_ns, self._raw_ns, self._last_ns = told_ns, stamp_ns, stamp_ns
+        self._late, self._least_late_ns = 0, _DAY_NS
+        return stamp_ns
+
+
 @dataclass
 class HostTime:
     """The host's clock against the steady one. It may be set while we run.
@@ -98,10 +153,10 @@ class HostTime:
             self.lead_ns = max(0, self.lead_ns - change_ns)
         return jumped
 
-    def steady(self, host_ns: int) -> int:
-        """Steady time of an arrival that was stamped by the host's clock shortly before the last look."""
-        steady_ns = min(host_ns - self.offset_ns, self.looked_ns)
-        return steady_ns if self.looked_ns - steady_ns < _OLDEST_NS else self.looked_ns
+    def steady(self, host_ns: int, now_ns: int) -> int:
+        """Steady time of an arrival, stamped by the host's clock shortly before ``now_ns`` (steady)."""
+        steady_ns = min(host_ns - self.offset_ns, now_ns)
+        return steady_ns if now_ns - steady_ns < _OLDEST_NS else now_ns
 
     def stamp(self, steady_ns: int) -> int:
         """What to write into a message."""

@@ -1,16 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Box localizer, slip and soil estimators, and recorder."""
+"""Box localizer, slip and soil estimators, and recorder; with ``gnss:=true`` the GNSS localizer too."""
+
+import os
+from pathlib import Path
 
 from launch.actions import OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
 from trackslip_common.nodes.launching import Launched, declared, nodes
 
 PACKAGE = "trackslip_estimation"
-EXECUTABLES = ("box_localizer", "slip_estimator", "soil_estimator", "record")
+_DEFAULT = "default"
+EXECUTABLES = ("box_localizer", "slip_estimator", "soil_estimator", "gnss_localizer", "record")
 
 
 def generate_launch_description() -> LaunchDescription:
     """Defaults are the nodes' own; ``params_file`` goes over them."""
-    wanted = [Launched(PACKAGE, name) for name in EXECUTABLES]
-    return LaunchDescription([*declared(), OpaqueFunction(function=nodes, args=[wanted])])
+    state_file = (
+        _DEFAULT,
+        f"keeps what was learned; '{_DEFAULT}': one of the namespace, in $ROS_HOME/trackslip; 'none': nothing",
+    )
+    return LaunchDescription([*declared(state_file=state_file), OpaqueFunction(function=_nodes)])
+
+
+def _nodes(context: LaunchContext) -> list[Node]:
+    own = {"slip_estimator": {"state_file": _state_file(context)}}
+    return nodes(context, [Launched(PACKAGE, name, own.get(name, {})) for name in EXECUTABLES])
+
+
+def _state_file(context: LaunchContext) -> str:
+    """The path to give the slip estimator; empty for none."""
+    chosen = LaunchConfiguration("state_file").perform(context)
+    if chosen != _DEFAULT:
+        return "" if chosen == "none" else chosen
+    outer = context.launch_configurations.get("ros_namespace", "")
+    namespace = "/".join((outer, LaunchConfiguration("namespace").perform(context))).strip("/")
+    home = Path(os.environ.get("ROS_HOME", "~/.ros"))
+    return str(home / "trackslip" / namespace / "slip_estimator.yaml")

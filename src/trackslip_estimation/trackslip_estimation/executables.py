@@ -9,6 +9,11 @@ def box_localizer() -> None:
     start("trackslip_estimation.nodes.box_localizer")
 
 
+def gnss_localizer() -> None:
+    """See ``trackslip_estimation.nodes.gnss_localizer``."""
+    start("trackslip_estimation.nodes.gnss_localizer")
+
+
 def slip_estimator() -> None:
     """See ``trackslip_estimation.nodes.slip_estimator``."""
     start("trackslip_estimation.nodes.slip_estimator")

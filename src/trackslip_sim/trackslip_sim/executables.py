@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entry points of the emulator and the demo: each loads its module only when called (see ``start``)."""
 
+from trackslip_common.errors import ExitCode
 from trackslip_common.start import start
 
 
@@ -11,4 +12,4 @@ def emulator() -> None:
 
 def demo() -> None:
     """See ``trackslip_sim.demo.run``."""
-    start("trackslip_sim.demo.run")
+    start("trackslip_sim.demo.run", ExitCode.INTERRUPTED)

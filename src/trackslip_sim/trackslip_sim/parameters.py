@@ -9,6 +9,7 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import parameter
 from trackslip_common.vehicle import WithVehicle
 from trackslip_sim.devices.sick_device import SickDeviceParameters
+from trackslip_sim.machine.gnss_model import GnssParameters
 from trackslip_sim.machine.scan_model import SiteParameters
 from trackslip_sim.machine.sensors import SensorNoise
 
@@ -23,6 +24,7 @@ class EmulatorParameters(WithVehicle):
     site: SiteParameters
     noise: SensorNoise
     sick_start: SickDeviceParameters
+    gnss: GnssParameters
     scenario: str = parameter("name in config/scenarios, or a file")
     soil: str = parameter("name in config/soils.yaml; empty: the scenario's own")
     mode: str = parameter("truth model", choices=("shear", "thesis"))

@@ -34,7 +34,7 @@ def beams_of(ranges, indices=None):
 def fitted(ranges, heading, stddev, indices=None):
     beams = beams_of(ranges, indices)
     start = likely_starts(heading + HEADINGS, BOX, beams, stddev)[0]
-    return posterior(most_likely(start, BOX, beams, stddev), BOX, beams, stddev)
+    return posterior(most_likely(start, BOX, beams, stddev), heading, BOX, beams, stddev)[:2]
 
 
 def test_ray_cast_face_on():

@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from fixtures.box_drives import CEILING
 from fixtures.box_site import (
     BARE,
     BOX,
@@ -22,7 +23,6 @@ from fixtures.box_site import (
 
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer, Rejection
 from trackslip_estimation.box.search import Reason
-from trackslip_estimation.box.sides import SideDoubt, half_turn_variance
 from trackslip_sim.machine.scan_model import TIME_INCREMENT, SiteScanner
 
 
@@ -132,18 +132,51 @@ def test_partly_hidden_box_is_located_with_larger_covariance():
     assert split.covariance[:2, :2].trace() < half.covariance[:2, :2].trace()
 
 
-def test_lost_for_long_it_is_found_again_with_its_heading():
+def seen_again(pose_at, scans, hidden_for, seed=11):
+    """Outcomes after the box, followed for 10 scans, was hidden for some."""
     localizer = BoxLocalizer(PARAMETERS, BOX)
-    scanner = SiteScanner(BARE, BOX, seed=11)
-    drive(localizer, scanner, turning, 10)
-    blind = drive(localizer, scanner, turning, 20, first=10, change=lambda _, ranges: hidden(ranges, 0, 361))
-    assert blind == [Rejection(Reason.NOTHING_NEAR)] * 20
-    outcomes = drive(localizer, scanner, turning, 60, first=30)
-    assert isinstance(outcomes[0], BoxFix)
-    assert outcomes[0].covariance[2, 2] > 0.01  # the sides are in doubt
+    scanner = SiteScanner(BARE, BOX, seed=seed)
+    drive(localizer, scanner, pose_at, 10)
+    change = {"change": lambda _, ranges: hidden(ranges, 0, 361)}
+    blind = drive(localizer, scanner, pose_at, hidden_for, first=10, **change)
+    assert blind == [Rejection(Reason.NOTHING_NEAR)] * hidden_for
+    return drive(localizer, scanner, pose_at, scans, first=10 + hidden_for)
+
+
+def test_lost_for_two_seconds_it_is_found_again_with_its_heading():
+    outcomes = seen_again(turning, scans=60, hidden_for=10)
+    assert_near(outcomes[0], turning)
     for outcome in outcomes[-20:]:
         assert_near(outcome, turning)
         assert outcome.covariance[2, 2] < 0.01
+
+
+def test_back_in_sight_the_sides_were_claimed_at_once():
+    """Turned by a quarter while hidden, as the tracks would tell: the last orientation is not the next."""
+    for quarter, seed in ((1, 3), (-1, 4), (2, 5)):
+        localizer = BoxLocalizer(PARAMETERS, BOX)
+        scanner = SiteScanner(BARE, BOX, seed=seed)
+        drive(localizer, scanner, standing(0.0, 0.0, 0.1), 10)
+        turned = standing(0.2, -0.1, 0.1 + quarter * np.pi / 2.0)
+        for outcome in drive(localizer, scanner, turned, 80, first=32):
+            assert isinstance(outcome, BoxFix)
+            assert outcome.covariance[2, 2] > CEILING**2  # half a turn stays in doubt
+            miss = error(outcome, turned)
+            assert np.all(np.abs(miss) < 4.0 * np.sqrt(np.diag(outcome.covariance)))
+        assert abs(np.sin(miss[2])) < 0.2  # but not a quarter
+
+
+def test_one_edge_near_the_edge_of_view_does_not_settle_the_sides():
+    """The box comes into view at −90° a beam at a time: its far end is unknown, its centre too."""
+    parameters = dataclasses.replace(PARAMETERS, laser_x=0.0, laser_y=0.0, laser_yaw=0.0, initial_y=-3.0)
+    scanner = SiteScanner(dataclasses.replace(BARE, laser_x=0.0, laser_y=0.0, laser_yaw=0.0), BOX, seed=3)
+    seen = standing(-0.33, -2.6, -1.1)
+    fix = locate(
+        BoxLocalizer(dataclasses.replace(parameters, initial_yaw=-1.1), BOX), 1.0, scanner.scan(1.0, seen)
+    )
+    miss = error(fix, seen)
+    assert miss @ np.linalg.solve(fix.covariance, miss) < 16.0
+    assert np.linalg.eigvalsh(fix.covariance[:2, :2])[1] > 0.05**2
 
 
 def test_half_turn_unseen_is_not_falsely_certain():
@@ -170,20 +203,6 @@ def test_what_was_there_before_is_not_the_box():
     gone = drive(localizer, scanner, standing(100.0, 100.0, 0.0), 60, first=10)
     assert all(isinstance(outcome, Rejection) for outcome in gone)
     assert gone[-1] == Rejection(Reason.BACKGROUND)
-
-
-def test_half_turn_is_sure_while_the_prediction_is():
-    assert half_turn_variance(turned=0.5, spread=0.3) == 0.0
-    assert half_turn_variance(turned=np.pi / 2.0, spread=2.0) == pytest.approx(np.pi**2 / 2.0)
-
-
-def test_doubt_about_the_sides_ends_with_enough_evidence():
-    doubt = SideDoubt(turn=np.pi / 2.0, evidence=-4.0)
-    assert doubt.after(-5.0) == SideDoubt(np.pi / 2.0, -9.0)
-    assert doubt.after(5.0) == SideDoubt(-np.pi / 2.0, -1.0)
-    assert doubt.after(-100.0) == SideDoubt(np.pi / 2.0, -10.0)  # no single scan decides
-    assert SideDoubt(np.pi / 2.0, -26.0).after(-5.0) is None
-    assert doubt.after(-5.0).probability() < doubt.probability() < 0.5
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, 0.01])

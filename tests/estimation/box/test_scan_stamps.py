@@ -120,7 +120,7 @@ def test_malformed_scan_is_refused(ranges):
     "changes",
     [
         *({"angle_min": value} for value in (np.nan, np.inf, -np.inf, 7.0)),
-        *({"angle_increment": value} for value in (np.nan, np.inf, 0.0, -0.01, 1e-30, 1.0)),
+        *({"angle_increment": value} for value in (np.nan, np.inf, 0.0, -1.0, 1e-30, 1.0)),
         *({"time_increment": value} for value in (np.nan, np.inf, -np.inf, 1e20, -1e20, 0.1)),
         *({"stamp_ns": value} for value in (-1, 2**31 * 1_000_000_000, 2**31 * 1_000_000_000 - 1)),
     ],
@@ -132,6 +132,23 @@ def test_scan_of_impossible_geometry_is_refused_and_the_next_gives_a_fix(changes
         assert localizer.locate(scan(stamp, **changes)) == Rejection(Reason.MALFORMED)
         assert_near(localizer.locate(scan(stamp + 0.5)), ORIGIN)
     assert localizer.tally.by_source()["scan"] == {Reason.MALFORMED.value: 2}
+
+
+def test_scan_of_clockwise_beams_was_malformed():
+    there = standing(1.0, 0.5, 0.4)
+    usual = scan(1.0, there)
+    turned = dataclasses.replace(
+        usual,
+        stamp_ns=usual.time_ns(usual.ranges.size - 1),
+        ranges=usual.ranges[::-1],
+        angle_min=-usual.angle_min,
+        angle_increment=-usual.angle_increment,
+        time_increment=-usual.time_increment,
+    )
+    one, other = (BoxLocalizer(PARAMETERS, BOX).locate(s) for s in (usual, turned))
+    assert_near(other, there)
+    assert other.stamp_ns == pytest.approx(one.stamp_ns, abs=2)
+    assert (other.x, other.y, other.yaw) == pytest.approx((one.x, one.y, one.yaw), abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,8 @@ def after(found: list[Measurement], seconds: float) -> list[Measurement]:
 
 
 def test_reset_begins_anew(found: list[Measurement]) -> None:
-    estimator, fresh = running(found), SlipEstimator(load_slip_parameters())
+    estimator = running(found)
+    fresh = SlipEstimator(load_slip_parameters(), learned=estimator.learned)  # which a reset keeps
     assert estimator.process(Command(RESET)) == (Report(RESET, 0, Outcome.ACCEPTED), None)
     assert not estimator.started
     assert estimator.restarts == 0

@@ -29,6 +29,7 @@ from trackslip_estimation.slip.models.model import Part
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
 
 CODE, NAME, ACTIVE = 3, "toy", speed.ACTIVE
+NOISE = "turning"  # it has no numbers of its own
 EFFICIENCY, PULL = FIRST, SECOND
 PARTS = (
     *speed.PARTS,
@@ -69,8 +70,6 @@ def twist_jacobian(x, left, right, c):
 DISPATCH = (  # what stands there, and what stands there with one more model
     ("import free_slips, icr, speed, turning\n", "import free_slips, icr, speed, toy, turning\n"),
     ("(turning, icr, free_slips)}\n", "(turning, icr, free_slips, toy)}\n"),
-    ('choices=("turning", "icr", "free_slips"),\n', 'choices=("turning", "icr", "free_slips", "toy"),\n'),
-    ('"free_slips": self.noise}[model]\n', '"free_slips": self.noise, "toy": self.turning}[model]\n'),
     *(
         (before, before + f"    if c.model == toy.CODE:\n        return toy.{name}(x, left, right, c)\n")
         for name in ("twist", "twist_jacobian")

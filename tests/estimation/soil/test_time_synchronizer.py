@@ -20,7 +20,7 @@ from trackslip_estimation.soil.records import (
     SoilInput,
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.time_synchronizer import SAMPLE, add, is_ready, new_synchronizer, take
+from trackslip_estimation.soil.time_synchronizer import SAMPLE, add, is_ready, new_synchronizer, pop_oldest
 
 P = load_soil_parameters().moments
 NUMBERS = record_of(P)
@@ -62,7 +62,7 @@ class Inbox:
         found = []
         while is_ready(self._synchronizer, NUMBERS[0]):
             sample = np.zeros(1, SAMPLE)
-            take(self._synchronizer, NUMBERS[0], sample[0])
+            pop_oldest(self._synchronizer, NUMBERS[0], sample[0])
             found.append(sample[0])
         return found
 
@@ -121,6 +121,7 @@ def test_a_gap_between_pressures_is_not_bridged() -> None:
         ([hydraulics(100), hydraulics(90)], Rejection.TOO_LATE),
         ([hydraulics(100), hydraulics(99_000)], Rejection.AHEAD),
         ([hydraulics(100, float("nan"))], Rejection.INVALID),
+        ([Hydraulics(100, 0.0, 0.0, 0.1, float("nan"))], Rejection.INVALID),
         ([odometry(100), odometry(100)], Rejection.DUPLICATE),
         ([odometry(100), slips(100), slips(100)], Rejection.DUPLICATE),
         ([odometry(100), slips(100), slips(90), odometry(90)], Rejection.TOO_LATE),
@@ -132,6 +133,13 @@ def test_what_has_no_place_is_rejected_and_counted(inputs: list[SoilInput], reje
     inbox = Inbox()
     assert [inbox.add(given) for given in inputs] == [None] * (len(inputs) - 1) + [rejection]
     assert inbox.rejected == {(inputs[-1].source, rejection): 1}
+
+
+def test_pressures_of_a_machine_without_spool_sensors_are_used() -> None:
+    nan = float("nan")
+    found = run(Hydraulics(100 * MS, 1e6, 2e6, nan, nan), odometry(100), slips(100))
+    assert [bool(s["has_pressures"]) for s in found] == [True]
+    assert np.isnan(found[0]["spools"]).all()
 
 
 def test_one_wild_stamp_does_not_stop_the_pressures() -> None:

@@ -14,6 +14,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
 from trackslip_bags.playback import Playback
+from trackslip_common.errors import ExitCode
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, Health
 from trackslip_common.nodes.messages import message_class
@@ -150,4 +151,4 @@ def play(
     show: Callable[[Playback], None],
 ) -> int:
     """Play to the end or until Ctrl-C; returns the exit code."""
-    return run(lambda: PlayerNode(playback, topics, keys, show), argv=[])
+    return run(lambda: PlayerNode(playback, topics, keys, show), argv=[], interrupted=ExitCode.INTERRUPTED)

@@ -69,6 +69,10 @@ class TrackslipNode(GuardedNode, Generic[P]):
         """With the namespace."""
         return self.get_fully_qualified_name().removeprefix("/")
 
+    def started_from(self) -> dict[str, Any]:
+        """What the node started from beside its parameters, by name, for the parameters' topic."""
+        return {}
+
     def start(self) -> None:
         """Configure and activate, unless ``autostart`` is false; raises what these do."""
         if self.common.autostart:
@@ -139,5 +143,5 @@ class TrackslipNode(GuardedNode, Generic[P]):
     def _publish_parameters(self) -> None:
         """With which the estimates from now on are made: a bag carries them along."""
         if self.parameters_topic:
-            text = parameters_text(to_flat(self.settings), self.what)
+            text = parameters_text(to_flat(self.settings), self.what, **self.started_from())
             self._parameters_used.publish(String(data=text))

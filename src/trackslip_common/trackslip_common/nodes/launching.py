@@ -31,7 +31,7 @@ _OF_SENSOR = {
     "gnss_localizer": "gnss",
 }
 _WITH_PREFIX = ("slip_estimator", "soil_estimator")
-_WITH_VEHICLE = ("slip_estimator", "soil_estimator", "box_localizer", "emulator")
+_WITH_VEHICLE = ("slip_estimator", "soil_estimator", "box_localizer", "can_driver", "emulator")
 
 
 class Launched(NamedTuple):

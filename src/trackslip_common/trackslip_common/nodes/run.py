@@ -55,9 +55,11 @@ def run(
     argv: Sequence[str] | None = None,
     make_executor: Callable[[], Any] = Executor,
     niceness: int = 0,
+    interrupted: ExitCode = ExitCode.DONE,
 ) -> int:
     """Spin the node until SIGINT or SIGTERM; returns the exit code.
 
+    ``interrupted`` is that of SIGINT: a node's regular end, unless it had something to finish.
     ``niceness`` is for a node that nobody steers by: where cores are few it lets the others go first.
     """
     os.nice(niceness)  # before the middleware starts its threads, which inherit it
@@ -89,7 +91,7 @@ def run(
             node.end()
             node.destroy_node()
         rclpy.try_shutdown()
-    return ExitCode.INTERRUPTED if signal.SIGINT in signals.received else ExitCode.DONE
+    return interrupted if signal.SIGINT in signals.received else ExitCode.DONE
 
 
 def _spin(node: TrackslipNode[Any], executor: Any, signals: _StopSignals) -> None:

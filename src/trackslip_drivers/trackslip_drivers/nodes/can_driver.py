@@ -1,60 +1,61 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``can_driver``: sprocket encoders and hydraulics from the CAN bus."""
+"""``can_driver``: sprockets, hydraulics and swing from the CAN bus, as the roles file says."""
 
 import sys
+from typing import Any
 
-from trackslip_common.config_files import config_file
-from trackslip_common.errors import InputError
 from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
-from trackslip_drivers.can_parameters import CanDriverParameters
+from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
-from trackslip_drivers.protocols.can_frames import ERROR_FLAG, FrameSet
-from trackslip_drivers.protocols.excavator_can import ExcavatorCan
-from trackslip_drivers.records import SprocketSample
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG, load_frames
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan, Sample
+from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
 from trackslip_drivers.transports.can_bus import CanBus, CanFrame
 
 _FRAME_ID = "base_link"
+_MESSAGES = {
+    SprocketSample: ("sprockets", conversions.blank_joint_state, conversions.fill_joint_state),
+    HydraulicsSample: ("hydraulics", conversions.blank_track_hydraulics, conversions.fill_track_hydraulics),
+    SwingSample: ("swing", conversions.blank_swing, conversions.fill_swing),
+}
 
 
 class CanDriverNode(DriverNode[CanDriverParameters]):
-    """Frames in, ``sprockets`` and ``hydraulics`` out."""
+    """Frames in, ``sprockets``, ``hydraulics`` and ``swing`` out: those that have roles."""
 
     period = 0.01
     silence = 2.0
     realtime_priority = 10  # a message takes 0.5 ms; odometry, for which others wait, begins here
 
     def __init__(self) -> None:
-        super().__init__("can_driver", CanDriverParameters, "can_driver.yaml")
+        super().__init__(NODE, CanDriverParameters, *DEFAULT_FILES)
 
     def configure(self) -> None:
-        """Read the contract of the frames.
+        """Read the contract of the frames, and the roles of their signals.
 
         Raises:
-            InputError: there is none in ``dbc_file``.
+            InputError: there is none, they do not fit, or an option of the bus is none.
         """
         super().configure()
-        try:
-            self._frames = FrameSet(config_file(self.settings.dbc_file))
-        except InputError as error:
-            raise InputError(f"can_driver: dbc_file: {error}") from error
-        self._sprockets = self.advertise(topic_class("sprockets"), "sprockets")
-        self._hydraulics = self.advertise(topic_class("hydraulics"), "hydraulics")
-        self._joints = conversions.blank_joint_state(make, _FRAME_ID)
-        self._pressures = conversions.blank_track_hydraulics(make, _FRAME_ID)
+        self._options = self.settings.bus_options()
+        self._can = ExcavatorCan(self.settings, load_frames(self.settings), self.tally)
         self._bus_state = BusState.ACTIVE
-        self.begin()
+        self._outputs: dict[type[Sample], tuple[Any, Any, Any]] = {}
+        for kind in self._can.kinds:
+            topic, blank, fill = _MESSAGES[kind]
+            self._outputs[kind] = (self.advertise(topic_class(topic), topic), blank(make, _FRAME_ID), fill)
 
     def open_port(self) -> CanBus:
         """The bus."""
-        return CanBus(self.settings.can_interface, self.settings.can_channel, self.settings.can_port)
+        return CanBus(self.settings.can_interface, self.settings.can_channel, self._options)
 
     def begin(self) -> None:
-        """What came before the bus was opened is not continued."""
-        self._can = ExcavatorCan(self.settings, self._frames, self.tally)
+        """Positions go on over the time in which the bus was closed."""
+        self._can.resume()
 
     def receive(self, data: CanFrame, arrival_ns: int) -> None:
         """One frame."""
@@ -62,19 +63,20 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
             self._bus_state = bus_state(*data) or self._bus_state
         elif self._bus_state is BusState.OFF:
             self._bus_state = BusState.ACTIVE  # it was restarted, without an error frame
-        sample = self._can.receive(*data, self.arrived(arrival_ns))
-        if isinstance(sample, SprocketSample):
-            self._sprockets.publish(conversions.fill_joint_state(self._joints, self.stamped(sample)))
-            self.count()
-        elif sample is not None:
-            filled = conversions.fill_track_hydraulics(self._pressures, self.stamped(sample))
-            self._hydraulics.publish(filled)
+        sample: Any
+        for sample in self._can.receive(*data, self.arrived(arrival_ns)):
+            publisher, message, fill = self._outputs[type(sample)]
+            publisher.publish(fill(message, self.stamped(sample)))
+            if type(sample) is self._can.main_kind:
+                self.count()
 
     def health(self) -> list[Health]:
         """The link's health, with the state of the bus."""
+        self.period = self._can.period or self.period
         entries = super().health()
         if self.active:
             entries[0].values["bus state"] = self._bus_state.value
+            entries[0].values["frames without a role"] = self._can.decoder.others
         return entries
 
 

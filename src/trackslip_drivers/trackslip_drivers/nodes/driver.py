@@ -11,13 +11,23 @@ from rclpy.clock import Clock, ClockType
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health
 from trackslip_common.parameters import Parameters
-from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample
+from trackslip_drivers.records import (
+    FixSample,
+    HeadingSample,
+    HydraulicsSample,
+    ImuSample,
+    ScanSample,
+    SprocketSample,
+    SwingSample,
+)
 from trackslip_drivers.stamping import InOrder, StampEvent
 from trackslip_drivers.transports.host_clock import HostClock
 from trackslip_drivers.transports.link import Handlers, Link, Port
 
 P = TypeVar("P", bound=Parameters)
-S = TypeVar("S", SprocketSample, HydraulicsSample, ImuSample, ScanSample)
+S = TypeVar(
+    "S", SprocketSample, HydraulicsSample, SwingSample, ImuSample, ScanSample, FixSample, HeadingSample
+)
 
 _STALE_PERIODS = 10
 _LOOK = 0.1  # s between looks at whether the link's condition has changed

@@ -11,6 +11,8 @@ from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.protocols.sick_commands import Severity
+from trackslip_drivers.protocols.sick_scan import DeviceStatus
 from trackslip_drivers.protocols.sick_session import Phase, SickSession, scan_period
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.transports.serial_port import SerialPort
@@ -28,11 +30,11 @@ class SickNode(DriverNode[SickParameters]):
     def configure(self) -> None:
         """Prepare the dialogue."""
         super().configure()
-        self.period = scan_period(self.settings)
+        self.period = scan_period(self.settings, self.settings.serial_baud)
         self._lock = threading.Lock()  # the session is fed by the link's thread and stepped by one of ours
         self._session = SickSession(self.settings, self.tally)
         self._scans = self.advertise(topic_class("scan"), "scan")
-        self._polluted = False
+        self._status = DeviceStatus.from_byte(0)  # of the last scan
 
     def open_port(self) -> SerialPort:
         """The serial port. Silent while the scanner boots: the session alone decides what is too long."""
@@ -58,13 +60,28 @@ class SickNode(DriverNode[SickParameters]):
         super().deactivate()
 
     def health(self) -> list[Health]:
-        """The link's health, with the phase of the dialogue, a refused password and a dirty front."""
+        """The link's health, with the phase of the dialogue, a refused password or rate, and the status."""
         entries = super().health()
-        phase = self._session.phase
-        entries[0].values["phase"] = phase.value
+        phase, baud = self._session.phase, self._session.baud
+        entries[0].values |= {"phase": phase.value, "rate (Bd)": baud}
         if phase is Phase.FAILED:
             entries.append(Health(ERROR, phase.value, part="password"))
-        if self._polluted:
+        if phase is Phase.STREAMING and baud != self.settings.serial_baud:
+            refused = f"{self.settings.serial_baud} Bd refused: streaming at {baud} Bd"
+            entries.append(Health(WARN, refused, part="rate"))
+        return entries + self._status_health()
+
+    def _status_health(self) -> list[Health]:
+        """What the scanner said of itself with its last scan."""
+        status, entries = self._status, []
+        if status.severity >= Severity.WARNING:
+            level = WARN if status.severity == Severity.WARNING else ERROR
+            entries.append(Health(level, f"scanner reports: {status.severity_text}", part="status"))
+        if status.implausible:
+            entries.append(Health(ERROR, "scanner finds its values implausible", part="implausible"))
+        if status.restart:
+            entries.append(Health(WARN, "scanner asks for a restart, or has had one", part="restart"))
+        if status.pollution:
             entries.append(Health(WARN, "front window is dirty", part="pollution"))
         return entries
 
@@ -72,6 +89,7 @@ class SickNode(DriverNode[SickParameters]):
         """A port was opened: the dialogue starts from nothing."""
         with self._lock:
             self._session = SickSession(self.settings, self.tally)
+            self._status = DeviceStatus.from_byte(0)
 
     def _keep_talking(self, talk: Callable[[], None]) -> None:
         while not self._ending.wait(_STEP):
@@ -82,6 +100,7 @@ class SickNode(DriverNode[SickParameters]):
         now_ns = time.monotonic_ns()
         with self._lock:
             action = self._session.step(now_ns)
+            self.period = scan_period(self.settings, self._session.baud)
         link = self._link
         if link is None:
             return
@@ -103,7 +122,7 @@ class SickNode(DriverNode[SickParameters]):
         with self._lock:
             scans = self._session.receive(data, steady_ns)
         for scan in scans:
-            self._polluted = scan.status.pollution
+            self._status = scan.status
             self._scans.publish(
                 conversions.laser_scan(make, self.stamped(scan.sample), self.settings.frame_id)
             )

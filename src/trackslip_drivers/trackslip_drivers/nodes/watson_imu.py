@@ -3,6 +3,7 @@
 
 import sys
 
+from trackslip_common.nodes.health import WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
@@ -27,6 +28,7 @@ class WatsonNode(DriverNode[WatsonParameters]):
         super().configure()
         p = self.settings
         layout = Layout(p.channels, p.formats, p.full_scales)
+        self._over_range = self._over_range_reported = 0
         self._stream = WatsonStream(layout, p.serial_baud, round(p.time_offset * 1e9), self.tally)
         self._imu = self.advertise(topic_class("imu/data_raw"), "imu/data_raw")
         self._mag = self.advertise(topic_class("imu/mag"), "imu/mag")
@@ -38,6 +40,15 @@ class WatsonNode(DriverNode[WatsonParameters]):
         """The serial port."""
         return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
 
+    def health(self) -> list[Health]:
+        """The link's health, and whether the unit was moved or turned faster than it can measure."""
+        entries, total = super().health(), self._over_range
+        entries[0].values["over range"] = total
+        if news := total - self._over_range_reported:
+            entries.append(Health(WARN, f"{news} lines over range in the last second", part="range"))
+        self._over_range_reported = total
+        return entries
+
     def begin(self) -> None:
         """Drop a half-received line."""
         self._stream.reset()
@@ -46,6 +57,7 @@ class WatsonNode(DriverNode[WatsonParameters]):
         """Bytes of some lines."""
         for decoded in self._stream.feed(data, self.arrived(arrival_ns)):
             sample = self.stamped(decoded)
+            self._over_range += sample.over_range
             self._imu.publish(conversions.fill_imu(self._motion, sample))
             field = conversions.fill_magnetic_field(self._field, sample)
             if field is not None:

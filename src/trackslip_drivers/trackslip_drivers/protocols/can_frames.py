@@ -1,296 +1,238 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of ``config/excavator.dbc``: decode whole, check, then commit; and the encode half.
+"""Frames of a DBC that have a role: decode whole, check, place in time, then commit; and the encode half.
 
-The DBC is the contract: ids, lengths, scaling, ranges, cycle time. Two checks that a DBC cannot express
-are here: the alive counter and the checksum behind it, the last 4 + 12 bits of a payload.
+The DBC has ids, lengths, scaling, ranges and units. What it cannot express is in the roles file: what a
+signal is for, and which signals are a counter and a checksum. A frame is known by its id; one of J1939 by its
+parameter group, whatever its priority and source address.
 """
 
-import math
 from collections.abc import Mapping
 from enum import Enum
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import cantools
 from cantools.database import Database, Message
-from cantools.database.can import Signal
-from cantools.database.errors import EncodeError
 from cantools.database.errors import Error as CantoolsError
 
+from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_drivers.can_parameters import NODE, CanDriverParameters
+from trackslip_drivers.protocols.can_binding import Binder
+from trackslip_drivers.protocols.can_codec import CHECKSUMS, Codec, Protection, Value
+from trackslip_drivers.protocols.can_roles import read_roles
+from trackslip_drivers.protocols.can_timing import FrameTiming, TimingEvent
 
-ENCODERS = "encoders"
-SPOOLS = "spools"
-PRESSURES = "pressures"
-SIGNALS: Mapping[str, tuple[str, ...]] = {
-    ENCODERS: ("left_count", "right_count"),
-    SPOOLS: ("left_spool", "right_spool"),
-    PRESSURES: ("left_pressure", "right_pressure", "supply_pressure"),
-}
-
-ERROR_FLAG = 1 << 29  # set beside the 29-bit id by the transport for error frames
+ERROR_FLAG = 1 << 29  # set beside the id by the transport for error frames
+STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
 BUS = "can"  # what a rejection is counted under when the frame cannot be named
 
-_ALIVE = "alive_counter"
-_CHECKSUM = "checksum"
-_ALIVE_BITS = 4
-_CHECKSUM_BITS = 12
-_MODULUS = 1 << _ALIVE_BITS
-# A silence may hide whole turns of the counter; one more turn is assumed from this share of it on. A sender
-# that stalls and catches up looks the same, hence above one half.
-_TURN_SHARE = 0.75
+_EXTENDED = 1 << 29  # ids below are data frames with 29 bits
+_FIRST_BROADCAST = 0xF0  # of the PDU format: below it, the next byte is an address
+_MOST_SENDERS = 256
 
 
 class Rejection(Enum):
-    """Why a frame was not used; LOST counts frames that never came."""
+    """Why a frame was not used."""
 
     ERROR_FRAME = "error frame"
-    UNKNOWN_ID = "unknown id"
     WRONG_LENGTH = "wrong length"
     CHECKSUM = "checksum"
     UNUSED_BITS = "bits set that mean nothing"
     OUT_OF_RANGE = "out of range"
-    ALIVE_REPEATED = "alive counter repeated"
-    LOST = "lost"
 
 
 class Frame(NamedTuple):
     """One accepted frame."""
 
     name: str
+    source: int  # of J1939, the sender's address; else 0
     stamp_ns: int
-    cycles: int  # sender's cycles since the previous accepted frame of this name; 0 for the first
-    values: Mapping[str, float]  # signal name → value in the DBC's unit (SI, or raw counts)
-
-
-def sealed(frame_id: int, payload: bytes) -> bytes:
-    """The payload with the checksum that belongs to its other bits, whatever it had.
-
-    CRC-12/GSM over the id and what precedes the checksum. It finds every wrong byte and any three wrong
-    bits; of two or more wrong bytes it misses one pattern in 4096. No checksum of 12 bits finds all those.
-    """
-    alive = payload[-2] & (_MODULUS - 1)
-    crc = _remainder(payload[:-2] + bytes((alive,)), _remainder_of_id(frame_id)) ^ _CRC_FINAL
-    return payload[:-2] + (alive | crc << _ALIVE_BITS).to_bytes(2, "little")
-
-
-def _remainder(data: bytes, crc: int = 0) -> int:
-    """CRC-12/GSM without its final XOR, continued from ``crc``."""
-    for byte in data:
-        crc = crc << 8 & 0xFFF ^ _CRC_TABLE[crc >> 4 ^ byte]
-    return crc
-
-
-@cache
-def _remainder_of_id(frame_id: int) -> int:
-    return _remainder(frame_id.to_bytes(4, "big"))
-
-
-def _crc_table() -> tuple[int, ...]:
-    """The CRC of each byte."""
-    table = []
-    for byte in range(256):
-        crc = byte << 4
-        for _ in range(8):
-            crc = crc << 1 ^ (_CRC_POLYNOMIAL if crc & 0x800 else 0)
-        table.append(crc & 0xFFF)
-    return tuple(table)
-
-
-_CRC_POLYNOMIAL, _CRC_FINAL = 0xD31, 0xFFF
-_CRC_TABLE = _crc_table()
-
-
-class _Field(NamedTuple):
-    """Where a signal lies in a payload that is read as one number, and what its raw value means."""
-
-    big: bool  # which byte order that number has
-    shift: int
-    mask: int
-    sign: int  # bit of the raw value; 0 where it has none
-    scale: float
-    offset: float
-    low: float
-    high: float
-
-
-class _Codec:
-    """Payloads of one frame to values and back: what cantools does, at a tenth of its time."""
-
-    def __init__(self, message: Message) -> None:
-        self.name = message.name
-        self.length = message.length
-        self.unused_bits = ~_used_bits(message)  # of a payload, read as a little-endian number
-        self._fields = {
-            name: _field(message, message.get_signal_by_name(name)) for name in SIGNALS[message.name]
-        }
-        self._alive_shift = 8 * message.length - _CHECKSUM_BITS - _ALIVE_BITS
-
-    def pack(self, values: Mapping[str, float], alive_counter: int) -> bytes:
-        """The payload without its checksum.
-
-        Raises:
-            EncodeError: a value lies outside the range that the DBC gives.
-        """
-        little, big = alive_counter << self._alive_shift, 0
-        for name, field in self._fields.items():
-            value = values[name]
-            if not field.low <= value <= field.high:
-                raise EncodeError(f"{name}: {value!r}; accepted: {field.low:g} to {field.high:g}")
-            bits = (round((value - field.offset) / field.scale) & field.mask) << field.shift
-            little, big = (little, big | bits) if field.big else (little | bits, big)
-        whole = little.to_bytes(self.length, "little")
-        return (int.from_bytes(whole, "big") | big).to_bytes(self.length, "big") if big else whole
-
-    def unpack(self, data: bytes) -> dict[str, float] | None:
-        """The values; None where one lies outside its range."""
-        little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
-        values = {}
-        for name, field in self._fields.items():
-            raw = (big if field.big else little) >> field.shift & field.mask
-            value = float((raw - 2 * (raw & field.sign)) * field.scale + field.offset)
-            if not field.low <= value <= field.high:
-                return None
-            values[name] = value
-        return values
-
-
-def _field(message: Message, signal: Signal) -> _Field:
-    """Raise ``InputError`` for what is no whole number."""
-    if signal.is_float:
-        raise InputError(f"dbc_file: signal '{signal.name}' is a floating-point one; accepted: integers")
-    big = signal.byte_order == "big_endian"
-    ahead = signal.start // 8 * 8 + 7 - signal.start % 8  # bits before the highest, from the first byte on
-    return _Field(
-        big,
-        8 * message.length - ahead - signal.length if big else signal.start,
-        (1 << signal.length) - 1,
-        1 << signal.length - 1 if signal.is_signed else 0,
-        signal.scale,
-        signal.offset,
-        -math.inf if signal.minimum is None else signal.minimum,
-        math.inf if signal.maximum is None else signal.maximum,
-    )
+    elapsed_ns: int  # of the sender since the frame before this one of its name; 0 for the first
+    values: Mapping[str, Value]  # signal → value in the DBC's unit, or a position's raw number
 
 
 class FrameSet:
-    """The frames as the DBC describes them.
+    """The frames as the DBC describes them, with the roles of their signals.
 
     Raises:
-        InputError: the file cannot be read, is no DBC, or lacks a frame or signal.
+        InputError: a file cannot be read or is none of its kind; a signal is missing; a unit is wrong.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, dbc: Path, roles: Path, vehicle: VehicleParameters) -> None:
         try:
-            database = cantools.database.load_file(path, strict=True)
+            database = cantools.database.load_file(dbc, strict=True)
         except (OSError, UnicodeDecodeError, CantoolsError) as error:
-            raise InputError(f"dbc_file {path}: not a usable DBC ({' '.join(str(error).split())})") from error
+            raise InputError(f"dbc_file {dbc}: not a usable DBC ({' '.join(str(error).split())})") from error
         if not isinstance(database, Database):
-            raise InputError(f"dbc_file {path}: not a DBC of CAN frames")
-        self.by_name = {name: _find(database, name, path) for name in SIGNALS}
-        self.by_id = {message.frame_id: message for message in self.by_name.values()}
-        cycles_ms = {message.cycle_time for message in self.by_name.values()}
-        cycle_ms = cycles_ms.pop()
-        if cycles_ms or not cycle_ms:
-            raise InputError(f"dbc_file {path}: GenMsgCycleTime must be set, the same for all frames")
-        self.cycle_ns = cycle_ms * 1_000_000
-        self.codecs = {frame_id: _Codec(message) for frame_id, message in self.by_id.items()}
+            raise InputError(f"dbc_file {dbc}: not a DBC of CAN frames")
+        given = read_roles(roles)
+        self.roles = given.roles
+        self.bindings = Binder(database, vehicle, dbc, roles).bind(given.roles)
+        names = {place.frame for place in self.bindings.places()}
+        self.by_name = {message.name: message for message in database.messages if message.name in names}
+        for name in given.protections.keys() - names:
+            raise InputError(
+                f"roles_file {roles}: frame '{name}' has no role; accepted: {', '.join(sorted(names))}"
+            )
+        self.codecs: dict[str, Codec] = {}
+        for name, message in self.by_name.items():
+            protection = given.protections.get(name, Protection())
+            _check_protection(f"roles_file {roles}: frame '{name}'", message, protection)
+            self.codecs[name] = self._codec(message, protection)
+        self._by_id = {_flagged_id(message): name for name, message in self.by_name.items()}
+        self._by_group = {
+            _group(message.frame_id): name
+            for name, message in self.by_name.items()
+            if message.protocol == "j1939" and message.is_extended_frame
+        }
 
-    def encode(self, name: str, values: Mapping[str, float], alive_counter: int) -> tuple[int, bytes]:
-        """(arbitration id, payload) of one frame.
+    def _codec(self, message: Message, protection: Protection) -> Codec:
+        raw = {
+            turned.place.signal
+            for turned in self.bindings.turned.values()
+            if turned.place.frame == message.name
+        }
+        used = {place.signal for place in self.bindings.places() if place.frame == message.name}
+        order = [signal.name for signal in message.signals if signal.name in used]
+        return Codec(
+            message,
+            [name for name in order if name not in raw],
+            [name for name in order if name in raw],
+            protection,
+        )
+
+    def find(self, arbitration_id: int) -> Codec | None:
+        """The frame of an id as the transport gives it; None for those without a role."""
+        name = self._by_id.get(arbitration_id)
+        if name is None and self._by_group and arbitration_id < _EXTENDED:
+            name = self._by_group.get(_group(arbitration_id))
+        return None if name is None else self.codecs[name]
+
+    def encode(self, name: str, values: Mapping[str, float], count: int) -> tuple[int, bytes]:
+        """(arbitration id, payload) of one frame; values in the DBC's units.
 
         Raises:
             EncodeError: a value lies outside the range that the DBC gives.
         """
-        frame_id = self.by_name[name].frame_id
-        return frame_id, sealed(frame_id, self.codecs[frame_id].pack(values, alive_counter % _MODULUS))
+        frame_id = _flagged_id(self.by_name[name])
+        return frame_id, self.codecs[name].pack(frame_id, values, count)
+
+
+def load_frames(p: CanDriverParameters) -> FrameSet:
+    """The frames that the parameters name.
+
+    Raises:
+        InputError: as ``FrameSet``.
+    """
+    return FrameSet(_file("dbc_file", p.dbc_file), _file("roles_file", p.roles_file), p.vehicle)
+
+
+def _file(parameter: str, name: str) -> Path:
+    try:
+        return config_file(name)
+    except InputError as error:
+        raise InputError(f"{NODE}: {parameter}: {error}") from error
 
 
 class FrameDecoder:
-    """Accepts frames that pass every check, and knows what was lost between them."""
+    """Accepts frames that pass every check, and knows when each was sent.
+
+    Attributes:
+        others: frames on the bus that have no role.
+    """
 
     def __init__(self, frames: FrameSet, tally: Tally) -> None:
+        self.others = 0
         self._frames = frames
         self._tally = tally
-        self._alive = {name: _AliveCounter(frames.cycle_ns) for name in frames.by_name}
+        self._timings: dict[int, FrameTiming] = {}  # by arbitration id
 
-    def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> Frame | Rejection:
-        """One received frame; a rejection has been counted and has changed nothing else."""
-        codec = self._frames.codecs.get(arbitration_id)
+    def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> tuple[Frame, ...] | Rejection:
+        """The frames that are known now that this one was received: as a rule itself.
+
+        None of them where its place in time is in doubt: it comes with the next of its name. A rejection has
+        been counted and has changed nothing else.
+        """
+        codec = self._frames.find(arbitration_id)
         if codec is None:
-            is_error = bool(arbitration_id & ERROR_FLAG)
-            return self._reject(BUS, Rejection.ERROR_FRAME if is_error else Rejection.UNKNOWN_ID)
-        name = codec.name
+            if arbitration_id & ERROR_FLAG and not arbitration_id & STANDARD_FLAG:
+                return self._reject(BUS, Rejection.ERROR_FRAME)
+            self.others += 1
+            return ()
         if len(data) != codec.length:
-            return self._reject(name, Rejection.WRONG_LENGTH)
-        if data != sealed(arbitration_id, data):
-            return self._reject(name, Rejection.CHECKSUM)
-        if int.from_bytes(data, "little") & codec.unused_bits:
-            return self._reject(name, Rejection.UNUSED_BITS)
-        values = codec.unpack(data)
+            return self._reject(codec.name, Rejection.WRONG_LENGTH)
+        little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
+        if not codec.checks(arbitration_id, little, big):
+            return self._reject(codec.name, Rejection.CHECKSUM)
+        if codec.has_unused_bits(little):
+            return self._reject(codec.name, Rejection.UNUSED_BITS)
+        values = codec.unpack(little, big)
         if values is None:
-            return self._reject(name, Rejection.OUT_OF_RANGE)
-        cycles = self._alive[name].advance(data[-2] & (_MODULUS - 1), stamp_ns)
-        if cycles is None:
-            return self._reject(name, Rejection.ALIVE_REPEATED)
-        if cycles > 1:
-            self._tally.add(name, Rejection.LOST, cycles - 1)
-        return Frame(name, stamp_ns, cycles, values)
+            return self._reject(codec.name, Rejection.OUT_OF_RANGE)
+        placed = self._timing(arbitration_id, codec).add(codec.count(little, big), stamp_ns, values)
+        source = arbitration_id & 0xFF if arbitration_id < _EXTENDED else 0
+        return tuple(Frame(codec.name, source, *one) for one in placed)
+
+    def resume(self) -> None:
+        """The bus was opened anew: what came before is continued by time alone."""
+        for timing in self._timings.values():
+            timing.resume()
+
+    def cycle_ns(self, name: str) -> float:
+        """The slowest measured cycle of a frame's senders; 0 while none is known."""
+        known = [self._frames.find(identifier) for identifier in self._timings]
+        cycles = [
+            timing.cycle_ns or 0.0
+            for codec, timing in zip(known, self._timings.values(), strict=True)
+            if codec is not None and codec.name == name
+        ]
+        return max(cycles, default=0.0)
+
+    def _timing(self, arbitration_id: int, codec: Codec) -> FrameTiming:
+        timing = self._timings.get(arbitration_id)
+        if timing is None:
+            if len(self._timings) >= _MOST_SENDERS:
+                self._timings.clear()  # of a bus full of nonsense
+            tally = self._tally
+
+            def count(event: TimingEvent, times: int) -> None:
+                tally.add(codec.name, event, times)
+
+            timing = self._timings[arbitration_id] = FrameTiming(codec.nominal_ns, codec.modulus, count)
+        return timing
 
     def _reject(self, source: str, reason: Rejection) -> Rejection:
         self._tally.add(source, reason)
         return reason
 
 
-class _AliveCounter:
-    """How many cycles passed between accepted frames, from the 4-bit counter and the stamps."""
-
-    def __init__(self, cycle_ns: int) -> None:
-        self._cycle_ns = cycle_ns
-        self._count: int | None = None
-        self._accepted_ns = 0
-        self._seen_ns = 0
-
-    def advance(self, count: int, stamp_ns: int) -> int | None:
-        """Cycles since the last accepted frame (0: this is the first); None: the counter stands still."""
-        if self._count is None:
-            cycles = 0
-        else:
-            cycles = (count - self._count) % _MODULUS
-            # A sender stuck at one count keeps being seen, so its silence never grows to a turn.
-            since_ns = self._seen_ns if cycles == 0 else self._accepted_ns
-            excess = (stamp_ns - since_ns) / self._cycle_ns - cycles
-            cycles += _MODULUS * max(0, int(excess / _MODULUS + (1.0 - _TURN_SHARE)))
-            self._seen_ns = stamp_ns
-            if cycles == 0:
-                return None
-        self._count = count
-        self._accepted_ns = self._seen_ns = stamp_ns
-        return cycles
+def _check_protection(where: str, message: Message, protection: Protection) -> None:
+    """Raise ``InputError`` unless counter and checksum are whole numbers of the frame, of the right size."""
+    signals = {signal.name: signal for signal in message.signals}
+    for key, name in (("counter", protection.counter), ("checksum", protection.checksum)):
+        if name and name not in signals:
+            raise InputError(f"{where}: {key}: signal '{name}' is missing; accepted: {', '.join(signals)}")
+        if name and (signals[name].is_float or signals[name].is_signed):
+            raise InputError(
+                f"{where}: {key}: signal '{name}' is no unsigned whole number; accepted: one that is"
+            )
+    if protection.checksum:
+        bits, length = CHECKSUMS[protection.checksum_type][0], signals[protection.checksum].length
+        if bits != length:
+            raise InputError(
+                f"{where}: checksum: signal '{protection.checksum}' has {length} bits; accepted: {bits}"
+            )
 
 
-def _find(database: Database, name: str, path: Path) -> Message:
-    """The frame called ``name``, once it is sure to have what the code relies on."""
-    try:
-        message = database.get_message_by_name(name)
-    except KeyError as error:
-        raise InputError(f"dbc_file {path}: frame '{name}' is missing") from error
-    places = {s.name: (s.start, s.length, s.byte_order) for s in message.signals}
-    for signal in SIGNALS[name]:
-        if signal not in places:
-            raise InputError(f"dbc_file {path}: signal '{signal}' of frame '{name}' is missing")
-    behind = 8 * message.length
-    for signal, bits in ((_CHECKSUM, _CHECKSUM_BITS), (_ALIVE, _ALIVE_BITS)):
-        behind -= bits
-        if places.get(signal) != (behind, bits, "little_endian"):
-            layout = f"{_ALIVE_BITS} bits alive_counter, {_CHECKSUM_BITS} bits checksum"
-            raise InputError(f"dbc_file {path}: frame '{name}' must end in {layout}")
-    return message
+def _flagged_id(message: Message) -> int:
+    """As the transport gives it."""
+    return message.frame_id if message.is_extended_frame else message.frame_id | STANDARD_FLAG
 
 
-def _used_bits(message: Message) -> int:
-    """The bits of a payload, read as a little-endian number, that belong to a signal."""
-    full = {s.name: -1 if s.is_signed else (1 << s.length) - 1 for s in message.signals}
-    return int.from_bytes(message.encode(full, scaling=False, strict=False), "little")
+def _group(identifier: int) -> int:
+    """Parameter group of a 29-bit id: neither priority, nor source, nor destination."""
+    group = identifier >> 8 & 0x3FFFF
+    return group if group >> 8 & 0xFF >= _FIRST_BROADCAST else group & 0x3FF00

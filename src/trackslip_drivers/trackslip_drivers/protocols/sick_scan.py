@@ -6,7 +6,8 @@
     value   bits 0-12 distance, 13 glare, 14 warning field, 15 safety field
     status  bits 0-2 severity, 5 restart, 6 implausible, 7 pollution (the listing is the LMS')
 
-The first value is the ray at -90 degrees, the others follow counter-clockwise.
+The first value is the ray at -90 degrees (LMS with a field of 100 degrees: at -50), the others follow
+counter-clockwise; clockwise where the scanner hangs upside down, which is turned round here.
 """
 
 import math
@@ -16,16 +17,26 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_drivers.protocols.sick_commands import ReplyCode
+from trackslip_drivers.protocols.sick_commands import ReplyCode, Severity
 from trackslip_drivers.protocols.sick_telegram import Telegram
 from trackslip_drivers.records import FloatArray, ScanSample
 from trackslip_drivers.sick_parameters import SickParameters
 
 UintArray = NDArray[np.uint16]
 
-ANGLE_MIN = -math.pi / 2
-_HALF_DEGREE = math.pi / 360
-_INCREMENTS = {361: _HALF_DEGREE, 360: _HALF_DEGREE, 181: 2 * _HALF_DEGREE, 180: 2 * _HALF_DEGREE}
+_DEGREE = math.pi / 180
+_FIELDS = {  # values: (degrees seen, steps a degree); an interlaced scan has one value less
+    361: (180, 2),
+    360: (180, 2),
+    181: (180, 1),
+    180: (180, 1),
+    401: (100, 4),
+    400: (100, 4),
+    201: (100, 2),
+    200: (100, 2),
+    101: (100, 1),
+    100: (100, 1),
+}
 
 _COUNT_MASK = 0x01FF
 _PARTIAL_SHIFT, _UNIT_SHIFT, _TWO_BITS = 11, 14, 0x3
@@ -60,6 +71,12 @@ class DeviceStatus:
     restart: bool
     implausible: bool
     pollution: bool
+
+    @property
+    def severity_text(self) -> str:
+        """In words."""
+        known = self.severity in set(Severity)
+        return Severity(self.severity).name.lower() if known else f"severity {self.severity}"
 
     @staticmethod
     def from_byte(byte: int) -> "DeviceStatus":
@@ -147,12 +164,13 @@ def decode_scan(telegram: Telegram, parameters: SickParameters) -> Scan | ScanFa
     raw = parse_scan(telegram.payload)
     if isinstance(raw, ScanFault):
         return raw
-    increment = _INCREMENTS.get(len(raw.values))
-    if increment is None:
+    if len(raw.values) not in _FIELDS:
         return ScanFault.UNKNOWN_COUNT
+    field, steps = _FIELDS[len(raw.values)]
+    increment = _DEGREE / steps
     sample = ScanSample(
         stamp_ns=telegram.start_ns + round((parameters.time_offset - parameters.scan_time) * _NS_PER_S),
-        angle_min=ANGLE_MIN + raw.partial * _HALF_DEGREE / 2,
+        angle_min=(raw.partial / 4 - field / 2) * _DEGREE,
         angle_increment=increment,
         time_increment=parameters.scan_time * increment / (2 * math.pi),
         scan_time=parameters.scan_time,
@@ -160,10 +178,24 @@ def decode_scan(telegram: Telegram, parameters: SickParameters) -> Scan | ScanFa
         range_max=parameters.range_max,
         ranges=ranges_of(raw, parameters),
     )
-    return Scan(sample, DeviceStatus.from_byte(raw.status))
+    return Scan(_mirrored(sample) if parameters.clockwise else sample, DeviceStatus.from_byte(raw.status))
+
+
+def _mirrored(sample: ScanSample) -> ScanSample:
+    """As seen from the other side: its last ray is the first counter-clockwise."""
+    steps = len(sample.ranges) - 1
+    return sample._replace(
+        stamp_ns=sample.stamp_ns + round(steps * sample.time_increment * _NS_PER_S),
+        angle_min=-sample.angle_min - steps * sample.angle_increment,
+        time_increment=-sample.time_increment,
+        ranges=sample.ranges[::-1],
+    )
 
 
 def encode_scan(sample: ScanSample, parameters: SickParameters, status: int = 0) -> bytes:
     """The payload that decodes to this sample, in cm; its stamp is not part of it."""
-    partial = round((sample.angle_min - ANGLE_MIN) / (_HALF_DEGREE / 2))
+    if parameters.clockwise:
+        sample = _mirrored(sample)
+    field, _ = _FIELDS[len(sample.ranges)]
+    partial = round(4 * (sample.angle_min / _DEGREE + field / 2))
     return RawScan(values_of(sample.ranges, parameters), status, partial=partial).payload()

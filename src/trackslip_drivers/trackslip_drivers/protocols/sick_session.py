@@ -56,6 +56,7 @@ _INBOX = 16
 _ALL_VALUES = 732  # bytes of a telegram with 361 values
 _MIRROR_TOLERANCE = 0.01  # of the time of one turn
 _PATIENCE = 50  # scans
+_REFUSALS = 2  # of a rate, one of which may be a wrong byte
 _PASSWORD_PAUSE = 10.0  # s from a refusal, which may be a wrong scanner or a wrong byte, to the next attempt
 _NS_PER_S = 1_000_000_000
 
@@ -78,6 +79,7 @@ class SessionFault(Enum):
 
     NO_ANSWER = "no answer at any rate"
     REFUSED = "start-up refused or not answered"
+    BAUD = "rate refused or not answered"
     PASSWORD = "password refused"
     SILENT = "scans stopped coming"
     RESTARTED = "scanner restarted"
@@ -91,17 +93,18 @@ class Action:
     write: bytes
 
 
-def scan_period(parameters: SickParameters) -> float:
+def scan_period(parameters: SickParameters, baud: int) -> float:
     """Between scans of all values, s: whole turns of the mirror, as many as a telegram occupies."""
-    transfer = _ALL_VALUES * parameters.bits_per_char / parameters.serial_baud
+    transfer = _ALL_VALUES * parameters.bits_per_char / baud
     return math.ceil(transfer / parameters.scan_time) * parameters.scan_time
 
 
 class SickSession:
     """Brings a scanner to streaming and keeps it there.
 
-    ``baud`` is the rate the port must have; open it at that. Nothing more happens once ``phase`` is
-    STOPPED. ``tally`` counts what was rejected, and each new start.
+    ``baud`` is the rate the port must have; open it at that. A rate refused twice is given up for the next
+    lower one, until the scanner falls silent. Nothing more happens once ``phase`` is STOPPED. ``tally``
+    counts what was rejected, and each new start.
     """
 
     def __init__(self, parameters: SickParameters, tally: Tally) -> None:
@@ -110,11 +113,9 @@ class SickSession:
         self.baud = parameters.serial_baud
         self._parameters = parameters
         self._parser = TelegramParser(FROM_SENSOR, self.baud, parameters.bits_per_char, self.tally, _SOURCE)
-        # Where the line keeps up with the mirror, telegrams start a turn apart. Where it does not, a telegram
-        # takes many reads, one of which was prompt.
-        period_ns = parameters.scan_time * _NS_PER_S
-        every_turn = scan_period(parameters) <= parameters.scan_time
-        self._starts = PeriodicStamps(period_ns, _MIRROR_TOLERANCE, _PATIENCE) if every_turn else None
+        self._starts: PeriodicStamps | None = None
+        self._wanted_baud = parameters.serial_baud  # or less, where the scanner refuses that
+        self._refusals = 0  # of it, in a row
         self._inbox: deque[Reply | Control] = deque(maxlen=_INBOX)
         self._now_ns = 0
         self._last_byte_ns = 0
@@ -165,6 +166,7 @@ class SickSession:
             fault = yield from self._start_up()
             if fault is None:
                 fault = yield from self._stream()
+                self._wanted_baud, self._refusals = self._parameters.serial_baud, 0
             self.tally.add(_SOURCE, fault)
             if fault is SessionFault.PASSWORD:
                 self.phase = Phase.FAILED
@@ -175,10 +177,14 @@ class SickSession:
         self.phase = Phase.PROBING
         if not (yield from self._find_baud()):
             return SessionFault.NO_ANSWER
-        if self.baud != self._parameters.serial_baud:
+        if self.baud != self._wanted_baud:
+            found = self.baud
             fault = yield from self._change_baud()
+            if fault is SessionFault.BAUD:
+                self._refuse(found)
             if fault is not None:
                 return fault
+        self._starts = self._steady_starts()
         self.phase = Phase.STARTING
         if (yield from self._request(commands.STREAM_ALL)) != _OK:
             return SessionFault.REFUSED
@@ -215,14 +221,31 @@ class SickSession:
             if answer != _OK:
                 return SessionFault.REFUSED
         self.phase = Phase.CHANGING_RATE
-        command = commands.set_baud(self._parameters.serial_baud)
+        command = commands.set_baud(self._wanted_baud)
         # Whether its reply, too, comes at the old rate is not certain: wait for it no longer than the pause.
         answer = yield from self._request(command, self._parameters.baud_pause)
         if answer not in (_OK, Control.ACK):
-            return SessionFault.REFUSED
-        self._switch_host(self._parameters.serial_baud)
+            return SessionFault.BAUD
+        self._switch_host(self._wanted_baud)
         yield from self._pause(self._parameters.baud_pause)
-        return None if (yield from self._request(commands.STOP)) == _OK else SessionFault.REFUSED
+        return None if (yield from self._request(commands.STOP)) == _OK else SessionFault.BAUD
+
+    def _refuse(self, found: int) -> None:
+        """The scanner, or the line, cannot do the rate wanted; the next lower, or that ``found``, it may."""
+        self._refusals += 1
+        if self._refusals >= _REFUSALS:
+            lower = [baud for baud in commands.BAUD_CODES if baud < self._wanted_baud]
+            self._wanted_baud, self._refusals = max(lower, default=found), 0
+
+    def _steady_starts(self) -> PeriodicStamps | None:
+        """Where the line keeps up with the mirror, telegrams start a turn apart.
+
+        Where it does not, a telegram takes many reads, one of which was prompt.
+        """
+        turn = self._parameters.scan_time
+        if scan_period(self._parameters, self.baud) > turn:
+            return None
+        return PeriodicStamps(turn * _NS_PER_S, _MIRROR_TOLERANCE, _PATIENCE)
 
     def _stream(self) -> Script[SessionFault]:
         """Stay while scans come; gives why they do no more."""

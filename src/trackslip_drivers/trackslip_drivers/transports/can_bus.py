@@ -2,22 +2,22 @@
 """A CAN bus behind python-can: SocketCAN on the vehicle, UDP multicast between processes, virtual in one."""
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import can
 
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
-from trackslip_drivers.protocols.can_frames import ERROR_FLAG
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG, STANDARD_FLAG
 from trackslip_drivers.transports.link import READ_TIMEOUT_S
 
-CanFrame = tuple[int, bytes]  # (arbitration id, payload); ERROR_FLAG is set in the id of error frames
+CanFrame = tuple[int, bytes]  # (arbitration id, payload); flags in the id for all but 29-bit data frames
 
 REMOTE_FLAG = 1 << 30
-STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
 
 _NS_PER_S = 1_000_000_000
 _SEND_TIMEOUT_S = 0.1
+_CLASSIC_BYTES = 8
 
 
 class CanBus:
@@ -26,16 +26,16 @@ class CanBus:
     Args:
         interface: python-can's name of it.
         channel: device, or multicast address.
-        port: UDP port, used by ``udp_multicast`` alone.
+        options: its further settings, by python-can's names of them.
 
     Raises:
-        can.CanError, OSError, ImportError: it cannot be opened.
+        can.CanError, OSError, ImportError, TypeError, ValueError: it cannot be opened so.
     """
 
-    def __init__(self, interface: str, channel: str, port: int) -> None:
-        self.note = ""
+    def __init__(self, interface: str, channel: str, options: Mapping[str, Any]) -> None:
+        is_system = interface == "socketcan" and "bitrate" in options
+        self.note = f"{channel}: ip link sets the bitrate, not python-can" if is_system else ""
         self._is_off = False
-        options: dict[str, Any] = {"port": port} if interface == "udp_multicast" else {}
         self._bus = can.Bus(channel=channel, interface=interface, **options)
 
     def read(self) -> Iterable[tuple[CanFrame, int]]:
@@ -49,15 +49,18 @@ class CanBus:
         return self._frames()
 
     def write(self, data: CanFrame) -> None:
-        """Send one frame with a 29-bit id; an error frame where ``ERROR_FLAG`` is set.
+        """Send one frame: of 29 bits, of 11 where ``STANDARD_FLAG`` is set, an error where ``ERROR_FLAG`` is.
 
         Raises:
             can.CanError: the bus did not accept it.
         """
         name, payload = data
-        is_error = bool(name & ERROR_FLAG)
         message = can.Message(
-            arbitration_id=name & ~ERROR_FLAG, data=payload, is_extended_id=True, is_error_frame=is_error
+            arbitration_id=name & ~(ERROR_FLAG | STANDARD_FLAG),
+            data=payload,
+            is_extended_id=not name & STANDARD_FLAG,
+            is_error_frame=bool(name & ERROR_FLAG),
+            is_fd=len(payload) > _CLASSIC_BYTES,
         )
         self._bus.send(message, timeout=_SEND_TIMEOUT_S)
 

@@ -23,13 +23,17 @@ class HostClock:
         return self._time.lead_ns
 
     def arrival(self, host_ns: int) -> tuple[int, bool]:
-        """Steady time of an arrival just now, and whether the host's clock has jumped since the last one."""
+        """Steady time of an arrival just now, and whether the host's clock has jumped since the last one.
+
+        An interrupted look at the clocks tells nothing of them; the arrival was before its end all the same.
+        """
         has_jumped = False
         with self._lock:
             before_ns, now_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
             if after_ns - before_ns <= _TOGETHER_NS and before_ns >= self._time.looked_ns:
                 has_jumped = self._time.look(now_ns, before_ns)
-            return self._time.steady(host_ns), has_jumped
+                after_ns = before_ns
+            return self._time.steady(host_ns, after_ns), has_jumped
 
     def stamp(self, steady_ns: int) -> int:
         """Time on the host's clock, as it goes into a message."""

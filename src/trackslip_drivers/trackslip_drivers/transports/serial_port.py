@@ -28,7 +28,7 @@ class SerialPort:
         parity: N, E or O.
 
     Raises:
-        serial.SerialException, OSError, termios.error: it cannot be opened.
+        serial.SerialException, OSError, termios.error: it cannot be opened, or another program has it open.
     """
 
     def __init__(self, url: str, baud: int, parity: str) -> None:
@@ -96,7 +96,12 @@ class SerialPort:
     @staticmethod
     def _open(url: str, baud: int, parity: str) -> serial.Serial:
         return serial.serial_for_url(
-            url, baud, parity=parity, timeout=READ_TIMEOUT_S, write_timeout=_WRITE_TIMEOUT_S
+            url,
+            baud,
+            parity=parity,
+            timeout=READ_TIMEOUT_S,
+            write_timeout=_WRITE_TIMEOUT_S,
+            exclusive=True,  # two that read one device get half of its bytes each
         )
 
     def _parity_was_ignored(self) -> bool:

@@ -42,7 +42,7 @@ POINTS = 512  # spread about the optimum
 TAILS = 5.0  # degrees of freedom of the Student distribution the points are spread by
 COOLING = (16.0, 4.0, 1.0, 1.0)  # temperature of each round
 WIDENING = 1.3  # of the spread found in the round before
-BLUR = 0.2  # of the beam spacing: least first spread
+BLUR = 0.2  # of the intervals of the ends: least first spread
 FEWEST_POINTS = 4.0  # effective number below which a round is without effect
 LEAST_LOG, TINY = -1e300, 1e-300  # for weights that are all zero
 
@@ -135,15 +135,20 @@ def residuals(poses: FloatArray, box: Rectangle, beams: Beams, range_stddev: flo
 
 
 def starts(headings: FloatArray, box: Rectangle, beams: Beams) -> FloatArray:
-    """Poses (M, 3) with these headings, moved so that outline and mean range match the beams."""
-    middle = 0.25 * (sum(beams.right) + sum(beams.left))
+    """Poses (M, 3) with these headings, moved so that outline and mean range match the beams.
+
+    Of the outline's ends the one that is hidden, or out of sight, says little and counts little.
+    """
+    ends, widths = np.mean((beams.right, beams.left), axis=1), np.ptp((beams.right, beams.left), axis=1)
+    share = widths**-2.0 / (widths**-2.0).sum()
+    middle = float(share @ ends)
     distance = np.full(headings.shape, float(beams.ranges.mean()) + 0.25 * (box.length + box.width))
     bearing = np.full(headings.shape, middle)
     for _ in range(2):
         poses = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing), headings])
         ranges, outline = ray_cast(poses, box, beams.angles)
         distance = distance + (beams.ranges - ranges).mean(axis=1)
-        bearing = bearing + middle - outline.mean(axis=1)
+        bearing = bearing + middle - outline @ share
     return np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing), headings])
 
 
@@ -160,8 +165,10 @@ def _huber(residual: FloatArray) -> FloatArray:
     return np.where(size <= HUBER, size**2, 2.0 * HUBER * size - HUBER**2)
 
 
-def most_likely(start: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> Optimum:
-    """Damped Gauss–Newton from a pose (3,) near the box."""
+def most_likely(
+    start: FloatArray, box: Rectangle, beams: Beams, range_stddev: float, steps: int = 20
+) -> Optimum:
+    """At most so many steps of damped Gauss–Newton from a pose (3,) near the box."""
     stencil = np.vstack([np.zeros(3), STEP * np.eye(3), -STEP * np.eye(3)])
 
     def look(at: FloatArray) -> tuple[float, FloatArray, FloatArray]:
@@ -172,7 +179,7 @@ def most_likely(start: FloatArray, box: Rectangle, beams: Beams, range_stddev: f
 
     pose, damping = start, 1e-3
     cost, information, gradient = look(pose)
-    for _ in range(20):
+    for _ in range(steps):
         damped = information + damping * np.diag(np.diag(information)) + FAINT * np.eye(3)
         move = np.linalg.solve(damped, -gradient)
         trial_cost, trial_information, trial_gradient = look(pose + move)
@@ -188,9 +195,11 @@ def most_likely(start: FloatArray, box: Rectangle, beams: Beams, range_stddev: f
 
 
 def posterior(
-    optimum: Optimum, box: Rectangle, beams: Beams, range_stddev: float
-) -> tuple[FloatArray, FloatArray]:
-    """Mean (3,) and covariance (3, 3) of the pose in the laser frame, within ±π/4 of the optimum's heading.
+    optimum: Optimum, middle: float, box: Rectangle, beams: Beams, range_stddev: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Mean (3,) and covariance (3, 3) of the pose in the laser frame, heading within ±π/4 of ``middle``, rad.
+
+    With them log E of the evidence, the likelihood integrated over these poses, up to a constant.
 
     Points spread by the widened first-order covariance are weighed by the likelihood to the power
     1/temperature; their moments spread the next round's. Cooling lets them find modes that the curvature
@@ -198,15 +207,18 @@ def posterior(
     """
     points, log_density = _spread_points()
     pose, covariance = optimum.pose, 4.0 * np.linalg.inv(optimum.information)
-    blur = BLUR * beams.spacing * float(beams.ranges.mean())
+    blur = BLUR * float(np.ptp((beams.right, beams.left), axis=1).mean() * beams.ranges.mean())
     covariance = covariance + blur**2 * np.diag([1.0, 1.0, 4.0 / (box.length * box.width)])
-    root = np.linalg.cholesky(covariance)
+    root, log_evidence = np.linalg.cholesky(covariance), -math.inf
     for temperature in COOLING:
         poses = pose + WIDENING * points @ root.T
         log_weight = _log_likelihood(poses, box, beams, range_stddev) / temperature - log_density
-        log_weight[np.abs(poses[:, 2] - optimum.pose[2]) > np.pi / 4.0] = -np.inf
-        weight = np.exp(log_weight - max(log_weight.max(), LEAST_LOG))
-        weight /= max(weight.sum(), TINY)
+        log_weight[np.abs(poses[:, 2] - middle) > np.pi / 4.0] = -np.inf
+        largest = max(float(log_weight.max()), LEAST_LOG)
+        weight = np.exp(log_weight - largest)
+        total = max(float(weight.sum()), TINY)
+        log_evidence = largest + math.log(total) + float(np.log(np.diag(root)).sum())
+        weight /= total
         if not TINY < weight @ weight <= 1.0 / FEWEST_POINTS:
             continue
         mean = weight @ poses
@@ -215,7 +227,7 @@ def posterior(
         with suppress(np.linalg.LinAlgError):  # points on a line: as good as none
             root = np.linalg.cholesky(spread)
             pose, covariance = mean, spread
-    return pose, covariance
+    return pose, covariance, log_evidence
 
 
 def seen_through(

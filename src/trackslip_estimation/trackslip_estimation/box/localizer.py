@@ -13,15 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.clock_monitor import ClockMonitor, StampStatus
+from trackslip_common.clock_monitor import StampStatus
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Box
-from trackslip_estimation.box.fit import Optimum, posterior
+from trackslip_estimation.box.fit import posterior
 from trackslip_estimation.box.frames import Frames
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
+from trackslip_estimation.box.quarters import NEGLIGIBLE, QUARTER_TURN, Headings, Mode, mixed
 from trackslip_estimation.box.scan import Scan
-from trackslip_estimation.box.search import SPREADS, BoxSearch, Candidate, Reason
-from trackslip_estimation.box.sides import SideDoubt, half_turn_variance
+from trackslip_estimation.box.scan_clock import ScanClock
+from trackslip_estimation.box.search import BoxSearch, Candidate, Reason
 from trackslip_estimation.box.track import Expectation, Track, initial_expectation
 
 FloatArray = NDArray[np.float64]
@@ -65,6 +66,7 @@ class BoxLocalizer:
 
     def locate(self, scan: Scan) -> BoxFix | Rejection:
         """The fix that one scan gives, or why it gives none."""
+        scan = scan.counter_clockwise()
         refused = self._check_stamp(scan.stamp_ns) if scan.is_usable() else Reason.MALFORMED
         found = refused or self._find(scan)
         if isinstance(found, Reason):
@@ -72,13 +74,12 @@ class BoxLocalizer:
             return Rejection(found)
         return self._accept(scan, *found)
 
-    def _new_clock(self) -> ClockMonitor:
-        return ClockMonitor(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
+    def _new_clock(self) -> ScanClock:
+        return ScanClock(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
 
     def _check_stamp(self, stamp_ns: int) -> Reason | None:
         """Why a scan is refused for its stamp; starts over where stamps have gone back."""
-        head_ns = self._clock.head_ns
-        status = self._clock.sample(stamp_ns, None if head_ns is None else head_ns + 1)
+        status = self._clock.check(stamp_ns)
         if status is StampStatus.BACK:
             self._start_over(stamp_ns)
         elif status is not StampStatus.IN_LINE:
@@ -92,12 +93,12 @@ class BoxLocalizer:
         assert self._first_ns is not None
         before_ns = round(self._parameters.max_gap * 1e9)  # by when the confirmation has come
         is_another_run = stamp_ns < self._first_ns + before_ns
-        last = [track.restamped(stamp_ns) for track in self._tracks if track is not None]
+        last = [track.restamped(stamp_ns, self._parameters) for track in self._tracks if track is not None]
         if is_another_run:
             self.reset()
         self._tracks = [None, *last] if is_another_run else [*last, None]
         self._clock = self._new_clock()
-        self._clock.sample(stamp_ns)
+        self._clock.check(stamp_ns)
         self.restarts += 1
 
     def _find(self, scan: Scan) -> tuple[Expectation, Candidate] | Reason:
@@ -117,34 +118,42 @@ class BoxLocalizer:
 
     def _accept(self, scan: Scan, expected: Expectation, found: Candidate) -> BoxFix:
         """Continue the track with a fix, and give it for base_link in odom."""
-        variance = expected.half_turn_variance
-        if expected.is_ambiguous:
-            turned = float(found.optimum.pose[2] - self._frames.laser_from_odom(expected.pose)[2])
-            variance += half_turn_variance(turned, expected.yaw_reach / SPREADS)
-        else:  # sure enough that this is the box, and the rest is not
+        step = found.beams.spacing * float(found.beams.ranges.mean())
+        modes, weights, headings = expected.headings.after(
+            self._modes(expected, found), float(expected.pose[2]), expected.yaw_variance, step
+        )
+        if weights[0] > 1.0 - NEGLIGIBLE:  # sure enough that this is the box, and the rest is not
             self._search.background.update(scan.ranges, found.beams)
-        optimum, doubt = self._settle_sides(found, ambiguous=expected.is_ambiguous)
-        box, range_stddev = self._search.box, self._search.range_stddev
-        in_laser, covariance = posterior(optimum, box, found.beams, range_stddev)
-        covariance[2, 2] += variance
-        if doubt is not None:
-            shift = 0.5 * (box.length - box.width)  # of the centre, were the sides exchanged
-            covariance += doubt.probability() * np.diag([shift, shift, doubt.turn]) ** 2
         stamp_ns = scan.time_ns(float(found.beams.indices.mean()))
-        pose = self._frames.odom_from_laser(in_laser)
-        last = self._tracks[0] if len(self._tracks) == 1 else None
-        velocity = np.zeros(3) if last is None else last.velocity_after(stamp_ns, pose, self._parameters)
-        self._tracks = [Track(stamp_ns, pose, velocity, doubt, variance)]
+        self._tracks = [self._continued(stamp_ns, modes[0], headings)]
+        pose, covariance = mixed(modes, weights)
+        covariance[2, 2] = max(covariance[2, 2], expected.surprise_variance(modes[0]))
         yaw = float(np.arctan2(np.sin(pose[2]), np.cos(pose[2])))
-        covariance = self._frames.covariance_in_odom(float(pose[2]), covariance)
         return BoxFix(stamp_ns, float(pose[0]), float(pose[1]), yaw, covariance)
 
-    def _settle_sides(self, found: Candidate, *, ambiguous: bool) -> tuple[Optimum, SideDoubt | None]:
-        """Raise or settle the doubt about the sides; the fit that is more likely, and what doubt is left."""
-        optimum, doubt = found.optimum, found.doubt
-        if ambiguous or doubt is None:
-            return optimum, doubt
-        turn = doubt.turn
-        other = self._search.settled(optimum.pose[2] + turn, found.beams)
-        doubt = doubt.after(optimum.chi2 - other.chi2)
-        return (optimum if doubt is None or doubt.turn == turn else other), doubt
+    def _modes(self, expected: Expectation, found: Candidate) -> list[Mode]:
+        """The hypotheses: about the heading expected, and one, two and three quarter turns from it.
+
+        Of a box fitted one way only the others are that fit turned: they are refuted, and need not be good.
+        """
+        box, range_stddev = self._search.box, self._search.range_stddev
+        heading = float(self._frames.laser_from_odom(expected.pose)[2])
+        fits = [
+            posterior(fit, heading + k * QUARTER_TURN, box, found.beams, range_stddev)
+            for k, fit in enumerate(found.fits)
+        ]
+        modes = []
+        for k in range(4):
+            pose, covariance, log_evidence = fits[k % len(fits)]
+            in_laser = pose + np.array((0.0, 0.0, QUARTER_TURN * (k - k % len(fits))))
+            in_odom = self._frames.odom_from_laser(in_laser)
+            covariance = self._frames.covariance_in_odom(float(in_odom[2]), covariance)
+            modes.append(Mode(in_odom, covariance, log_evidence))
+        return modes
+
+    def _continued(self, stamp_ns: int, fix: Mode, headings: Headings) -> Track:
+        """The track with a fix, the first hypothesis."""
+        p = self._parameters
+        if len(self._tracks) == 1 and (track := self._tracks[0]) is not None:
+            return track.updated(stamp_ns, fix, headings, p)
+        return Track.begun(stamp_ns, fix.pose, fix.covariance.diagonal(), headings, p)

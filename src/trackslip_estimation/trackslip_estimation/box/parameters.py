@@ -31,9 +31,12 @@ class BoxLocalizerParameters(Parameters):
     gate_distance: float = parameter("distance from the prediction allowed at once", unit="m", gt=0.0)
     gate_yaw: float = parameter("heading difference allowed at once", unit="rad", gt=0.0, lt=0.785)
     top_speed: float = parameter("widens gate_distance while no fix comes", unit="m/s", gt=0.0)
-    top_yaw_rate: float = parameter("widens gate_yaw while no fix comes", unit="rad/s", gt=0.0)
-    velocity_gain: float = parameter("share of a fix's innovation that corrects the velocity", gt=0.0, le=1.0)
-    coast_time: float = parameter("longest extrapolation at constant velocity", unit="s", gt=0.0)
+    top_yaw_rate: float = parameter(
+        "standard deviation of the yaw rate; widens gate_yaw while no fix comes", unit="rad/s", gt=0.0
+    )
+    coast_time: float = parameter(
+        "time for which velocities last, beyond which the vehicle is sought where it was", unit="s", gt=0.0
+    )
     max_gap: float = parameter("scans stamped further ahead must be confirmed", unit="s", gt=0.0, le=600.0)
     jump_confirmations: int = parameter("scans in a row that confirm a stamp far ahead, or back", ge=2)
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One sweep of the laser as the localizer takes it, and what a usable one is."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ LATEST_NS = (2**31 - 4) * 1_000_000_000  # the seconds of a ROS stamp end with t
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """Ranges (N,) in m, counter-clockwise from ``angle_min`` in the laser frame, rad.
+    """Ranges (N,) in m, from ``angle_min`` on in the laser frame, rad.
 
     stamp_ns: of the first beam; time_increment: from one beam to the next, s. A range is +∞ where nothing
     returned, NaN or −∞ where nothing is known (REP-117).
@@ -28,6 +29,22 @@ class Scan:
     angle_min: float
     angle_increment: float
     time_increment: float
+
+    def counter_clockwise(self) -> "Scan":
+        """Turned round where its beams run clockwise (``angle_increment`` < 0): the last is then first."""
+        if not self.angle_increment < 0.0 or self.ranges.ndim != 1 or self.ranges.size > MOST_BEAMS:
+            return self
+        steps = self.ranges.size - 1
+        last_ns = steps * self.time_increment * 1e9
+        if not math.isfinite(last_ns):
+            return self
+        return Scan(
+            self.stamp_ns + round(last_ns),
+            self.ranges[::-1],
+            self.angle_min + steps * self.angle_increment,
+            -self.angle_increment,
+            -self.time_increment,
+        )
 
     def is_usable(self) -> bool:
         """Whether shape, geometry and times are such as a scanner can have; ranges may be anything."""

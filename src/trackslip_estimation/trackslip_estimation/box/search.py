@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which object of a scan is the box: cut the scan into objects, fit the box to each, keep the one expected.
 
-    Δ  heading of a fit less the expected one  rad
-
-A rectangle looks the same after half a turn and nearly so after a quarter: the heading is the one nearest
-to that expected, unless that has grown too uncertain and the sides' lengths are evidence too (``sides.py``).
+A rectangle looks the same after half a turn and nearly so after a quarter: where the heading expected does
+not tell, the box is fitted either way, and ``quarters.py`` weighs the two.
 """
 
-import dataclasses
 from dataclasses import dataclass
 from enum import Enum
 
@@ -22,14 +19,14 @@ from trackslip_estimation.box.clusters import Beams, beams_on, clusters, rejoine
 from trackslip_estimation.box.fit import Optimum, Rectangle, likely_starts, most_likely, seen_through
 from trackslip_estimation.box.frames import Frames
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.sides import SideDoubt
-from trackslip_estimation.box.track import EIGHTH_TURN, Expectation
+from trackslip_estimation.box.quarters import QUARTER_TURN, sides_are_known
+from trackslip_estimation.box.track import Expectation
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-QUARTER = np.linspace(-EIGHTH_TURN, EIGHTH_TURN, 25)
-SPREADS = 3.0  # standard deviations in the reach of the heading
+QUARTER = np.linspace(-0.5 * QUARTER_TURN, 0.5 * QUARTER_TURN, 25)
+GOOD_FIT = 0.95  # χ² probability up to which no better fit is sought
 SEEN_THROUGH = 0.2  # share of its beams that may go on behind a box: those beside an end that is not seen
 
 
@@ -50,11 +47,14 @@ class Reason(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An object that can be the box; distance: of its fit from the expected pose, m."""
+    """An object that can be the box.
+
+    fits: within an eighth of a turn of the heading expected and, where that is in doubt, of a quarter turn
+    from it; distance: of the better from the place expected, m.
+    """
 
     beams: Beams
-    optimum: Optimum
-    doubt: SideDoubt | None
+    fits: list[Optimum]
     distance: float
 
 
@@ -101,17 +101,20 @@ class BoxSearch:
             return Reason.SIZE
         if beams.ranges.min() < 0.5 * self.box.diagonal:  # then the laser could be within the box fitted
             return Reason.TOO_NEAR
-        optimum, doubt = self._fitted(beams, expected)
-        through = seen_through(optimum.pose, self.box, ranges, angles, 3.0 * self.range_stddev)
-        if not optimum.chi2 <= self._limit(optimum.freedom) or through > SEEN_THROUGH * len(beams.ranges):
+        fits = self._fitted(beams, expected)
+        best = min(fits, key=lambda fit: fit.chi2)
+        through = seen_through(best.pose, self.box, ranges, angles, 3.0 * self.range_stddev)
+        is_explained = self._is_explained(best, self._parameters.fit_probability)
+        if not is_explained or through > SEEN_THROUGH * len(beams.ranges):
             return Reason.SHAPE
         if self.background.holds(ranges, beams, 3.0 * np.sqrt(2.0) * self.range_stddev):
             return Reason.BACKGROUND
-        difference = self._frames.odom_from_laser(optimum.pose) - expected.pose
+        difference = self._frames.odom_from_laser(best.pose) - expected.pose
         distance = float(np.hypot(difference[0], difference[1]))
-        if distance > expected.reach or abs(difference[2]) > expected.yaw_reach:
+        turned = abs(difference[2] - QUARTER_TURN * np.round(difference[2] / QUARTER_TURN))
+        if distance > expected.reach or turned > expected.yaw_reach:
             return Reason.GATE
-        return Candidate(beams, optimum, doubt, distance)
+        return Candidate(beams, fits, distance)
 
     def _near(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> BoolArray:
         """(N,) which beams end where the box may be."""
@@ -121,39 +124,30 @@ class BoxSearch:
         near: BoolArray = away <= expected.reach + 0.5 * self.box.diagonal
         return near
 
-    def _fitted(self, beams: Beams, expected: Expectation) -> tuple[Optimum, SideDoubt | None]:
-        """The likeliest fit, by half turns nearest to the expected heading; the doubt about its sides.
-
-        Within an eighth of a turn the expectation decides; beyond, the sides' lengths are evidence too.
-        """
+    def _fitted(self, beams: Beams, expected: Expectation) -> list[Optimum]:
+        """The fit about the expected heading and, where that is in doubt, the one about a quarter turn."""
         heading = float(self._frames.laser_from_odom(expected.pose)[2])
-        spread = expected.yaw_reach / SPREADS
+        first = self.settled(heading, beams)
+        variance = expected.yaw_variance + min(float(np.linalg.inv(first.information)[2, 2]), 1.0)
+        if sides_are_known(float(first.pose[2]) - heading, variance, expected.headings.weights):
+            return [first]
+        return [first, self.settled(heading + QUARTER_TURN, beams)]
 
-        def nearest(middle: float) -> tuple[Optimum, float]:
-            optimum = self.settled(middle, beams)
-            turned = optimum.pose[2] - heading
-            turned -= np.pi * np.round(turned / np.pi)
-            pose = np.array([*optimum.pose[:2], heading + turned])
-            return dataclasses.replace(optimum, pose=pose), (turned / spread) ** 2
-
-        expected_fit, near = nearest(heading)
-        if not expected.is_ambiguous:
-            return expected_fit, expected.doubt
-        other_fit, far = nearest(heading + np.pi / 2.0)
-        turn = float(np.copysign(np.pi / 2.0, other_fit.pose[2] - expected_fit.pose[2]))
-        doubt = SideDoubt(turn, near - far).after(expected_fit.chi2 - other_fit.chi2)
-        return (expected_fit if doubt is None or doubt.turn == turn else other_fit), doubt
-
-    def settled(self, heading: float, beams: Beams) -> Optimum:
-        """The fit from the likeliest start about a heading, or from the next where that one gets stuck."""
+    def settled(self, middle: float, beams: Beams) -> Optimum:
+        """The fit within an eighth of a turn of ``middle``; the best of all starts, if the first is poor."""
+        starts = likely_starts(middle + QUARTER, self.box, beams, self.range_stddev)
         stuck: list[Optimum] = []
-        for start in likely_starts(heading + QUARTER, self.box, beams, self.range_stddev):
+        for start in starts:
             optimum = most_likely(start, self.box, beams, self.range_stddev)
-            if optimum.chi2 <= self._limit(optimum.freedom):
-                return optimum
-            stuck.append(optimum)
+            if abs(optimum.pose[2] - middle) <= 0.5 * QUARTER_TURN:
+                if self._is_explained(optimum, GOOD_FIT):
+                    return optimum
+                stuck.append(optimum)
+        if not stuck:  # each has left for another view of the box
+            return most_likely(starts[0], self.box, beams, self.range_stddev, steps=0)
         return min(stuck, key=lambda optimum: optimum.chi2)
 
-    def _limit(self, freedom: int) -> float:
-        """χ² above which a fit is refused."""
-        return float(chdtri(freedom, 1.0 - self._parameters.fit_probability))
+    @staticmethod
+    def _is_explained(optimum: Optimum, probability: float) -> bool:
+        """Whether noise gives its χ² with this probability."""
+        return optimum.chi2 <= float(chdtri(optimum.freedom, 1.0 - probability))

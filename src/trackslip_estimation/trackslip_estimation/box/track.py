@@ -1,8 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The track of base_link from fix to fix, and where it makes the next one expected.
 
-p, v  pose of base_link in odom at the last fix; its rate of change  m, m, rad; m/s, m/s, rad/s
-p̂     predicted pose: p + v Δt, for as long as ``coast_time``
+    p, v   pose of base_link in odom, its rate of change   m, m, rad; m/s, m/s, rad/s
+    σ, τ   standard deviation of v, and the time for which it lasts  as v; s
+    e      e^{−Δt/τ}
+
+Each axis is a Kalman filter of its own: v is a first-order Gauss–Markov process, so that after an absence
+the vehicle is sought about where it was, ever wider:
+
+    p ← p + τ (1 − e) v      v ← e v
+    Q_pp = σ² (2 τ Δt − τ² (3 − 4 e + e²))      Q_pv = σ² τ (1 − e)²      Q_vv = σ² (1 − e²)
 """
 
 from dataclasses import dataclass
@@ -11,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.sides import SideDoubt
+from trackslip_estimation.box.quarters import CERTAIN, QUARTER_TURN, Headings, Mode, SideEvidence
 
 FloatArray = NDArray[np.float64]
 
-EIGHTH_TURN = np.pi / 4.0  # up to here the nearest of four alike headings is the right one
-SHORTEST_STEP = 0.01  # s, least time over which a velocity is formed
+INITIAL_YAW_STDDEV = np.pi / 16.0  # rad: the initial heading is given to within π/4
+SPREADS = 3.0  # standard deviations of the heading in its reach
+SURPRISE = 1.8  # standard deviations between prediction and fix
 _NS = 1e-9  # s
 
 
@@ -24,62 +32,108 @@ _NS = 1e-9  # s
 class Expectation:
     """Where base_link should be, (x, y, yaw) in m and rad, and how far from there a fix may lie.
 
-    doubt: about the sides of the box; half_turn_variance: of the heading, which may be the opposite, rad².
+    yaw_variance: of the heading predicted, rad²; headings: this one, and its quarter turns.
     """
 
     pose: FloatArray
     reach: float
     yaw_reach: float
-    doubt: SideDoubt | None = None
-    half_turn_variance: float = 0.0
+    yaw_variance: float
+    headings: Headings
 
-    @property
-    def is_ambiguous(self) -> bool:
-        """Whether the heading could be another one of the four that look alike."""
-        return self.yaw_reach > EIGHTH_TURN
+    def innovation(self, fix: Mode) -> FloatArray:
+        """A fix less the pose expected (3,); its heading to within the nearest quarter turn."""
+        innovation = fix.pose - self.pose
+        innovation[2] -= QUARTER_TURN * np.round(innovation[2] / QUARTER_TURN)
+        return innovation
+
+    def surprise_variance(self, fix: Mode) -> float:
+        """Heading variance, rad², with which a fix that its own track contradicts agrees with it; else 0.
+
+        Few beams now and then fit a corner where there is a side, and are sure of it.
+        """
+        squared = float(self.innovation(fix)[2] ** 2)
+        contradicts = squared > SURPRISE**2 * (self.yaw_variance + fix.covariance[2, 2])
+        return squared / SURPRISE**2 if contradicts else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """p and v: mean (3, 2) and covariance (3, 2, 2), an axis each; the hypotheses of the heading."""
+
+    stamp_ns: int
+    mean: FloatArray
+    covariance: FloatArray
+    headings: Headings
+
+    @classmethod
+    def begun(
+        cls,
+        stamp_ns: int,
+        pose: FloatArray,
+        variance: FloatArray,
+        headings: Headings,
+        p: BoxLocalizerParameters,
+    ) -> "Track":
+        """At a pose (3,) with its variances (3,), moving at any speed that the vehicle has."""
+        mean, covariance = np.zeros((3, 2)), np.zeros((3, 2, 2))
+        mean[:, 0], covariance[:, 0, 0], covariance[:, 1, 1] = pose, variance, _rate_variance(p)
+        return cls(stamp_ns, mean, covariance, headings)
+
+    def predicted(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
+        """At a later time; an earlier one is taken for this."""
+        elapsed = max(0.0, (stamp_ns - self.stamp_ns) * _NS)
+        tau, left = p.coast_time, np.exp(-elapsed / p.coast_time)
+        transition = np.array(((1.0, tau * (1.0 - left)), (0.0, left)))
+        noise = np.empty((2, 2))
+        noise[0, 0] = 2.0 * tau * elapsed - tau**2 * (3.0 - 4.0 * left + left**2)
+        noise[0, 1] = noise[1, 0] = tau * (1.0 - left) ** 2
+        noise[1, 1] = 1.0 - left**2
+        covariance = transition @ self.covariance @ transition.T + _rate_variance(p)[:, None, None] * noise
+        return Track(max(stamp_ns, self.stamp_ns), self.mean @ transition.T, covariance, self.headings)
+
+    def expectation(self, stamp_ns: int, p: BoxLocalizerParameters) -> Expectation:
+        """Of the next fix: within what the vehicle can have moved since the last."""
+        elapsed = max(0.0, (stamp_ns - self.stamp_ns) * _NS)
+        there = self.predicted(stamp_ns, p)
+        variance = float(there.covariance[2, 0, 0])
+        return Expectation(
+            pose=there.mean[:, 0],
+            reach=p.gate_distance + elapsed * p.top_speed,
+            yaw_reach=p.gate_yaw + SPREADS * np.sqrt(variance),
+            yaw_variance=variance,
+            headings=self.headings,
+        )
+
+    def updated(self, stamp_ns: int, fix: Mode, headings: Headings, p: BoxLocalizerParameters) -> "Track":
+        """With a fix of the first hypothesis; ``headings`` are those of after it."""
+        there = self.predicted(stamp_ns, p)
+        innovation_variance = there.covariance[:, 0, 0] + fix.covariance.diagonal()
+        innovation = fix.pose - there.mean[:, 0]
+        turn = QUARTER_TURN * round(float(innovation[2]) / QUARTER_TURN)  # to another hypothesis
+        innovation[2] -= turn
+        gain = there.covariance[:, :, 0] / innovation_variance[:, None]
+        mean = there.mean + gain * innovation[:, None]
+        mean[2, 0] += turn
+        covariance = there.covariance - gain[:, :, None] * there.covariance[:, None, 0, :]
+        return Track(there.stamp_ns, mean, 0.5 * (covariance + covariance.swapaxes(1, 2)), headings)
+
+    def restamped(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
+        """Standing where it was: the clock was set, and how long ago that was is unknown."""
+        return Track.begun(stamp_ns, self.mean[:, 0], self.covariance[:, 0, 0], self.headings, p)
 
 
 def initial_expectation(p: BoxLocalizerParameters) -> Expectation:
     """At the start: about the initial pose."""
     return Expectation(
-        np.array([p.initial_x, p.initial_y, p.initial_yaw]), reach=p.initial_reach, yaw_reach=EIGHTH_TURN
+        pose=np.array([p.initial_x, p.initial_y, p.initial_yaw]),
+        reach=p.initial_reach,
+        yaw_reach=np.pi / 4.0,
+        yaw_variance=INITIAL_YAW_STDDEV**2,
+        headings=Headings(CERTAIN, SideEvidence()),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
-    """p, v and when; with what is not certain about the heading."""
-
-    stamp_ns: int
-    pose: FloatArray
-    velocity: FloatArray
-    doubt: SideDoubt | None
-    half_turn_variance: float
-
-    def expectation(self, stamp_ns: int, p: BoxLocalizerParameters) -> Expectation:
-        """Constant velocity since the last fix, within what the vehicle can have moved.
-
-        A lost vehicle is sought about its last place: the reach has grown with the time since then.
-        """
-        elapsed = max(0.0, (stamp_ns - self.stamp_ns) * _NS)
-        return Expectation(
-            pose=self.pose + min(elapsed, p.coast_time) * self.velocity,
-            reach=p.gate_distance + elapsed * p.top_speed,
-            yaw_reach=p.gate_yaw + elapsed * p.top_yaw_rate,
-            doubt=self.doubt,
-            half_turn_variance=self.half_turn_variance,
-        )
-
-    def velocity_after(self, stamp_ns: int, pose: FloatArray, p: BoxLocalizerParameters) -> FloatArray:
-        """Corrected by a share of the fix's innovation; zero where the fix restarts the track."""
-        step = max((stamp_ns - self.stamp_ns) * _NS, SHORTEST_STEP)
-        innovation = pose - (self.pose + step * self.velocity)
-        if step > p.coast_time or abs(innovation[2]) > EIGHTH_TURN:
-            return np.zeros(3)
-        limit = np.array([p.top_speed, p.top_speed, p.top_yaw_rate])
-        velocity: FloatArray = np.clip(self.velocity + p.velocity_gain / step * innovation, -limit, limit)
-        return velocity
-
-    def restamped(self, stamp_ns: int) -> "Track":
-        """Standing where it was: the clock was set, and how long ago that was is unknown."""
-        return Track(stamp_ns, self.pose, np.zeros(3), self.doubt, self.half_turn_variance)
+def _rate_variance(p: BoxLocalizerParameters) -> FloatArray:
+    """σ² of each axis (3,)."""
+    return np.array((p.top_speed, p.top_speed, p.top_yaw_rate)) ** 2

@@ -6,6 +6,7 @@ from typing import Any
 
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned_text import findings
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import named
 
@@ -19,6 +20,7 @@ def estimator_health(
     p, now_ns = estimator.parameters, estimator.newest_ns or 0
     values = {**counts, "restarts": estimator.restarts}
     values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
+    values |= {found.form.label: found.sentence for found in findings(estimator.learned, estimator.meaning)}
     if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
         return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
     if not estimator.started:
@@ -28,5 +30,7 @@ def estimator_health(
         return Health(WARN, "frozen: poses are ignored", values)
     lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost(now_ns).items()]
     return (
-        Health(WARN, f"nothing taken of {', '.join(lost)}", values) if lost else Health(OK, "running", values)
+        Health(WARN, f"nothing accepted of {', '.join(lost)}", values)
+        if lost
+        else Health(OK, "running", values)
     )

@@ -10,15 +10,17 @@ from std_srvs.srv import SetBool, Trigger
 
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import Health
-from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.messages import make, message_class, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.nodes.estimator_health import estimator_health
+from trackslip_estimation.nodes.state_keeper import StateKeeper
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import (
+    FORGET,
     FREEZE,
     RELOAD,
     RESET,
@@ -31,7 +33,7 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
-from trackslip_estimation.slip.sources import named
+from trackslip_estimation.slip.sources import HEADING_MESSAGES, named
 
 LOCAL = "odometry/local"
 
@@ -45,12 +47,14 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def __init__(self) -> None:
         super().__init__(NODE, SlipEstimatorParameters, *DEFAULT_FILES)
         self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/forget", self._on_forget)
         self.create_service(SetBool, "~/freeze", self._on_freeze)
 
     def configure(self) -> None:
         """Make the estimator, its outputs and its inputs."""
         p = self.settings
-        self._estimator = SlipEstimator(p)
+        self._kept = StateKeeper(self, lambda: self._estimator)
+        self._estimator = SlipEstimator(p, learned=self._kept.learned)
         self._watch = SourceWatch(p.timeouts_ns())
         self._taken = self._estimates = 0
         self._heard: float | None = None  # s, steady: when the last sprocket sample came
@@ -70,6 +74,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self.subscribe(topic_class("imu/data_raw"), source, on_imu)
         for source in named(p.pose_sources):
             self.subscribe(topic_class("box_pose"), source, partial(self._on_pose, source=source))
+        for source, compass in p.compasses().items():
+            on_heading = partial(self._on_heading, source=source, variance=compass.stddev**2)
+            self.subscribe(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
         for source in named(p.slip_sources):
             self.subscribe(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
@@ -80,41 +87,57 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def reload(self, values: dict[str, Any]) -> None:
         """Before its first run, the estimator is made anew; later it goes on with other values."""
         if self.has_run:
-            self._take(Reload(values))
+            self._process(Reload(values))
         else:
-            self._estimator = SlipEstimator(self.settings)
+            self._estimator = SlipEstimator(self.settings, learned=self._kept.learned)
         self._watch.expect(self.settings.timeouts_ns())
 
+    def started_from(self) -> dict[str, Any]:
+        """What was learned before: a bag carries it along."""
+        return self._kept.started_from()
+
+    def deactivate(self) -> None:
+        """Keep what was learned."""
+        self._kept.finish()
+
     def health(self) -> list[Health]:
-        """Waiting, running, or what is missing; what was not accepted, by source and reason; innovations."""
+        """Waiting, running, or what is missing; what was not accepted, innovations, and what was learned."""
         refused = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
         counts = {"measurements": self._taken, "estimates": self._estimates, **refused}
         silent = None if self._heard is None else time.monotonic() - self._heard
-        return [estimator_health(self._estimator, self._watch, silent, counts)]
+        return [estimator_health(self._estimator, self._watch, silent, counts), *self._kept.health()]
 
     def _on_sprockets(self, message: Any) -> None:
         self._heard = time.monotonic()
-        self._take(conversions.sprockets(message, "sprockets"))
+        self._process(conversions.sprockets(message, "sprockets"))
 
     def _on_imu(self, message: Any, source: str, variance: float) -> None:
-        self._take(conversions.yaw_rate(message, source, variance))
+        self._process(conversions.yaw_rate(message, source, variance))
 
     def _on_pose(self, message: Any, source: str) -> None:
-        self._take(conversions.pose_fix(message, source))
+        self._process(conversions.pose_fix(message, source))
+
+    def _on_heading(self, message: Any, source: str, variance: float) -> None:
+        self._take(conversions.heading_fix(message, source, variance))
 
     def _on_slips(self, message: Any, source: str) -> None:
-        self._take(conversions.slip_fix(message, source))
+        self._process(conversions.slip_fix(message, source))
 
     def _on_reset(self, _: Any, response: Any) -> Any:
-        return self._obey(Command(RESET), response, "the estimate begins anew")
+        return self._obey(Command(RESET), response, "the estimate begins anew; what was learned is kept")
+
+    def _on_forget(self, _: Any, response: Any) -> Any:
+        if self.active:
+            self._kept.forget()
+        return self._obey(Command(FORGET), response, "the estimate begins anew, with nothing learned")
 
     def _on_freeze(self, request: Any, response: Any) -> Any:
-        text = "poses are ignored from now on" if request.data else "poses are taken again"
+        text = "poses are ignored from now on" if request.data else "poses are used again"
         return self._obey(Command(FREEZE if request.data else UNFREEZE), response, text)
 
     def _obey(self, command: Command, response: Any, text: str) -> Any:
         if self.active:
-            self._take(command)
+            self._process(command)
             self._watch.clear()
         response.success, response.message = self.active, text if self.active else "the node is not active"
         return response
@@ -126,7 +149,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self.get_logger().info("tf2_msgs is not installed: no tf")
             return None
 
-    def _take(self, given: Input) -> None:
+    def _process(self, given: Input) -> None:
         report, estimate = self._estimator.process(given)
         if estimate is not None:  # first: somebody steers by it
             self._publish(estimate)

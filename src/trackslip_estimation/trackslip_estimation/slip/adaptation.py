@@ -40,6 +40,7 @@ _FIX_BELOW = 2  # point masses of f below 1
 _FIX_PRIOR = 0.5  # standard deviation of ln f
 _HEAVY = 8.0  # degrees of freedom of Student's t
 _OUTLIER = 25.0  # NIS under the largest s and a, beyond which a yaw rate shows nothing more
+_SHORTEST = 1e-3  # s between fixes of a source
 _NEGLIGIBLE = -20.0  # w below the best
 
 CONSTANTS = np.dtype(
@@ -50,6 +51,7 @@ CONSTANTS = np.dtype(
         ("rate_prior", np.float64, (RATE_FACTORS,)),  # w of a before any reading
         ("fix_prior", np.float64, (FIX_FACTORS,)),  # w of f before any fix
         ("changing_weight", np.float64),
+        ("forward", np.float64),
         ("sideways", np.float64),
         ("common_slip", np.float64),
         ("memory", np.float64),  # s
@@ -71,7 +73,8 @@ class AdaptationParameters(Parameters):
         le=0.01,
     )
     changing_weight: float = parameter("of d² beside V² in what the track error is a share of", ge=0.0)
-    sideways: float = parameter("error of v_y by the track error, over that of v", ge=0.0)
+    forward: float = parameter("error of v, over that of two tracks that err by themselves", ge=0.0)
+    sideways: float = parameter("error of v_y, over the same", ge=0.0)
     common_slip: float = parameter("i₀ while driving, as a multiple of the track error", unit="1/√s", ge=0.0)
     memory: float = parameter("driving after which an innovation counts for 1/e", unit="s", gt=0.0)
     rate_doubt: float = parameter(
@@ -115,12 +118,28 @@ def begin_adaptation(a: Any, c: Any) -> None:
 
 
 @compiled
+def resume_adaptation(a: Any, start: Any) -> None:
+    """What was learned before of s, a and f: the record ``start`` of ``records.ADAPTATION``."""
+    a.track_variance, a.rate_factor = start.track_variance, start.rate_factor
+    for i in range(TRACK_ERRORS):
+        a.log_weights[i] = start.log_weights[i]
+    a.fix_factors[:] = start.fix_factors
+    for k in range(start.fix_factors.size):
+        a.fix_log_weights[k] = start.fix_log_weights[k]
+
+
+@compiled
 def pass_time(state: Any, dt: float, c: Any) -> None:
     """What the tracks' speeds, which last for ``dt`` s, err by more than those before is added to P."""
     a, P = state.adaptation, state.covariance
     U = track_exposure(state, c)
-    lacking = max(U - a.envelope, 0.0)
-    P[SPEED_ERROR, SPEED_ERROR] += a.track_variance * lacking / 4.0
+    jumped = max(abs(state.speeds.left - a.left_speed), abs(state.speeds.right - a.right_speed))
+    a.left_speed, a.right_speed = state.speeds.left, state.speeds.right
+    if state.motion.departure == 0.0:  # rounding explains it
+        jumped = 0.0
+    jumped *= c.rolling_radius
+    lacking = max(U - a.envelope, c.adaptation.changing_weight * jumped * jumped)
+    P[SPEED_ERROR, SPEED_ERROR] += c.adaptation.forward**2 * a.track_variance * lacking / 4.0
     P[YAW_RATE_ERROR, YAW_RATE_ERROR] += a.track_variance * lacking / (c.tread * c.tread)
     kept = math.exp(-2.0 * dt / c.velocity_errors.time)
     a.envelope = kept * (a.envelope + lacking) + (1.0 - kept) * U
@@ -169,6 +188,17 @@ def learn_from_rate(
     a.track_variance, a.rate_factor = track_variance / total, rate_factor / total
     nis: float = innovation * innovation / largest
     return nis
+
+
+@compiled
+def repeats(elapsed_ns: int, correlation_time: float) -> float:
+    """For how many fixes one counts that comes so long after the one before, if their errors last for τ_e.
+
+    (1 + ρ)/(1 − ρ), ρ = exp(−Δt/τ_e): what n such fixes tell together is what n by this number would.
+    """
+    if correlation_time == 0.0:
+        return 1.0
+    return 1.0 / math.tanh(max(elapsed_ns * 1e-9, _SHORTEST) / (2.0 * correlation_time))
 
 
 @compiled

@@ -46,14 +46,24 @@ class RigidMotion(NamedTuple):
 def keep_refused(
     state: Any, predicted: tuple[float, float], fix: tuple[float, float], variance: float
 ) -> None:
-    """Remember a refused fix, for the oldest one if there is no room; ``variance`` is along one axis."""
-    if state.refused_count == CAPACITY:
+    """Remember a refused fix, for older ones if there is no room; ``variance`` is along one axis."""
+    if state.refused_count == CAPACITY and state.aligning:
+        thin(state)
+    elif state.refused_count == CAPACITY:
         drop_oldest(state)
     refused = state.refused[state.refused_count]
     refused.predicted_x, refused.predicted_y = predicted
     refused.x, refused.y = fix
     refused.variance = variance
     state.refused_count += 1
+
+
+@compiled
+def thin(state: Any) -> None:
+    """Forget every second refused fix: as long as no heading is known, the way from the start counts."""
+    for k in range(CAPACITY // 2):
+        state.refused[k] = state.refused[2 * k]
+    state.refused_count = CAPACITY // 2
 
 
 @compiled
@@ -103,9 +113,9 @@ def realign(state: Any, c: Any) -> bool:
                 return False
             doubt = math.sqrt(found.stddev * found.stddev + state.covariance[YAW, YAW])
             if state.aligning:
-                _move(state, found)
+                move_pose(state, found)
             elif abs(found.rotation) > _SIGNIFICANT * doubt:
-                _move(state, found)
+                move_pose(state, found)
                 _forget(state, c)
             else:
                 _shift(state, found)
@@ -116,7 +126,7 @@ def realign(state: Any, c: Any) -> bool:
 
 
 @compiled
-def _move(state: Any, by: RigidMotion) -> None:
+def move_pose(state: Any, by: RigidMotion) -> None:
     """The pose after a rigid motion, with the covariance of its fit."""
     x, P = state.mean, state.covariance
     cos, sin = math.cos(by.rotation), math.sin(by.rotation)

@@ -14,7 +14,7 @@ from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import MOST_SOURCES
+from trackslip_estimation.slip.records import ADAPTATION, MOST_SOURCES
 
 ConfigRecord = NDArray[np.void]
 
@@ -32,6 +32,9 @@ CONFIG = np.dtype(
         ("process_noise", np.float64, (len(Motion), 2, SIZE)),  # variance per s, by motion and changing
         ("prior_mean", np.float64, (SIZE,)),
         ("prior_variance", np.float64, (SIZE,)),
+        ("prior_covariance", np.float64, (SIZE, SIZE)),  # but for the pose
+        ("resumes", np.bool_),  # whether the noise starts from ``start``, else as nobody has seen it
+        ("start", ADAPTATION),
         ("initial_pose", np.float64, (3,)),
         ("initial_covariance", np.float64, (3, 3)),
         ("starts_with_fix", np.bool_),  # else with the first sprocket sample
@@ -55,6 +58,8 @@ CONFIG = np.dtype(
         ("position_floor", np.float64, (MOST_SOURCES,)),  # m
         ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
+        ("heading_offset", np.float64, (MOST_SOURCES,)),  # rad
+        ("correlation_times", np.float64, (MOST_SOURCES,)),  # s
     ],
     align=True,
 )
@@ -96,6 +101,7 @@ def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
         c[name] = tuple(of_model.get(field, 0.0) for field in dtype.names or ())
     prior = model.prior(noise, p.vehicle.kinematics.tread)
     c["prior_mean"], c["prior_variance"] = prior.mean, np.square(prior.stddev)
+    c["prior_covariance"] = np.diag(c["prior_variance"])
     for motion in Motion:
         for changing in (False, True):
             density = model.process_noise_density(noise, MotionState(motion, changing))
@@ -116,6 +122,10 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
         c["levers"][k], c["use_heading"][k] = pose.lever, pose.use_heading
         c["stamp_errors"][k] = pose.stamp_error
         c["position_floor"][k], c["heading_floor"][k] = pose.position_floor, pose.heading_floor
-        c["heading_ceiling"][k] = pose.heading_ceiling
+        c["heading_ceiling"][k], c["correlation_times"][k] = pose.heading_ceiling, pose.correlation_time
+    for name, compass in p.compasses().items():
+        k = numbers[name]
+        c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
+        c["stamp_errors"][k] = compass.stamp_error
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale

@@ -16,14 +16,16 @@ from trackslip_common.make import Make, header, set_stamp
 from trackslip_common.message_fields import (
     PLANE_IN_6,
     ImuFields,
+    OrientationFields,
     PoseFields,
+    QuaternionFields,
     SlipFields,
     SprocketFields,
     heading_of,
     read,
 )
 from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.measurements import PoseFix, Report, SlipFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import HeadingFix, PoseFix, Report, SlipFix, Sprockets, YawRate
 
 FloatArray = NDArray[np.float64]
 
@@ -64,6 +66,19 @@ def slip_fix(message: Any, source: str) -> SlipFix:
     """From trackslip_msgs/TrackSlip, but for the slip angle."""
     m = read(SlipFields, message)
     return SlipFix(source, m.stamp_ns, np.array((m.left_slip, m.right_slip)), m.slips_covariance)
+
+
+def heading_fix(message: Any, source: str, default_variance: float) -> HeadingFix:
+    """From sensor_msgs/Imu, or geometry_msgs/QuaternionStamped, which has no variance.
+
+    A variance of zero means unknown, a first element of −1 that there is no orientation (REP-145): nan.
+    """
+    if hasattr(message, "quaternion"):
+        q = read(QuaternionFields, message)
+        return HeadingFix(source, q.stamp_ns, heading_of(q), default_variance)
+    m = read(OrientationFields, message)
+    heading = math.nan if m.absent == -1.0 else heading_of(m)
+    return HeadingFix(source, m.stamp_ns, heading, m.variance_z if m.variance_z != 0.0 else default_variance)
 
 
 def odometry(make: Make, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:

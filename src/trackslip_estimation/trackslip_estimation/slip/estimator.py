@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.slip.config import make_config
+from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
 from trackslip_estimation.slip.measurements import (
+    FORGET,
     FREEZE,
     RESET,
     Command,
@@ -58,9 +60,17 @@ class Estimate:
 class SlipEstimator:
     """A filter over a window of measurements kept in stamp order."""
 
-    def __init__(self, parameters: SlipEstimatorParameters, window_ns: int | None = None) -> None:
-        """``window_ns``: how late a measurement may come, where it is not the parameters' history window."""
-        self._window_ns = window_ns
+    def __init__(
+        self,
+        parameters: SlipEstimatorParameters,
+        window_ns: int | None = None,
+        learned: Learned | None = None,
+    ) -> None:
+        """``window_ns``: how late a measurement may come, where it is not the parameters' history window.
+
+        ``learned``: what was learned before of this machine, with parameters of the same ``Meaning.machine``.
+        """
+        self._window_ns, self._start = window_ns, learned
         self.window: Window = make_window(_CAPACITY)
         self._use(parameters)
         self.process_records(to_records((), self.sources))  # compiles now, not at the first measurement
@@ -86,16 +96,27 @@ class SlipEstimator:
         clock = self.window.status["clock"][0]
         return int(clock["head_ns"]) if clock["running"] else None
 
+    @property
+    def learned(self) -> Learned | None:
+        """What is known by now of machine and ground; None where nothing was learned yet."""
+        if not self.started:
+            return self._start
+        return learned_of(self.window.states[self.window.count - 1], self.meaning, self.sources)
+
     def apply_command(self, command: Command | Reload) -> Report:
-        """Reset, freeze or unfreeze, or take new values of parameters.
+        """Reset, forget, freeze or unfreeze, or take new values of parameters.
+
+        A reset keeps what was learned: the next estimate starts from it. ``FORGET`` is a reset that does not.
 
         Raises:
             InputError: a new value of a parameter is refused; then nothing changes.
         """
         if isinstance(command, Reload):
             self._use(self.parameters.changed(command.values))
-        elif command.source == RESET:
+        elif command.source in (RESET, FORGET):
+            self._start = self.learned if command.source == RESET else None
             clear(self.window)
+            self._use(self.parameters)
         else:
             self.window.status["frozen"] = command.source == FREEZE
         return Report(command.source, command.stamp_ns, Outcome.ACCEPTED)
@@ -141,6 +162,9 @@ class SlipEstimator:
         self.parameters = p
         self.sources = {name: number for number, name in enumerate(p.timeouts_ns())}
         self.config = make_config(p, self._window_ns)
+        self.meaning = meaning(p)
+        if self._start is not None:
+            start_from(self._start, self.config, self.meaning, self.sources)
 
 
 def make_step(result: Any, source: str) -> Step:

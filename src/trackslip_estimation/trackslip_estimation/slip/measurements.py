@@ -14,6 +14,7 @@ FloatArray = NDArray[np.float64]
 # What a user asks of the node stands in the journal under these names, beside the topics of the sensors.
 SET_POSE = "slip_estimator/set_pose"
 RESET, FREEZE, UNFREEZE = "slip_estimator/reset", "slip_estimator/freeze", "slip_estimator/unfreeze"
+FORGET = "slip_estimator/forget"
 RELOAD = "slip_estimator/parameters"
 
 
@@ -65,13 +66,23 @@ class SlipFix:
     covariance: FloatArray  # (2, 2)
 
 
-Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix
-KINDS = (Sprockets, YawRate, PoseFix, SlipFix)  # of measurements, for isinstance
+@dataclass(frozen=True)
+class HeadingFix:
+    """Heading by a pair of antennas or another compass, as it is mounted."""
+
+    source: str
+    stamp_ns: int
+    heading: float  # rad, east = 0, counter-clockwise; nan: the message has none
+    variance: float  # rad²
+
+
+Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix | HeadingFix
+KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix)  # of measurements, for isinstance
 
 
 @dataclass(frozen=True)
 class Command:
-    """``RESET``, ``FREEZE`` or ``UNFREEZE``: acts when it comes, on what comes after it."""
+    """``RESET``, ``FORGET``, ``FREEZE`` or ``UNFREEZE``: acts when it comes, on what comes after it."""
 
     source: str
     stamp_ns: int = 0  # commands have none

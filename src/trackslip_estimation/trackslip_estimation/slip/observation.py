@@ -7,8 +7,8 @@
     c      record of ``config.CONFIG``
 
 Yaw rate: z = s_g φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L,
-i_R). Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R. A pose is that of δ σ_t
-before its stamp, σ_t being the stamp error of its source.
+i_R). Heading: z = φ. Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R. A pose
+or heading is that of δ σ_t before its stamp, σ_t being the stamp error of its source.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.models.dispatch import slips, slips_jacobian, twist, twist_jacobian
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE, YAW, X, Y
 from trackslip_estimation.slip.motion import rounding, steady_speeds
-from trackslip_estimation.slip.records import POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.records import HEADING, POSE, SLIPS, YAW_RATE
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +36,9 @@ def observed(measurement: Any, coasting: bool, c: Any) -> tuple[FloatArray, Floa
         if coasting:  # a gyro then shows nothing of its bias
             variance += c.unseen_yaw_rate**2
         return np.array((measurement.value[0] / scale,)), np.array(((variance,),))
+    if kind == HEADING:
+        variance = max(measurement.noise[0, 0], c.heading_floor[source] ** 2)
+        return np.array((measurement.value[0] - c.heading_offset[source],)), np.array(((variance,),))
     if kind == SLIPS:
         return measurement.value[:2].copy(), measurement.noise[:2, :2].copy()
     rows = 3 if shows_heading(measurement, c) else 2
@@ -71,6 +74,8 @@ def expected(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
     left, right = speeds
     if kind == POSE:
         return x[X : X + rows].copy()
+    if kind == HEADING:
+        return x[YAW : YAW + 1].copy()
     twist_ = twist(x, left, right, c)
     if kind == YAW_RATE:
         return np.array(((1.0 + x[GYRO_SCALE]) * twist_[2] + x[GYRO_BIAS],))
@@ -82,6 +87,8 @@ def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
     """H."""
     if kind == POSE:
         return np.eye(rows, x.size)
+    if kind == HEADING:
+        return np.eye(1, x.size, YAW)
     left, right = speeds
     J = twist_jacobian(x, left, right, c)
     if kind == YAW_RATE:
@@ -94,7 +101,7 @@ def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
 @compiled
 def add_rounding(kind: int, x: FloatArray, R: FloatArray, state: Any, c: Any) -> None:
     """R of a yaw rate or of slips, with what the rounding of the counts adds to their prediction."""
-    if kind == POSE or not state.speeds.differenced:
+    if kind in (POSE, HEADING) or not state.speeds.differenced:
         return
     left, right, interval = comparable_speeds(kind, state, c)
     if interval <= 0.0 or c.encoder_resolution == 0.0:

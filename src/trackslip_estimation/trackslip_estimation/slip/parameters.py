@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the slip estimator (defaults: ``config/slip_estimator.yaml``, ``config/sources.yaml``)."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,7 @@ from trackslip_estimation.slip.motion import MotionParameters
 from trackslip_estimation.slip.records import MOST_SOURCES
 from trackslip_estimation.slip.sources import (
     KINDS,
+    HeadingSource,
     PoseSource,
     Source,
     YawRateSource,
@@ -34,7 +36,7 @@ DEFAULT_FILES = ("slip_estimator.yaml",)
 
 @dataclass(frozen=True, kw_only=True)
 class SlipEstimatorParameters(ModelParameters, WithVehicle):
-    """Everything the slip estimator can be told."""
+    """All parameters of the slip estimator."""
 
     motion: MotionParameters
     adaptation: AdaptationParameters
@@ -51,6 +53,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     slip_sources: tuple[str, ...] = parameter(
         "topics of TrackSlip that are measurements: [slip_seed], the soil estimator's, which rests on these "
         "very slips and so feeds back; '' names none"
+    )
+    heading_sources: tuple[str, ...] = parameter(
+        "topics of headings, such as a pair of antennas shows; '' names none. With one and start: first_fix, "
+        "the start heading is what it says"
     )
     sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
@@ -78,7 +84,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         "fastest a sprocket can turn; positions asking for more have jumped", unit="rad/s", gt=0.0
     )
     gate_probability: float = parameter(
-        "χ² probability inside which a measurement is taken", gt=0.0, lt=1.0, read_only=False
+        "χ² probability inside which a measurement is accepted", gt=0.0, lt=1.0, read_only=False
     )
     gate_relaxation: float = parameter(
         "factor by which the gate of yaw rates or slips widens with each further timeout of its source",
@@ -88,6 +94,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     )
     gate_confirmations: int = parameter(
         "measurements in a row that must agree with each other before what the gate refuses is believed", ge=1
+    )
+    state_file: str = parameter(
+        "file that keeps what was learned until the next start; ~ is the home directory, '' for none"
     )
     publish_tf: bool = parameter("whether map → odom → base goes to /tf, where tf2_msgs is installed")
 
@@ -130,7 +139,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         }
 
     def of_kind(self, kind: str) -> dict[str, Any]:
-        """Topic → what is told of it, of the sources of one of the lists of ``KINDS``."""
+        """Topic → what is stated of it, of the sources of one of the lists of ``KINDS``."""
         return {topic: self.sources[group_name(topic)] for topic in named(getattr(self, kind))}
 
     def poses(self) -> dict[str, PoseSource]:
@@ -140,6 +149,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     def gyros(self) -> dict[str, YawRateSource]:
         """By topic."""
         return self.of_kind("yaw_rate_sources")
+
+    def compasses(self) -> dict[str, HeadingSource]:
+        """By topic."""
+        return self.of_kind("heading_sources")
 
     def timeouts_ns(self) -> dict[str, int]:
         """Of each source but the sprockets, by topic."""
@@ -161,7 +174,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
     def initial_pose(self) -> tuple[FloatArray, FloatArray]:
         """(3,) x, y, heading to start from, and (3, 3) covariance."""
-        deviations = (self.initial_position_stddev, self.initial_position_stddev, self.initial_yaw_stddev)
+        waits = self.start == "first_fix" and bool(self.compasses())  # for one of these to say the heading
+        yaw_stddev = max(self.initial_yaw_stddev, math.pi) if waits else self.initial_yaw_stddev
+        deviations = (self.initial_position_stddev, self.initial_position_stddev, yaw_stddev)
         pose = np.array((self.initial_x, self.initial_y, self.initial_yaw))
         return pose, np.diag(np.square(deviations))
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.slip.adaptation import begin_adaptation
+from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import fill_outputs, to_sensor
-from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SLIPS, SPROCKETS
+from trackslip_estimation.slip.records import HEADING, MANUAL, MOST_SOURCES, POSE, SLIPS, SPROCKETS
 from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.window import (
     SPARE,
@@ -90,7 +90,7 @@ def _check(window: Window, measurement: Any, c: Any) -> int:
     status = window.status[0]
     if not is_usable(measurement, c):
         return _INVALID
-    if status.frozen and measurement.kind == POSE and measurement.source != MANUAL:
+    if status.frozen and measurement.kind in (POSE, HEADING) and measurement.source != MANUAL:
         return _FROZEN
     if measurement.source == MANUAL and measurement.kind == POSE and measurement.stamp_ns == 0:
         if not status.clock.running:
@@ -224,7 +224,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     """The state at the start; a heading that a fix does not have is that of the parameters."""
     x, P, stamp_ns = state.mean, state.covariance, measurement.stamp_ns
     x[:] = c.prior_mean
-    P[:] = np.diag(c.prior_variance)
+    P[:] = c.prior_covariance
     x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance
     if measurement.kind == POSE:
         source = measurement.source
@@ -238,12 +238,17 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
                 floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
                 P[i, i] = max(P[i, i], floor * floor)
             to_sensor(x, P, c.levers[source], -1.0)
+        if source != MANUAL and P[YAW, YAW] > UNKNOWN_HEADING**2:  # to any side, which no tangent shows
+            for i in range(YAW):
+                P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
     stand_still(state.speeds)
     motion = state.motion
     motion.motion, motion.changing = _UNKNOWN, True
     motion.left = motion.right = motion.left_mean = motion.right_mean = motion.departure = 0.0
     state.stamp_ns, state.coasting = stamp_ns, False
     begin_adaptation(state.adaptation, c)
+    if c.resumes:
+        resume_adaptation(state.adaptation, c.start)
     state.aligning, state.refused_count = P[YAW, YAW] > UNKNOWN_HEADING**2, 0
     for k in range(MOST_SOURCES):
         state.consistent_ns[k] = stamp_ns

@@ -11,13 +11,21 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.slip.adaptation import FIX_FACTORS, RATE_FACTORS, TRACK_ERRORS
 from trackslip_estimation.slip.alignment import CAPACITY
-from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFix, SlipFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import (
+    SET_POSE,
+    HeadingFix,
+    Measurement,
+    PoseFix,
+    SlipFix,
+    Sprockets,
+    YawRate,
+)
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import MOTION, SPEEDS
 
 MOST_SOURCES = 12  # gyros, poses and slips together
 
-SPROCKETS, YAW_RATE, POSE, SLIPS = range(4)  # kinds of measurement, in the order of those with one stamp
+SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING = range(5)  # kinds of measurement, in the order at one stamp
 
 MEASUREMENT = np.dtype(
     [
@@ -28,7 +36,7 @@ MEASUREMENT = np.dtype(
         ("right_speed", np.float64),
         ("left_angle", np.float64),  # rad, continuous; nan where there is none
         ("right_angle", np.float64),
-        ("value", np.float64, (3,)),  # z of all others: rad/s, or m, m, rad, or left and right slip
+        ("value", np.float64, (3,)),  # z of all others: rad/s; m, m, rad; left and right slip; rad
         ("noise", np.float64, (3, 3)),  # R, as its source states it
     ],
     align=True,
@@ -57,6 +65,8 @@ ADAPTATION = np.dtype(
         ("envelope", np.float64),  # E, (m/s)²
         ("exposure", np.float64),  # T, (rad/s)²
         ("elapsed", np.float64),  # s since the last yaw rate
+        ("left_speed", np.float64),  # of the sprockets in the interval before, rad/s
+        ("right_speed", np.float64),
         ("fix_factors", np.float64, (MOST_SOURCES,)),  # f, of the covariance of each source's fixes
         ("fix_log_weights", np.float64, (MOST_SOURCES, FIX_FACTORS)),
     ],
@@ -154,4 +164,7 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
         elif isinstance(m, SlipFix):
             record["kind"], record["source"] = SLIPS, sources[m.source]
             record["value"][:2], record["noise"][:2, :2] = m.slips, m.covariance
+        elif isinstance(m, HeadingFix):
+            record["kind"], record["source"] = HEADING, sources[m.source]
+            record["value"][0], record["noise"][0, 0] = m.heading, m.variance
     return records

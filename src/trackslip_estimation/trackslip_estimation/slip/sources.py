@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is told of each source of measurements: a group of parameters ``sources.<name>``.
+"""What is stated of each source of measurements: a group of parameters ``sources.<name>``.
 
 A list of topics for each kind of source says which there are; the group of a topic has its name with ``_``
 for ``/``: ``imu/data_raw`` has ``sources.imu_data_raw.sign``. What is not given is as ``config/sources.yaml``
@@ -56,6 +56,13 @@ class PoseSource(Source):
         le=10.0,
     )
 
+    correlation_time: float = parameter(
+        "for which its error lasts: fixes that follow each other faster count for less; 0: each has its own",
+        unit="s",
+        ge=0.0,
+        le=600.0,
+    )
+
     @property
     def lever(self) -> tuple[float, float]:
         """Place of the sensor in base_link, m."""
@@ -76,10 +83,38 @@ class SlipSource(Source):
     """Slips that were estimated elsewhere; its gate widens with each further timeout."""
 
 
+HEADING_MESSAGES = {"imu": "sensor_msgs/msg/Imu", "quaternion": "geometry_msgs/msg/QuaternionStamped"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadingSource(Source):
+    """A pair of antennas, or another compass; its gate widens with each further timeout."""
+
+    message: str = parameter(
+        "imu: sensor_msgs/Imu, its orientation; quaternion: geometry_msgs/QuaternionStamped",
+        choices=tuple(HEADING_MESSAGES),
+    )
+    offset: float = parameter(
+        "direction in base_link of what it shows, counter-clockwise: π/2 for a pair that points left",
+        unit="rad",
+        ge=-6.2832,
+        le=6.2832,
+    )
+    stddev: float = parameter("where its message gives no variance", unit="rad", gt=0.0)
+    heading_floor: float = parameter("smallest standard deviation that is believed", unit="rad", gt=0.0)
+    stamp_error: float = parameter(
+        "standard deviation of a delay that all its stamps have, which is estimated: one for all sources",
+        unit="s",
+        ge=0.0,
+        le=10.0,
+    )
+
+
 KINDS: Mapping[str, type[Source]] = {
     "pose_sources": PoseSource,
     "yaw_rate_sources": YawRateSource,
     "slip_sources": SlipSource,
+    "heading_sources": HeadingSource,
 }
 
 

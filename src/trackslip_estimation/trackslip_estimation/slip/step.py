@@ -20,6 +20,7 @@ from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.coasting import begin_coast, inflate, reset_velocity
+from trackslip_estimation.slip.heading import use_heading
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
@@ -31,7 +32,7 @@ from trackslip_estimation.slip.models.dispatch import (
 )
 from trackslip_estimation.slip.models.model import SIZE, YAW
 from trackslip_estimation.slip.motion import Motion, update_motion
-from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS, YAW_RATE
+from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS, YAW_RATE
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
 from trackslip_estimation.slip.update import use_pose, use_rate, use_slips
 
@@ -56,6 +57,8 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         use_pose(state, measurement, c, update)
     elif measurement.kind == YAW_RATE:
         use_rate(state, measurement, c, update)
+    elif measurement.kind == HEADING:
+        use_heading(state, measurement, c, update)
     else:
         use_slips(state, measurement, c, update)
 

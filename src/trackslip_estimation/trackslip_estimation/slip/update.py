@@ -19,7 +19,7 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import log_determinant as log_determinant_of
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
-from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate
+from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, keep_refused, realign
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.measurements import Outcome
@@ -37,7 +37,7 @@ from trackslip_estimation.slip.observation import (
     to_delayed,
     to_sensor,
 )
-from trackslip_estimation.slip.records import POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.records import HEADING, POSE, SLIPS, YAW_RATE
 
 FloatArray = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
     z, R = observed(measurement, state.coasting, c)
     left, right, _ = comparable_speeds(SLIPS, state, c)
     limit, update.dof = c.gate_limits[z.size], z.size
-    update.gate = limit * _width(state, measurement, c)
+    update.gate = limit * width_of(state, measurement, c)
     x, P, prior_P = state.mean.copy(), state.covariance.copy(), state.covariance.copy()
     add_rounding(SLIPS, x, R, state, c)
     update.nis, update.log_determinant = correct(SLIPS, x, P, (z, R), (left, right), c)
@@ -80,7 +80,7 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     R *= state.adaptation.rate_factor
     left, right, _ = comparable_speeds(YAW_RATE, state, c)
     limit, update.dof = c.gate_limits[1], 1
-    update.gate = limit * _width(state, measurement, c)
+    update.gate = limit * width_of(state, measurement, c)
     x, P, prior_P = state.mean.copy(), state.covariance.copy(), state.covariance.copy()
     add_rounding(YAW_RATE, x, R, state, c)
     nis, log_determinant = correct(YAW_RATE, x, P, (z, R), (left, right), c)
@@ -122,8 +122,8 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
 
 
 @compiled
-def _width(state: Any, measurement: Any, c: Any) -> float:
-    """How far the gate of a yaw rate or of slips has widened."""
+def width_of(state: Any, measurement: Any, c: Any) -> float:
+    """How far the gate of a yaw rate, of slips or of a heading has widened."""
     silent_ns = measurement.stamp_ns - state.consistent_ns[measurement.source]
     return width(silent_ns, c.timeouts_ns[measurement.source], c.gate_relaxation)
 
@@ -162,6 +162,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     if m > YAW:
         innovation[YAW] = wrap(innovation[YAW])
     stated, finds_heading = R, state.aligning and m <= YAW
+    known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.correlation_times[source])
     R = state.adaptation.fix_factors[source] * stated
     update.dof, update.gate = m, c.adaptation.soft_gate * limit
     nis = weighted_square(root(predicted + R), innovation)
@@ -186,7 +187,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
         return
     if nis > limit:
         R = R + (nis / limit - 1.0) * (predicted + R)
-    correct(POSE, x, P, (z, R), (0.0, 0.0), c)
+    correct(POSE, x, P, (z, known * R), (0.0, 0.0), c)
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
     to_sensor(x, P, c.levers[source], -1.0)
@@ -215,6 +216,8 @@ def correct(
         Z = np.empty((weights.size, z.size))
         for i in range(weights.size):
             Z[i] = expected(kind, points[i], z.size, speeds, c)
+            if kind == HEADING:
+                Z[i, 0] = x[YAW] + wrap(Z[i, 0] - x[YAW])
         nis, log_determinant = daf.correct(x, P, (points, weights), measured, Z, YAW)
         if kind == YAW_RATE:
             x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE] = scale, scale_variance

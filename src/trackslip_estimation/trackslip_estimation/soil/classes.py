@@ -6,7 +6,7 @@
     c, ϕ     apparent cohesion, angle of internal shearing resistance       Pa, rad
     A, W     contact area of both tracks 2 b l, weight                      m², N
 
-c and ϕ are not to be told apart at one load: all pairs on the line A c + W tan ϕ = 2 F_max have that F_max.
+c and ϕ cannot be distinguished at one load: all pairs on the line A c + W tan ϕ = 2 F_max have that F_max.
 """
 
 import math

@@ -138,7 +138,8 @@ def copy_input(source: Any, to: Any) -> None:
 def is_valid(given: Any) -> bool:
     """Whether a ``SOIL_INPUT`` holds numbers, and the covariance of v_x and yaw rate can be one."""
     if given.source == IS_HYDRAULICS:
-        return _are_numbers(given.pressures) and _are_numbers(given.spools)
+        has_none = math.isnan(given.spools[0]) and math.isnan(given.spools[1])  # not measured: never closed
+        return _are_numbers(given.pressures) and (has_none or _are_numbers(given.spools))
     if given.source == IS_SLIPS:
         return _are_numbers(given.slips)
     C = given.twist_covariance

@@ -122,9 +122,9 @@ class SoilEstimator:
 
     def advance_all(self, inputs: NDArray[Any]) -> Iterator[SoilOutputs]:
         """Use inputs (n,) SOIL_INPUT in their order; what is to be published, in parts of bounded size."""
-        reason, taken = step.OPEN, 0
-        while reason != step.TAKEN:
-            reason, taken, count = step.advance(self._state, inputs, taken, self._numbers)
+        reason, processed = step.OPEN, 0
+        while reason != step.PROCESSED:
+            reason, processed, count = step.advance(self._state, inputs, processed, self._numbers)
             if count:
                 yield SoilOutputs(self._state.forces[:count].copy())
             if reason == step.OPEN:

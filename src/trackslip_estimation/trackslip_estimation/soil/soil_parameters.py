@@ -23,7 +23,7 @@ DEFAULT_FILES = ("soil_estimator.yaml",)
 
 @dataclass(frozen=True, kw_only=True)
 class SoilEstimatorParameters(WithVehicle):
-    """Everything the soil estimator can be told."""
+    """All parameters of the soil estimator."""
 
     moments: SynchronizerParameters
     thrust: ThrustParameters

@@ -44,7 +44,7 @@ _LIKELY = 0.5  # probability
 _ROOM = 256  # forces that are kept until they are fetched
 
 # Why the loop stopped
-TAKEN, FULL, RESTART, OPEN = range(4)  # all inputs are taken; no more room; the clock went back; see ``OPEN``
+PROCESSED, FULL, RESTART, OPEN = range(4)  # no input left; no more room; the clock went back; see ``OPEN``
 
 KNOWN = np.dtype(
     [
@@ -89,7 +89,7 @@ class Stop(NamedTuple):
     """Where the loop stopped."""
 
     reason: int
-    taken: int  # inputs
+    processed: int  # inputs
     forces: int  # that are there to be published
 
 
@@ -122,7 +122,7 @@ def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any
             if known.forces == len(state.forces):
                 return Stop(FULL, first, known.forces)
             if not known.is_open:
-                time_synchronizer.take(synchronizer, p.moments, known.sample)
+                time_synchronizer.pop_oldest(synchronizer, p.moments, known.sample)
                 _step(known, state.faults, p)
                 known.is_open = known.gathered != GATHERING or known.soil_due or known.seed_due
                 if known.is_open:
@@ -131,7 +131,7 @@ def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any
             if known.forces_due:
                 _publish_forces(state, p)
         if first == len(inputs):
-            return Stop(TAKEN, first, known.forces)
+            return Stop(PROCESSED, first, known.forces)
         first += 1
         if time_synchronizer.add(synchronizer, inputs[first - 1], p.moments) == RESTARTED:
             return Stop(RESTART, first, known.forces)

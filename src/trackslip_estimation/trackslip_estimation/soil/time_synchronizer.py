@@ -132,7 +132,7 @@ def is_ready(synchronizer: TimeSynchronizer, p: Any) -> bool:
 
 
 @compiled
-def take(synchronizer: TimeSynchronizer, p: Any, sample: Any) -> None:
+def pop_oldest(synchronizer: TimeSynchronizer, p: Any, sample: Any) -> None:
     """Move the oldest pair into the sample, with its pressures."""
     pairs = synchronizer.state[0].pairs
     odometry, slips = synchronizer.buffers[_ODOMETRY, pairs.first], synchronizer.buffers[_SLIPS, pairs.first]

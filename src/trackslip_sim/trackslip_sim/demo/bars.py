@@ -53,7 +53,7 @@ TRIALS = (Trial("thesis", 80.0, 40.0), Trial("slalom", 60.0, 25.0), Trial("field
 
 
 @dataclass(frozen=True)
-class Bars:
+class Accuracy:
     """Errors, each with its limit in ``LIMITS``."""
 
     position: float  # m, RMS of e
@@ -68,10 +68,10 @@ class Bars:
         return [name for name, limit in vars(LIMITS).items() if not getattr(self, name) <= limit]
 
 
-LIMITS = Bars(0.03, 0.01, 0.04, 0.12, 0.3, 0.2)
+LIMITS = Accuracy(0.03, 0.01, 0.04, 0.12, 0.3, 0.2)
 
 
-def measure(trial: Trial, soil: str, seed: int, directory: Path) -> Bars:
+def measure(trial: Trial, soil: str, seed: int, directory: Path) -> Accuracy:
     """Drive, record into ``directory``, replay, compare with the truth."""
     given = {"scenario": trial.scenario, "duration": trial.duration, "soil": soil, "seed": seed}
     emulated = load_emulator_parameters(given)
@@ -79,7 +79,7 @@ def measure(trial: Trial, soil: str, seed: int, directory: Path) -> Bars:
     path = directory / f"{trial.scenario}_{soil}_{seed}"
     record_drive(emulated, truth, path)
     with open_bag(path) as bag:
-        return _Comparison(bag, emulated, truth).bars(trial)
+        return _Comparison(bag, emulated, truth).accuracy(trial)
 
 
 class _Comparison:
@@ -91,7 +91,7 @@ class _Comparison:
         self._lead_in = emulated.lead_in
         self._p: SlipEstimatorParameters = load_slip_parameters()
 
-    def bars(self, trial: Trial) -> Bars:
+    def accuracy(self, trial: Trial) -> Accuracy:
         """All of them."""
         whole, end = self._replay(()), trial.silent_from + OUTAGE
         begin = self._lead_in + trial.silent_from
@@ -103,7 +103,7 @@ class _Comparison:
 
         _, errors = self._errors(whole)
         blind = lost("box_pose", "imu/data_raw")
-        return Bars(
+        return Accuracy(
             _rms(np.hypot(errors[:, 0], errors[:, 1])),
             _rms(errors[:, 2]),
             self._turn_slip(whole),
@@ -159,7 +159,7 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def table(seeds: int) -> Iterator[tuple[str, Bars]]:
+def table(seeds: int) -> Iterator[tuple[str, Accuracy]]:
     """Drive, soil and seed; what they came to."""
     with tempfile.TemporaryDirectory(prefix="trackslip_bars_") as directory:
         for trial in TRIALS:

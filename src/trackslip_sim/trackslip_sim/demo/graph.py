@@ -4,6 +4,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+SENSOR_TOPICS = ("sprockets", "hydraulics", "imu/data_raw", "imu/mag", "scan")  # of the emulated machine
+
 _CAN = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2"}
 
 
@@ -45,7 +47,7 @@ def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
     }
     return [
         NodeSpec("trackslip_sim", "emulator", emulator),
-        NodeSpec("trackslip_drivers", "can_driver", can),
+        NodeSpec("trackslip_drivers", "can_driver", {**can, **vehicle}),
         NodeSpec("trackslip_drivers", "watson_imu", {"serial_port": str(options.devices / "watson")}),
         NodeSpec("trackslip_drivers", "sick_pls", {"serial_port": str(options.devices / "sick")}),
         NodeSpec("trackslip_estimation", "box_localizer", vehicle),

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
-from trackslip_common.topics import SENSOR_TOPICS
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_sim.demo.graph import SENSOR_TOPICS
 from trackslip_sim.demo.soil_results import SoilResult, soil_result
 from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.dead_reckoning import Path
@@ -113,6 +113,7 @@ def evaluate(
     topics = {
         topic: Counts(emitted.get(topic, 0), received.get(topic, 0), recorded.get(f"/{topic}", 0))
         for topic in SENSOR_TOPICS
+        if emitted.get(topic)
     }
     return DemoResult(
         of_filter,

@@ -5,9 +5,10 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 
-from trackslip_drivers.protocols.can_frames import ENCODERS, PRESSURES, SPOOLS, FrameSet
-from trackslip_drivers.protocols.encoder import COUNTS
+from trackslip_drivers.protocols.can_frames import FrameSet
 from trackslip_drivers.records import HydraulicsSample, SprocketSample
+
+ENCODERS, SPOOLS, PRESSURES = "encoders", "spools", "pressures"  # the frames, in the order sent
 
 _STAMPS_KEPT = 10_000
 
@@ -17,7 +18,6 @@ class CanDevice:
 
     Args:
         frames: the contract.
-        belt_ratio: encoder turns per sprocket turn.
         sprockets: true sprockets at a stamp; their positions are what the encoders see.
         hydraulics: true pressures and spools at a stamp.
         start_ns: time of the first cycle.
@@ -30,7 +30,6 @@ class CanDevice:
     def __init__(
         self,
         frames: FrameSet,
-        belt_ratio: float,
         sprockets: Callable[[int], SprocketSample],
         hydraulics: Callable[[int], HydraulicsSample],
         start_ns: int,
@@ -46,7 +45,10 @@ class CanDevice:
             for name in (SPOOLS, PRESSURES)
             for signal in frames.by_name[name].signals
         }
-        self._counts_per_rad = COUNTS * belt_ratio / (2.0 * math.pi)
+        encoder = frames.roles["left_position"]
+        self._counts_per_rad = encoder.counts_per_turn * encoder.ratio / (2.0 * math.pi)
+        self._counts = round(encoder.counts_per_turn)
+        self._cycle_ns = frames.codecs[ENCODERS].nominal_ns
         self._sprockets = sprockets
         self._hydraulics = hydraulics
         self.start(start_ns)
@@ -70,7 +72,7 @@ class CanDevice:
                 self.frames_emitted[name] += 1
             self.stamps.append(self._next_ns)
             self._alive_counter += 1
-            self._next_ns += self._frames.cycle_ns
+            self._next_ns += self._cycle_ns
         return sent
 
     def _readings(self, stamp_ns: int) -> dict[str, Mapping[str, float]]:
@@ -95,7 +97,7 @@ class CanDevice:
 
     def _count(self, position: float) -> int:
         """Raw count of an encoder whose sprocket stands at ``position``, rad."""
-        return math.floor(position * self._counts_per_rad) % COUNTS
+        return math.floor(position * self._counts_per_rad) % self._counts
 
     def _saturated(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Values limited to the ranges of the DBC."""

@@ -9,7 +9,7 @@ import can
 from trackslip_drivers.transports.can_bus import CanBus
 from trackslip_sim.devices.pty_port import PtyPort
 from trackslip_sim.machine.excavator import EmulatedExcavator
-from trackslip_sim.machine.faults import SICK, UNPLUG, WATSON
+from trackslip_sim.machine.faults import GNSS, SICK, UNPLUG, WATSON
 from trackslip_sim.parameters import EmulatorParameters
 
 
@@ -22,10 +22,10 @@ class Cables:
 
     def __init__(self, p: EmulatorParameters) -> None:
         with ExitStack() as opened:
-            self._bus = CanBus(p.can_interface, p.can_channel, p.can_port)
+            self._bus = CanBus(p.can_interface, p.can_channel, {"port": p.can_port})
             opened.callback(self._bus.close)
             self._ports = {}
-            for sensor in (WATSON, SICK):
+            for sensor in (WATSON, SICK, GNSS):
                 self._ports[sensor] = PtyPort(Path(p.device_directory) / sensor)
                 opened.callback(self._ports[sensor].close)
             self._opened = opened.pop_all()
@@ -59,6 +59,7 @@ class Cables:
         sent = excavator.step_sick(now_ns)
         if sick.baud == excavator.sick.baud:
             sick.write(sent)
+        self._ports[GNSS].write(excavator.step_gnss(now_ns))
 
     def close(self) -> None:
         """Pull them out; safe to call twice."""

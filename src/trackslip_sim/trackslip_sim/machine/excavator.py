@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated excavator: one true drive behind three devices that speak bytes. No port, no clock."""
+"""The emulated excavator: one true drive behind its devices that speak bytes. No port, no clock."""
 
 import math
 from collections.abc import Callable
@@ -8,20 +8,24 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import config_file, load_parameters
+from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import Parameters
+from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_frames import ENCODERS, PRESSURES, FrameSet
+from trackslip_drivers.nmea_parameters import NmeaParameters
+from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
 from trackslip_drivers.protocols.watson import BITS_PER_CHAR, GRAVITY, TESLA_PER_MILLIGAUSS, Layout
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
-from trackslip_sim.devices.can_device import CanDevice
+from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, CanDevice
 from trackslip_sim.devices.line import BaudLine
+from trackslip_sim.devices.nmea_device import NmeaDevice
 from trackslip_sim.devices.sick_device import SickDevice
 from trackslip_sim.devices.watson_device import WatsonDevice
-from trackslip_sim.machine.faults import CAN, POWER_CYCLE, SICK, WATSON, WRONG_BAUD, Faults
+from trackslip_sim.machine.faults import CAN, GNSS, POWER_CYCLE, SICK, WATSON, WRONG_BAUD, Faults
 from trackslip_sim.machine.faulty_line import FaultyBus, FaultySerial
 from trackslip_sim.machine.faulty_readings import FaultyReadings, FullScales
+from trackslip_sim.machine.gnss_model import GnssModel
 from trackslip_sim.machine.scan_model import SiteScanner
 from trackslip_sim.machine.sensors import MachineSensors
 from trackslip_sim.parameters import EmulatorParameters
@@ -58,10 +62,10 @@ class EmulatedExcavator:
         self.end_ns = self.drive_start_ns + round(window.duration * 1e9)
         self.sensors = MachineSensors(window, p.noise, self.drive_start_ns, p.seed)
         self.faults = Faults(load_scenario(p.scenario).faults, self.drive_start_ns)
-        can = default_parameters(CanDriverParameters, "can_driver")
+        can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
         watson = default_parameters(WatsonParameters, "watson_imu")
         sick = default_parameters(SickParameters, "sick_pls")
-        frames = FrameSet(config_file(can.dbc_file))
+        frames = load_frames(can)
         layout = Layout(watson.channels, watson.formats, watson.full_scales)
         self._scanner = SiteScanner(p.site, p.vehicle.box, p.seed)
         self._readings = readings = FaultyReadings(
@@ -69,26 +73,31 @@ class EmulatedExcavator:
         )
         boot_ns = round(p.can_delay * 1e9)
         measures = (readings.sprockets, readings.hydraulics)
-        self.can = CanDevice(frames, can.belt_ratio, *measures, start_ns + boot_ns)
+        self.can = CanDevice(frames, *measures, start_ns + boot_ns)
         self._watson_line = BaudLine(watson.serial_baud, BITS_PER_CHAR)
         self.watson = WatsonDevice(layout, self._watson_line, readings.imu, True, start_ns)
         self.sick = SickDevice(sick, p.sick_start, readings.ranges, start_ns)
+        self._gnss_line = BaudLine(default_parameters(NmeaParameters, "nmea_gnss").serial_baud, BITS_PER_CHAR)
+        antenna = GnssModel(p.gnss, self._pose_at, self.faults, p.seed)
+        self.gnss = NmeaDevice(p.gnss.device, self._gnss_line, antenna.measure, start_ns, p.seed)
         self._power_on: dict[str, Callable[[int], None]] = {
             CAN: lambda now_ns: self.can.start(now_ns + boot_ns),
             WATSON: self.watson.power_cycle,
             SICK: self.sick.power_cycle,
+            GNSS: self.gnss.power_cycle,
         }
         self._without_power: set[str] = set()
         self._bus = FaultyBus(CAN, self.faults, p.seed)
-        self._lines = {sensor: FaultySerial(sensor, self.faults, p.seed) for sensor in (WATSON, SICK)}
+        self._lines = {sensor: FaultySerial(sensor, self.faults, p.seed) for sensor in (WATSON, SICK, GNSS)}
 
     def next_ns(self, now_ns: int, tick_ns: int) -> int:
         """When to call the steps next, of all times whole ticks from now, for the same result as at each."""
         if self.faults:
             return now_ns + tick_ns
         if now_ns >= self.end_ns:
-            return self._watson_line.next_read_ns(now_ns, tick_ns)
-        devices = self.watson.next_ns(now_ns, tick_ns), self.sick.next_ns(now_ns, tick_ns)
+            lines = self._watson_line, self._gnss_line
+            return min(line.next_read_ns(now_ns, tick_ns) for line in lines)
+        devices = [device.next_ns(now_ns, tick_ns) for device in (self.watson, self.sick, self.gnss)]
         return min(self.can.next_ns, *devices)
 
     def step_can(self, now_ns: int) -> list[tuple[int, bytes]]:
@@ -112,6 +121,16 @@ class EmulatedExcavator:
         on = self._powered(SICK, now_ns) and now_ns < self.end_ns
         return self._lines[SICK].transmit(self.sick.step(now_ns) if on else b"", now_ns)
 
+    def step_gnss(self, now_ns: int) -> bytes:
+        """Characters that have left by now; the last burst drains after the end."""
+        if not self._powered(GNSS, now_ns):
+            sent = b""
+        elif now_ns < self.end_ns:
+            sent = self.gnss.step(now_ns)
+        else:
+            sent = self._gnss_line.read(now_ns)
+        return self._lines[GNSS].transmit(sent, now_ns)
+
     def receive_watson(self, data: bytes, now_ns: int) -> None:
         """What the host has written to the inertial unit."""
         if data and self._can_receive(WATSON, now_ns):
@@ -131,10 +150,16 @@ class EmulatedExcavator:
             "imu/data_raw": lines,
             "imu/mag": lines,
             "scan": self.sick.scans_emitted,
+            "fix": self.gnss.fixes_emitted,
+            "heading": self.gnss.headings_emitted,
         }
 
     def _scan(self, stamp_ns: int) -> FloatArray:
         return self._scanner.scan(self.sensors.time(stamp_ns), self.sensors.pose_at)
+
+    def _pose_at(self, stamp_ns: int) -> tuple[float, float, float]:
+        x, y, yaw = self.sensors.pose_at(np.array([self.sensors.time(stamp_ns)]))
+        return float(x[0]), float(y[0]), float(yaw[0])
 
     def _powered(self, sensor: str, now_ns: int) -> bool:
         """Whether it lives; it boots as its power comes back."""

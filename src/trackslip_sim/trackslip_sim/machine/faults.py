@@ -18,8 +18,8 @@ from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_sim.scenarios.checks import number, refuse_unknown, text
 
-CAN, WATSON, SICK = SENSORS = ("can", "watson", "sick")
-_SERIAL = (WATSON, SICK)
+CAN, WATSON, SICK, GNSS = SENSORS = ("can", "watson", "sick", "gnss")
+_SERIAL = (WATSON, SICK, GNSS)
 _NS_PER_S = 1_000_000_000
 _LONGEST = 86_400.0  # s
 _KEYS = ("sensor", "kind", "start", "duration", "value")
@@ -48,6 +48,10 @@ NOISE = "noise"
 POLLUTION = "pollution"
 OCCLUSION = "occlusion"
 GLARE = "glare"
+RTK_FLOAT = "rtk_float"
+CODE_ONLY = "code_only"
+NO_FIX = "no_fix"
+MULTIPATH = "multipath"
 
 _SHARE_OF_BYTES = "share of all bytes"
 KINDS: Mapping[str, Kind] = MappingProxyType(
@@ -62,10 +66,16 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         LOST_FRAMES: Kind((CAN,), "share of all frames"),
         BURSTS: Kind(SENSORS, "s for which all is held back, to come at once", 60.0),
         STUCK: Kind(SENSORS),  # measures what it did as the fault began
-        NOISE: Kind(SENSORS, "standard deviation, as a share of full scale"),
+        NOISE: Kind((CAN, WATSON, SICK), "standard deviation, as a share of full scale"),
         POLLUTION: Kind((SICK,)),
         OCCLUSION: Kind((SICK,), "rad around the middle beam that something near covers", math.pi),
         GLARE: Kind((SICK,), "share of the rays that are dazzled"),
+        RTK_FLOAT: Kind((GNSS,)),  # ambiguities are no longer fixed
+        CODE_ONLY: Kind((GNSS,)),  # corrections are lost
+        NO_FIX: Kind((GNSS,)),  # the sky is
+        MULTIPATH: Kind(
+            (GNSS,), "m eastward that the position is off, of which the receiver knows nothing", 100.0
+        ),
     }
 )
 

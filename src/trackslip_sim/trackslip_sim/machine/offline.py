@@ -7,30 +7,37 @@ message is logged at the tick at which its last byte arrives.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from trackslip_bags.messages import make
 from trackslip_bags.writer import BagWriter
-from trackslip_common.config_files import config_file
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
+from trackslip_drivers import can_parameters
 from trackslip_drivers import conversions as of_sensors
 from trackslip_drivers.can_parameters import CanDriverParameters
-from trackslip_drivers.protocols.can_frames import FrameSet
+from trackslip_drivers.nmea_parameters import NmeaParameters
+from trackslip_drivers.protocols.can_frames import load_frames
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
+from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, NmeaStream, Sample
 from trackslip_drivers.protocols.sick_session import Phase, SickSession
 from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
-from trackslip_drivers.records import ScanSample, SprocketSample
+from trackslip_drivers.records import FixSample, ScanSample, SprocketSample
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_estimation.box import parameters as box_parameters
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import BoxNodeParameters
 from trackslip_estimation.box.scan import Scan
+from trackslip_estimation.gnss import conversions as of_fixes
+from trackslip_estimation.gnss import parameters as gnss_parameters
+from trackslip_estimation.gnss.localizer import GnssLocalizer, Reason
+from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 from trackslip_estimation.slip import conversions as of_estimates
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_sim.machine.bag_messages import Recording, Serialize, like, sensor_serializers
@@ -82,8 +89,8 @@ class _Host:
         self.excavator = EmulatedExcavator(p, window, START_NS)
         self._window = window
         self._tally = Tally()
-        can = default_parameters(CanDriverParameters, "can_driver")
-        self._can = ExcavatorCan(can, FrameSet(config_file(can.dbc_file)), self._tally)
+        can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
+        self._can = ExcavatorCan(can, load_frames(can), self._tally)
         watson = default_parameters(WatsonParameters, "watson_imu")
         layout = Layout(watson.channels, watson.formats, watson.full_scales)
         self._imu = WatsonStream(layout, watson.serial_baud, 0, self._tally)
@@ -93,6 +100,12 @@ class _Host:
         box = default_parameters(BoxNodeParameters, box_parameters.NODE, *box_parameters.DEFAULT_FILES)
         self._vehicle = p.vehicle.whole()
         self._localizer = BoxLocalizer(box, p.vehicle.box)
+        self._receiver = default_parameters(NmeaParameters, "nmea_gnss")
+        self._gnss = NmeaStream(self._receiver, self._tally)
+        gnss = default_parameters(GnssLocalizerParameters, gnss_parameters.NODE)
+        origin = {name: getattr(p.gnss, name) for name in ("latitude", "longitude", "altitude")}
+        self._map = replace(gnss, **{f"datum_{name}": value for name, value in origin.items()})
+        self._antenna = GnssLocalizer(self._map)
         serializers = sensor_serializers(watson, _BODY_FRAME) | self._truth_serializers()
         self.recording = Recording(bag, serializers)
         text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
@@ -103,8 +116,7 @@ class _Host:
         """All that arrives by now."""
         add = self.recording.add
         for frame in self.excavator.step_can(now_ns):
-            sample = self._can.receive(*frame, now_ns)
-            if sample is not None:
+            for sample in self._can.receive(*frame, now_ns):
                 add("sprockets" if isinstance(sample, SprocketSample) else "hydraulics", sample, now_ns)
         sent = self.excavator.step_watson(now_ns)
         for line in self._imu.feed(sent, now_ns) if sent else ():
@@ -112,6 +124,9 @@ class _Host:
             if line.magnetic_field is not None:
                 add("imu/mag", line, now_ns)
         self._talk_to_scanner(now_ns)
+        sent = self.excavator.step_gnss(now_ns)
+        for found in self._gnss.feed(sent, now_ns) if sent else ():
+            self._on_gnss(found, now_ns)
         since_ns = now_ns - START_NS
         if since_ns % _TRUTH_NS == 0 and now_ns <= self.excavator.end_ns:
             self._record_truth(now_ns, since_ns)
@@ -148,6 +163,18 @@ class _Host:
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
             message = of_estimates.pose_with_covariance(make, pose, _SITE_FRAME)
             self.recording.add("box_pose", message, now_ns)
+
+    def _on_gnss(self, sample: Sample, now_ns: int) -> None:
+        if not isinstance(sample, FixSample):
+            heading = of_sensors.heading(make, sample, self._receiver.heading_frame_id)
+            self.recording.add(HEADING, heading, now_ns)
+            return
+        message = of_sensors.nav_sat_fix(make, sample, self._receiver.frame_id)
+        self.recording.add(FIX, message, now_ns)
+        place = self._antenna.locate(of_fixes.fix(message))
+        if not isinstance(place, Reason):
+            pose = of_fixes.pose(make, place, "gnss_pose", self._map.map_frame)
+            self.recording.add("gnss_pose", pose, now_ns)
 
     def _record_truth(self, now_ns: int, since_ns: int) -> None:
         """Stamps; what the truth is then is looked up when it is written."""

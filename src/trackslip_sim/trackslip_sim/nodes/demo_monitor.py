@@ -17,8 +17,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import publisher_qos
-from trackslip_common.topics import SENSOR_TOPICS, TOPICS, Flow
+from trackslip_common.topics import TOPICS, Flow
 from trackslip_estimation.slip.conversions import pose_fix
+from trackslip_sim.demo.graph import SENSOR_TOPICS
 
 WATCHED = (*SENSOR_TOPICS, "box_pose", "odometry", "track_slip")
 _ENDS = {  # topic → nodes that must have found each other on it

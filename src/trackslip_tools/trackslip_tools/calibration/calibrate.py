@@ -52,7 +52,9 @@ def calibrate(
     if not hard_ground:
         findings["common_slip"] = _common_slip(findings["effective_rolling_radius"], radius)
     turns = tracks.turning(recordings, unit)
-    findings |= _turning(turns.gain, findings["gyro_scale"], radius, p.vehicle.kinematics.tread)
+    tread = p.vehicle.kinematics.tread
+    findings["asymmetry"] = tracks.asymmetry(recordings, unit, turns.gain.value, radius)
+    findings |= _turning(turns.gain, findings["gyro_scale"], radius, tread)
     findings["tread"] = refused(
         "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
     )

@@ -4,9 +4,10 @@
 θ̄, Δ     mean of both sprocket angles, right less left                  rad
 r, i₀    rolling radius, slip common to both tracks                     m, 1
 B, κ     tread, turning efficiency                                      m, 1
+ε        side asymmetry                                         rad/m
 s, Ψ     way along the heading, turn (of the gyro, less its bias)       m, rad
 
-    straight    ds = r (1 − i₀) dθ̄            turning    dΨ = (r κ/B) dΔ
+    straight    ds = r (1 − i₀) dθ̄            turning    dΨ = (r κ/B) dΔ + ε r dθ̄
 
 What of it is r and what is slip no straight line can show, nor a turn what is κ and what is 1/B: tracks turn
 by sliding, on hard ground too (dry clay: κ about 0.5). So there is no tread here. B is measured with a tape;
@@ -92,6 +93,26 @@ def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
         return Turns(refused("one turn outweighs all others", "1"), float("nan"))
     basis = f"{len(turned)} turns, {np.abs(turned).sum():.1f} rad"
     return Turns(found(fit.values[0], fit.spread(), "1", basis), float(np.std(turned / differences, ddof=1)))
+
+
+def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: float | None, radius: float) -> Finding:
+    """ε, from the straights; ``gain`` is r κ/B."""
+    if gain is None:
+        return refused("the turns do not show r κ/B", "rad/m")
+    turned, ways = np.empty(0), np.empty(0)
+    for recording in recordings:
+        straights = spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
+        edges = np.array(straights).reshape(-1, 2)[_with_gyro(recording, straights)]
+        if len(edges):
+            known = recording.sprockets.t
+            ways = np.append(ways, radius * np.diff(np.interp(edges, known, recording.mean_angle)))
+            steered = gain * np.diff(np.interp(edges, known, recording.difference))
+            turned = np.append(turned, np.diff(gyro.headings(recording, edges)) - steered)
+    way = float(np.abs(ways).sum())
+    fit = clustered(ways[:, np.newaxis], turned, np.arange(len(turned))) if way >= LEAST_WAY else None
+    if fit is None:
+        return refused(f"straights with the gyro of {way:.1f} m; needed: {LEAST_WAY:g} m", "rad/m")
+    return found(fit.values[0], fit.spread(), "rad/m", f"{len(ways)} straights, {way:.1f} m")
 
 
 def _with_gyro(recording: Recording, stretches: Sequence[Span]) -> NDArray[np.bool_]:

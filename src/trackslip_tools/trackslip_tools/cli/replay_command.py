@@ -13,6 +13,7 @@ from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.replay.output import EstimateWriter, summary, text
 from trackslip_tools.replay.run import Part, replay
+from trackslip_tools.replay.start import learned_before
 
 EXAMPLE = (
     "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.sources.box_pose.timeout=3"
@@ -46,7 +47,8 @@ def run(args: argparse.Namespace) -> int:
         p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
         of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
-        with EstimateWriter(args.output, p) if args.output else nullcontext() as writer:
+        learned, _ = learned_before(bag, p)
+        with EstimateWriter(args.output, p, learned) if args.output else nullcontext() as writer:
             watch = writer.add if writer else _ignore
             result = replay(bag, p, filters, reference, of_soil, watch)
             if writer and result.soil is not None:

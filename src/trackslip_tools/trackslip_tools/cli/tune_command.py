@@ -49,9 +49,9 @@ def run(args: argparse.Namespace) -> int:
         InputError: a bag, a parameter or an option cannot be used.
     """
     plan = read_plan(config_file(args.plan))
-    tasks = [_read(bag, args, needs_reference=plan.effort.objective != LIKELIHOOD) for bag in args.bags]
+    tasks = [_read(bag, args, needs_reference=plan.settings.objective != LIKELIHOOD) for bag in args.bags]
     cross_validate = not args.no_cross_validation and len(tasks) > 1
-    sets = plan.effort.evaluations * (1 + len(tasks) * cross_validate)
+    sets = plan.settings.evaluations * (1 + len(tasks) * cross_validate)
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(args.output / JOURNAL, tasks, plan.bounds))
         if len(journal):

@@ -18,18 +18,22 @@ from numpy.typing import NDArray
 
 from trackslip_common.message_fields import (
     ImuFields,
+    OrientationFields,
     PoseFields,
+    QuaternionFields,
     RecordClass,
     SlipFields,
     SprocketFields,
+    headings_of,
     poses_of,
 )
 from trackslip_estimation.slip.measurements import SET_POSE
-from trackslip_estimation.slip.records import MANUAL, MEASUREMENT, POSE, SLIPS, SPROCKETS, YAW_RATE
+from trackslip_estimation.slip.records import HEADING, MANUAL, MEASUREMENT, POSE, SLIPS, SPROCKETS, YAW_RATE
+from trackslip_estimation.slip.sources import HEADING_MESSAGES
 
 Rows = NDArray[np.void]
 
-IS_COMMAND, IS_RELOAD = SLIPS + 1, SLIPS + 2  # more kinds: its source is the command; new parameters
+IS_COMMAND, IS_RELOAD = HEADING + 1, HEADING + 2  # more kinds: its source is the command; new parameters
 
 _FIELDS = MEASUREMENT.names or ()
 ARRIVAL = np.dtype(
@@ -42,7 +46,7 @@ class SourceReader(NamedTuple):
 
     kind: int
     fields: RecordClass  # record class that is read
-    default_variance: float = 0.0  # of a yaw rate that states none
+    default_variance: float = 0.0  # of a yaw rate or a heading that states none
 
     def rows(self, read: Rows) -> Rows:
         """(n,) ARRIVAL, without source and log time, of (n,) records of ``fields``."""
@@ -60,6 +64,12 @@ SLIP_READER = SourceReader(SLIPS, SlipFields)
 def yaw_rate_reader(default_variance: float) -> SourceReader:
     """Of a source of yaw rates, (rad/s)² where a message states no variance (REP-145)."""
     return SourceReader(YAW_RATE, ImuFields, default_variance)
+
+
+def heading_reader(type_name: str, default_variance: float) -> SourceReader:
+    """Of a source of headings, whose messages are of this type; rad² where one states no variance."""
+    is_imu = type_name == HEADING_MESSAGES["imu"]
+    return SourceReader(HEADING, OrientationFields if is_imu else QuaternionFields, default_variance)
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:
@@ -92,9 +102,18 @@ def _fill_slips(rows: Rows, read: Rows, _: float) -> None:
     rows["noise"][:, :2, :2] = read["slips_covariance"]
 
 
+def _fill_headings(rows: Rows, read: Rows, default_variance: float) -> None:
+    rows["value"][:, 0], rows["noise"][:, 0, 0] = headings_of(read), default_variance
+    if "absent" in (read.dtype.names or ()):
+        rows["value"][read["absent"] == -1.0, 0] = np.nan
+        stated = read["variance_z"] != 0.0
+        rows["noise"][stated, 0, 0] = read["variance_z"][stated]
+
+
 _FILL: dict[int, Callable[[Rows, Rows, float], None]] = {
     SPROCKETS: _fill_sprockets,
     YAW_RATE: _fill_yaw_rates,
     POSE: _fill_poses,
     SLIPS: _fill_slips,
+    HEADING: _fill_headings,
 }

@@ -28,6 +28,7 @@ from trackslip_common.message_fields import RECORDS, ReportFields
 from trackslip_common.parameters import reloadable
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.measurements import (
+    FORGET,
     FREEZE,
     RELOAD,
     RESET,
@@ -36,6 +37,7 @@ from trackslip_estimation.slip.measurements import (
     Reload,
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.sources import HEADING_MESSAGES
 from trackslip_tools.replay.arrivals import (
     ARRIVAL,
     IS_COMMAND,
@@ -45,6 +47,7 @@ from trackslip_tools.replay.arrivals import (
     SPROCKET_READER,
     Rows,
     SourceReader,
+    heading_reader,
     to_measurements,
     yaw_rate_reader,
 )
@@ -55,7 +58,7 @@ from trackslip_tools.replay.series import Series, SeriesCollector
 SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
 LOCAL_ODOMETRY = "odometry/local"
 
-_COMMANDS = (RESET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
+_COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
 
 
 class Logged(NamedTuple):
@@ -90,10 +93,10 @@ class InputStream:
         require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
         self._bag, self._filters, self._tables = bag, filters, tables
         self._reloadable = reloadable(p)
-        self._readers = _readers(p)
+        names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+        self._readers = _readers(p, {name: bag.topics[topic].type_name for topic, name in names.items()})
         self.sources = (*self._readers, RELOAD, *_COMMANDS)
         wanted = {*self._readers, REPORTS, RELOAD, *tables}
-        names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
         self._names = {topic: name for topic, name in names.items() if name in wanted}
         _require_types(bag, self._names, p, tables)
         self._span = tuple(absolute_time(bag, t) for t in (filters.start_s, filters.stop_s))
@@ -250,9 +253,12 @@ def read_inputs(
     return Inputs(stream.sources, rows, stream.reloads, *found)
 
 
-def _readers(p: SlipEstimatorParameters) -> dict[str, SourceReader]:
+def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:
+    """Of each source; ``types``: topic → type of its messages in the bag."""
     readers = {SPROCKETS: SPROCKET_READER}
     readers |= {topic: yaw_rate_reader(gyro.stddev**2) for topic, gyro in p.gyros().items()}
+    for topic, compass in p.compasses().items():
+        readers[topic] = heading_reader(types.get(topic, ""), compass.stddev**2)
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
 
@@ -267,6 +273,8 @@ def _require_types(
     for topic, name in names.items():
         known, found = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name
         accepted = [known.type_name] if known is not None else sorted(RECORDS)
+        if name in p.compasses():
+            accepted = sorted(HEADING_MESSAGES.values())
         if found not in accepted and (known is not None or name in tables):
             raise InputError(f"bag '{bag.path}': {topic} is a {found}; accepted: {' or '.join(accepted)}")
 

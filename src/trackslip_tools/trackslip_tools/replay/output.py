@@ -15,6 +15,8 @@ from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, make_step
+from trackslip_estimation.slip.learned import Learned, meaning, to_tree
+from trackslip_estimation.slip.learned_text import summary_lines, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -29,12 +31,15 @@ _NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro",
 class EstimateWriter:
     """A bag of the estimates, the report on each measurement and the parameters, each logged at its stamp.
 
+    ``learned``: what the estimator started from, where it is not the parameters alone.
+
     Raises:
         InputError: the path exists already.
     """
 
-    def __init__(self, path: Path, p: SlipEstimatorParameters) -> None:
+    def __init__(self, path: Path, p: SlipEstimatorParameters, learned: Learned | None = None) -> None:
         self._bag, self._p = BagWriter(path), p
+        self._start = {} if learned is None else {"learned": to_tree(learned, meaning(p))}
         self._sequence, self._local = 0, LocalOdometry()
         self._logged_ns: int | None = None
 
@@ -69,7 +74,8 @@ class EstimateWriter:
     def _begin(self, stamp_ns: int) -> None:
         """With the parameters, at the first stamp."""
         if self._logged_ns is None and stamp_ns:
-            text = make("std_msgs/msg/String", data=parameters_text(to_flat(self._p), SLIP_NODE))
+            content = parameters_text(to_flat(self._p), SLIP_NODE, **self._start)
+            text = make("std_msgs/msg/String", data=content)
             self._write(PARAMETERS_TOPIC, text, stamp_ns)
             vehicle = make("std_msgs/msg/String", data=vehicle_text(self._p.vehicle))
             self._write(VEHICLE, vehicle, stamp_ns)
@@ -109,6 +115,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "rmse": rmse,
         "nees": result.nees,
         "nees_position": result.nees_position,
+        "learned": to_json(result.learned[-1].findings) if result.learned else None,
         "real_time_factor": result.duration_s / elapsed_s,
     }
     if result.live is not None:
@@ -132,6 +139,8 @@ def text(result: Replay, elapsed_s: float) -> str:
         lines.append("final  " + "  ".join(f"{name} {value:.4f}" for name, value in final.items()))
         if result.no_estimate:
             lines.append(f"no estimate of the heading: {result.no_estimate}")
+    lines += [result.start] if result.start else []
+    lines += summary_lines(result.learned[-1].findings) if result.learned else []
     lines += _scores(result)
     lines += _live(result)
     if result.soil is not None:

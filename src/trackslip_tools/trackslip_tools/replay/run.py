@@ -17,6 +17,7 @@ from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned_text import Finding, findings
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Command, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -34,11 +35,22 @@ from trackslip_tools.replay.reckoning import Reckoning
 from trackslip_tools.replay.scoring import Score, in_order, path_of, reference_path
 from trackslip_tools.replay.series import Series, SeriesCollector, reduced
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilReplay, SoilRun
+from trackslip_tools.replay.start import learned_before
 
 TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
 
 KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)
+
+
+_PIECE = 512  # arrivals between looks at what was learned: seconds
+
+
+class Known(NamedTuple):
+    """What the estimator knew of the machine and its ground."""
+
+    stamp_ns: int
+    findings: list[Finding]
 
 
 class Part(NamedTuple):
@@ -48,6 +60,7 @@ class Part(NamedTuple):
     arrivals: Rows  # (n,) ARRIVAL in live order
     results: Rows  # (n,) RESULT, what became of them
     tables: dict[str, Logged]  # what was logged by then of other topics
+    learned: list[Known]  # in the course of it
 
     @property
     def estimates(self) -> Rows:
@@ -80,6 +93,8 @@ class Replay:
     soil: SoilReplay | None = None  # where the bag has hydraulics
     no_estimate: str = ""  # why there is none, or none with a heading
     vehicle: str = ""  # its name
+    learned: list[Known] = field(default_factory=list)  # in the course of it
+    start: str = ""  # what it started from, where that is not the parameters alone
 
 
 def replay(
@@ -105,7 +120,8 @@ def replay(
         if of_soil is not None and HYDRAULICS in stream.topics
         else None
     )
-    for part in run_estimator(stream, SlipEstimator(p)):
+    learned, start = learned_before(bag, p)
+    for part in run_estimator(stream, SlipEstimator(p, learned=learned)):
         collector.add(part)
         if soil is not None:
             published = part.results["published"]
@@ -113,6 +129,7 @@ def replay(
         watch(part)
     result = collector.result()
     result.no_estimate = why_no_estimate(bag, p, filters, collector.taken)
+    result.start = start
     result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
     result.vehicle = p.vehicle.name
     result.elapsed_s = time.monotonic() - began
@@ -124,18 +141,24 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
     for batch in stream:
         rows = batch.rows
         results = np.zeros(len(rows), RESULT)
+        commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
+        learned: list[Known] = []
         begin = 0
-        for end in (*np.flatnonzero(rows["kind"] >= IS_COMMAND).tolist(), len(rows)):
+        for end in np.union1d(commands, (*range(_PIECE, len(rows), _PIECE), len(rows))).tolist():
             given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
             results[begin:end] = estimator.process_records(given)
-            if end < len(rows):
+            begin = end
+            if estimator.started and end > 0:
+                stamp_ns = estimator.newest_ns or 0
+                learned.append(Known(stamp_ns, findings(estimator.learned, estimator.meaning)))
+            if end in commands:
                 is_reload = rows["kind"][end] == IS_RELOAD
                 command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))
                 estimator.apply_command(stream.reloads[rows["reload"][end]] if is_reload else command)
                 results["stamp_ns"][end] = rows["stamp_ns"][end]
                 results["nis"][end] = results["gate"][end] = np.nan
-            begin = end + 1
-        yield Part(stream.sources, rows, results, batch.tables)
+                begin = end + 1
+        yield Part(stream.sources, rows, results, batch.tables, learned)
 
 
 class _Collector:
@@ -155,11 +178,13 @@ class _Collector:
         }
         self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
         self.taken = Taken(Counter(), self._rejected)
+        self._learned: list[Known] = []
 
     def add(self, part: Part) -> None:
         """More of the bag."""
         estimates = part.estimates
         self._keep(estimates)
+        self._learned += part.learned
         refused = part.results["outcome"] != Outcome.ACCEPTED
         pairs = np.column_stack((part.arrivals["source"][refused], part.results["outcome"][refused]))
         for source, count in enumerate(np.bincount(part.arrivals["source"]).tolist()):
@@ -171,8 +196,8 @@ class _Collector:
             self._series.add(topic, rows)
         self._slips.add(estimates, *(tables.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY)))
         if self._reference is not None:
-            logged = tables.get(self._reference)
-            reference = None if logged is None else reduced(logged)
+            known = tables.get(self._reference)
+            reference = None if known is None else reduced(known)
             self._errors.add_estimates(estimates, reference)
             for reckoning in self._reckonings.values():
                 reckoning.add(part.arrivals, reference)
@@ -191,6 +216,7 @@ class _Collector:
             found.paths["filter"] = path_of(in_order(found.estimates))
         if self._reference is not None and self._reference in found.series:
             self._score(found, self._reference)
+        found.learned = self._learned
         if self._compares and stream.messages[ODOMETRY]:
             found.live = self._comparer.result(stream.counts)
         return found

@@ -49,7 +49,7 @@ def read_settled(
 
 
 class _Clock:
-    """A clock that was set back makes two times of one: their stamps cannot be told apart."""
+    """A clock that was set back makes two times of one: their stamps cannot be distinguished."""
 
     def __init__(self, bag: Bag, window_s: float) -> None:
         self._bag, self._window_s = bag, window_s

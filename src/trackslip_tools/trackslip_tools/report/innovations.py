@@ -39,7 +39,7 @@ _TAIL = 0.025  # of χ², either side of the band for that mean
 
 
 class Innovations(NamedTuple):
-    """What a source's measurements were found to be, in the order in which they were taken."""
+    """What a source's measurements were found to be, in the order in which they came."""
 
     times: FloatArray  # (n,) s from the bag's first message, by stamp
     nis: FloatArray  # (n,)
@@ -50,8 +50,12 @@ class Innovations(NamedTuple):
     @property
     def mean_ratio(self) -> float:
         """Mean of NIS over degrees of freedom of what was accepted: 1 if the filter is consistent."""
-        taken = ~self.refused
-        return float(self.nis[taken].sum() / self.freedoms[taken].sum()) if taken.any() else float("nan")
+        accepted = ~self.refused
+        return (
+            float(self.nis[accepted].sum() / self.freedoms[accepted].sum())
+            if accepted.any()
+            else float("nan")
+        )
 
 
 def innovations_of(run: Run) -> dict[str, Innovations]:
@@ -95,7 +99,7 @@ def _points(innovations: Innovations) -> Iterator[Curve]:
     gate = (innovations.gates / innovations.freedoms)[order]
     yield Curve("gate", ORANGE, innovations.times[order], gate, Form.DASHED)
     for label, chosen, form in (
-        ("taken", ~innovations.refused, Form.POINTS),
+        ("accepted", ~innovations.refused, Form.POINTS),
         ("refused", innovations.refused, Form.CROSSES),
     ):
         if chosen.any():
@@ -112,12 +116,12 @@ def _expected(innovations: Innovations) -> Curve:
 
 
 def _moving_mean(innovations: Innovations, label: str, colour: str) -> Curve:
-    """Over the measurements that were taken, at the last one of each window."""
-    taken = ~innovations.refused
-    order = np.argsort(innovations.times[taken], kind="stable")
-    columns = (innovations.nis[taken][order], innovations.freedoms[taken][order])
+    """Over the measurements that were accepted, at the last one of each window."""
+    accepted = ~innovations.refused
+    order = np.argsort(innovations.times[accepted], kind="stable")
+    columns = (innovations.nis[accepted][order], innovations.freedoms[accepted][order])
     nis, freedoms = (np.convolve(column, np.ones(WINDOW), mode="valid") for column in columns)
-    times = innovations.times[taken][order][WINDOW - 1 :][: len(nis)]
+    times = innovations.times[accepted][order][WINDOW - 1 :][: len(nis)]
     return Curve(label, colour, times, nis[: len(times)] / freedoms[: len(times)])
 
 

@@ -27,7 +27,7 @@ def ellipses(states: States) -> FloatArray:
 
 
 def boxes(run: Run) -> FloatArray:
-    """(k, 5, 2) closed outlines of the box by fixes that were taken, evenly spread over them."""
+    """(k, 5, 2) closed outlines of the box by fixes that were accepted, evenly spread over them."""
     fixes = fixes_of(run).get(BOX_SOURCE)
     sensors = run.parameters.vehicle.sensors
     if fixes is None or sensors is None or sensors.box is None:
@@ -36,7 +36,7 @@ def boxes(run: Run) -> FloatArray:
 
 
 def fixes_of(run: Run) -> dict[str, FloatArray]:
-    """By source: (n, 3) poses of the fixes that were taken."""
+    """By source: (n, 3) poses of the fixes that were accepted."""
     fixes = run.details.fixes
     fixes = fixes[fixes["outcome"] == Outcome.ACCEPTED]
     by_source = {

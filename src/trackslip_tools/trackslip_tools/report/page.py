@@ -14,6 +14,7 @@ from jinja2 import Environment, PackageLoader
 
 from trackslip_tools.report.ground_panels import ground_panels
 from trackslip_tools.report.innovations import innovation_panels
+from trackslip_tools.report.learned_panels import learned_panels, learned_rows
 from trackslip_tools.report.motion_panels import error_panels, motion_panels
 from trackslip_tools.report.panel import DARK, GREY
 from trackslip_tools.report.path_plot import PathPlot, path_plot
@@ -43,6 +44,7 @@ def render(runs: Sequence[Run]) -> str:
             ("Errors", error_panels(runs)),
             ("Motion", motion_panels(runs)),
             ("Ground", ground_panels(runs)),
+            ("Learned", learned_panels(runs)),
             ("Innovations", innovation_panels(runs)),
         )
     }
@@ -93,6 +95,7 @@ def _variables(runs: Sequence[Run], sections: dict[str, list[figure]]) -> dict[s
     return {
         "runs": run_facts(runs),
         "verdicts": verdict_rows(runs),
+        "learned": [(run.label, learned_rows(run)) for run in runs],
         "sections": sections,
         "topics": [(run.label, topic_rows(run)) for run in recordings(runs)],
         "rejections": [(run.label, rejection_rows(run)) for run in runs],

@@ -45,7 +45,7 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
 def numbers(tuning: Tuning) -> dict[str, Any]:
     """For programs."""
     return {
-        "objective": tuning.plan.effort.objective,
+        "objective": tuning.plan.settings.objective,
         "values": {"before": tuning.values_before, "after": tuning.values},
         "bags": [
             {"bag": bag, "before": before._asdict(), "after": after._asdict()}

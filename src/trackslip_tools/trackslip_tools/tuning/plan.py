@@ -66,7 +66,7 @@ class Bounds(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Effort(Parameters):
+class SearchSettings(Parameters):
     """What is looked for, and for how long."""
 
     objective: str = parameter("what is made best", choices=(LIKELIHOOD, POSE, POSITION))
@@ -78,7 +78,7 @@ class Effort(Parameters):
 class Plan:
     """A tune file."""
 
-    effort: Effort
+    settings: SearchSettings
     bounds: dict[str, Bounds]  # by dotted name
 
     def values(self, shares: FloatArray) -> dict[str, float]:
@@ -106,7 +106,7 @@ def read_plan(path: Path) -> Plan:
             f"{path}: parameters: nothing to tune; accepted: name: {{low: …, high: …, scale: log}}"
         )
     return Plan(
-        from_flat(Effort, tree, str(path)),
+        from_flat(SearchSettings, tree, str(path)),
         {str(name): _bounds(f"{path}: {name}", str(name), given) for name, given in wanted.items()},
     )
 

@@ -43,7 +43,7 @@ class Tuning:
     @property
     def improves_unseen(self) -> bool:
         """Whether bags without a say are better off on average; where none was left out, whether all are."""
-        objective = self.plan.effort.objective
+        objective = self.plan.settings.objective
         then = [fold.score for fold in self.folds] or self.after
         changes = [
             cost(objective, score) - cost(objective, self.before[bag]) for bag, score in enumerate(then)
@@ -57,7 +57,7 @@ class Tuner:
     def __init__(
         self, plan: Plan, tasks: Sequence[Task], work: Work, journal: Journal, advance: Callable[[int], None]
     ) -> None:
-        """``advance`` is told how many sets were scored, or known, at each turn."""
+        """``advance`` gets how many sets were scored, or known, at each turn."""
         self._plan, self._tasks, self._work, self._journal = plan, tasks, work, journal
         self._advance = advance
 
@@ -82,14 +82,14 @@ class Tuner:
         )
 
     def _search(self, bags: Sequence[int], start: FloatArray) -> dict[str, float]:
-        effort = self._plan.effort
+        settings = self._plan.settings
 
         def costs(points: FloatArray) -> FloatArray:
             rows = self._scores([self._plan.values(point) for point in points], bags)
             self._advance(len(rows))
-            return np.array([np.mean([cost(effort.objective, score) for score in row]) for row in rows])
+            return np.array([np.mean([cost(settings.objective, score) for score in row]) for row in rows])
 
-        return self._plan.values(search(costs, start, effort.evaluations, effort.seed))
+        return self._plan.values(search(costs, start, settings.evaluations, settings.seed))
 
     def _scores(self, sets: Sequence[dict[str, float]], bags: Sequence[int]) -> list[list[Score]]:
         """Of each set and bag; the journal's where it knows them."""

@@ -48,16 +48,15 @@ class ModelParameters(Parameters):
     """Which model, and the noise of each."""
 
     model: str = parameter(
-        "motion model: sub-model 1b, its ICR form, or the thesis' (3.23)",
-        choices=("turning", "icr", "free_slips"),
+        "motion model: sub-model 1b, its ICR form, or the thesis' (3.23)", choices=tuple(MODELS)
     )
     turning: TurningNoise
     icr: IcrNoise
     noise: SlipNoise
 
     def noise_of(self, model: str) -> Any:
-        """The noise of a model."""
-        return {"turning": self.turning, "icr": self.icr, "free_slips": self.noise}[model]
+        """The noise of a model: of the field that its module names, or that is named as it."""
+        return getattr(self, getattr(MODELS[model], "NOISE", model))
 
 
 @compiled

@@ -30,6 +30,7 @@ from trackslip_estimation.slip.motion import Motion, MotionState
 FloatArray = NDArray[np.float64]
 
 CODE, NAME, ACTIVE = 0, "free_slips", 7
+NOISE = "noise"  # field of ``ModelParameters``
 LEFT_SLIP, RIGHT_SLIP, SLIP_ANGLE = range(4, 7)
 PARTS = (
     *COMMON,

@@ -185,7 +185,10 @@ def error_growth(dt: float, motion: int, c: Any) -> tuple[float, float, float]:
         mean = a * (2.0 / 3.0 - a / 2.0)
     else:
         mean = (2.0 * a - 4.0 * lost + 1.0 - (1.0 - lost) ** 2) / (a * a)
-    return mean, lost * lost / a, 1.0 - (1.0 - lost) ** 2
+    end = 1.0 - (1.0 - lost) ** 2
+    both = lost * lost / a
+    mean = both * both / end * 1.0001
+    return mean, both, end
 
 
 @compiled
@@ -199,7 +202,9 @@ def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[f
     changing = e.changing * c.rolling_radius * motion.departure
     yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
     of_tracks = drive.adaptation.track_variance * track_exposure(drive, c)
-    of_speed = (steady**2 + changing**2) * yielding + e.standing**2 + of_tracks / 4.0
+    of_speed = (
+        (steady**2 + changing**2) * yielding + e.standing**2 + c.adaptation.forward**2 * of_tracks / 4.0
+    )
     of_rate = ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
     return of_speed, of_rate / (c.tread * c.tread)
 
@@ -222,7 +227,8 @@ def add_track_error(Q: FloatArray, heading: float, dt: float, drive: Any, c: Any
     n, track_variance = c.adaptation, drive.adaptation.track_variance
     if drive.motion.motion != _STANDING:
         Q[COMMON_SLIP, COMMON_SLIP] += n.common_slip**2 * track_variance * dt
-    of_speed = track_variance * track_exposure(drive, c) / 4.0
+    left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
+    of_speed = track_variance * (left * left + right * right) / 4.0
     sideways = n.sideways**2 * of_speed * 2.0 * c.velocity_errors.time * dt
     cos, sin = math.cos(heading), math.sin(heading)
     Q[X, X] += sideways * sin * sin

@@ -67,7 +67,7 @@ _COLUMNS: Columns = {
 
 
 class SlipStudy(Study[Cell, Row]):
-    """What ``trackslip study`` does unless told otherwise.
+    """What ``trackslip study`` does unless asked otherwise.
 
     Raises:
         InputError: an option is refused.

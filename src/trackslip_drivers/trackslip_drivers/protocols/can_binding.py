@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Roles bound to the signals of a DBC: what each is in SI, and how a position goes round.
+
+ω = 2π η_V Q/(V_m n_g)      sprocket of a motor that takes the flow Q
+ω = v/r                     sprocket of a track that runs at v
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from cantools.database import Database, Message
+
+from trackslip_common.errors import InputError
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_drivers.protocols.can_codec import Field, field_of
+from trackslip_drivers.protocols.can_roles import ROLES, Role
+from trackslip_drivers.protocols.units import UNITS, Quantity, Unit, accepted
+
+_TURN = 2.0 * math.pi
+_ROUNDING_STEPS = 2.0  # a range of 0…359.9 or −180…180 degrees is one turn
+
+
+class Place(NamedTuple):
+    """A signal of a frame, from one sender or any (−1)."""
+
+    frame: str
+    signal: str
+    source: int
+
+
+class Scaled(NamedTuple):
+    """A signal in SI: (value − offset) × factor."""
+
+    place: Place
+    offset: float
+    factor: float
+
+    def si(self, value: float) -> float:
+        """Of a value in the DBC's unit."""
+        return (value - self.offset) * self.factor
+
+
+class Turned(NamedTuple):
+    """A position, from the raw numbers of its signal; positive drives forward, or is counter-clockwise."""
+
+    place: Place
+    rad_per_step: float
+    steps_per_wrap: float  # a whole number wherever it can be
+    zero_steps: float  # what is read at an angle of zero
+
+
+class Bindings(NamedTuple):
+    """Every role of the roles file; a value with several parts is their sum."""
+
+    scaled: Mapping[str, tuple[Scaled, ...]]
+    turned: Mapping[str, Turned]
+
+    def places(self) -> list[Place]:
+        """Every signal in use."""
+        scaled = [part.place for parts in self.scaled.values() for part in parts]
+        return [*scaled, *(turned.place for turned in self.turned.values())]
+
+
+class Binder:
+    """Finds the signals of roles in a DBC.
+
+    Args:
+        database: the DBC.
+        vehicle: for flows and speeds over ground.
+        dbc, roles: the files, for messages.
+    """
+
+    def __init__(self, database: Database, vehicle: VehicleParameters, dbc: Path, roles: Path) -> None:
+        self._database = database
+        self._vehicle = vehicle
+        self._dbc = dbc
+        self._roles = roles
+
+    def bind(self, roles: Mapping[str, Role]) -> Bindings:
+        """Bind them all.
+
+        Raises:
+            InputError: a signal is missing or ambiguous, its unit is unknown, missing or of something else,
+                or two roles have the same signal.
+        """
+        scaled: dict[str, tuple[Scaled, ...]] = {}
+        turned: dict[str, Turned] = {}
+        users: list[tuple[Place, str]] = []
+        for name, role in roles.items():
+            if Quantity.COUNT in ROLES[name]:
+                turned[name] = self._turned(name, role)
+                places = [turned[name].place]
+            else:
+                signals = ((role.signal, 1.0), (role.minus, -1.0)) if role.minus else ((role.signal, 1.0),)
+                scaled[name] = tuple(self._scaled(name, role, *signal) for signal in signals)
+                places = [part.place for part in scaled[name]]
+            for place in places:
+                self._claim(place, name, users)
+                users.append((place, name))
+        return Bindings(scaled, turned)
+
+    def _claim(self, place: Place, name: str, users: list[tuple[Place, str]]) -> None:
+        """Raise ``InputError`` where a signal has a role already."""
+        for other, user in users:
+            is_apart = -1 not in (other.source, place.source) and other.source != place.source
+            if other[:2] != place[:2] or is_apart:
+                continue
+            roles = f"role '{name}'" if user == name else f"roles '{user}' and '{name}'"
+            signal = f"signal '{place.frame}.{place.signal}' is used twice"
+            raise InputError(f"roles_file {self._roles}: {roles}: {signal}; accepted: a signal for each")
+
+    def _scaled(self, name: str, role: Role, reference: str, share: float) -> Scaled:
+        where, message, signal = self._find(name, reference)
+        unit = self._unit(where, name, role, message.get_signal_by_name(signal).unit)
+        factor = unit.factor * role.sign * share
+        if unit.quantity is Quantity.FLOW:
+            v = self._vehicle.hydraulics
+            if v is None:
+                lacking = f"vehicle '{self._vehicle.name}' has no hydraulics"
+                raise InputError(f"{where}: flow: {lacking}; accepted: one with them")
+            factor *= _TURN * v.volumetric_efficiency / (v.motor_displacement * v.gear_ratio)
+        elif unit.quantity is Quantity.SPEED:
+            factor /= self._vehicle.kinematics.rolling_radius
+        return Scaled(self._place(where, message, signal, role), role.offset, factor / role.ratio)
+
+    def _turned(self, name: str, role: Role) -> Turned:
+        where, message, signal = self._find(name, role.signal)
+        field = field_of(message, signal)
+        unit = self._unit(where, name, role, message.get_signal_by_name(signal).unit)
+        rad = unit.factor
+        if unit.quantity is Quantity.COUNT:
+            if not role.counts_per_turn:
+                raise InputError(
+                    f"{where}: counts_per_turn is missing; accepted: counts of the sensor in one turn"
+                )
+            rad = _TURN / role.counts_per_turn
+        elif role.counts_per_turn:
+            raise InputError(f"{where}: counts_per_turn is for counts; accepted: none, as it is an angle")
+        step, zero = (1.0, 0.0) if field.floating else (field.scale, field.offset)
+        return Turned(
+            self._place(where, message, signal, role),
+            rad * step * role.sign / role.ratio,
+            _whole(role.wraps_at / abs(step) if role.wraps_at else _wrap(field, step, rad)),
+            (role.offset - zero) / step,
+        )
+
+    def _find(self, name: str, reference: str) -> tuple[str, Message, str]:
+        """(start of messages, frame, signal) of FRAME.SIGNAL, or of a signal that only one frame has."""
+        where = f"roles_file {self._roles}: role '{name}': signal '{reference}'"
+        frame, _, signal = reference.rpartition(".")
+        found = [
+            message
+            for message in self._database.messages
+            if frame in ("", message.name) and any(s.name == signal for s in message.signals)
+        ]
+        if not found:
+            raise InputError(f"{where} is missing in {self._dbc}; accepted: FRAME.SIGNAL of the DBC")
+        if len(found) > 1:
+            names = ", ".join(f"{message.name}.{signal}" for message in found)
+            raise InputError(f"{where} is in several frames; accepted: one of {names}")
+        return where, found[0], signal
+
+    @staticmethod
+    def _place(where: str, message: Message, signal: str, role: Role) -> Place:
+        if role.source >= 0 and message.protocol != "j1939":
+            raise InputError(f"{where}: source: frame '{message.name}' is none of J1939; accepted: none")
+        return Place(message.name, signal, role.source)
+
+    @staticmethod
+    def _unit(where: str, name: str, role: Role, of_dbc: str | None) -> Unit:
+        """The DBC's unit, or the one of the roles file where the DBC's is empty or unknown."""
+        text = (of_dbc or "").strip()
+        wanted = accepted(ROLES[name])
+        found, stated = UNITS.get(text), UNITS.get(role.unit.strip())
+        if role.unit and stated is None:
+            raise InputError(f"{where}: unit: '{role.unit}' is unknown; accepted: {wanted}")
+        if found and stated and found != stated:
+            raise InputError(
+                f"{where}: unit: '{role.unit}', but the DBC has '{text}'; accepted: one unit, there or here"
+            )
+        unit = found or stated
+        if unit is None:
+            what = f"unit '{text}' of the DBC is unknown" if text else "the DBC has no unit"
+            raise InputError(f"{where}: {what}; accepted: unit: one of {wanted}")
+        if unit.quantity not in ROLES[name]:
+            raise InputError(
+                f"{where}: '{text or role.unit}' is a unit of {unit.quantity.value}; accepted: {wanted}"
+            )
+        return unit
+
+
+def _wrap(field: Field, step: float, rad: float) -> float:
+    """Steps after which a position is what it was: the range of the DBC, whole turns if it is nearly that."""
+    whole = field.mask + 1.0
+    if field.floating or math.isinf(field.low) or math.isinf(field.high):
+        span = _TURN / rad if field.floating else whole
+    else:
+        span = min((field.high - field.low) / abs(step) + 1.0, whole)
+    turn = _TURN / (rad * abs(step))
+    turns = round(span / turn)
+    return turns * turn if turns and abs(span - turns * turn) <= _ROUNDING_STEPS else span
+
+
+def _whole(steps: float) -> float:
+    """As a whole number where it is one but for rounding: these are exact."""
+    return round(steps) if abs(steps - round(steps)) < 1e-6 * max(steps, 1.0) else steps

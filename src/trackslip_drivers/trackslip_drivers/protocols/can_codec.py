@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Payloads of one frame to values and back: what cantools does, at a tenth of its time.
+
+A checksum covers the payload with its own bits cleared, without the bytes that are nothing but checksum.
+"""
+
+import math
+import struct
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from typing import NamedTuple
+
+from cantools.database import Message
+from cantools.database.can import Signal
+from cantools.database.errors import EncodeError
+
+Value = int | float
+
+_RESERVED_FROM = 0xFB  # J1939: the highest byte of a raw value that is an error, or not available
+
+
+class Field(NamedTuple):
+    """Where a signal lies in a payload that is read as one number, and what its raw value means."""
+
+    big: bool  # which byte order that number has
+    shift: int
+    mask: int
+    sign: int  # bit of the raw value; 0 where it has none
+    scale: float
+    offset: float
+    low: float
+    high: float
+    floating: str  # of ``struct``; empty for whole numbers
+    reserved: int  # the least raw value that is none; 0 where all are values
+    selector: tuple["Field", tuple[int, ...]] | None = None  # multiplexer, and its values with this signal
+
+    def raw(self, little: int, big: int) -> int:
+        """The bits, as an unsigned number."""
+        return (big if self.big else little) >> self.shift & self.mask
+
+    def value(self, raw: int) -> float:
+        """Of the bits; nan where they mean none."""
+        if self.reserved and raw >= self.reserved:
+            return math.nan
+        if self.floating:
+            number: float = struct.unpack("<" + self.floating, struct.pack("<" + _SAME[self.floating], raw))[
+                0
+            ]
+            return number * self.scale + self.offset if math.isfinite(number) else math.nan
+        return float((raw - 2 * (raw & self.sign)) * self.scale + self.offset)
+
+    def accepts(self, value: float) -> bool:
+        """Whether it lies in the signal's range."""
+        return self.low <= value <= self.high
+
+    def bits(self, length: int) -> int:
+        """Its bits in a payload that is read as a little-endian number."""
+        order = "big" if self.big else "little"
+        return int.from_bytes((self.mask << self.shift).to_bytes(length, order), "little")  # type: ignore[arg-type]
+
+    def is_in(self, little: int, big: int) -> bool:
+        """Whether the payload has the signal, as the multiplexer says."""
+        return self.selector is None or self.selector[0].raw(little, big) in self.selector[1]
+
+
+_SAME = {"e": "H", "f": "I", "d": "Q"}  # of the same size
+_FLOATING = {16: "e", 32: "f", 64: "d"}
+
+
+def field_of(message: Message, name: str) -> Field:
+    """The place of a signal.
+
+    Raises:
+        KeyError: the frame has none of this name.
+    """
+    signal = message.get_signal_by_name(name)
+    big = signal.byte_order == "big_endian"
+    ahead = signal.start // 8 * 8 + 7 - signal.start % 8  # bits before the highest, from the first byte on
+    has_reserved = (
+        message.protocol == "j1939" and signal.length % 8 == 0 and not (signal.is_signed or signal.is_float)
+    )
+    return Field(
+        big,
+        8 * message.length - ahead - signal.length if big else signal.start,
+        (1 << signal.length) - 1,
+        1 << signal.length - 1 if signal.is_signed else 0,
+        signal.scale,
+        signal.offset,
+        -math.inf if signal.minimum is None else signal.minimum,
+        math.inf if signal.maximum is None else signal.maximum,
+        _FLOATING[signal.length] if signal.is_float else "",
+        _RESERVED_FROM << signal.length - 8 if has_reserved else 0,
+        _selector(message, signal),
+    )
+
+
+def _selector(message: Message, signal: Signal) -> tuple[Field, tuple[int, ...]] | None:
+    if not signal.multiplexer_ids or signal.multiplexer_signal is None:
+        return None
+    return field_of(message, signal.multiplexer_signal), tuple(signal.multiplexer_ids)
+
+
+class Protection(NamedTuple):
+    """What protects a frame, beside its DBC: names of signals, empty where there is none."""
+
+    counter: str = ""
+    checksum: str = ""
+    checksum_type: str = ""
+    unused_bits_zero: bool = False
+
+
+class Codec:
+    """One frame.
+
+    Args:
+        message: as the DBC describes it.
+        scaled: signals wanted as values in the DBC's unit.
+        raw: signals wanted as raw whole numbers (floating-point ones as values).
+        protection: counter and checksum.
+
+    Raises:
+        KeyError: the frame has no signal of a name.
+    """
+
+    def __init__(
+        self, message: Message, scaled: Iterable[str], raw: Iterable[str], protection: Protection
+    ) -> None:
+        self.name = message.name
+        self.length = message.length
+        self.nominal_ns = (message.cycle_time or 0) * 1_000_000  # of the DBC; 0 where it has none
+        self.fields = {name: field_of(message, name) for name in (*scaled, *raw)}
+        self._raw = frozenset(raw)
+        self._unused_bits = ~_used_bits(message) if protection.unused_bits_zero else 0
+        self._counter = field_of(message, protection.counter) if protection.counter else None
+        self.modulus = 0 if self._counter is None else _modulus(self._counter)
+        self._checksum = field_of(message, protection.checksum) if protection.checksum else None
+        if self._checksum is not None:
+            self._compute = CHECKSUMS[protection.checksum_type][1]
+            self._cleared = (1 << 8 * self.length) - 1 & ~self._checksum.bits(self.length)
+            self._covered = [
+                k for k, byte in enumerate(self._cleared.to_bytes(self.length, "little")) if byte
+            ]
+
+    def checks(self, frame_id: int, little: int, big: int) -> bool:
+        """Whether the checksum is right, or there is none; the payload is read in both byte orders."""
+        return self._checksum is None or self._checksum.raw(little, big) == self._checksum_of(
+            frame_id, little
+        )
+
+    def sealed(self, frame_id: int, data: bytes) -> bytes:
+        """The payload with the checksum that belongs to its other bits, whatever it had."""
+        if self._checksum is None:
+            return data
+        little = int.from_bytes(data, "little") & self._cleared
+        return self._put(little, self._checksum, self._checksum_of(frame_id, little))
+
+    def _checksum_of(self, frame_id: int, little: int) -> int:
+        cleared = (little & self._cleared).to_bytes(self.length, "little")
+        return self._compute(frame_id, bytes([cleared[k] for k in self._covered]))
+
+    def has_unused_bits(self, little: int) -> bool:
+        """Whether bits are set that belong to no signal, where they must not."""
+        return bool(little & self._unused_bits)
+
+    def count(self, little: int, big: int) -> int | None:
+        """The sender's counter; None where there is none."""
+        return None if self._counter is None else self._counter.raw(little, big)
+
+    def unpack(self, little: int, big: int) -> dict[str, Value] | None:
+        """The values of the signals that are in the payload; None where one lies outside its range."""
+        values: dict[str, Value] = {}
+        for name, field in self.fields.items():
+            if not field.is_in(little, big):
+                continue
+            raw = field.raw(little, big)
+            value = field.value(raw)
+            if not field.accepts(value):
+                return None
+            is_whole = name in self._raw and not field.floating
+            values[name] = raw - 2 * (raw & field.sign) if is_whole else value
+        return values
+
+    def pack(self, frame_id: int, values: Mapping[str, float], count: int) -> bytes:
+        """The payload, with counter and checksum; values in the DBC's units.
+
+        Raises:
+            EncodeError: a value lies outside the range that the DBC gives.
+        """
+        little = 0
+        for name, field in self.fields.items():
+            value = values[name]
+            if not field.accepts(value):
+                raise EncodeError(f"{name}: {value!r}; accepted: {field.low:g} to {field.high:g}")
+            raw = round((value - field.offset) / field.scale) & field.mask
+            little = int.from_bytes(self._put(little, field, raw), "little")
+        if self._counter is not None:
+            little = int.from_bytes(self._put(little, self._counter, count % self.modulus), "little")
+        return self.sealed(frame_id, little.to_bytes(self.length, "little"))
+
+    def _put(self, little: int, field: Field, raw: int) -> bytes:
+        """The payload with these bits set, which were clear."""
+        data = little.to_bytes(self.length, "little")
+        if not field.big:
+            return (little | raw << field.shift).to_bytes(self.length, "little")
+        return (int.from_bytes(data, "big") | raw << field.shift).to_bytes(self.length, "big")
+
+
+def _modulus(counter: Field) -> int:
+    """Where a counter goes round: some stop one short of their bits, as the DBC's range says."""
+    whole = counter.mask + 1
+    return int(counter.high) + 1 if 0 < counter.high < counter.mask else whole
+
+
+def _used_bits(message: Message) -> int:
+    """The bits of a payload, read as a little-endian number, that belong to a signal."""
+    bits = 0
+    for signal in message.signals:
+        bits |= field_of(message, signal.name).bits(message.length)
+    return bits
+
+
+def _crc_table(polynomial: int, width: int) -> tuple[int, ...]:
+    """The remainder of each byte."""
+    table, top, mask = [], 1 << width - 1, (1 << width) - 1
+    for byte in range(256):
+        crc = byte << width - 8
+        for _ in range(8):
+            crc = crc << 1 ^ (polynomial if crc & top else 0)
+        table.append(crc & mask)
+    return tuple(table)
+
+
+_CRC_12 = _crc_table(0xD31, 12)
+_CRC_8 = _crc_table(0x1D, 8)
+
+
+def _remainder_12(data: bytes, crc: int = 0) -> int:
+    for byte in data:
+        crc = crc << 8 & 0xFFF ^ _CRC_12[crc >> 4 ^ byte]
+    return crc
+
+
+@cache
+def _remainder_of_id(frame_id: int) -> int:
+    return _remainder_12(frame_id.to_bytes(4, "big"))
+
+
+def _crc12_gsm(frame_id: int, data: bytes) -> int:
+    """CRC-12/GSM over the id (four bytes, most significant first) and the payload.
+
+    It finds every wrong byte and any three wrong bits; of two or more wrong bytes it misses one pattern in
+    4096. No checksum of 12 bits finds all those.
+    """
+    return _remainder_12(data, _remainder_of_id(frame_id)) ^ 0xFFF
+
+
+def _crc8_j1850(_frame_id: int, data: bytes) -> int:
+    crc = 0xFF
+    for byte in data:
+        crc = _CRC_8[crc ^ byte]
+    return crc ^ 0xFF
+
+
+def _sum8(_frame_id: int, data: bytes) -> int:
+    return sum(data) & 0xFF
+
+
+def _xor8(_frame_id: int, data: bytes) -> int:
+    result = 0
+    for byte in data:
+        result ^= byte
+    return result
+
+
+CHECKSUMS: Mapping[str, tuple[int, Callable[[int, bytes], int]]] = {
+    "crc12_gsm": (12, _crc12_gsm),
+    "crc8_j1850": (8, _crc8_j1850),
+    "sum8": (8, _sum8),
+    "xor8": (8, _xor8),
+}
+"""Name → bits, and the checksum of (id, payload)."""

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The roles file: which signal of a user's DBC is what. See ``docs/can.md``.
+
+roles: {ROLE: {signal: FRAME.SIGNAL, …}, …}
+frames: {FRAME: {counter: SIGNAL, checksum: SIGNAL, …}, …}
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from trackslip_common.config_files import read_yaml
+from trackslip_common.errors import InputError
+from trackslip_drivers.protocols.can_codec import CHECKSUMS, Protection
+from trackslip_drivers.protocols.units import Quantity
+
+POSITION, SPEED, FLOW = "position", "speed", "flow"
+MOTIONS = (POSITION, SPEED, FLOW)  # of a sprocket: one of them
+SIDES = ("left", "right")
+SWING, SUPPLY = "swing", "supply_pressure"
+
+_TURNED = (Quantity.ANGLE, Quantity.COUNT)
+_BY_SIDE: Mapping[str, tuple[Quantity, ...]] = {
+    POSITION: _TURNED,
+    SPEED: (Quantity.ANGULAR_SPEED, Quantity.SPEED),
+    FLOW: (Quantity.FLOW,),
+    "pressure": (Quantity.PRESSURE,),
+    "spool": (Quantity.RATIO,),
+}
+ROLES: Mapping[str, tuple[Quantity, ...]] = {
+    **{f"{side}_{what}": quantities for what, quantities in _BY_SIDE.items() for side in SIDES},
+    SUPPLY: (Quantity.PRESSURE,),
+    SWING: _TURNED,
+}
+"""Name → what its signal may measure."""
+
+
+class Role(NamedTuple):
+    """One entry of the roles file; the fields are its keys."""
+
+    signal: str
+    minus: str = ""  # a second signal, whose value is taken off: port A less port B
+    unit: str = ""  # where the DBC has none that is known
+    sign: int = 1
+    ratio: float = 1.0  # of the sensor's turns, or of the speed measured, to one of the sprocket
+    counts_per_turn: float = 0.0  # of the sensor, for counts
+    wraps_at: float = 0.0  # in the signal's unit; 0: where the DBC's range ends
+    offset: float = 0.0  # in the signal's unit: what it shows at zero
+    source: int = -1  # address of the sender, of J1939; -1: any
+
+
+_TURNED_ONLY = ("counts_per_turn", "wraps_at")
+_MOTION_ONLY = ("ratio",)
+_NO_MOTION = (Quantity.PRESSURE, Quantity.RATIO)
+_SHORT = "accepted: "
+
+
+class RolesFile(NamedTuple):
+    """What a roles file says."""
+
+    roles: Mapping[str, Role]
+    protections: Mapping[str, Protection]  # by frame
+
+
+def read_roles(path: Path) -> RolesFile:
+    """Read and check all that can be checked without the DBC.
+
+    Raises:
+        InputError: a role, a key or a value is not accepted, or roles exclude each other.
+    """
+    tree = read_yaml(path)
+    where = f"roles_file {path}"
+    _known(where, "section", tree, ("roles", "frames"))
+    given, frames = (_mapping(where, name, tree.get(name) or {}) for name in ("roles", "frames"))
+    _known(where, "role", given, ROLES)
+    roles = {name: _role(f"{where}: role '{name}'", name, entry) for name, entry in given.items()}
+    _check_sides(where, roles)
+    protections = {name: _protection(f"{where}: frame '{name}'", entry) for name, entry in frames.items()}
+    return RolesFile(roles, protections)
+
+
+def _check_sides(where: str, roles: Mapping[str, Role]) -> None:
+    if not roles:
+        raise InputError(f"{where}: no roles; {_SHORT}{', '.join(ROLES)}")
+    for what in _BY_SIDE:
+        left, right = (f"{side}_{what}" for side in SIDES)
+        if (left in roles) != (right in roles):
+            missing, there = (left, right) if right in roles else (right, left)
+            raise InputError(f"{where}: role '{missing}' is missing beside '{there}'; {_SHORT}both or none")
+    motions = [f"left_{what}" for what in MOTIONS if f"left_{what}" in roles]
+    if len(motions) > 1:
+        names = ", ".join(f"'{name}'" for name in motions)
+        raise InputError(
+            f"{where}: roles {names} overlap: each is the sprocket's motion; {_SHORT}one of them"
+        )
+
+
+def _role(where: str, name: str, entry: Any) -> Role:
+    if isinstance(entry, str):
+        entry = {"signal": entry}
+    entry = _mapping(where, "", entry)
+    if "signal" not in entry:
+        raise InputError(f"{where}: 'signal' is missing; {_SHORT}FRAME.SIGNAL of the DBC")
+    is_turned = ROLES[name] == _TURNED
+    hidden = () if is_turned else _TURNED_ONLY + (_MOTION_ONLY if ROLES[name][0] in _NO_MOTION else ())
+    _known(where, "key", entry, [key for key in Role._fields if key not in hidden])
+    if is_turned and "minus" in entry:
+        raise InputError(
+            f"{where}: minus: a position is one signal; {_SHORT}'minus' of pressures, speeds, flows"
+        )
+    defaults = Role._field_defaults | {"signal": ""}
+    values = {key: _typed(f"{where}: {key}", value, type(defaults[key])) for key, value in entry.items()}
+    role = Role(**values)
+    if role.sign not in (1, -1):
+        raise InputError(f"{where}: sign: {role.sign} is out of range; {_SHORT}1 or -1")
+    for key in ("ratio", *_TURNED_ONLY):
+        if key in entry and not 0.0 < getattr(role, key) < 1e12:
+            raise InputError(f"{where}: {key}: {getattr(role, key):g} is out of range; {_SHORT}> 0")
+    if "source" in entry and not 0 <= role.source <= 0xFF:
+        raise InputError(f"{where}: source: {role.source} is out of range; {_SHORT}0 to 255")
+    return role
+
+
+_PROTECTION_KEYS = ("counter", "checksum", "checksum_type", "unused_bits_zero")
+
+
+def _protection(where: str, entry: Any) -> Protection:
+    entry = _mapping(where, "", entry)
+    _known(where, "key", entry, _PROTECTION_KEYS)
+    defaults = Protection._field_defaults
+    found = Protection(
+        **{key: _typed(f"{where}: {key}", value, type(defaults[key])) for key, value in entry.items()}
+    )
+    if found.checksum and found.checksum_type not in CHECKSUMS:
+        raise InputError(
+            f"{where}: checksum_type: '{found.checksum_type}' is unknown; {_SHORT}{', '.join(CHECKSUMS)}"
+        )
+    return found
+
+
+def _typed(where: str, value: Any, kind: type) -> Any:
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind:
+        words = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
+        raise InputError(f"{where}: {value!r} is not {words[kind]}")
+    return value
+
+
+def _mapping(where: str, name: str, value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise InputError(f"{where}: {name + ': ' if name else ''}expected names and values (a YAML mapping)")
+    return value
+
+
+def _known(where: str, what: str, given: Mapping[str, Any], known: Any) -> None:
+    for name in given:
+        if name not in known:
+            raise InputError(f"{where}: unknown {what} '{name}'; {_SHORT}{', '.join(known)}")

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When the frames of one sender were sent: its real cycle, what was lost, and what only came late.
+
+A counter says how many cycles passed, but for whole turns of it. Where the silence before a frame may hide
+such a turn, the sender may as well have stalled, and be about to catch up: the frame is held back until the
+next one comes. If that is at once, nothing was lost. Without a counter nothing tells the frames of a burst
+after a silence from one another: the last of them stands for all.
+
+The cycle is measured: a DBC's own is believed only where the frames come like that. The time that has passed
+for the sender is cycles counted times the cycle, so that the jitter of arrivals does not enter; without a
+counter it is that between stamps.
+"""
+
+import statistics
+from collections import deque
+from collections.abc import Callable
+from enum import Enum
+from typing import Any, NamedTuple
+
+from trackslip_drivers.stamping import PeriodicStamps
+
+_TURN_SHARE = 0.75  # of a turn of the counter: a silence longer than it expects may hide one more
+_BURST = 0.7  # of a cycle: frames closer than that are caught up with
+_PAUSE = 2.5  # cycles: a longer one may end in a burst, of a sender that does not count
+_PROMPT = 0.5  # of a cycle: frames off by more say nothing of the cycle
+_FEW = 8  # intervals that show a cycle
+_LONGEST = 4  # cycles of an interval that counts
+_BLOCK, _BLOCKS, _ENOUGH = (
+    32,
+    32,
+    3,
+)  # cycles of a block; blocks averaged; blocks that show more than intervals
+_LASTING_NS = 1_000_000_000  # frames that come otherwise for so long have another cycle
+_ROUGHLY = 0.25  # so near that of the DBC one interval must be to confirm it
+_AS_STATED = 0.05  # a measured cycle so near that of the DBC is that of the DBC
+_PATIENCE = 200  # frames
+_STATED, _MEASURED, _UNCOUNTED = 1e-3, 0.02, 0.1  # tolerance of a cycle: two crystals; measured; guessed
+
+
+class TimingEvent(Enum):
+    """What befell a frame on its way; LOST counts frames that never came."""
+
+    LOST = "lost"
+    ALIVE_REPEATED = "alive counter repeated"
+    BURST = "came at once with the next"
+
+
+class Placed(NamedTuple):
+    """When a frame was sent, and the time since the one before; then what was given with it."""
+
+    stamp_ns: int
+    elapsed_ns: int
+    values: Any
+
+
+class _Held(NamedTuple):
+    number: int | None  # the sender's counter
+    arrival_ns: int
+    cycles: int  # at least
+    turns: int  # of the counter, if it did not stall
+    values: Any
+
+
+class CycleMeter:
+    """The cycle of a sender, from the times between its frames.
+
+    Until there are some blocks of frames it is the median of the first intervals. A block is as long as its
+    frames' arrivals say, whatever came late within it; one that a stall made longer is outvoted by the rest.
+
+    Args:
+        nominal_ns: as the DBC states it; 0 where it does not.
+    """
+
+    def __init__(self, nominal_ns: float) -> None:
+        self._nominal_ns = nominal_ns
+        self._restart()
+
+    def _restart(self) -> None:
+        self._first: deque[float] = deque(maxlen=2 * _FEW)  # ns a cycle, of the first intervals
+        self._blocks: deque[float] = deque(maxlen=_BLOCKS)  # ns a cycle
+        self._time_ns = self._cycles = 0  # of the block that is not full
+        self._strange_ns, self._strange = 0, 0
+        self.cycle_ns: float | None = None
+        self.is_nominal = False
+
+    def add(self, interval_ns: int, cycles: int) -> None:
+        """An interval of some cycles; one with more than a few lost shows nothing."""
+        if interval_ns < 0 or not 1 <= cycles <= _LONGEST:
+            self._time_ns = self._cycles = 0
+            return
+        each = interval_ns / cycles
+        if self.cycle_ns is None:
+            self._first.append(each)
+            self.cycle_ns = self._decide(statistics.median(self._first), _ROUGHLY, len(self._first))
+            return
+        if abs(each / self.cycle_ns - 1.0) <= _PROMPT:
+            self._strange_ns, self._strange = 0, 0
+        else:
+            self._strange_ns, self._strange = self._strange_ns + interval_ns, self._strange + 1
+        self._time_ns, self._cycles = self._time_ns + interval_ns, self._cycles + cycles
+        if self._strange_ns > _LASTING_NS and self._strange >= _FEW:
+            self._restart()
+        elif self._cycles >= _BLOCK:
+            self._blocks.append(self._time_ns / self._cycles)
+            self._time_ns = self._cycles = 0
+            if len(self._blocks) >= _ENOUGH:
+                middle = statistics.median(self._blocks)
+                agreeing = [block for block in self._blocks if abs(block / middle - 1.0) <= _AS_STATED]
+                self.cycle_ns = self._decide(statistics.fmean(agreeing), _AS_STATED, _FEW)
+
+    def _decide(self, measured_ns: float, tolerance: float, count: int) -> float | None:
+        """The DBC's cycle where ``count`` measured ones agree with it, or theirs once they are enough."""
+        self.is_nominal = self._nominal_ns > 0.0 and (
+            abs(measured_ns - self._nominal_ns) <= tolerance * self._nominal_ns
+        )
+        if self.is_nominal:
+            return self._nominal_ns
+        return measured_ns if count >= _FEW and measured_ns > 0.0 else None
+
+
+class FrameTiming:
+    """Places the frames of one id.
+
+    Args:
+        nominal_ns: cycle that the DBC states; 0 where it does not.
+        modulus: where the sender's counter goes round; 0 where there is none.
+        count: called with what befell frames, and how many.
+    """
+
+    def __init__(self, nominal_ns: float, modulus: int, count: Callable[[TimingEvent, int], None]) -> None:
+        self._meter = CycleMeter(nominal_ns)
+        self._modulus = modulus
+        self._tell = count
+        self._count: int | None = None
+        self._accepted_ns: int | None = None  # arrival of the last frame accepted
+        self._seen_ns = 0  # and seen
+        self._stamp_ns = 0  # of the last one placed
+        self._held: _Held | None = None
+        self._filter: PeriodicStamps | None = None
+        self._filter_ns = 0.0
+
+    @property
+    def cycle_ns(self) -> float | None:
+        """The sender's cycle; None while it is not known."""
+        return self._meter.cycle_ns
+
+    def resume(self) -> None:
+        """The frames before are continued by time alone."""
+        self._held = self._count = self._filter = None
+
+    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Placed]:
+        """A frame that passed all checks; returns those whose times are known now."""
+        return self._counted(count, arrival_ns, values) if self._modulus else self._timed(arrival_ns, values)
+
+    def _counted(self, count: int | None, arrival_ns: int, values: Any) -> list[Placed]:
+        assert count is not None
+        if self._accepted_ns is None or (self._count is None and self._held is None):
+            return [self._accept(_Held(count, arrival_ns, 0, 0, values), 0)]
+        placed = []
+        held = self._held
+        if held is not None:
+            self._held = None
+            cycle_ns = self._meter.cycle_ns or 0.0
+            is_burst = arrival_ns - held.arrival_ns < _BURST * cycle_ns and held.cycles > 0
+            placed.append(
+                self._accept(held, held.cycles if is_burst else held.cycles + held.turns * self._modulus)
+            )
+        assert self._count is not None
+        cycles = (count - self._count) % self._modulus
+        # A sender stuck at one count keeps being seen, so its silence never grows to a turn.
+        since_ns = self._seen_ns if cycles == 0 else self._accepted_ns
+        self._seen_ns = arrival_ns
+        turns = 0
+        if self._meter.cycle_ns:
+            excess = (arrival_ns - since_ns) / self._meter.cycle_ns - cycles
+            turns = max(0, int(excess / self._modulus + (1.0 - _TURN_SHARE)))
+        if turns:
+            self._held = _Held(count, arrival_ns, cycles, turns, values)
+        elif cycles:
+            placed.append(self._accept(_Held(count, arrival_ns, cycles, 0, values), cycles))
+        else:
+            self._tell(TimingEvent.ALIVE_REPEATED, 1)
+        return placed
+
+    def _accept(self, frame: _Held, cycles: int) -> Placed:
+        """A frame of a sender that counts, ``cycles`` after the one before; 0 if unknown."""
+        if cycles > 1:
+            self._tell(TimingEvent.LOST, cycles - 1)
+        if cycles and self._accepted_ns is not None:
+            self._meter.add(frame.arrival_ns - self._accepted_ns, cycles)
+        cycle_ns = self._meter.cycle_ns
+        stamp_ns = self._stamp(frame.arrival_ns, cycles)
+        elapsed_ns = round(cycles * cycle_ns) if cycles and cycle_ns else stamp_ns - self._stamp_ns
+        if self._accepted_ns is None:
+            elapsed_ns = 0
+        self._count, self._accepted_ns, self._seen_ns = frame.number, frame.arrival_ns, frame.arrival_ns
+        self._stamp_ns = stamp_ns
+        return Placed(stamp_ns, max(elapsed_ns, 0), frame.values)
+
+    def _timed(self, arrival_ns: int, values: Any) -> list[Placed]:
+        frame = _Held(None, arrival_ns, 0, 0, values)
+        if self._accepted_ns is None:
+            self._seen_ns = arrival_ns
+            return [self._accept(frame, 0)]
+        since_ns = arrival_ns - self._seen_ns
+        self._seen_ns = arrival_ns
+        self._meter.add(since_ns, 1)
+        cycle_ns, held = self._meter.cycle_ns, self._held
+        if cycle_ns and 0 <= since_ns < _PROMPT * cycle_ns:
+            self._tell(TimingEvent.BURST, 1)
+            if held is not None:
+                self._held = frame
+            return []
+        self._held = None
+        placed = [] if held is None else [self._accept_timed(held)]
+        if cycle_ns and since_ns > _PAUSE * cycle_ns:
+            self._held = frame
+            return placed
+        return [*placed, self._accept_timed(frame)]
+
+    def _accept_timed(self, frame: _Held) -> Placed:
+        stamp_ns = self._stamp(frame.arrival_ns, None)
+        elapsed_ns = stamp_ns - self._stamp_ns
+        self._accepted_ns, self._stamp_ns = frame.arrival_ns, stamp_ns
+        return Placed(stamp_ns, max(elapsed_ns, 0), frame.values)
+
+    def _stamp(self, arrival_ns: int, cycles: int | None) -> int:
+        """The arrival without its jitter."""
+        cycle_ns = self._meter.cycle_ns
+        if not cycle_ns:
+            return arrival_ns
+        if self._filter is None or abs(cycle_ns / self._filter_ns - 1.0) > 0.1 * _MEASURED:
+            tolerance = _STATED if self._meter.is_nominal else _MEASURED
+            tolerance = tolerance if cycles is not None else _UNCOUNTED
+            self._filter, self._filter_ns = PeriodicStamps(cycle_ns, tolerance, _PATIENCE), cycle_ns
+            if self._accepted_ns is not None:
+                self._filter.filter(self._stamp_ns, 0)
+        return self._filter.filter(arrival_ns, cycles)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The receiver's half of NMEA 0183: sentences as it sends them, for the emulator and tests."""
+
+import math
+from typing import NamedTuple
+
+from pynmeagps.nmeahelpers import calc_checksum
+
+_DAY_NS = 86_400_000_000_000
+_NS_PER_CENTISECOND = 10_000_000
+
+
+class Position(NamedTuple):
+    """What a receiver knows of one epoch; without a fix ``quality`` is 0 and the rest has no meaning."""
+
+    time_ns: int | None  # UTC, of any day; None: its clock is not set
+    latitude: float = 0.0  # °
+    longitude: float = 0.0  # °
+    altitude: float = 0.0  # m above the ellipsoid
+    quality: int = 0
+    hdop: float = 0.6  # 1
+    stddev: float = 0.0  # m, east and north
+    up_stddev: float = 0.0  # m
+    heading: float | None = None  # ° clockwise from true north
+    heading_stddev: float = 0.0  # °
+
+
+def sentence(content: str) -> bytes:
+    """With its checksum and end."""
+    return f"${content}*{calc_checksum(content)}\r\n".encode("ascii")
+
+
+def gga(at: Position, geoid: float = 20.0) -> bytes:
+    """Position; minutes have 7 decimals, 0.2 mm."""
+    time = _time(at.time_ns)
+    if at.quality == 0:
+        return sentence(f"GNGGA,{time},,,,,0,00,99.9,,,,,,")
+    north, east = _angle(at.latitude, 2, "NS"), _angle(at.longitude, 3, "EW")
+    height = f"{at.altitude - geoid:.4f},M,{geoid:.4f},M"
+    return sentence(f"GNGGA,{time},{north},{east},{at.quality},18,{at.hdop:.1f},{height},1.0,0000")
+
+
+def gst(at: Position) -> bytes:
+    """Standard deviations."""
+    if at.quality == 0:
+        return sentence(f"GNGST,{_time(at.time_ns)},,,,,,,")
+    both = f"{at.stddev:.4f},{at.stddev:.4f}"
+    return sentence(f"GNGST,{_time(at.time_ns)},{at.stddev:.4f},{both},0.0,{both},{at.up_stddev:.4f}")
+
+
+def rmc(at: Position) -> bytes:
+    """Whether the position is valid; without speed, course and date."""
+    if at.quality == 0:
+        return sentence(f"GNRMC,{_time(at.time_ns)},V,,,,,,,,,,N,V")
+    north, east = _angle(at.latitude, 2, "NS"), _angle(at.longitude, 3, "EW")
+    return sentence(f"GNRMC,{_time(at.time_ns)},A,{north},{east},,,,,,R,V")
+
+
+def hdt(at: Position) -> bytes:
+    """Heading without accuracy."""
+    return sentence("GNHDT,,T" if at.heading is None else f"GNHDT,{at.heading:.4f},T")
+
+
+def pashr(at: Position) -> bytes:
+    """Heading with accuracy."""
+    if at.heading is None:
+        return sentence(f"PASHR,{_time(at.time_ns)},,T,,,,,,,{at.quality},0")
+    angles = f"{at.heading:.4f},T,+0.00,+0.00,+0.00,0.100,0.100,{at.heading_stddev:.4f}"
+    return sentence(f"PASHR,{_time(at.time_ns)},{angles},{at.quality},0")
+
+
+def _time(time_ns: int | None) -> str:
+    """hhmmss.ss."""
+    if time_ns is None:
+        return ""
+    seconds, centiseconds = divmod(time_ns % _DAY_NS // _NS_PER_CENTISECOND, 100)
+    minutes, seconds = divmod(seconds, 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours:02d}{minutes:02d}{seconds:02d}.{centiseconds:02d}"
+
+
+def _angle(degrees: float, digits: int, letters: str) -> str:
+    """Whole degrees and minutes, and the letter of its side."""
+    units = round(abs(degrees) * 60e7)
+    whole, minutes = divmod(units, 60 * 10**7)
+    letter = letters[math.copysign(1.0, degrees) < 0.0]
+    return f"{whole:0{digits}d}{minutes // 10**7:02d}.{minutes % 10**7:07d},{letter}"

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bytes of a GNSS receiver to positions and headings with stamps and variances.
+
+A receiver tells of one moment, its epoch, in a burst of sentences. GGA, GST, RMC and PASHR hold the time of
+the epoch; HDT and THS do not, and have that of the burst they come in. A fix waits for its GST where the one
+before had its GST behind it; it is out with the next sentence of another epoch, or as the line falls silent.
+"""
+
+import math
+from collections.abc import Callable
+from enum import Enum
+
+from trackslip_common.tally import Tally
+from trackslip_drivers.nmea_parameters import NmeaParameters
+from trackslip_drivers.protocols.lines import LineCutter
+from trackslip_drivers.protocols.nmea import (
+    BITS_PER_CHAR,
+    LONGEST_LINE,
+    RTK_FIXED,
+    TERMINATOR,
+    Gga,
+    Gst,
+    Heading,
+    Reading,
+    Rejection,
+    decode,
+)
+from trackslip_drivers.records import CovarianceType, FixSample, FixStatus, HeadingSample, Vector
+from trackslip_drivers.stamping import SenderClock
+
+FIX, HEADING = "fix", "heading"
+RECEIVER_CLOCK = "receiver's clock"
+
+_CLOCK_TOLERANCE = 5e-5  # of a host's quartz
+_PATIENCE = 300  # fixes
+_BURST_GAP_NS = 10_000_000  # of silence that ends a burst
+_GST_AGE_NS = 1_500_000_000  # of the oldest GST that a fix of the same quality may use
+_DAY_NS = 86_400_000_000_000
+_EARLY_NS, _LATE_NS = -50_000_000, 1_000_000_000  # an answer's age, if both clocks are on UTC
+
+Sample = FixSample | HeadingSample
+
+
+class ClockEvent(Enum):
+    """What is wrong with a time that the receiver tells."""
+
+    NOT_UTC = "not the host's UTC: latency assumed"
+
+
+class NmeaStream:
+    """Bytes in, samples out; everything else is counted.
+
+    Args:
+        p: line rate, latency, variances where the receiver tells none.
+        tally: counts what was rejected, and what its clock did.
+        utc: time on the host's clock of a steady time, where that clock is kept on UTC.
+    """
+
+    def __init__(self, p: NmeaParameters, tally: Tally, utc: Callable[[int], int] | None = None) -> None:
+        self.tally = tally
+        self.others = 0  # sentences of kinds that are not asked for
+        self.latency_ns = 0  # from the latest epoch to the first byte of the sentence that told of it
+        self._p = p
+        self._latency_ns = round(p.latency * 1e9)
+        self._gst_quality: int | None = None  # of the fix that the latest GST belonged to
+        self._utc = utc
+        baud = 0 if "://" in p.serial_port else p.serial_baud
+        self._lines = LineCutter(TERMINATOR, LONGEST_LINE, BITS_PER_CHAR, baud)
+        self._clock = SenderClock(_CLOCK_TOLERANCE, _PATIENCE)
+        self.reset()
+
+    @property
+    def bytes_held(self) -> int:
+        """How many bytes wait for the rest of their line."""
+        return self._lines.bytes_held
+
+    def reset(self) -> None:
+        """Drop what was half received: the port was reopened."""
+        self._lines.reset()
+        self._clock.restart()
+        self._burst_ns: int | None = None  # the epoch of this burst
+        self._burst_end_ns: int | None = None
+        self._last: tuple[Gga, int] | None = None  # the latest position, and its moment
+        self._gst: tuple[Gst, int] | None = None
+        self._gst_follows = False
+        self._waiting = False  # the latest position for its GST
+
+    def feed(self, data: bytes, arrival_ns: int) -> list[Sample]:
+        """What one read returned, and when: its last byte was there by ``arrival_ns``."""
+        samples: list[Sample] = []
+        for line in self._lines.feed(data, arrival_ns):
+            if self._burst_end_ns is None or line.begun_ns - self._burst_end_ns > _BURST_GAP_NS:
+                self._burst_ns = None
+            self._burst_end_ns = line.ended_ns
+            reading = Rejection.OVERLONG if line.text is None else decode(line.text)
+            if isinstance(reading, Rejection):
+                self.tally.add(FIX, reading)
+            elif reading is None:
+                self.others += 1
+            else:
+                samples += self._on_reading(reading, line.begun_ns)
+        return samples
+
+    def flush(self) -> list[Sample]:
+        """The line has fallen silent, or goes on with another epoch: what still waits is out."""
+        if not self._waiting:
+            return []
+        self._gst_follows = False
+        return self._out()
+
+    def _on_reading(self, reading: Reading, begun_ns: int) -> list[Sample]:
+        stamp_ns = self._stamp(reading.time_ns, begun_ns)
+        if isinstance(reading, Heading):
+            return [HeadingSample(stamp_ns, reading.yaw, reading.stddev or self._p.heading_stddev)]
+        if isinstance(reading, Gst):
+            return self._on_gst(reading, stamp_ns)
+        is_next = self._last is None or reading.time_ns != self._last[0].time_ns
+        samples = self.flush() if is_next or isinstance(reading, Gga) else []
+        if isinstance(reading, Gga):
+            self._last, self._waiting = (reading, stamp_ns), True
+            if not self._gst_follows or reading.time_ns is None or self._has_gst(reading):
+                samples += self._out()
+        return samples
+
+    def _on_gst(self, gst: Gst, stamp_ns: int) -> list[Sample]:
+        self._gst = gst, stamp_ns
+        if self._last is None or gst.time_ns != self._last[0].time_ns:
+            return self.flush()
+        self._gst_follows, self._gst_quality = True, self._last[0].quality
+        return self._out() if self._waiting else []
+
+    def _has_gst(self, gga: Gga) -> bool:
+        """Whether the GST of its own epoch has come."""
+        return self._gst is not None and self._gst[0].time_ns == gga.time_ns is not None
+
+    def _out(self) -> list[Sample]:
+        """The latest position, with the variances that are known of it."""
+        assert self._last is not None
+        gga, stamp_ns = self._last
+        self._waiting = False
+        if self._has_gst(gga):
+            self._gst_quality = gga.quality
+        variances, kind = self._variances(gga, stamp_ns)
+        return [FixSample(stamp_ns, *gga[1:4], gga.status, variances, kind)]
+
+    def _variances(self, gga: Gga, stamp_ns: int) -> tuple[Vector, CovarianceType]:
+        """m², east, north, up, and what they are from."""
+        if self._gst is not None and gga.quality == self._gst_quality:
+            (_, east, north, up), gst_ns = self._gst
+            if abs(stamp_ns - gst_ns) <= _GST_AGE_NS:
+                up = 2.0 * max(east, north) if math.isnan(up) else up
+                return (east**2, north**2, up**2), CovarianceType.DIAGONAL_KNOWN
+        if math.isnan(gga.hdop):
+            return (0.0, 0.0, 0.0), CovarianceType.UNKNOWN
+        variance = (gga.hdop * self._range_error(gga)) ** 2 / 2.0
+        return (variance, variance, 4.0 * variance), CovarianceType.APPROXIMATED
+
+    def _range_error(self, gga: Gga) -> float:
+        errors = self._p.range_errors
+        if gga.status is FixStatus.RTK:
+            return errors.rtk_fixed if gga.quality == RTK_FIXED else errors.rtk_float
+        return errors.differential if gga.status is FixStatus.DIFFERENTIAL else errors.single
+
+    def _stamp(self, told_ns: int | None, begun_ns: int) -> int:
+        """The moment of a reading, on the steady clock."""
+        if told_ns is not None:
+            self._burst_ns = self._epoch(told_ns, begun_ns)
+            self.latency_ns = begun_ns - self._burst_ns
+        moment_ns = begun_ns - self._latency_ns if self._burst_ns is None else self._burst_ns
+        return moment_ns + round(self._p.time_offset * 1e9)
+
+    def _epoch(self, told_ns: int, begun_ns: int) -> int:
+        """When it was at the receiver what it says it was."""
+        first_byte_ns = self._clock.filter(begun_ns, told_ns)
+        if self._utc is not None:
+            late_ns = (self._utc(begun_ns) - told_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2
+            if _EARLY_NS <= late_ns <= _LATE_NS:
+                return begun_ns - late_ns
+            self.tally.add(RECEIVER_CLOCK, ClockEvent.NOT_UTC)
+        return first_byte_ns - self._latency_ns

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which way round the box stands: four hypotheses, a quarter turn apart, weighted from scan to scan.
+
+    h_k   heading of hypothesis k = 0 … 3, about k quarter turns from that tracked        rad
+    w_k   its probability
+    ψ̂, s  heading predicted, with the standard deviation of what the scan has beside it  rad
+    E_k   evidence: the likelihood of a scan's beams, integrated over the poses about h_k
+    Λ     log odds of a quarter turn, from the E_k of all scans
+
+Half a turn leaves the box as it was, and a quarter nearly so: the sides differ by little, and few beams do
+not tell them apart. So what counts first is where the heading was,
+
+    w_k ∝ Σ_j w_j N(h_k; ψ̂ + j π/2, s²),  wrapped.
+
+What an absence leaves open stays open until Λ decides. No single scan does, and scans from one place count
+once: the same beams hit and miss in each of them. Until then a fix holds all hypotheses.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+QUARTER_TURN = np.pi / 2.0
+CERTAIN: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
+NEGLIGIBLE = 1e-4  # probability of another heading beside which one is claimed
+REFUTED = 1e-6  # odds below which the other sides are not fitted
+LARGEST_STEP = 1.0  # of Λ in one scan
+LOST = 0.5 * np.pi / 4.0  # rad: a heading predicted no better has lost which sides were which
+_TURNS = QUARTER_TURN * np.arange(4.0)
+_WRAPS = 2.0 * np.pi * np.arange(-2.0, 3.0)[:, np.newaxis, np.newaxis]
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One hypothesis after a scan: pose (3,) of base_link in odom, its covariance (3, 3), log E."""
+
+    pose: FloatArray
+    covariance: FloatArray
+    log_evidence: float
+
+
+@dataclass(frozen=True)
+class SideEvidence:
+    """Λ: ``settled`` in places left, and the mean of ``count`` scans in this one at ``x``, ``y``, m."""
+
+    settled: float = 0.0
+    mean: float = 0.0
+    count: int = 0
+    x: float = 0.0
+    y: float = 0.0
+
+    @property
+    def log_odds(self) -> float:
+        """Λ."""
+        return self.settled + float(np.clip(self.mean, -LARGEST_STEP * self.count, LARGEST_STEP * self.count))
+
+    def after(self, log_ratio: float, pose: FloatArray, step: float) -> "SideEvidence":
+        """With one more scan of the box at ``pose`` (3,), to which beams are ``step`` apart, m."""
+        if self.count == 0 or np.hypot(pose[0] - self.x, pose[1] - self.y) > step:
+            return SideEvidence(self.log_odds, log_ratio, 1, float(pose[0]), float(pose[1]))
+        count = self.count + 1
+        return SideEvidence(self.settled, self.mean + (log_ratio - self.mean) / count, count, self.x, self.y)
+
+    def turned(self) -> "SideEvidence":
+        """As a quarter turn away has it."""
+        return SideEvidence(-self.settled, -self.mean, self.count, self.x, self.y)
+
+
+def prior(turned: FloatArray, variance: FloatArray, weights: FloatArray) -> FloatArray:
+    """Probabilities (M,) of headings before their scan is heard.
+
+    turned, variance: (M,), the headings less ψ̂ and s², rad and rad²; weights: (4,) of ψ̂ and the headings
+    one, two and three quarter turns from it.
+    """
+    away = turned - _TURNS[:, np.newaxis] + _WRAPS
+    log_weights = np.log(np.maximum(weights, 1e-300))[:, np.newaxis]
+    joint = _normalised(log_weights - 0.5 * (away**2 / variance + np.log(variance)))
+    return np.asarray(joint.sum(axis=(0, 1)))
+
+
+def sides_are_known(turned: float, variance: float, weights: FloatArray) -> bool:
+    """Whether what a heading was expected to be, as in ``prior``, refutes those a quarter turn from it."""
+    probabilities = prior(turned + _TURNS, np.full(4, variance), weights)
+    return bool(probabilities[1::2].sum() < REFUTED)
+
+
+def with_evidence(weights: FloatArray, log_odds: float) -> FloatArray:
+    """Probabilities (4,) with the log odds of the second and fourth against the others."""
+    logs = np.log(np.maximum(weights, 1e-300)) + np.array((0.0, log_odds, 0.0, log_odds))
+    return _normalised(logs)
+
+
+def _normalised(logs: FloatArray) -> FloatArray:
+    """Probabilities from their logarithms, known up to a constant."""
+    likelihoods = np.exp(logs - logs.max())
+    return np.asarray(likelihoods / likelihoods.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Headings:
+    """What is remembered of the hypotheses, the first of which is tracked: w (4,) without Λ, and Λ."""
+
+    weights: FloatArray
+    evidence: SideEvidence
+
+    def after(
+        self, modes: list[Mode], heading: float, variance: float, step: float
+    ) -> tuple[list[Mode], FloatArray, "Headings"]:
+        """With one more scan; its modes are about ``heading``, predicted with this variance, and turned.
+
+        Returns:
+            the modes, the likeliest first; their probabilities (4,); and what is remembered. ``step`` is
+            that of ``SideEvidence.after``.
+        """
+        turned = np.array([mode.pose[2] for mode in modes]) - heading
+        weights = prior(turned, variance + np.array([mode.covariance[2, 2] for mode in modes]), self.weights)
+        ratio = float(np.nan_to_num(modes[1].log_evidence - modes[0].log_evidence))
+        evidence = self.evidence if variance < LOST**2 else SideEvidence()
+        evidence = evidence.after(ratio, modes[0].pose, step)
+        belief = with_evidence(weights, evidence.log_odds)
+        sides = np.array((belief[::2].sum(), belief[1::2].sum()))
+        if sides.min() < NEGLIGIBLE:
+            belief = belief * np.tile(sides > 0.5, 2)
+            weights = belief = belief / belief.sum()
+            evidence = SideEvidence()
+        first = int(np.argmax(belief))
+        remembered = Headings(np.roll(weights, -first), evidence.turned() if first % 2 else evidence)
+        return modes[first:] + modes[:first], np.roll(belief, -first), remembered
+
+
+def mixed(modes: list[Mode], weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pose (3,) and covariance (3, 3) of the modes together; the heading is that of the first.
+
+    Headings in doubt are not averaged, for two that are a quarter turn apart have no mean; their variance is
+    such that each of them lies within two standard deviations.
+    """
+    away = np.array([mode.pose - modes[0].pose for mode in modes])
+    away[:, 2] -= 2.0 * np.pi * np.round(away[:, 2] / (2.0 * np.pi))
+    mean = weights @ away
+    mean[2] = 0.0
+    spread = away - mean
+    covariance = sum(w * m.covariance for w, m in zip(weights, modes, strict=True))
+    covariance = covariance + (weights[:, np.newaxis] * spread).T @ spread
+    farthest = np.abs(away[weights > NEGLIGIBLE, 2]).max(initial=0.0)
+    if farthest > 0.5 * QUARTER_TURN:
+        covariance[2, 2] = max(covariance[2, 2], (0.5 * farthest) ** 2)
+    return modes[0].pose + mean, covariance

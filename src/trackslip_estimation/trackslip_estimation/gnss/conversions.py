@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between messages and the localizer's records."""
+
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.make import Make, header
+from trackslip_common.message_fields import NavSatFields, read
+from trackslip_estimation.gnss.localizer import Datum, Fix, Place
+from trackslip_estimation.slip.conversions import UNOBSERVED, pose_with_covariance
+from trackslip_estimation.slip.measurements import PoseFix
+
+_DIAGONAL_KNOWN = 2
+
+
+def fix(message: Any) -> Fix:
+    """From sensor_msgs/NavSatFix."""
+    return Fix(*read(NavSatFields, message))
+
+
+def pose(make: Make, place: Place, topic: str, frame: str) -> Any:
+    """geometry_msgs/PoseWithCovarianceStamped of an antenna: nobody observes its heading."""
+    covariance = np.diag((0.0, 0.0, UNOBSERVED))
+    covariance[:2, :2] = place.covariance
+    at = np.array((place.east, place.north, 0.0))
+    return pose_with_covariance(make, PoseFix(topic, place.stamp_ns, at, covariance), frame)
+
+
+def datum(make: Make, origin: Datum, stamp_ns: int, frame: str) -> Any:
+    """sensor_msgs/NavSatFix of the map's origin, which is exact."""
+    return make(
+        "sensor_msgs/msg/NavSatFix",
+        header=header(make, stamp_ns, frame),
+        status=make("sensor_msgs/msg/NavSatStatus", status=0, service=0),
+        latitude=origin.latitude,
+        longitude=origin.longitude,
+        altitude=origin.altitude,
+        position_covariance=np.zeros(9),
+        position_covariance_type=_DIAGONAL_KNOWN,
+    )

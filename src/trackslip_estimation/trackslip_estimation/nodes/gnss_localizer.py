@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``gnss_localizer``: fixes of a GNSS receiver in, places of its antenna in metres east and north out."""
+
+import sys
+from typing import Any
+
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import OK, WARN, Health
+from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.run import run
+from trackslip_estimation.gnss import conversions
+from trackslip_estimation.gnss.localizer import FIX, GnssLocalizer, Reason
+from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
+
+POSE, DATUM = "gnss_pose", "gnss_localizer/datum"
+
+
+class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
+    """Converts, calls the localizer, publishes."""
+
+    def __init__(self) -> None:
+        super().__init__(NODE, GnssLocalizerParameters, f"{NODE}.yaml")
+
+    def configure(self) -> None:
+        """Make the localizer."""
+        self._localizer = GnssLocalizer(self.settings)
+        self._fixes = self._poses = 0
+        self._news = (0, 0)
+        self._published_datum = False
+        self._pose = self.advertise(topic_class(POSE), POSE)
+        self._datum = self.advertise(topic_class(DATUM), DATUM)
+        self.subscribe(topic_class(FIX), FIX, self._on_fix)
+
+    def activate(self) -> None:
+        """A datum that is given is known at once."""
+        if self._localizer.datum is not None:
+            self._publish_datum(self.get_clock().now().nanoseconds)
+
+    def health(self) -> list[Health]:
+        """Poses per fix, the datum, and why fixes gave no pose."""
+        (poses, fixes), self._news = self._news, (self._poses, self._fixes)
+        refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
+        datum = self._localizer.datum
+        known = "none yet" if datum is None else "{:.9f}° {:.9f}° {:.3f} m".format(*datum)
+        values = {"fixes": self._fixes, "poses": self._poses, "datum": known, **refused}
+        news = self._localizer.tally.since_last_look()
+        if self._fixes == fixes:
+            return [Health(WARN, "no fixes", values)]
+        if self._poses == poses:
+            return [Health(WARN, f"all fixes refused: {', '.join(why for _, why in news)}", values)]
+        return [Health(WARN if news else OK, f"{sum(news.values())} refused" if news else "running", values)]
+
+    def _on_fix(self, message: Any) -> None:
+        self._fixes += 1
+        place = self._localizer.locate(conversions.fix(message))
+        if isinstance(place, Reason):
+            return
+        if not self._published_datum:
+            self._publish_datum(place.stamp_ns)
+        self._poses += 1
+        self._pose.publish(conversions.pose(make, place, POSE, self.settings.map_frame))
+
+    def _publish_datum(self, stamp_ns: int) -> None:
+        """What a later run needs as parameters to have the same map."""
+        datum = self._localizer.datum
+        assert datum is not None
+        names = ("latitude", "longitude", "altitude")
+        text = ", ".join(f"datum_{name}: {value:.11g}" for name, value in zip(names, datum, strict=True))
+        self.get_logger().info(text)
+        self._datum.publish(conversions.datum(make, datum, stamp_ns, self.settings.map_frame))
+        self._published_datum = True
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run(GnssLocalizerNode))

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node's state file: read when it is configured, written once a minute and at the end."""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import OK, WARN, Health
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned import meaning, to_tree
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.state_file import StateFile
+
+_PERIOD = 60.0  # s
+
+
+class StateKeeper:
+    """``estimator`` gives the one to keep what it learned of; nothing is done without a state file."""
+
+    def __init__(
+        self, node: TrackslipNode[SlipEstimatorParameters], estimator: Callable[[], SlipEstimator]
+    ) -> None:
+        self._node, self._estimator = node, estimator
+        self._meaning = meaning(node.settings)
+        self._file = StateFile(node.settings.state_file)
+        self.learned = self._file.read(self._meaning)  # before this run
+        if self._file:
+            log = node.get_logger()
+            log.info(self._file.note) if self._file.used else log.warning(self._file.note)
+            node.create_timer(_PERIOD, self._save, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def started_from(self) -> dict[str, Any]:
+        """What was learned before this run, as a bag carries it along."""
+        return {} if self.learned is None else {"learned": to_tree(self.learned, self._meaning)}
+
+    def forget(self) -> None:
+        """Delete the file."""
+        self._file.forget()
+
+    def finish(self) -> None:
+        """Write for the last time."""
+        self._file.write(self._estimator().learned, self._meaning)
+        self._file.finish()
+        if self._file.failure:
+            self._node.get_logger().warning(f"what was learned is not kept: {self._file.failure}")
+
+    def health(self) -> list[Health]:
+        """An entry of /diagnostics, where there is a file."""
+        if not self._file:
+            return []
+        level = OK if self._file.used and not self._file.failure else WARN
+        message = f"cannot be written: {self._file.failure}" if self._file.failure else self._file.note
+        return [Health(level, message, self._file.status(), "state file")]
+
+    def _save(self) -> None:
+        if self._node.active:
+            self._file.write(self._estimator().learned, self._meaning)

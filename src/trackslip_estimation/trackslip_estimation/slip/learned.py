@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was learned of a machine and its ground, but not where it is: taken from a state, aged, started from.
+
+    x, P     means and covariance of the states that are kept            (n,), (n, n)
+    μ, σ     prior of a state by the parameters
+    T        how long a state stays what it was                          s
+    φ        e^(−age/T)
+
+With age each state is a first-order Gauss–Markov process about its prior: x ← μ + φ (x − μ), P ← φ P φ +
+(1 − φ²) σ². ln of the weights of point masses goes to its prior by φ too. What was learned and aged is the
+prior of the next run; it stands in the bag beside the parameters, so that a replay starts from the same.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import to_flat
+from trackslip_estimation.slip.config import ConfigRecord, make_config
+from trackslip_estimation.slip.models.dispatch import MODELS
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+
+FloatArray = NDArray[np.float64]
+
+_PASSING = ("pose", "velocity_errors", "slips", "slip_angle")  # parts of a state that are not learned
+_HOURS, _DAYS = 3600.0, 86400.0
+_OF_GROUND = 8.0 * _HOURS  # T, and of all noise; a machine leaves its ground, and the sky changes
+_OF_MACHINE = 180.0 * _DAYS
+_LIFETIMES = {
+    "gyro_bias": 4.0 * _HOURS,  # temperature
+    "gyro_scale": _OF_MACHINE,
+    "fix_delay": _OF_MACHINE,
+    "asymmetry": _OF_MACHINE,
+}
+_ROUNDING = 1e-6  # of an eigenvalue of correlations
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What one estimator has learned."""
+
+    machine: str  # digest of what gives the numbers their meaning
+    mean: FloatArray  # (n,) in the order of ``kept_states``
+    stddev: FloatArray  # (n,)
+    correlations: FloatArray  # (n, n)
+    track_weights: FloatArray  # (TRACK_ERRORS, RATE_FACTORS) ln of the weights of s and a
+    fix_weights: Mapping[str, FloatArray]  # (FIX_FACTORS,) ln of the weights of f, of sources that gave fixes
+
+    @property
+    def covariance(self) -> FloatArray:
+        """P (n, n)."""
+        return np.asarray(self.correlations * np.outer(self.stddev, self.stddev))
+
+
+class OtherMachine(InputError):
+    """What was learned is of another machine; the second argument is its digest."""
+
+    @property
+    def machine(self) -> str:
+        """Digest, as text of any kind."""
+        return str(self.args[1])
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class Meaning(NamedTuple):
+    """What gives learned numbers their meaning, by the parameters. Nobody changes it."""
+
+    machine: str  # digest of the vehicle, its sources and the model
+    places: Mapping[str, int]  # name → place in the state vector of what is kept, in the model's order
+    prior: "Learned"
+    constants: Any  # record of ``adaptation.CONSTANTS``
+    has_track_error: bool  # whether the model knows any
+    stamp_errors: Mapping[str, float]  # σ_t of each source of poses, s
+
+
+def meaning(p: SlipEstimatorParameters) -> Meaning:
+    """Of all that is learned by an estimator with these parameters."""
+    c, places, machine = make_config(p)[0], _kept_states(p), _machine_digest(p)
+    kept, n = list(places.values()), c["adaptation"]
+    weights = np.tile(n["rate_prior"], (len(n["track_variances"]), 1))
+    stddev = np.sqrt(c["prior_variance"][kept])
+    prior = Learned(machine, c["prior_mean"][kept], stddev, np.eye(len(kept)), weights, {})
+    has_track_error = hasattr(MODELS[p.model], "velocity_error_constants")
+    stamp_errors = {name: source.stamp_error for name, source in p.poses().items()}
+    return Meaning(machine, places, prior, n, has_track_error, stamp_errors)
+
+
+def _machine_digest(p: SlipEstimatorParameters) -> str:
+    content = {
+        "vehicle": to_flat(p.vehicle),
+        "model": p.model,
+        "poses": {name: (source.lever, source.stamp_error) for name, source in p.poses().items()},
+        "gyros": {name: (source.sign, source.scale) for name, source in p.gyros().items()},
+        "least_track_error": p.adaptation.least_track_error,
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _kept_states(p: SlipEstimatorParameters) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for part in MODELS[p.model].PARTS:
+        places = range(part.at.start, part.at.stop)
+        if part.name not in _PASSING:
+            names = [f"{part.name}_{k + 1}" for k in range(len(places))] if len(places) > 1 else [part.name]
+            found |= dict(zip(names, places, strict=True))
+    return found
+
+
+def learned_of(state: Any, of: Meaning, sources: Mapping[str, int]) -> Learned:
+    """Of a record of ``STATE``; ``sources``: name → number."""
+    adaptation = state["adaptation"]
+    kept = list(of.places.values())
+    weights = {name: adaptation["fix_log_weights"][sources[name]] for name in of.stamp_errors}
+    return Learned(
+        of.machine,
+        state["mean"][kept],
+        *_deviations(state["covariance"][np.ix_(kept, kept)]),
+        adaptation["log_weights"].copy(),
+        {name: own.copy() for name, own in weights.items() if own.any()},
+    )
+
+
+def aged(learned: Learned, age_s: float, of: Meaning) -> Learned:
+    """What is left of it after ``age_s`` seconds, at least 0."""
+    prior, of_fixes = of.prior, of.constants["fix_prior"]
+    lifetimes = np.array([_LIFETIMES.get(name, _OF_GROUND) for name in of.places])
+    phi, left = np.exp(-age_s / lifetimes), math.exp(-age_s / _OF_GROUND)
+    added = -np.expm1(-2.0 * age_s / lifetimes) * np.square(prior.stddev)
+    stddev, correlations = _deviations(np.outer(phi, phi) * learned.covariance + np.diag(added))
+    return replace(
+        learned,
+        mean=prior.mean + phi * (learned.mean - prior.mean),
+        stddev=stddev,
+        correlations=correlations,
+        track_weights=prior.track_weights + left * (learned.track_weights - prior.track_weights),
+        fix_weights={name: of_fixes + left * (w - of_fixes) for name, w in learned.fix_weights.items()},
+    )
+
+
+def start_from(learned: Learned, config: ConfigRecord, of: Meaning, sources: Mapping[str, int]) -> None:
+    """Make ``config``, (1,) of ``CONFIG``, start from what was learned instead of the parameters' priors."""
+    c, kept = config[0], list(of.places.values())
+    c["prior_mean"][kept] = learned.mean
+    c["prior_covariance"][np.ix_(kept, kept)] = learned.covariance
+    c["prior_variance"] = np.diag(c["prior_covariance"])
+    start, n = c["start"], c["adaptation"]
+    masses = weights_of(learned.track_weights)
+    start["log_weights"] = learned.track_weights
+    start["track_variance"] = masses.sum(axis=1) @ n["track_variances"]
+    start["rate_factor"] = masses.sum(axis=0) @ n["rate_factors"]
+    start["fix_factors"] = 1.0
+    for name, log_weights in learned.fix_weights.items():
+        start["fix_log_weights"][sources[name]] = log_weights
+        start["fix_factors"][sources[name]] = weights_of(log_weights) @ n["fix_factors"]
+    c["resumes"] = True
+
+
+def weights_of(log_weights: FloatArray) -> FloatArray:
+    """The point masses, which are 1 together."""
+    masses = np.exp(log_weights - log_weights.max())
+    return np.asarray(masses / masses.sum())
+
+
+def to_tree(learned: Learned, of: Meaning) -> dict[str, Any]:
+    """As nested mappings and lists of numbers, for YAML; ``from_tree`` gives the same bits back."""
+    numbers = zip(of.places, learned.mean.tolist(), learned.stddev.tolist(), strict=True)
+    return {
+        "machine": learned.machine,
+        "states": {name: {"value": value, "stddev": deviation} for name, value, deviation in numbers},
+        "correlations": [learned.correlations[k, :k].tolist() for k in range(1, len(learned.mean))],
+        "track_error_ln_weights": learned.track_weights.tolist(),
+        "fix_noise_ln_weights": {name: w.tolist() for name, w in learned.fix_weights.items()},
+    }
+
+
+def from_tree(tree: Any, of: Meaning) -> Learned:
+    """What ``to_tree`` made, of the same machine.
+
+    Raises:
+        InputError: it is of another machine, or not of this form.
+    """
+    if not isinstance(tree, Mapping) or not isinstance(tree.get("machine"), str):
+        raise InputError("it does not hold what was learned of a machine")
+    if tree["machine"] != of.machine:
+        raise OtherMachine("it is of another vehicle, or of other sources or another model", tree["machine"])
+    names, prior = list(of.places), of.prior
+    try:
+        states, n = tree["states"], len(names)
+        if list(states) != names:
+            raise ValueError("states")
+        mean = np.array([float(states[name]["value"]) for name in names])
+        stddev = np.array([float(states[name]["stddev"]) for name in names])
+        correlations = np.eye(n)
+        for k, row in enumerate(tree["correlations"], 1):
+            correlations[k, :k] = correlations[:k, k] = np.array(row, np.float64).reshape(k)
+        track = np.array(tree["track_error_ln_weights"], np.float64).reshape(prior.track_weights.shape)
+        fixes = {
+            name: np.array(own, np.float64).reshape(of.constants["fix_prior"].shape)
+            for name, own in tree["fix_noise_ln_weights"].items()
+            if name in of.stamp_errors
+        }
+        everything = (mean, stddev, correlations, track, *fixes.values())
+        if not all(np.all(np.abs(numbers) < 1e9) for numbers in everything) or np.any(stddev < 0.0):
+            raise ValueError("numbers")
+        if np.linalg.eigvalsh(correlations)[0] < -_ROUNDING:
+            raise ValueError("correlations")
+    except (ValueError, TypeError, KeyError, OverflowError, AttributeError) as error:
+        raise InputError("its numbers are no estimates of this version's states") from error
+    return Learned(tree["machine"], mean, stddev, correlations, track, fixes)
+
+
+def _deviations(P: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations (n,) and correlations (n, n) of a covariance (n, n)."""
+    stddev = np.sqrt(np.diag(P))
+    over = np.where(stddev > 0.0, stddev, 1.0)
+    below = np.tril(P / np.outer(over, over), -1)
+    return stddev, below + below.T + np.eye(len(stddev))

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was learned of a machine in words and numbers: for /diagnostics, reports, replays and the state file.
+
+A state that is still as the parameters have it was not observed: its standard deviation is above 0.9 of its
+prior's, or the weights of its point masses are the prior's but for 0.1.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.learned import Learned, Meaning, weights_of
+
+FloatArray = NDArray[np.float64]
+
+NOT_OBSERVED = "not observed yet"
+_NARROWED, _SHIFTED = 0.9, 0.1
+_DEGREES = 180.0 / math.pi
+
+
+class Form(NamedTuple):
+    """How a quantity is shown: (value − zero) · scale, in ``unit``."""
+
+    label: str
+    text: str  # {v}: what is shown, {a}: its size, {way}: which way it goes, {s}: ±, {of}: its source
+    unit: str = "1"
+    scale: float = 1.0
+    zero: float = 0.0
+    ways: tuple[str, str] = ("", "")  # above zero, below
+
+    def shown(self, value: float) -> float:
+        """In its unit."""
+        return (value - self.zero) * self.scale
+
+
+_FORMS = {
+    "gyro_scale": Form("gyro scale", "gyro reads {a} % {way} ± {s}", "%", 100.0, 1.0, ("high", "low")),
+    "gyro_bias": Form("gyro bias", "gyro shows {v} °/s at rest ± {s}", "°/s", _DEGREES),
+    "gyro_noise_factor": Form("gyro noise", "gyro variance {v} times what it states ± {s}"),
+    "asymmetry": Form(
+        "side asymmetry ε", "turns {a} rad/m to the {way} ± {s}", "rad/m", ways=("left", "right")
+    ),
+    "fix_delay": Form("delay of {of}", "{of} fixes {a} s {way} ± {s}", "s", ways=("late", "early")),
+    "fix_noise_factor": Form("noise of {of}", "{of} variance {v} times what it states ± {s}"),
+    "track_error": Form("track error", "tracks err by {v} % of their speed ± {s}", "%", 100.0),
+    "efficiency": Form("turning efficiency κ", "turning efficiency κ {v} ± {s}"),
+    "loss": Form("speed lost in turns η", "speed lost in turns η {v} ± {s}"),
+    "common_slip": Form("common slip i₀", "both tracks slip {v} % ± {s}", "%", 100.0),
+    "rotation_offset": Form(
+        "centre of rotation x_I", "turns about {a} m {way} its middle ± {s}", "m", ways=("ahead of", "behind")
+    ),
+}
+
+
+class Finding(NamedTuple):
+    """One quantity; value and standard deviation in SI units."""
+
+    name: str  # of a source's own: with ``.`` and the source
+    value: float
+    stddev: float
+    observed: bool
+
+    @property
+    def form(self) -> Form:
+        """How it is shown; a state of a model that is not known here by its name."""
+        kind, _, source = self.name.partition(".")
+        plain = kind.replace("_", " ")
+        form = _FORMS.get(kind, Form(plain, f"{plain} {{v}} ± {{s}}"))
+        return form._replace(label=form.label.format(of=source))
+
+    @property
+    def sentence(self) -> str:
+        """With one standard deviation: "gyro reads 1.9 % low ± 0.5"."""
+        if not self.observed:
+            return NOT_OBSERVED
+        form = self.form
+        shown, stddev = form.shown(self.value), form.scale * self.stddev
+        digits = decimals(stddev)
+        return form.text.format(
+            v=f"{round(shown, digits) + 0.0:.{digits}f}",  # no −0
+            a=f"{abs(shown):.{digits}f}",
+            of=self.name.partition(".")[2],
+            way=form.ways[int(shown < 0.0)],
+            s=f"{stddev:.{digits}f}",
+        )
+
+
+def decimals(stddev: float) -> int:
+    """After the point, for one digit of a standard deviation, or two that begin with 1."""
+    return min(max(-math.floor(math.log10(max(stddev, 1e-9) / 2.0)), 0), 9)
+
+
+def findings(learned: Learned | None, of: Meaning) -> list[Finding]:
+    """All that an estimator learns; of nothing learned, the priors."""
+    known = of.prior if learned is None else learned
+    found = [finding for name in of.places for finding in _of_state(name, known, of)]
+    if of.has_track_error:
+        found += _noise(known, of)
+    order = {kind: k for k, kind in enumerate(_FORMS)}
+    return sorted(found, key=lambda finding: order.get(finding.name.partition(".")[0], len(order)))
+
+
+def lines_of(found: list[Finding]) -> list[str]:
+    """A line for each quantity that was observed, and one for all others."""
+    lines = [f.sentence for f in found if f.observed]
+    unseen = [f.form.label for f in found if not f.observed]
+    return lines + ([f"{NOT_OBSERVED}: {', '.join(unseen)}"] if unseen else [])
+
+
+def summary_lines(found: list[Finding]) -> list[str]:
+    """One or two lines: what was learned, and what was not."""
+    seen = [f.sentence for f in found if f.observed]
+    return ([f"learned: {', '.join(seen)}"] if seen else []) + lines_of([f for f in found if not f.observed])
+
+
+def _of_state(name: str, known: Learned, of: Meaning) -> list[Finding]:
+    """Of one state; of the delay one for each source; nothing of what is no state by the parameters."""
+    k = list(of.places).index(name)
+    value, stddev, before = known.mean[k], known.stddev[k], of.prior.stddev[k]
+    if before == 0.0:
+        return []
+    observed = bool(stddev < _NARROWED * before)
+    if name == "fix_delay":
+        return [
+            Finding(f"{name}.{source}", float(value * error), float(stddev * error), observed)
+            for source, error in of.stamp_errors.items()
+            if error > 0.0
+        ]
+    zero = _FORMS[name].zero if name in _FORMS else 0.0  # the state is the departure from it
+    return [Finding(name, float(value) + zero, float(stddev), observed)]
+
+
+def _noise(known: Learned, of: Meaning) -> list[Finding]:
+    """Track error, and the factors of the variance that gyro and fixes state."""
+    n, joint, before = of.constants, weights_of(known.track_weights), weights_of(of.prior.track_weights)
+    masses, variances = (joint.sum(axis=1), before.sum(axis=1)), n["track_variances"]
+    squared = _of_masses("", variances, *masses)
+    error = math.sqrt(squared.value)
+    found = [
+        Finding("track_error", error, squared.stddev / (2.0 * error), squared.observed),
+        _of_masses("gyro_noise_factor", n["rate_factors"], joint.sum(axis=0), before.sum(axis=0)),
+    ]
+    unknown = np.full(len(n["fix_factors"]), 1.0 / len(n["fix_factors"]))
+    for source in of.stamp_errors:
+        name, own = f"fix_noise_factor.{source}", known.fix_weights.get(source)
+        masses_of = unknown if own is None else weights_of(own)
+        finding = _of_masses(name, n["fix_factors"], masses_of, unknown)
+        found.append(finding if own is not None else finding._replace(value=1.0))  # as it states
+    return found
+
+
+def _of_masses(name: str, points: FloatArray, masses: FloatArray, before: FloatArray) -> Finding:
+    """Mean, and standard deviation with that of a value anywhere between its point and the next."""
+    mean = float(masses @ points)
+    between = mean * math.log(points[1] / points[0]) / math.sqrt(12.0)
+    variance = float(masses @ np.square(points - mean)) + between**2
+    return Finding(name, mean, math.sqrt(variance), _shifted(masses, before))
+
+
+def _shifted(masses: FloatArray, before: FloatArray) -> bool:
+    """Whether the weights differ: total variation."""
+    return bool(np.abs(masses - before).sum() / 2.0 > _SHIFTED)
+
+
+def to_json(found: list[Finding]) -> dict[str, dict[str, Any]]:
+    """Name → value, stddev, observed."""
+    return {f.name: {"value": f.value, "stddev": f.stddev, "observed": f.observed} for f in found}

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A GNSS receiver on a serial line: at each epoch a burst of GGA, GST, RMC and PASHR, some time after it.
+
+After power-on it says nothing, then that it has no fix and no time, then finds its position in steps: code
+alone, carrier phase with floating ambiguities, fixed.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, pashr, rmc
+from trackslip_sim.devices.line import NEVER_NS, BaudLine
+
+SINGLE, FLOAT, FIXED = 1, 5, 4  # quality
+_STEPS = (
+    (2.0, None),
+    (5.0, 0),
+    (8.0, SINGLE),
+    (12.0, FLOAT),
+)  # s since power-on until which it is in a state
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class NmeaDeviceParameters(Parameters):
+    """What the emulated receiver sends, and when."""
+
+    rate: float = parameter(
+        "epochs, on whole fractions of a second; 0: there is no receiver", unit="Hz", ge=0.0, le=20.0
+    )
+    latency: float = parameter("from an epoch to the first byte, at its shortest", unit="s", ge=0.0, lt=0.5)
+    latency_jitter: float = parameter("mean of what comes on top, exponential", unit="s", ge=0.0, le=0.1)
+
+
+class NmeaDevice:
+    """The receiver, on for long when the emulator starts.
+
+    Args:
+        p: epochs and latency.
+        line: its transmitter.
+        measure: position and heading at an epoch, with a quality no better than the one given.
+        start_ns: from when on it is looked at.
+        seed: of its latency.
+
+    Attributes:
+        fixes_emitted, headings_emitted: how many were begun to be sent.
+        clock_error_ns: how far its clock is ahead of UTC; assign to step it.
+    """
+
+    def __init__(
+        self,
+        p: NmeaDeviceParameters,
+        line: BaudLine,
+        measure: Callable[[int, int], Position],
+        start_ns: int,
+        seed: int,
+    ) -> None:
+        self.fixes_emitted = self.headings_emitted = 0
+        self.clock_error_ns = 0
+        self._p = p
+        self._line = line
+        self._measure = measure
+        self._random = np.random.default_rng(seed)
+        self._on_ns: int | None = None
+        self._period_ns = round(_NS_PER_S / p.rate) if p.rate > 0.0 else NEVER_NS
+        self._epoch_ns = -(-start_ns // self._period_ns) * self._period_ns
+        self._schedule()
+
+    def power_cycle(self, now_ns: int) -> None:
+        """Lose and regain power: what is on the line is lost, and it starts cold."""
+        self._line.cut(now_ns)
+        self._on_ns = now_ns
+        self._epoch_ns = -(-now_ns // self._period_ns) * self._period_ns
+        self._schedule()
+
+    def step(self, now_ns: int) -> bytes:
+        """What has left the line by now."""
+        while self._send_ns <= now_ns:
+            for sentence in self._burst(self._epoch_ns):
+                self._line.send(sentence, self._send_ns)
+            self._epoch_ns += self._period_ns
+            self._schedule()
+        return self._line.read(now_ns)
+
+    def next_ns(self, now_ns: int, tick_ns: int) -> int:
+        """When to call ``step`` next, of all times whole ticks from now; see ``BaudLine.next_read_ns``."""
+        return min(self._send_ns, self._line.next_read_ns(now_ns, tick_ns))
+
+    def _schedule(self) -> None:
+        late = self._p.latency + self._p.latency_jitter * self._random.standard_exponential()
+        self._send_ns = self._epoch_ns + round(late * 1e9)
+
+    def _burst(self, epoch_ns: int) -> tuple[bytes, ...]:
+        """All sentences of one epoch."""
+        best: int | None = FIXED
+        if self._on_ns is not None:
+            since = (epoch_ns - self._on_ns) / _NS_PER_S
+            best = next((quality for until, quality in _STEPS if since < until), FIXED)
+        if best is None:
+            return ()
+        if best == 0:
+            at = Position(None)
+        else:
+            at = self._measure(epoch_ns, best)._replace(time_ns=epoch_ns + self.clock_error_ns)
+        self.fixes_emitted += at.quality != 0
+        self.headings_emitted += at.heading is not None
+        return gga(at), gst(at), rmc(at), pashr(at)

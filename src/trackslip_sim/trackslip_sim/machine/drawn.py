@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Machines as real ones are: each differs from what its parameters say, by as much as real ones were seen to.
+
+    V, D    mean of the tracks' speeds, right less left                     m/s
+    d       how far they depart from their mean of late                     m/s
+    e_v     error of v beside what the truth has, of size σ_v               m/s
+    e_ω     the same of ω, of size σ_ω                                      rad/s
+    f       size of the velocity errors over the emulated excavator's       1
+    τ       correlation time of both                                        s
+
+σ_v² = (f² − 1) ((0.0024 V)² + (0.042 d)²) and B² σ_ω² = (f² − 1) ((0.001 V)² + (0.042 d)²): the shapes and, for
+f = 1, the sizes that were measured on the shear truth, which has these errors already.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+FloatArray = NDArray[np.float64]
+
+STEADY, STEADY_TURN, CHANGING = 0.0024, 0.001, 0.042  # shares of V and of d
+CORRELATION = 0.14  # s, τ
+_MEMORY = 0.5  # s, of the mean speeds
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnMachine:
+    """How it differs; the defaults are a machine that is as its parameters say."""
+
+    gyro_scale: float = 1.0  # what the gyro shows of 1 rad/s
+    asymmetry: float = 0.0  # ε, rad/m
+    radius: float = 1.0  # true rolling radius over the one that is stated
+    velocity_errors: float = 1.0  # f
+    fix_delay: float = 0.0  # s by which a fix is older than its stamp
+    gyro_noise: float = 1.0  # true standard deviation over the one that is stated
+    fix_variance: float = 1.0  # true over stated
+
+
+def draw_machine(random: np.random.Generator) -> DrawnMachine:
+    """One at random."""
+    return DrawnMachine(
+        gyro_scale=1.0 + random.uniform(-0.02, 0.02),
+        asymmetry=random.uniform(-0.02, 0.02),
+        radius=1.0 + random.uniform(-0.01, 0.01),
+        velocity_errors=10.0 ** random.uniform(0.0, 1.0),
+        fix_delay=random.uniform(-0.1, 0.1),
+        gyro_noise=random.uniform(1.0, 5.0),
+        fix_variance=float(random.choice((0.5, 2.0))),
+    )
+
+
+class MotionErrors:
+    """What becomes of a nominal machine's motion on a drawn one, piece by piece of a drive."""
+
+    def __init__(
+        self, machine: DrawnMachine, tread: float, period: float, random: np.random.Generator
+    ) -> None:
+        """``period``: s between two samples."""
+        self._machine, self._tread, self._random = machine, tread, random
+        kept, slow = math.exp(-period / CORRELATION), math.exp(-period / _MEMORY)
+        self._noise = ([math.sqrt(1.0 - kept * kept)], [1.0, -kept])
+        self._mean = ([1.0 - slow], [1.0, -slow])
+        self._noise_state = kept * random.standard_normal((1, 2))
+        self._mean_state = np.zeros((1, 2))
+
+    def apply(self, tracks: FloatArray, twists: FloatArray) -> FloatArray:
+        """(n, 3) v_x, v_y, ω of the drawn machine, by the tracks' speeds (n, 2) and the nominal twists (n, 3)."""
+        machine = self._machine
+        mean, self._mean_state = lfilter(*self._mean, tracks, axis=0, zi=self._mean_state)
+        white = self._random.standard_normal(tracks.shape)
+        errors, self._noise_state = lfilter(*self._noise, white, axis=0, zi=self._noise_state)
+        V, d = tracks.mean(axis=1), np.abs(tracks - mean).max(axis=1)
+        beyond = math.sqrt(machine.velocity_errors**2 - 1.0)
+        found = machine.radius * twists
+        found[:, 0] += beyond * np.hypot(STEADY * V, CHANGING * d) * errors[:, 0]
+        found[:, 2] += beyond * np.hypot(STEADY_TURN * V, CHANGING * d) * errors[:, 1] / self._tread
+        found[:, 2] += machine.asymmetry * V
+        return np.asarray(found)
+
+
+def integrated(twists: FloatArray, period: float, start: FloatArray) -> FloatArray:
+    """(n, 3) poses after each of n periods with twists (n, 3) at their ends, from a pose (3,) on."""
+    yaw = start[2] + period * np.cumsum(twists[:, 2])
+    halfway = yaw - 0.5 * period * twists[:, 2]
+    cos, sin = np.cos(halfway), np.sin(halfway)
+    east, north = cos * twists[:, 0] - sin * twists[:, 1], sin * twists[:, 0] + cos * twists[:, 1]
+    return np.stack((start[0] + period * np.cumsum(east), start[1] + period * np.cumsum(north), yaw), axis=1)

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a GNSS receiver on the machine finds of the truth: antenna position by quality, heading of a pair.
+
+    e     error of a position, east and north: white, and a first-order Gauss–Markov process of σ, τ   m
+    q     quality as in GGA: 1 code alone, 4 carrier phase with fixed ambiguities, 5 floating
+
+Faults make it worse: floating ambiguities, code alone, no fix, and multipath, a step of the position that the
+receiver does not know of. The heading is that of one antenna from the other: it needs no corrections.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_drivers.protocols.nmea import heading_of_yaw
+from trackslip_drivers.protocols.nmea_sentences import Position
+from trackslip_sim.devices.nmea_device import FIXED, FLOAT, SINGLE, NmeaDeviceParameters
+from trackslip_sim.machine import faults as f
+from trackslip_sim.machine.faults import Faults
+
+FloatArray = NDArray[np.float64]
+
+_FIXED_SPREAD = 0.5  # of the error of a fixed solution that lasts, as a share; the rest is white
+_FIXED_TIME = 5.0  # s
+_CODE_STDDEV, _CODE_TIME = 1.5, 60.0  # m, s
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class GnssParameters(Parameters):
+    """The receiver, where its antennas are, and how far it errs."""
+
+    device: NmeaDeviceParameters
+    latitude: float = parameter("of the site's origin", unit="°", ge=-89.0, le=89.0)
+    longitude: float = parameter("of the site's origin", unit="°", ge=-180.0, le=180.0)
+    altitude: float = parameter("of the site's origin above the ellipsoid", unit="m")
+    antenna_x: float = parameter("antenna ahead of base_link", unit="m")
+    antenna_y: float = parameter("antenna left of base_link", unit="m")
+    antenna_z: float = parameter("antenna above base_link", unit="m")
+    heading_offset: float = parameter("direction of the antenna pair in base_link", unit="rad")
+    heading_stddev: float = parameter("noise of the heading, white; 0: one antenna", unit="rad", ge=0.0)
+    fixed_stddev: float = parameter("error of a fixed solution, east and north", unit="m", gt=0.0)
+    float_stddev: float = parameter("error of a floating solution", unit="m", gt=0.0)
+    float_time: float = parameter("for which that error lasts", unit="s", gt=0.0)
+
+
+class _GaussMarkov:
+    """Two components of a first-order Gauss–Markov process, asked at rising times."""
+
+    def __init__(self, stddev: float, time: float) -> None:
+        self._stddev, self._time = stddev, time
+        self._value: FloatArray | None = None
+        self._at = 0.0
+
+    def at(self, t: float, normal: FloatArray) -> FloatArray:
+        """(2,) m; ``normal`` (2,) drives it."""
+        kept = 0.0 if self._value is None else math.exp(-abs(t - self._at) / self._time)
+        before = np.zeros(2) if self._value is None else self._value
+        self._value = kept * before + math.sqrt(1.0 - kept * kept) * self._stddev * normal
+        self._at = t
+        return self._value
+
+
+class GnssModel:
+    """Measurements of a drive; an epoch after the other.
+
+    Args:
+        p: places and errors.
+        pose_at: true x, y, yaw at a stamp.
+        faults: what is wrong with the receiver, and when.
+        seed: of its errors.
+    """
+
+    def __init__(
+        self,
+        p: GnssParameters,
+        pose_at: Callable[[int], tuple[float, float, float]],
+        faults: Faults,
+        seed: int,
+    ) -> None:
+        self._p = p
+        self._pose_at = pose_at
+        self._faults = faults
+        self._random = np.random.default_rng(seed)
+        self._lasting = {
+            FIXED: _GaussMarkov(p.fixed_stddev * math.sqrt(_FIXED_SPREAD), _FIXED_TIME),
+            FLOAT: _GaussMarkov(p.float_stddev, p.float_time),
+            SINGLE: _GaussMarkov(_CODE_STDDEV, _CODE_TIME),
+        }
+        self._stddevs = {FIXED: p.fixed_stddev, FLOAT: p.float_stddev, SINGLE: _CODE_STDDEV}
+        self._held: tuple[float, float, float] | None = None
+
+    def measure(self, stamp_ns: int, best: int) -> Position:
+        """What the receiver finds, with ``best`` as the quality that it can have."""
+        p, quality = self._p, self._quality(best, stamp_ns)
+        east, north, up = self._error(stamp_ns, quality)
+        heading_error = p.heading_stddev * self._random.standard_normal()
+        if quality == 0:
+            return Position(stamp_ns)
+        x, y, yaw = self._pose(stamp_ns)
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        latitude, longitude, altitude = pymap3d.enu2geodetic(
+            x + cos * p.antenna_x - sin * p.antenna_y + east,
+            y + sin * p.antenna_x + cos * p.antenna_y + north,
+            p.antenna_z + up,
+            *(p.latitude, p.longitude, p.altitude),
+        )
+        at = Position(
+            stamp_ns,
+            float(latitude),
+            float(longitude),
+            float(altitude),
+            quality,
+            stddev=self._stddevs[quality],
+            up_stddev=2.0 * self._stddevs[quality],
+        )
+        if p.heading_stddev == 0.0:
+            return at
+        heading = heading_of_yaw(yaw + p.heading_offset + heading_error)
+        return at._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
+
+    def _error(self, stamp_ns: int, quality: int) -> tuple[float, float, float]:
+        """East, north, up, m; all processes go on, whichever of them shows."""
+        normal = self._random.standard_normal((len(self._lasting), 2))
+        t = stamp_ns / _NS_PER_S
+        errors = {q: process.at(t, n) for (q, process), n in zip(self._lasting.items(), normal, strict=True)}
+        white = self._random.standard_normal(3)
+        east, north = errors.get(quality, np.zeros(2))
+        spread = self._p.fixed_stddev * math.sqrt(1.0 - _FIXED_SPREAD)
+        step = self._faults.at(f.GNSS, f.MULTIPATH, stamp_ns)
+        if step is not None:
+            east += step.value
+        up = 2.0 * self._stddevs.get(quality, 0.0) * white[2]
+        return float(east + spread * white[0]), float(north + spread * white[1]), float(up)
+
+    def _pose(self, stamp_ns: int) -> tuple[float, float, float]:
+        """True, or while stuck the one at its beginning."""
+        if self._faults.at(f.GNSS, f.STUCK, stamp_ns) is None:
+            self._held = None
+            return self._pose_at(stamp_ns)
+        self._held = self._held or self._pose_at(stamp_ns)
+        return self._held
+
+    def _quality(self, best: int, stamp_ns: int) -> int:
+        if self._faults.at(f.GNSS, f.NO_FIX, stamp_ns):
+            return 0
+        if best == SINGLE or self._faults.at(f.GNSS, f.CODE_ONLY, stamp_ns):
+            return SINGLE
+        return FLOAT if best == FLOAT or self._faults.at(f.GNSS, f.RTK_FLOAT, stamp_ns) else FIXED

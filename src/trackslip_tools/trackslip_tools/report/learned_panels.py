@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was learned of the machine: a table of how it ended, and plots of how it came."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from trackslip_estimation.slip.learned_text import NOT_OBSERVED, Finding, decimals
+from trackslip_tools.report.panel import BLUE, SIGMAS, Curve, Panel, colour_in, name_in, within
+from trackslip_tools.report.run import Run
+
+Row = tuple[str, ...]
+
+
+def learned_rows(run: Run) -> list[Row]:
+    """Quantity, value, interval of ±2σ, unit, in words; of what was not observed, the last alone."""
+    found = run.replay.learned[-1].findings if run.replay.learned else []
+    return [_row(finding) for finding in found]
+
+
+def learned_panels(runs: Sequence[Run]) -> list[Panel]:
+    """One for each quantity that some run has observed in the end."""
+    observed: dict[str, Finding] = {}
+    for run in runs:
+        last = run.replay.learned[-1].findings if run.replay.learned else []
+        observed |= {finding.name: finding for finding in last if finding.observed}
+    panels = []
+    for name, finding in observed.items():
+        curves = [curve for run in runs if (curve := _course(runs, run, name)) is not None]
+        form = finding.form
+        panels.append(Panel(form.label, f"{form.label}, {form.unit}", curves, limits=(_as_stated(finding),)))
+    return panels
+
+
+def _row(finding: Finding) -> Row:
+    form = finding.form
+    if not finding.observed:
+        return (form.label, "–", "–", form.unit, NOT_OBSERVED)
+    value, stddev = form.shown(finding.value), form.scale * finding.stddev
+    digits = decimals(stddev)
+    low, high = value - SIGMAS * stddev, value + SIGMAS * stddev
+    interval = f"{low:.{digits}f} … {high:.{digits}f}"
+    return (form.label, f"{value:.{digits}f}", interval, form.unit, finding.sentence)
+
+
+def _as_stated(finding: Finding) -> float:
+    """What is shown of a machine as its parameters have it."""
+    return 1.0 if "factor" in finding.name else 0.0
+
+
+def _course(runs: Sequence[Run], run: Run, name: str) -> Curve | None:
+    """A quantity over time."""
+    found = [
+        (known.stamp_ns, finding)
+        for known in run.replay.learned
+        for finding in known.findings
+        if finding.name == name
+    ]
+    if not found:
+        return None
+    form = found[0][1].form
+    values = np.array([form.shown(finding.value) for _, finding in found])
+    sigmas = np.array([form.scale * finding.stddev for _, finding in found])
+    times = run.recording.seconds(np.array([stamp_ns for stamp_ns, _ in found], np.int64))
+    label, colour = name_in(runs, run, "estimate"), colour_in(runs, run, BLUE)
+    return Curve(label, colour, times, values, band=within(values, sigmas))

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bus that falls silent and comes back: what turned meanwhile is neither invented nor lost."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from fixtures.excavator_bus import CYCLE_NS, FRAMES, PARAMETERS
+
+from trackslip_common.tally import Tally
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan
+from trackslip_drivers.records import HydraulicsSample, SprocketSample
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Sprockets
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_sim.devices.can_device import CanDevice
+
+S = 1_000_000_000
+START = {"start": "initial_pose"}
+OFF_S = 1.5
+
+
+def speeds(t):
+    """Left and right, rad/s: from a standstill to a turn, within the lag of a valve."""
+    rise = 1.0 - np.exp(-t / 0.15)
+    return 2.4 * rise, 1.1 * rise
+
+
+def turned(t):
+    return tuple(speed * (t - 0.15 * (1.0 - np.exp(-t / 0.15))) for speed in (2.4, 1.1))
+
+
+def sprockets(stamp_ns):
+    t = max(stamp_ns - S, 0) * 1e-9
+    return SprocketSample(stamp_ns, *turned(t), *speeds(t))
+
+
+def hydraulics(stamp_ns):
+    return HydraulicsSample(stamp_ns, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def received(silence_s, *, reopened=True, restarted=False):
+    """Samples of a drive of 3 s, on a bus that is off for so long in the middle of it."""
+    device, driver = CanDevice(FRAMES, sprockets, hydraulics, S), ExcavatorCan(PARAMETERS, FRAMES, Tally())
+    off_ns, samples, was_off = round((1.0 + OFF_S) * S), [], False
+    for now_ns in range(S, 4 * S + 1, CYCLE_NS):
+        sent = device.step(now_ns)
+        if off_ns <= now_ns < off_ns + silence_s * S:
+            was_off = True
+            continue
+        if was_off and reopened:
+            driver.resume()
+        if was_off and restarted:
+            device.start(now_ns)  # its counter begins anew
+            sent = device.step(now_ns)
+        was_off = False
+        for frame in sent:
+            samples += [one for one in driver.receive(*frame, now_ns) if isinstance(one, SprocketSample)]
+    return samples
+
+
+def heading(samples):
+    """Of the estimator, by the sprockets alone."""
+    estimator = SlipEstimator(load_slip_parameters(START, {}))
+    for s in samples:
+        estimate = estimator.process(Sprockets("sprockets", s.stamp_ns, s[3], s[4], (s[1], s[2])))[1] or None
+    assert estimate is not None
+    assert estimate.stamp_ns == 4 * S
+    return math.degrees(estimate.pose[2])
+
+
+@pytest.mark.parametrize("silence_s", [0.05, 0.2, 0.3, 0.4, 0.45])
+@pytest.mark.parametrize(
+    "how", [{}, {"reopened": False}, {"restarted": True}], ids=["reopened", "silent", "reset"]
+)
+def test_a_bus_off_of_300_ms_costs_no_heading(silence_s, how):
+    """It cost 13° of a drive of 3 s, as the positions began anew."""
+    whole, broken = received(0.0), received(silence_s, **how)
+    assert heading(broken) == pytest.approx(heading(whole), abs=0.15)
+    assert broken[-1][1:3] == pytest.approx(whole[-1][1:3], abs=2e-3)  # positions go on where they are
+    assert len(whole) - len(broken) <= silence_s * 100 + 1
+
+
+def test_a_long_silence_has_no_position_rather_than_a_wrong_one():
+    whole, broken = received(0.0), received(0.9)
+    known = [s for s in broken if not math.isnan(s.left_position)]
+    assert len(broken) - len(known) == 1
+    before = next(s for s in broken if math.isnan(s.left_position))
+    assert before.left_velocity == pytest.approx(2.4, abs=0.1)
+    for a, b in itertools.pairwise(known):
+        if a.stamp_ns < before.stamp_ns < b.stamp_ns:
+            continue  # nobody takes these two together: the one between has none
+        assert b.left_position - a.left_position == pytest.approx(
+            2.4 * (b.stamp_ns - a.stamp_ns) * 1e-9, abs=0.04
+        )
+    assert whole[-1].left_position != pytest.approx(broken[-1].left_position, abs=1.0)
+
+
+def test_the_estimator_copes_with_a_sample_without_positions():
+    whole = received(0.0)
+    at = next(k for k, s in enumerate(whole) if s.stamp_ns >= 2.8 * S)
+    offset = 0.7  # the count goes on from elsewhere
+    gap = [*whole[: at - 30], whole[at]._replace(left_position=math.nan, right_position=math.nan)]
+    after = [s._replace(left_position=s.left_position + offset) for s in whole[at + 1 :]]
+    assert heading(gap + after) == pytest.approx(heading(whole), abs=0.3)

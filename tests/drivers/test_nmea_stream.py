@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a receiver's bytes to positions and headings: which variances, which stamps."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.parameters import from_flat
+from trackslip_common.tally import Tally
+from trackslip_drivers.nmea_parameters import NmeaParameters
+from trackslip_drivers.protocols.nmea import LONGEST_LINE
+from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, pashr, rmc
+from trackslip_drivers.protocols.nmea_stream import NmeaStream
+from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample
+
+S = 1_000_000_000
+MS = 1_000_000
+DAY = 86_400 * S
+CONFIG = node_defaults("nmea_gnss", "nmea_gnss.yaml") | {
+    "serial_port": "socket://receiver:5017",
+    "latency": 0.02,
+}
+P = from_flat(NmeaParameters, CONFIG, "nmea_gnss")
+
+
+def at(time_ns, quality=4, stddev=0.01, heading=120.0):
+    return Position(time_ns, -33.9, 151.2, 60.0, quality, 0.6, stddev, 0.02, heading, 0.2)
+
+
+def stream(p=P, utc=None):
+    return NmeaStream(p, Tally(), utc)
+
+
+def told(parser, epochs, encoders, late=lambda k: 20 * MS, first=0, start_ns=5 * S):
+    """Samples of epochs that a receiver tells of; its clock shows ``epochs[k]`` at k · 0.1 s of ours."""
+    samples = []
+    for k, time_ns in enumerate(epochs, first):
+        burst = b"".join(encode(at(time_ns)) for encode in encoders)
+        samples += parser.feed(burst, start_ns + k * S // 10 + late(k))
+    return samples + parser.flush()
+
+
+def errors_ms(samples, start_ns=5 * S):
+    """Of stamps, against the true epochs."""
+    stamps = [s.stamp_ns for s in samples if isinstance(s, FixSample)]
+    return [(stamp - start_ns - k * S // 10) / MS for k, stamp in enumerate(stamps)]
+
+
+EPOCHS = [3600 * S + k * S // 10 for k in range(50)]
+
+
+@pytest.mark.parametrize("encoders", [(gga, gst), (gst, gga), (rmc, gga, gst), (gst, rmc, gga)])
+def test_variances_are_those_of_the_gst_of_the_same_epoch(encoders):
+    parser = stream()
+    samples = told(parser, EPOCHS[:1], encoders)  # before it is known that a GST follows
+    for k in range(1, 10):
+        burst = b"".join(encode(at(EPOCHS[k], stddev=0.01 * k)) for encode in encoders)
+        samples += parser.feed(burst, 5 * S + k * S // 10)
+    assert [s.variances[0] for s in samples[1:]] == pytest.approx([(0.01 * k) ** 2 for k in range(1, 10)])
+    assert {s.covariance_type for s in samples[1:]} == {CovarianceType.DIAGONAL_KNOWN}
+    assert not parser.tally.total
+
+
+def test_variances_are_by_hdop_where_there_is_no_gst():
+    (sample,) = stream().feed(gga(at(0, quality=1)), S)
+    variance = (0.6 * P.range_errors.single) ** 2 / 2
+    assert sample.variances == pytest.approx((variance, variance, 4 * variance))
+    assert sample.covariance_type is CovarianceType.APPROXIMATED
+    (fixed,) = stream().feed(gga(at(0, quality=4)), S)
+    assert fixed.variances[0] == pytest.approx((0.6 * P.range_errors.rtk_fixed) ** 2 / 2)
+
+
+def test_variances_are_unknown_without_hdop():
+    nothing = gga(at(0)).replace(b",0.6,", b",,").partition(b"*")[0][1:].decode()
+    from trackslip_drivers.protocols.nmea_sentences import sentence
+
+    (sample,) = stream().feed(sentence(nothing), S)
+    assert (sample.covariance_type, sample.variances) == (CovarianceType.UNKNOWN, (0.0, 0.0, 0.0))
+
+
+def test_gst_of_another_quality_is_not_used():
+    parser = stream()
+    told(parser, EPOCHS[:5], (gga, gst))
+    samples = parser.feed(gga(at(EPOCHS[5], quality=5)), 6 * S) + parser.flush()
+    assert samples[0].covariance_type is CovarianceType.APPROXIMATED
+
+
+def test_gst_once_a_second_serves_all_fixes_of_that_second():
+    parser, samples = stream(), []
+    for k, time_ns in enumerate(EPOCHS):
+        burst = gga(at(time_ns)) + (gst(at(time_ns)) if k % 10 == 0 else b"")
+        samples += parser.feed(burst, 5 * S + k * S // 10)
+    assert len(samples) >= len(EPOCHS) - 1
+    assert {s.covariance_type for s in samples[2:]} == {CovarianceType.DIAGONAL_KNOWN}
+
+
+def test_heading_has_the_epoch_of_its_burst_and_its_own_accuracy_or_the_assumed_one():
+    for encoders, stddev in (((gga, hdt), P.heading_stddev), ((pashr, gga), math.radians(0.2))):
+        samples = told(stream(), EPOCHS[:3], encoders)
+        fixes, headings = ([s for s in samples if isinstance(s, kind)] for kind in (FixSample, HeadingSample))
+        assert [s.stamp_ns for s in fixes] == [s.stamp_ns for s in headings]
+        assert headings[0].yaw == pytest.approx(math.radians(90.0 - 120.0))
+        assert headings[0].stddev == pytest.approx(stddev)
+
+
+def test_stamp_is_the_epoch_whatever_the_delay():
+    random = np.random.default_rng(1)
+    delays = 20 * MS + random.exponential(15 * MS, 500).astype(int)
+    delays[0] = 20 * MS
+    epochs = [7 * S + k * S // 10 for k in range(500)]
+    errors = errors_ms(told(stream(), epochs, (gga, gst), lambda k: int(delays[k])))
+    assert len(errors) == 500
+    assert max(map(abs, errors)) < 1.0
+
+
+def test_day_ends_without_a_jump():
+    epochs = [(DAY - 2 * S + k * S // 10) % DAY for k in range(50)]
+    assert max(map(abs, errors_ms(told(stream(), epochs, (gga, gst))))) < 0.1
+
+
+@pytest.mark.parametrize("step", [-18 * S, -S, S, 18 * S, 3600 * S])
+def test_leap_seconds_learned_late_move_no_stamp(step):
+    epochs = [t if k < 25 else (t + step) % DAY for k, t in enumerate(EPOCHS)]
+    assert max(map(abs, errors_ms(told(stream(), epochs, (gga, gst))))) < 0.1
+
+
+def test_leap_second_at_one_fix_a_second():
+    parser, samples = stream(), []
+    for k in range(20):
+        time_ns = (k if k < 10 else k - 1) * S
+        samples += parser.feed(gga(at(time_ns)) + gst(at(time_ns)), (k + 5) * S + 20 * MS)
+    samples += parser.flush()
+    assert [s.stamp_ns for s in samples] == [(k + 5) * S for k in range(20)]
+
+
+def test_clock_that_is_not_set_gives_arrivals():
+    samples = told(stream(), [None] * 5, (gga,))
+    assert errors_ms(samples) == pytest.approx([0.0] * 5)
+
+
+def test_backlog_keeps_its_times():
+    """The line holds everything back for 1.2 s; it was measured when it was."""
+    late = {k: (52 - k) * S // 10 for k in range(40, 52)}
+    epochs = [7 * S + k * S // 10 for k in range(100)]
+    errors = errors_ms(told(stream(), epochs, (gga, gst), lambda k: late.get(k, 20 * MS)))
+    assert len(errors) == 100
+    assert max(map(abs, errors)) < 1.0
+
+
+def test_slower_line_is_believed_after_a_while():
+    epochs = [7 * S + k * S // 10 for k in range(1000)]
+    errors = errors_ms(told(stream(), epochs, (gga, gst), lambda k: (20 if k < 100 else 45) * MS))
+    assert errors[99] == pytest.approx(0.0, abs=0.1)
+    assert errors[-1] == pytest.approx(25.0, abs=5.0)
+
+
+def test_host_on_utc_takes_the_receiver_s_time():
+    parser = stream(utc=lambda steady_ns: steady_ns - 5 * S + 3600 * S)
+    samples = told(parser, EPOCHS, (gga, gst), lambda k: (20 + 30 * (k % 3)) * MS)
+    assert errors_ms(samples) == pytest.approx([0.0] * 50, abs=1e-3)
+    assert not parser.tally.total
+    wrong = stream(utc=lambda steady_ns: steady_ns + 1000 * S)
+    assert errors_ms(told(wrong, EPOCHS, (gga, gst))) == pytest.approx([0.0] * 50, abs=0.1)
+    assert wrong.tally.by_source() == {"receiver's clock": {"not the host's UTC: latency assumed": 100}}
+
+
+def test_transfer_over_a_slow_line_is_not_latency():
+    p = from_flat(NmeaParameters, CONFIG | {"serial_port": "/dev/ttyS0", "serial_baud": 9600}, "nmea_gnss")
+    parser, burst = stream(p), gga(at(S)) + gst(at(S))
+    begun_ns = 7 * S
+    samples = parser.feed(burst, begun_ns + len(burst) * 10 * S // 9600)
+    assert samples[0].stamp_ns == pytest.approx(begun_ns - 20 * MS, abs=MS)
+
+
+def test_rejections_are_counted_and_other_sentences_are_not():
+    parser = stream()
+    parser.feed(b"$GPGSV,3,1*4B\r\n" + gga(at(0, quality=6)) + b"noise\r\n" + b"x" * 2000 + b"\n", S)
+    assert parser.tally.by_source()["fix"] == {"dead reckoning": 1, "no line end": 1, "no sentence": 1}
+    assert parser.others == 1
+
+
+@given(st.lists(st.binary(max_size=700), max_size=8), st.integers(0, 2**62))
+def test_any_bytes_are_survived_in_bounded_memory_and_the_next_fix_is_read(chunks, arrival_ns):
+    parser = stream()
+    for chunk in chunks:
+        parser.feed(chunk, arrival_ns)
+        assert parser.bytes_held <= LONGEST_LINE
+    samples = parser.feed(b"\n" + gga(at(S)) + gst(at(S)), arrival_ns + S)
+    assert any(isinstance(s, FixSample) for s in samples)
+
+
+@given(st.integers(1, 40))
+def test_cuts_between_reads_change_nothing(size):
+    whole = b"".join(encode(at(t)) for t in EPOCHS[:3] for encode in (gga, gst, rmc, pashr))
+    parser, other = stream(), stream()
+    cut = [s for k in range(0, len(whole), size) for s in parser.feed(whole[k : k + size], S)]
+    assert cut == other.feed(whole, S)

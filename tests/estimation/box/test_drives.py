@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixes are as wrong as they say on drives that leave the laser's sight and come back, by beams."""
+
+import numpy as np
+import pytest
+from fixtures.box_drives import scored_drive
+
+CLASSES = {"few": (0, 6), "some": (6, 12), "many": (12, 400)}
+LEAST = 100  # fixes for a mean to mean something
+
+
+@pytest.fixture(scope="module")
+def fixes():
+    """Some 4000, from four headings; half of the drives stay in sight, and keep their heading."""
+    kinds = ({"farthest": 36.0, "hides": True}, {"farthest": 26.0, "hides": False})
+    drives = [scored_drive(seed, 110.0, seed % 4 * np.pi / 2.0, **kinds[seed // 4]) for seed in range(8)]
+    return [fix for found, _ in drives for fix in found]
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_errors_of_place_and_heading_are_what_is_claimed(fixes, name):
+    low, high = CLASSES[name]
+    seen = [fix for fix in fixes if low <= fix.beams < high]
+    headings = [fix.heading for fix in seen if fix.claims_heading]
+    assert len(headings) > LEAST
+    assert 0.7 < np.mean([fix.position for fix in seen]) / 2.0 < 1.5
+    assert 0.7 < np.mean(headings) < 1.5
+
+
+def test_no_heading_is_claimed_that_is_a_quarter_turn_off(fixes):
+    claimed = [fix for fix in fixes if fix.claims_heading]
+    assert max(fix.heading for fix in claimed) < 4.0**2
+    assert max(abs(fix.error[2]) for fix in claimed) < 0.5

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Four headings a quarter turn apart, weighted."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_estimation.box.quarters import (
+    CERTAIN,
+    NEGLIGIBLE,
+    Headings,
+    Mode,
+    SideEvidence,
+    mixed,
+    prior,
+    sides_are_known,
+)
+
+QUARTERS = np.pi / 2.0 * np.arange(4)
+NARROW = np.diag([0.01, 0.01, 0.03]) ** 2
+
+
+def modes(log_odds=0.0, covariance=NARROW):
+    """Modes about heading 0; the odd ones, shifted by 5 cm, have this log evidence against the others."""
+    return [
+        Mode(np.array([0.05 * (k % 2), 0.0, QUARTERS[k]]), covariance, log_odds * (k % 2)) for k in range(4)
+    ]
+
+
+def listened(headings, log_odds, scans, *, moved=0.0, stddev=0.05):
+    """What is remembered after scans, each ``moved`` (m) from the one before."""
+    weights = None
+    for k in range(scans):
+        given_modes = modes(log_odds)
+        for mode in given_modes:
+            mode.pose[0] += k * moved
+        heard, weights, headings = headings.after(given_modes, 0.0, stddev**2, step=0.1)
+        if abs(heard[0].pose[2]) > 0.1:
+            return heard, weights, headings
+    return heard, weights, headings
+
+
+def test_heading_predicted_well_leaves_no_doubt():
+    assert prior(QUARTERS, np.full(4, 0.1**2), CERTAIN) == pytest.approx(CERTAIN, abs=1e-6)
+    assert sides_are_known(0.3, 0.1**2, CERTAIN)
+    assert not sides_are_known(0.3, 0.5**2, CERTAIN)
+
+
+def test_heading_predicted_by_nothing_is_any_of_four():
+    assert prior(QUARTERS, np.full(4, 9.0**2), CERTAIN) == pytest.approx(0.25, abs=0.05)
+
+
+@given(st.floats(-np.pi, np.pi), st.floats(0.02, 3.0), st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4))
+def test_prior_is_a_probability_and_turns_with_the_hypotheses(turned, spread, raw):
+    weights = np.array(raw) + 1e-3
+    weights /= weights.sum()
+    variance = np.full(4, spread**2)
+    probabilities = prior(turned + QUARTERS, variance, weights)
+    assert probabilities.sum() == pytest.approx(1.0)
+    again = prior(turned + QUARTERS, variance, np.roll(weights, 1))
+    assert again == pytest.approx(np.roll(probabilities, 1), abs=1e-3)
+
+
+OPEN = Headings(np.array([0.5, 0.2, 0.2, 0.1]), SideEvidence())
+
+
+@pytest.mark.parametrize("scans", [1, 5])
+def test_sides_are_not_settled_within_a_second_however_sure_the_scans_are(scans):
+    _, weights, headings = listened(OPEN, -50.0, scans, moved=0.2)
+    assert headings.weights[1] > 0.1
+    assert weights[1] > NEGLIGIBLE
+
+
+def test_many_scans_settle_the_sides_and_leave_half_a_turn_open():
+    _, weights, headings = listened(OPEN, -3.0, 15, moved=0.2)
+    assert headings.weights == pytest.approx([5.0 / 7.0, 0.0, 2.0 / 7.0, 0.0], abs=1e-6)
+    assert weights == pytest.approx(headings.weights)
+
+
+def test_sides_expected_wrongly_are_turned_over():
+    heard, _, headings = listened(OPEN, 3.0, 15, moved=0.2)
+    assert abs(np.sin(heard[0].pose[2])) == pytest.approx(1.0)
+    assert headings.evidence.log_odds < 0.0
+
+
+def test_scans_from_one_place_were_counted_as_new_evidence_each():
+    """The same beams hit and miss in each: 100 scans that say 1 : 2 say no more than one."""
+    assert listened(OPEN, -0.7, 100)[2].evidence.log_odds == pytest.approx(-0.7)
+    assert SideEvidence().after(0.5, np.zeros(3), 0.1).turned().log_odds == -0.5
+
+
+def test_absence_forgets_the_evidence():
+    heard = listened(OPEN, -0.7, 5, moved=0.2)[2]
+    _, _, lost = heard.after(modes(), 0.0, 1.0, step=0.1)
+    assert lost.evidence.log_odds == 0.0
+
+
+def test_mixture_holds_each_place_and_heading():
+    pose, covariance = mixed(modes(), np.full(4, 0.25))
+    assert pose == pytest.approx([0.025, 0.0, 0.0])
+    assert covariance[0, 0] == pytest.approx(0.01**2 + 0.025**2)
+    assert covariance[2, 2] >= (np.pi / 2.0) ** 2
+    _, sides = mixed(modes(), np.array([0.999, 0.001, 0.0, 0.0]))
+    assert sides[2, 2] == pytest.approx((np.pi / 4.0) ** 2, rel=0.01)
+    assert mixed(modes(), CERTAIN)[1] == pytest.approx(NARROW)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixes on the map: metres that are right anywhere on earth, and each reason to refuse one."""
+
+import math
+
+import numpy as np
+import pymap3d
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import from_flat
+from trackslip_estimation.gnss.localizer import Datum, Fix, GnssLocalizer, Place, Reason
+from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
+
+DATUM = {"datum_latitude": -33.889, "datum_longitude": 151.193, "datum_altitude": 60.0}
+KNOWN = np.diag((0.01**2, 0.02**2))
+
+
+def localizer(**given):
+    return GnssLocalizer(
+        from_flat(GnssLocalizerParameters, node_defaults(NODE, f"{NODE}.yaml") | given, NODE)
+    )
+
+
+def fix(latitude=-33.889, longitude=151.193, altitude=60.0, status=2, covariance=KNOWN, kind=2):
+    return Fix(17, latitude, longitude, altitude, status, np.asarray(covariance, dtype=float), kind)
+
+
+@given(
+    st.floats(-88.0, 88.0),
+    st.floats(-180.0, 180.0),
+    st.floats(-50.0, 4000.0),
+    st.tuples(st.floats(-3000.0, 3000.0), st.floats(-3000.0, 3000.0)),
+)
+def test_place_is_metres_east_and_north(latitude, longitude, altitude, at):
+    if latitude == longitude == 0.0:
+        return
+    there = pymap3d.enu2geodetic(*at, 0.0, latitude, longitude, altitude)
+    which = localizer(datum_latitude=latitude, datum_longitude=longitude, datum_altitude=altitude)
+    place = which.locate(fix(*map(float, there)))
+    assert isinstance(place, Place)
+    assert (place.east, place.north) == pytest.approx(at, abs=1e-5)
+    np.testing.assert_array_equal(place.covariance, KNOWN)
+
+
+def test_unknown_altitude_is_that_of_the_datum():
+    place = localizer(**DATUM).locate(fix(-33.888, 151.194, math.nan))
+    assert isinstance(place, Place)
+    same = localizer(**DATUM).locate(fix(-33.888, 151.194, 60.0))
+    assert (place.east, place.north) == pytest.approx((same.east, same.north), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"status": -1}, Reason.NO_FIX),
+        ({"latitude": math.nan}, Reason.NOT_A_NUMBER),
+        ({"longitude": math.inf}, Reason.NOT_A_NUMBER),
+        ({"altitude": -math.inf}, Reason.NOT_A_NUMBER),
+        ({"latitude": 0.0, "longitude": 0.0}, Reason.ZERO),
+        ({"latitude": -91.0}, Reason.OUT_OF_RANGE),
+        ({"longitude": 200.0}, Reason.OUT_OF_RANGE),
+        ({"covariance": np.full((2, 2), math.nan)}, Reason.BAD_COVARIANCE),
+        ({"covariance": np.diag((-1.0, 1.0))}, Reason.BAD_COVARIANCE),
+        ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, Reason.BAD_COVARIANCE),
+        ({"covariance": np.diag((500.0, 1.0))}, Reason.UNCERTAIN),
+        ({"latitude": 33.889}, Reason.HEMISPHERE),
+        ({"longitude": -151.193}, Reason.HEMISPHERE),
+        ({"longitude": -28.807, "latitude": 33.889}, Reason.HEMISPHERE),  # the other side of the earth
+        ({"latitude": -35.0}, Reason.FAR),
+    ],
+)
+def test_fix_is_refused_by_name(given, reason):
+    which = localizer(**DATUM)
+    assert which.locate(fix(**given)) is reason
+    assert which.tally.by_source() == {"fix": {reason.value: 1}}
+    assert isinstance(which.locate(fix()), Place)
+
+
+def test_equator_and_date_line_divide_nothing():
+    for datum, there in (((0.0001, 30.0), (-0.0001, 30.0)), ((-17.0, 179.9999), (-17.0, -179.9999))):
+        which = localizer(datum_latitude=datum[0], datum_longitude=datum[1], datum_altitude=60.0)
+        place = which.locate(fix(*there))
+        assert isinstance(place, Place)
+        assert math.hypot(place.east, place.north) < 30.0
+
+
+@pytest.mark.parametrize("status", [0, 1, 2, 3])
+@pytest.mark.parametrize("zeros", [False, True])
+def test_unknown_covariance_is_assumed_by_status(status, zeros):
+    kind, covariance = (2, np.zeros((2, 2))) if zeros else (0, np.full((2, 2), 7.0))
+    place = localizer(**DATUM).locate(fix(status=status, covariance=covariance, kind=kind))
+    assert isinstance(place, Place)
+    assert place.covariance[0, 0] == (3.0**2, 1.0**2, 0.3**2, 0.3**2)[status]
+
+
+def test_datum_is_the_first_of_the_fixes_that_agree():
+    which = localizer(datum_fixes=3)
+    assert which.locate(fix(10.0, 10.0)) is Reason.NO_DATUM  # a wrong one at the start
+    assert which.locate(fix(-33.8890, 151.193)) is Reason.NO_DATUM
+    assert which.locate(fix(status=-1)) is Reason.NO_FIX
+    assert which.locate(fix(-33.8891, 151.193)) is Reason.NO_DATUM
+    place = which.locate(fix(-33.8892, 151.193))
+    assert which.datum == Datum(-33.8890, 151.193, 60.0)
+    assert isinstance(place, Place)
+    assert (place.east, place.north) == pytest.approx((0.0, -22.18), abs=0.01)
+    assert which.locate(fix(10.0, 10.0)) is Reason.HEMISPHERE
+
+
+def test_datum_at_a_pole_is_refused():
+    with pytest.raises(
+        InputError, match=r"datum_latitude: 89\.5 is out of range; accepted: >= -89 and <= 89"
+    ):
+        localizer(datum_latitude=89.5)
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(
+    numbers,
+    numbers,
+    numbers,
+    st.integers(-128, 127),
+    st.lists(numbers, min_size=4, max_size=4),
+    st.integers(0, 255),
+)
+def test_any_fix_gives_a_place_or_a_reason(latitude, longitude, altitude, status, covariance, kind):
+    which = localizer(**DATUM)
+    found = which.locate(fix(latitude, longitude, altitude, status, np.reshape(covariance, (2, 2)), kind))
+    if isinstance(found, Place):
+        assert math.hypot(found.east, found.north) <= 1e5
+        assert np.linalg.eigvalsh(found.covariance).min() > 0.0
+    else:
+        assert which.tally.total.total() == 1

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Headings as a source of their own: at the start, in the gate, in any order; and fixes whose errors last."""
+
+import math
+import random
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, Recording, drive, parameters
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.errors import InputError
+from trackslip_common.make import header
+from trackslip_common.nodes.messages import make
+from trackslip_estimation.slip.adaptation import repeats
+from trackslip_estimation.slip.conversions import heading_fix
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import (
+    FREEZE,
+    Command,
+    HeadingFix,
+    Measurement,
+    Outcome,
+    PoseFix,
+)
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+
+S = 1_000_000_000
+OFFSET, STDDEV = 0.7, 0.004
+LEVER = (-1.2, 0.6)
+SOURCE = "heading"
+
+
+def with_headings(**changed: object) -> SlipEstimatorParameters:
+    values = {
+        "heading_sources": [SOURCE],
+        "sources.heading.offset": OFFSET,
+        "sources.heading.stamp_error": 0.0,
+        "sources.box_pose.lever_arm_x": LEVER[0],
+        "sources.box_pose.lever_arm_y": LEVER[1],
+    }
+    return parameters(**{**values, **changed})
+
+
+def seen(machine: Machine, angle: float = 0.0, hertz: int = 10) -> tuple[Recording, list[Measurement]]:
+    """A drive in a site frame that is turned: fixes of an antenna on its lever, and headings as mounted."""
+    recorded, noise = drive(machine), np.random.default_rng(machine.seed + 100)
+    cos, sin = math.cos(angle), math.sin(angle)
+    turn = np.array(((cos, -sin), (sin, cos)))
+    poses = np.column_stack((recorded.poses[:, :2] @ turn.T, recorded.poses[:, 2] + angle))
+    stamps = (S + np.round(recorded.t * S)).astype(np.int64)
+    measurements: list[Measurement] = []
+    for m in recorded.measurements:
+        if isinstance(m, PoseFix):
+            x, y, yaw = poses[np.searchsorted(stamps, m.stamp_ns)]
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            error = turn @ (m.pose[:2] - recorded.poses[np.searchsorted(stamps, m.stamp_ns), :2])
+            at = (x + cos * LEVER[0] - sin * LEVER[1], y + sin * LEVER[0] + cos * LEVER[1])
+            measurements.append(PoseFix(m.source, m.stamp_ns, np.array((*(at + error), 0.0)), m.covariance))
+        else:
+            measurements.append(m)
+    for k in range(0, len(stamps), 20 // hertz):
+        shown = math.remainder(poses[k, 2] + OFFSET + STDDEV * noise.standard_normal(), math.tau)
+        measurements.append(HeadingFix(SOURCE, int(stamps[k]), shown, STDDEV**2))
+    measurements.sort(key=lambda m: m.stamp_ns)
+    return Recording(measurements, recorded.t, poses), measurements
+
+
+def run(measurements: list[Measurement], p: SlipEstimatorParameters) -> tuple[np.ndarray, np.ndarray, dict]:
+    """Published poses (k, 4) with their time in s first, covariances, outcomes of the headings by stamp."""
+    steps = SlipEstimator(p).process_all(measurements)
+    published = [e for _, e in steps if e is not None]
+    poses = np.array([(e.stamp_ns / S - 1.0, *e.pose) for e in published])
+    outcomes = {r.stamp_ns: r.outcome for r, _ in steps if r.source == SOURCE}
+    return poses, np.array([e.pose_covariance for e in published]), outcomes
+
+
+def errors(poses: np.ndarray, truth: Recording) -> np.ndarray:
+    """(k, 3) x, y, heading."""
+    found = [poses[:, k + 1] - np.interp(poses[:, 0], truth.t, truth.poses[:, k]) for k in range(3)]
+    found[2] = np.angle(np.exp(1j * found[2]))
+    return np.column_stack(found)
+
+
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+@pytest.mark.parametrize("angle", [0.0, 2.0, math.pi])
+def test_start_heading_is_what_the_source_says(angle: float, filter_: str) -> None:
+    truth, measurements = seen(Machine(duration=20.0, seed=2), angle)
+    poses, covariances, outcomes = run(measurements, with_headings(filter=filter_))
+    found = errors(poses, truth)
+    early = poses[:, 0] > 0.5  # still at rest
+    assert np.abs(found[early, 2]).max() < 0.015
+    assert np.hypot(found[early, 0], found[early, 1]).max() < 0.12
+    assert Outcome.GATED not in list(outcomes.values())[3:]
+    nees = [e @ np.linalg.solve(P, e) for e, P in zip(found[early], covariances[early], strict=True)]
+    assert np.mean(nees) < 6.0
+
+
+def test_heading_is_better_with_the_source_than_without() -> None:
+    machine = Machine(duration=60.0, gyro_scale=1.03, track_error=0.03)
+    truth, measurements = seen(machine)
+    with_source = errors(run(measurements, with_headings())[0], truth)
+    fixes_only = [m for m in measurements if not isinstance(m, HeadingFix)]
+    lever = {f"sources.box_pose.lever_arm_{axis}": LEVER[k] for k, axis in enumerate("xy")}
+    without = errors(run(fixes_only, parameters(**lever))[0], truth)
+    late = slice(200, None)
+    assert np.std(with_source[late, 2]) < 0.004
+    assert np.std(with_source[late, 2]) < 0.5 * np.std(without[late, 2])
+
+
+def test_spike_is_refused_and_what_insists_is_believed() -> None:
+    truth, measurements = seen(Machine(duration=60.0, seed=3))
+    headings = [k for k, m in enumerate(measurements) if isinstance(m, HeadingFix)]
+    spoilt = [*measurements]
+    m = spoilt[headings[150]]
+    assert isinstance(m, HeadingFix)
+    spoilt[headings[150]] = HeadingFix(SOURCE, m.stamp_ns, m.heading + 0.3, m.variance)
+    poses, _, outcomes = run(spoilt, with_headings())
+    assert [stamp for stamp, outcome in outcomes.items() if outcome is Outcome.GATED] == [m.stamp_ns]
+    assert np.abs(errors(poses, truth)[200:, 2]).max() < 0.02
+
+    turned = [
+        HeadingFix(SOURCE, m.stamp_ns, math.remainder(m.heading + 0.3, math.tau), m.variance)
+        if isinstance(m, HeadingFix) and m.stamp_ns > 11 * S
+        else m
+        for m in measurements
+        if not (isinstance(m, PoseFix) and m.stamp_ns > 11 * S)  # which would say otherwise
+    ]
+    poses, _, outcomes = run(turned, with_headings(**{"sources.heading.timeout": 2.0}))
+    off = errors(poses, truth)[:, 2]
+    assert np.abs(off[poses[:, 0] < 12.0]).max() < 0.02
+    assert off[-1] == pytest.approx(0.3, abs=0.02)
+    refused = [stamp for stamp, outcome in outcomes.items() if outcome is Outcome.GATED]
+    assert 2.0 < (refused[-1] - refused[0]) / S < 20.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_order_of_arrival_does_not_matter(seed: int) -> None:
+    _, measurements = seen(Machine(duration=15.0, seed=seed), 1.0)
+    late = random.Random(seed)
+    arrivals = sorted(measurements, key=lambda m: m.stamp_ns + late.uniform(0.0, 0.8) * S)
+    p = with_headings()
+    in_order, shuffled = SlipEstimator(p), SlipEstimator(p)
+    in_order.process_all(measurements)
+    shuffled.process_all(arrivals)
+    first, second = in_order.estimate(), shuffled.estimate()
+    if in_order.window.measurements[0]["stamp_ns"] == shuffled.window.measurements[0]["stamp_ns"]:
+        np.testing.assert_array_equal(first.pose, second.pose)
+        np.testing.assert_array_equal(first.pose_covariance, second.pose_covariance)
+
+
+def test_frozen_estimate_takes_no_headings() -> None:
+    _, measurements = seen(Machine(duration=5.0))
+    estimator = SlipEstimator(with_headings())
+    estimator.process_all(measurements[:-20])
+    estimator.apply_command(Command(FREEZE))
+    steps = estimator.process_all(measurements[-20:])
+    outcomes = {r.outcome for r, _ in steps if r.source == SOURCE}
+    assert outcomes == {Outcome.FROZEN}
+
+
+@pytest.mark.parametrize(
+    "bad", [(math.nan, 1e-4), (math.inf, 1e-4), (0.1, 0.0), (0.1, -1.0), (0.1, math.nan)]
+)
+def test_what_is_no_heading_is_invalid(bad: tuple[float, float]) -> None:
+    _, measurements = seen(Machine(duration=3.0))
+    estimator = SlipEstimator(with_headings())
+    estimator.process_all(measurements)
+    step = estimator.process(HeadingFix(SOURCE, measurements[-1].stamp_ns + 1, *bad))
+    assert step[0].outcome is Outcome.INVALID
+
+
+def quaternion(yaw: float) -> object:
+    return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, -3.0])
+def test_messages_of_both_kinds(yaw: float) -> None:
+    stamped = {"header": header(make, 5 * S, "antenna")}
+    plain = make("geometry_msgs/msg/QuaternionStamped", **stamped, quaternion=quaternion(yaw))
+    found = heading_fix(plain, SOURCE, 1e-4)
+    assert (found.stamp_ns, found.heading, found.variance) == (5 * S, pytest.approx(yaw), 1e-4)
+    for first, stated, expected in ((0.0, 0.0, 1e-4), (1e6, 4e-6, 4e-6), (-1.0, 0.0, 1e-4)):
+        covariance = np.diag((first, first, stated)).ravel()
+        covariance[0] = first
+        imu = make(
+            "sensor_msgs/msg/Imu", **stamped, orientation=quaternion(yaw), orientation_covariance=covariance
+        )
+        found = heading_fix(imu, SOURCE, 1e-4)
+        assert found.variance == expected
+        assert math.isnan(found.heading) == (first == -1.0)
+        assert first == -1.0 or found.heading == pytest.approx(yaw)
+
+
+def test_source_of_an_unknown_kind_of_message_is_refused() -> None:
+    with pytest.raises(InputError, match=r"message: .pose. is out of range; accepted: one of imu, quat"):
+        with_headings(**{"sources.heading.message": "pose"})
+
+
+@given(st.floats(0.001, 100.0), st.floats(0.001, 100.0))
+def test_lasting_errors_count_as_their_mean_varies(elapsed: float, time: float) -> None:
+    """The variance of a mean of many readings of a first-order process, over that of as many white ones."""
+    rho = math.exp(-elapsed / time)
+    if rho < 1.0 - 1e-9:
+        assert repeats(round(elapsed * S), time) == pytest.approx((1.0 + rho) / (1.0 - rho), rel=1e-6)
+    assert repeats(round(elapsed * S), 0.0) == 1.0
+
+
+def test_fixes_whose_errors_last_leave_the_estimate_consistent() -> None:
+    """Ten a second with errors of 5 s: taken for white, they would seem to tell ten times as much."""
+    nees = {0.0: [], 5.0: []}
+    for seed in range(3):
+        recorded, noise = drive(Machine(duration=60.0, seed=seed)), np.random.default_rng(seed)
+        kept, error, measurements = math.exp(-0.1 / 5.0), 0.02 * noise.standard_normal(2), []
+        for k in range(0, len(recorded.t), 2):
+            error = kept * error + math.sqrt(1.0 - kept**2) * 0.02 * noise.standard_normal(2)
+            at = np.append(recorded.poses[k, :2] + error, 0.0)
+            stamp_ns = S + round(recorded.t[k] * S)
+            measurements.append(PoseFix("box_pose", stamp_ns, at, np.diag((0.02**2, 0.02**2, 100.0))))
+        others = [m for m in recorded.measurements if not isinstance(m, PoseFix)]
+        given_ = sorted([*others, *measurements], key=lambda m: m.stamp_ns)
+        for time, found in nees.items():
+            poses, covariances, _ = run(given_, parameters(**{"sources.box_pose.correlation_time": time}))
+            off = errors(poses, recorded)[:, :2]
+            found += [
+                e @ np.linalg.solve(P[:2, :2], e) for e, P in zip(off[100:], covariances[100:], strict=True)
+            ]
+    assert np.mean(nees[0.0]) > 5.0
+    assert 0.5 < np.mean(nees[5.0]) < 3.5  # 2 if consistent

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was learned: taken from a state, aged, started from again, and said in words."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, drive, parameters
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned import Learned, Meaning, aged, from_tree, meaning, to_tree
+from trackslip_estimation.slip.learned_text import NOT_OBSERVED, Finding, findings, summary_lines
+from trackslip_estimation.slip.measurements import FORGET, RESET, Command, Measurement, PoseFix
+from trackslip_estimation.slip.models.model import GYRO_SCALE
+
+P = parameters()
+OF = meaning(P)
+HOUR, MONTH = 3600.0, 30 * 86400.0
+
+
+@pytest.fixture(scope="module")
+def driven() -> list[Measurement]:
+    return drive(Machine(gyro_scale=0.97, fix_noise=0.04, duration=60.0)).measurements
+
+
+@pytest.fixture(scope="module")
+def learned(driven: list[Measurement]) -> Learned:
+    estimator = SlipEstimator(P)
+    estimator.process_all(driven)
+    assert estimator.learned is not None
+    return estimator.learned
+
+
+def bits(known: Learned) -> str:
+    return json.dumps(to_tree(known, OF))
+
+
+def named(known: Learned | None, of: Meaning = OF) -> dict[str, Finding]:
+    return {finding.name: finding for finding in findings(known, of)}
+
+
+def known(seed: int, n: int = len(OF.places)) -> Learned:
+    """Anything that an estimator might have learned."""
+    random = np.random.default_rng(seed)
+    root = random.standard_normal((n, n + 1))
+    covariance = root @ root.T
+    stddev = np.sqrt(np.diag(covariance))
+    below = np.tril(covariance / np.outer(stddev, stddev), -1)
+    prior = OF.prior
+    return Learned(
+        OF.machine,
+        random.standard_normal(n),
+        prior.stddev * random.uniform(0.0, 1.0, n),
+        below + below.T + np.eye(n),
+        -50.0 * random.random(prior.track_weights.shape),
+        {"box_pose": -50.0 * random.random(9)} if seed % 2 else {},
+    )
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_what_was_learned_survives_the_text_bit_for_bit(seed: int) -> None:
+    one = known(seed)
+    back = from_tree(json.loads(bits(one)), OF)
+    assert bits(back) == bits(one)
+    for mine, its in ((one.covariance, back.covariance), (one.track_weights, back.track_weights)):
+        np.testing.assert_array_equal(mine, its)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1e9), st.floats(0.0, 1e9))
+def test_age_widens_towards_the_prior_and_never_beyond(seed: int, first: float, then: float) -> None:
+    one, prior = known(seed), OF.prior
+    younger, older = aged(one, first, OF), aged(one, first + then, OF)
+    assert np.all(younger.stddev <= prior.stddev * (1.0 + 1e-9))
+    assert np.all(older.stddev >= younger.stddev * (1.0 - 1e-9))
+    assert np.all(np.abs(older.mean - prior.mean) <= np.abs(younger.mean - prior.mean) + 1e-12)
+    assert np.linalg.eigvalsh(older.correlations)[0] > -1e-9
+    twice = aged(younger, then, OF)
+    np.testing.assert_allclose(twice.covariance, older.covariance, atol=1e-12)
+    np.testing.assert_allclose(twice.track_weights, older.track_weights, atol=1e-9)
+
+
+def test_the_ground_is_forgotten_within_hours_and_the_machine_within_months(learned: Learned) -> None:
+    deviations = {
+        age: dict(zip(OF.places, aged(learned, age, OF).stddev, strict=True))
+        for age in (0.0, 12 * HOUR, 12 * MONTH)
+    }
+    prior = dict(zip(OF.places, OF.prior.stddev, strict=True))
+    for name in ("efficiency", "loss", "common_slip", "rotation_offset", "gyro_bias"):
+        assert deviations[12 * HOUR][name] > 0.9 * prior[name]
+    for name in ("gyro_scale", "asymmetry"):
+        assert deviations[12 * HOUR][name] == pytest.approx(deviations[0.0][name], rel=0.25)
+        assert deviations[12 * MONTH][name] > 0.9 * prior[name]
+
+
+def test_an_estimator_starts_from_what_was_learned(driven: list[Measurement], learned: Learned) -> None:
+    estimator = SlipEstimator(P, learned=learned)
+    assert bits(estimator.learned or known(0)) == bits(learned)
+    first = next(k for k, m in enumerate(driven) if isinstance(m, PoseFix))
+    estimator.process_all(driven[: first + 1])
+    state = estimator.window.states[0]
+    places = list(OF.places.values())
+    np.testing.assert_array_equal(state["mean"][places], learned.mean)
+    np.testing.assert_array_equal(state["covariance"][np.ix_(places, places)], learned.covariance)
+    np.testing.assert_array_equal(state["adaptation"]["log_weights"], learned.track_weights)
+    np.testing.assert_array_equal(state["adaptation"]["fix_log_weights"][0], learned.fix_weights["box_pose"])
+    assert state["adaptation"]["fix_factors"][0] > 1.5  # 4 is true
+
+
+def test_a_second_run_begins_where_the_first_ended(learned: Learned) -> None:
+    """Within its first metres, what took the first one a minute."""
+    again = drive(Machine(gyro_scale=0.97, fix_noise=0.04, duration=8.0, seed=1)).measurements
+    errors = []
+    for start in (None, learned):
+        estimator = SlipEstimator(P, learned=start)
+        estimator.process_all(again)
+        state = estimator.window.states[estimator.window.count - 1]
+        errors.append(abs(1.0 + state["mean"][GYRO_SCALE] - 0.97))
+    assert errors[1] < errors[0] / 2.0
+
+
+def test_a_reset_keeps_what_was_learned_and_forget_does_not(driven: list[Measurement]) -> None:
+    estimator = SlipEstimator(P)
+    estimator.process_all(driven)
+    before = estimator.learned
+    assert before is not None
+    estimator.process(Command(RESET))
+    assert not estimator.started
+    assert bits(estimator.learned or known(0)) == bits(before)
+    shift = 60_050_000_000
+    fresh, other = SlipEstimator(P), SlipEstimator(P, learned=before)
+    estimator.process(Command(FORGET))
+    assert estimator.learned is None
+    later = [type(m)(**{**vars(m), "stamp_ns": m.stamp_ns + shift}) for m in driven[:200]]
+    for one in (estimator, fresh, other):
+        one.process_all(later)
+    np.testing.assert_array_equal(estimator.estimate().pose, fresh.estimate().pose)
+    assert bits(estimator.learned or known(0)) == bits(fresh.learned or known(1))
+    assert bits(estimator.learned or known(0)) != bits(other.learned or known(1))
+
+
+@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
+def test_every_model_learns_and_tells(model: str, driven: list[Measurement]) -> None:
+    p = parameters(model=model)
+    of, estimator = meaning(p), SlipEstimator(p)
+    estimator.process_all(driven)
+    found = estimator.learned
+    assert found is not None
+    assert all(np.isfinite((f.value, f.stddev)).all() for f in findings(found, of))
+    assert to_tree(from_tree(to_tree(found, of), of), of) == to_tree(found, of)
+    SlipEstimator(p, learned=aged(found, HOUR, of)).process_all(driven)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"vehicle.kinematics.tread": 0.74},
+        {"model": "icr"},
+        {"sources.imu_data_raw.sign": -1},
+        {"sources.imu_data_raw.scale": 0.98},
+        {"sources.box_pose.stamp_error": 0.03},
+        {"pose_sources": ("box_pose", "gnss_pose")},
+    ],
+)
+def test_another_machine_is_noticed(learned: Learned, changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="another vehicle, or of other sources"):
+        from_tree(to_tree(learned, OF), meaning(parameters(**changes)))
+
+
+def test_other_gates_are_the_same_machine(learned: Learned) -> None:
+    of = meaning(parameters(**{"gate_probability": 0.5, "sources.box_pose.timeout": 9.0}))
+    assert to_tree(from_tree(to_tree(learned, OF), of), of) == to_tree(learned, OF)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("states", {}),
+        ("states", None),
+        ("correlations", [[2.0]]),
+        ("correlations", "none"),
+        ("track_error_ln_weights", [[0.0]]),
+        ("track_error_ln_weights", [[float("nan")] * 3] * 6),
+        ("fix_noise_ln_weights", {"box_pose": [10**400] * 9}),
+        ("fix_noise_ln_weights", 3),
+    ],
+)
+def test_what_is_no_estimate_is_refused(learned: Learned, name: str, value: object) -> None:
+    with pytest.raises(InputError, match="no estimates"):
+        from_tree({**to_tree(learned, OF), name: value}, OF)
+
+
+# In words
+
+
+def test_nothing_is_observed_before_the_first_metre() -> None:
+    assert {f.sentence for f in findings(None, OF)} == {NOT_OBSERVED}
+    (line,) = summary_lines(findings(None, OF))
+    assert line.startswith(f"{NOT_OBSERVED}: gyro scale, ")
+
+
+def test_what_was_observed_is_said_in_plain_words(learned: Learned) -> None:
+    found = named(learned)
+    gyro = found["gyro_scale"]
+    assert gyro.observed
+    assert abs(gyro.value - 0.97) < 3.0 * gyro.stddev
+    assert gyro.sentence.startswith("gyro reads ")
+    assert " % low ± " in gyro.sentence
+    assert found["fix_noise_factor.box_pose"].value == pytest.approx(4.0, rel=0.5)
+    assert found["fix_delay.box_pose"].sentence == NOT_OBSERVED  # its stamps err by 3 ms at most
+    assert found["track_error"].value < 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "stddev", "sentence"),
+    [
+        ("gyro_scale", 0.981, 0.005, "gyro reads 1.9 % low ± 0.5"),
+        ("gyro_scale", 1.0123, 0.0013, "gyro reads 1.23 % high ± 0.13"),
+        ("fix_delay.gnss_pose", 0.2512, 0.021, "gnss_pose fixes 0.25 s late ± 0.02"),
+        ("fix_delay.gnss_pose", -0.1, 0.03, "gnss_pose fixes 0.10 s early ± 0.03"),
+        ("asymmetry", -0.0112, 0.002, "turns 0.011 rad/m to the right ± 0.002"),
+        ("track_error", 0.05, 0.016, "tracks err by 5.0 % of their speed ± 1.6"),
+        ("common_slip", -0.0001, 0.013, "both tracks slip 0.0 % ± 1.3"),
+        ("efficiency", 0.451, 0.03, "turning efficiency κ 0.45 ± 0.03"),
+        ("centres_1", 0.73, 0.1, "centres 1 0.73 ± 0.10"),
+        ("gyro_scale", 1.0, 0.0, "gyro reads 0.000000000 % high ± 0.000000000"),
+    ],
+)
+def test_a_sentence_has_the_digits_of_its_standard_deviation(
+    name: str, value: float, stddev: float, sentence: str
+) -> None:
+    assert Finding(name, value, stddev, observed=True).sentence == sentence
+
+
+def test_a_delay_is_that_of_each_source() -> None:
+    changes = {"sources.box_pose.stamp_error": 0.0, "sources.gnss_pose.stamp_error": 0.03}
+    found = named(None, meaning(parameters(pose_sources=("box_pose", "gnss_pose"), **changes)))
+    assert "fix_delay.box_pose" not in found  # it is known to have none
+    assert found["fix_delay.gnss_pose"].stddev == pytest.approx(0.03)
+    assert {"fix_noise_factor.box_pose", "fix_noise_factor.gnss_pose"} <= found.keys()

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The state file: written and read, and whatever may have become of it meanwhile."""
+
+import os
+from collections.abc import Callable
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, drive, parameters
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip import state_file
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned import Learned, aged, meaning, to_tree
+from trackslip_estimation.slip.state_file import StateFile, parse_state, state_text
+
+P = parameters()
+OF = meaning(P)
+NOW_S = 1.8e9
+HOUR = 3600.0
+
+
+def _learned() -> Learned:
+    estimator = SlipEstimator(P)
+    estimator.process_all(drive(Machine(gyro_scale=0.97, duration=30.0)).measurements)
+    assert estimator.learned is not None
+    return estimator.learned
+
+
+LEARNED = _learned()
+TEXT = state_text(LEARNED, OF, NOW_S)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "state" / "slip_estimator.yaml"
+
+
+@pytest.fixture
+def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """A function that sets the clock, s since 1970."""
+
+    def set_clock(seconds: float) -> None:
+        monkeypatch.setattr(state_file.time, "time", lambda: seconds)
+
+    return set_clock
+
+
+def written(path: Path, learned: Learned = LEARNED) -> StateFile:
+    kept = StateFile(str(path))
+    kept.write(learned, OF)
+    kept.finish()
+    return kept
+
+
+def put(path: Path, text: str) -> None:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+
+
+def test_what_was_written_is_read_with_its_age(path: Path, at: Callable[[float], None]) -> None:
+    at(NOW_S)
+    assert written(path).failures == 0
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+    at(NOW_S + 2 * HOUR)
+    kept = StateFile(str(path))
+    found = kept.read(OF)
+    assert found is not None
+    assert kept.used
+    assert kept.note == f"starts from what was learned 2 h ago ({path})"
+    assert to_tree(found, OF) == to_tree(aged(LEARNED, 2 * HOUR, OF), OF)
+
+
+def test_the_file_can_be_read_by_people(path: Path) -> None:
+    written(path)
+    text = path.read_text(encoding="utf-8")
+    assert "#   gyro reads " in text
+    assert "gyro_scale: {value: -0.0" in text
+    assert max(map(len, text.splitlines())) <= 120
+
+
+def test_without_a_path_nothing_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    kept = StateFile("")
+    assert not kept
+    assert kept.read(OF) is None
+    kept.write(LEARNED, OF)
+    kept.forget()
+    kept.finish()
+    assert kept.failures == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_path_may_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    kept = StateFile("~/kept.yaml")
+    kept.write(LEARNED, OF)
+    kept.finish()
+    assert (tmp_path / "kept.yaml").is_file()
+
+
+def test_a_home_that_nobody_knows_is_refused() -> None:
+    with pytest.raises(InputError, match=r"state_file: '~nobody_of_this_name/kept\.yaml' has no home"):
+        StateFile("~nobody_of_this_name/kept.yaml")
+
+
+def test_the_first_start_has_nothing_to_read(path: Path) -> None:
+    kept = StateFile(str(path))
+    assert kept.read(OF) is None
+    assert kept.used
+    assert kept.note == f"nothing learned before: no file {path}"
+
+
+@given(at=st.integers(0, len(TEXT) - 1), character=st.sampled_from("09.-ae \n#é"))
+def test_a_file_changed_anywhere_is_noticed(at: int, character: str) -> None:
+    changed = TEXT[:at] + character + TEXT[at + 1 :]
+    if changed.strip() == TEXT.strip():
+        assert parse_state(changed, OF)[1] == NOW_S
+    else:
+        with pytest.raises(InputError):
+            parse_state(changed, OF)
+
+
+@given(st.integers(0, len(TEXT.rstrip()) - 1))
+def test_a_file_cut_anywhere_is_noticed(length: int) -> None:
+    with pytest.raises(InputError, match="edited, or cut off"):
+        parse_state(TEXT[:length], OF)
+
+
+@given(st.text())
+def test_a_file_of_anything_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="edited, or cut off"):
+        parse_state(text, OF)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "edited, or cut off"),
+        (b"\xff\x00\xfe" * 100, "edited, or cut off"),
+        (TEXT.replace("value: -0.0", "value: -0.1").encode(), "edited, or cut off"),
+        (b"#" * (1 << 20), "larger than 256 KiB"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reason: str) -> None:
+    path.parent.mkdir()
+    path.write_bytes(content)
+    kept = StateFile(str(path))
+    assert kept.read(OF) is None
+    assert not kept.used
+    assert reason in kept.note
+    assert str(path) in kept.note
+    assert "\n" not in kept.note
+    assert path.read_bytes() == content  # until there is something to write
+    for _ in range(2):
+        kept.write(LEARNED, OF)
+        kept.finish()
+    assert path.with_name(f"{path.name}.unused").read_bytes() == content
+    assert len(list(path.parent.iterdir())) == 2
+    assert StateFile(str(path)).read(OF) is not None
+
+
+def test_the_file_of_another_vehicle_is_kept_under_its_own_name(path: Path) -> None:
+    written(path)
+    first = path.read_bytes()
+    other = parameters(**{"vehicle.kinematics.tread": 0.8})
+    kept = StateFile(str(path))
+    assert kept.read(meaning(other)) is None
+    assert "of another vehicle" in kept.note
+    estimator = SlipEstimator(other)
+    estimator.process_all(drive(Machine(duration=5.0)).measurements)
+    kept.write(estimator.learned, meaning(other))
+    kept.finish()
+    (aside,) = (p for p in path.parent.iterdir() if p != path)
+    assert aside.name.startswith(f"{path.name}.of-")
+    assert aside.read_bytes() == first
+    assert StateFile(str(path)).read(meaning(other)) is not None
+
+
+@pytest.mark.parametrize("now_s", [NOW_S - HOUR, 0.0, NOW_S + 1e9])
+def test_a_clock_that_cannot_be_right_forgets_the_ground_only(
+    path: Path, at: Callable[[float], None], now_s: float
+) -> None:
+    at(NOW_S)
+    written(path)
+    at(now_s)
+    kept = StateFile(str(path))
+    found = kept.read(OF)
+    assert found is not None
+    assert "at an unknown time" in kept.note
+    assert to_tree(found, OF) == to_tree(aged(LEARNED, 7 * 86400.0, OF), OF)
+
+
+def test_of_another_version_it_is_not_used() -> None:
+    body = TEXT.replace("version: 1\n", "version: 99\n").rpartition("\nchecksum: ")[0]
+    with pytest.raises(InputError, match="of another version"):
+        parse_state(f"{body}\nchecksum: {state_file._digest(body)}\n", OF)
+
+
+@pytest.mark.parametrize("when", ["", "yesterday", "2026-99-99", "9" * 30])
+def test_without_a_date_it_is_not_used(when: str) -> None:
+    date = datetime.fromtimestamp(NOW_S, timezone.utc).isoformat()
+    body = TEXT.replace(date, when).rpartition("\nchecksum: ")[0]
+    assert body != TEXT
+    with pytest.raises(InputError, match="when it was written"):
+        parse_state(f"{body}\nchecksum: {state_file._digest(body)}\n", OF)
+
+
+def test_a_full_disk_is_counted_and_leaves_the_old_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = written(path)
+    before = path.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    for _ in range(2):
+        kept.write(LEARNED, OF)
+        kept.finish()
+    assert (kept.failures, kept.failure) == (2, "No space left on device")
+    assert kept.status()["not written"] == "2"
+    assert path.read_bytes() == before
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+    monkeypatch.undo()
+    kept.write(LEARNED, OF)
+    kept.finish()
+    assert (kept.failures, kept.failure) == (2, "")
+
+
+@pytest.mark.parametrize("name", ["a file/kept.yaml", "/proc/kept.yaml", "bad\0name", "folder"])
+def test_where_nothing_can_be_written_the_estimator_goes_on(tmp_path: Path, name: str) -> None:
+    (tmp_path / "a file").write_text("", encoding="utf-8")
+    (tmp_path / "folder").mkdir()
+    kept = StateFile(str(tmp_path / name))
+    assert kept.read(OF) is None
+    if name == "folder":
+        assert "it is no file" in kept.note
+        return
+    kept.write(LEARNED, OF)
+    kept.finish()
+    assert kept.failures == 1
+    assert kept.failure
+
+
+def test_nothing_learned_is_not_written(path: Path) -> None:
+    kept = StateFile(str(path))
+    kept.write(None, OF)
+    kept.finish()
+    assert not path.exists()
+
+
+def test_forgotten_it_is_gone_and_comes_again(path: Path) -> None:
+    kept = written(path)
+    kept.forget()
+    kept.forget()
+    assert not path.exists()
+    assert kept.failures == 0
+    kept.write(LEARNED, OF)
+    kept.finish()
+    found = StateFile(str(path)).read(OF)
+    assert found is not None
+    assert np.all(found.stddev >= LEARNED.stddev * (1.0 - 1e-9))
+
+
+def test_to_forget_loses_nothing_of_another_vehicle(path: Path) -> None:
+    written(path)
+    first = path.read_bytes()
+    kept = StateFile(str(path))
+    assert kept.read(meaning(parameters(**{"vehicle.kinematics.tread": 0.8}))) is None
+    kept.forget()
+    (aside,) = path.parent.iterdir()
+    assert aside != path
+    assert aside.read_bytes() == first

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The real driver on a bus of a shape that no code of ours knows: a DBC, a roles file, and nothing else."""
+
+import math
+import threading
+import time
+
+import pytest
+from fixtures import unseen_bus
+
+from trackslip_drivers.transports.can_bus import CanBus
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+MULTICAST = "239.74.163.2"
+
+
+@pytest.fixture
+def machine(udp_port):
+    """Sends its frames in real time, for as long as the test lasts."""
+    stopping = threading.Event()
+    bus = CanBus("udp_multicast", MULTICAST, {"port": udp_port, "hop_limit": 0})  # not beyond this host
+
+    def live():
+        begin_ns = time.time_ns()
+        for sent in unseen_bus.frames(begin_ns, begin_ns + 600 * 1_000_000_000):
+            if stopping.wait(max(sent.stamp_ns - time.time_ns(), 0) * 1e-9):
+                return
+            bus.write((sent.arbitration_id, sent.data))
+
+    thread = threading.Thread(target=live)
+    thread.start()
+    yield {"can_interface": "udp_multicast", "can_channel": MULTICAST, "can_port": udp_port}
+    stopping.set()
+    thread.join()
+    bus.close()
+
+
+def test_a_machine_never_seen(programs, observer, machine):
+    dbc, roles = unseen_bus.write(programs.folder)
+    topics = {name: observer.subscribe(name) for name in ("sprockets", "hydraulics", "swing")}
+    healths = observer.healths()
+    programs.node("can_driver", dbc_file=str(dbc), roles_file=str(roles), **machine)
+    observer.wait(lambda: len(topics["sprockets"]) >= 150 and len(topics["swing"]) >= 50, "messages")
+    for message in topics["sprockets"][20:]:
+        assert list(message.name) == ["left_sprocket", "right_sprocket"]
+        assert tuple(message.velocity) == pytest.approx(unseen_bus.SPEEDS, abs=2e-3)
+        assert all(map(math.isnan, message.position))
+    for message in topics["hydraulics"]:
+        assert (message.left_pressure, message.right_pressure) == pytest.approx(unseen_bus.PRESSURES, abs=1e4)
+        assert (message.left_spool, message.right_spool) == pytest.approx(unseen_bus.SPOOLS)
+        assert message.supply_pressure == pytest.approx(unseen_bus.SUPPLY)
+    for message in topics["swing"]:
+        assert list(message.name) == ["swing"]
+        assert abs(message.position[0]) <= math.pi
+    mine = [status for status in healths if status.name == "can_driver"]
+    values = {pair.key: pair.value for pair in mine[-1].values}
+    assert float(values["rate (Hz)"]) == pytest.approx(50.0, rel=0.3)
+    assert int(values["frames without a role"]) > 10
+
+
+def test_a_pressure_in_no_unit_ends_the_node_with_one_line(programs, observer):
+    dbc, roles = unseen_bus.write(programs.folder, dbc=unseen_bus.DBC.replace('"bar"', '"at"'))
+    program = programs.node("can_driver", dbc_file=str(dbc), roles_file=str(roles))
+    assert program.wait() == 2
+    (line,) = program.stderr.splitlines()
+    assert "role 'left_pressure'" in line
+    assert "unit 'at' of the DBC is unknown; accepted: unit: one of Pa" in line

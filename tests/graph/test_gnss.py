@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Receiver, driver and localizer live: bytes in, places on the map out, through what befalls a receiver."""
+
+import math
+
+import numpy as np
+import pytest
+from std_msgs.msg import String
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+ORIGIN = {"latitude": -33.889, "longitude": 151.193, "altitude": 60.0}
+ANTENNA = (0.8, -0.3)  # m in base_link
+
+
+def seconds(message):
+    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+
+
+@pytest.fixture
+def machine(programs, observer, udp_port):
+    """Emulated excavator with a receiver, the receiver's driver, and a localizer that is told the datum."""
+    devices = programs.folder / "devices"
+    programs.node(
+        "emulator",
+        **{"gnss.device.rate": 10.0, "gnss.antenna_x": ANTENNA[0], "gnss.antenna_y": ANTENNA[1]},
+        device_directory=str(devices),
+        lead_in=1.0,
+        scenario="turn_left",
+        duration=600.0,
+        can_interface="udp_multicast",
+        can_channel="239.74.163.2",
+        can_port=udp_port,
+    )
+    programs.node("nmea_gnss", serial_port=str(devices / "gnss"))
+    return programs.node("gnss_localizer", **{f"datum_{name}": value for name, value in ORIGIN.items()})
+
+
+def test_antenna_is_on_the_map_and_the_heading_is_the_machine_s(machine, observer):
+    fixes, poses, headings, truth, datum = map(
+        observer.subscribe, ("fix", "gnss_pose", "heading", "truth/odometry", "gnss_localizer/datum")
+    )
+    observer.wait(lambda: len(poses) > 60 and len(headings) > 60 and len(truth) > 600, "six seconds")
+    assert fixes[0].status.status == 2
+    assert fixes[-1].position_covariance[0] == pytest.approx(0.01**2)
+    assert (datum[0].latitude, datum[0].longitude) == (ORIGIN["latitude"], ORIGIN["longitude"])
+    assert poses[0].header.frame_id == "map"
+    times = np.array([seconds(m) for m in truth])
+    yaw = np.unwrap([2 * math.atan2(m.pose.pose.orientation.z, m.pose.pose.orientation.w) for m in truth])
+    x, y = (np.array([getattr(m.pose.pose.position, axis) for m in truth]) for axis in "xy")
+    for message in poses:
+        if not times[0] < seconds(message) < times[-1]:
+            continue
+        at_x, at_y, at_yaw = (np.interp(seconds(message), times, column) for column in (x, y, yaw))
+        expected = (
+            at_x + math.cos(at_yaw) * ANTENNA[0] - math.sin(at_yaw) * ANTENNA[1],
+            at_y + math.sin(at_yaw) * ANTENNA[0] + math.cos(at_yaw) * ANTENNA[1],
+        )
+        found = message.pose.pose.position
+        assert (found.x, found.y) == pytest.approx(expected, abs=0.06)
+    for message in headings:
+        if times[0] < seconds(message) < times[-1]:
+            found = 2 * math.atan2(message.orientation.z, message.orientation.w)
+            assert math.remainder(found - np.interp(seconds(message), times, yaw), math.tau) == pytest.approx(
+                0.0, abs=0.03
+            )
+
+
+def test_what_befalls_a_receiver_is_reported_and_passes(machine, observer):
+    healths, fault = observer.healths(), observer.publisher("emulator/fault")
+    poses = observer.subscribe("gnss_pose")
+    observer.wait_for_ends("emulator/fault", "emulator")
+    observer.wait(lambda: len(poses) > 5, "poses")
+
+    def latest(name):
+        return next((status for status in reversed(healths) if status.name == name), None)
+
+    def reports(name, part, value):
+        found = latest(name)
+        return found is not None and getattr(found, part) == value
+
+    for kind, level in (("unplug", b"\2"), ("wrong_baud", b"\3"), ("no_fix", b"\3")):
+        before = len(poses)
+        fault.publish(String(data=f"{{sensor: gnss, kind: {kind}, duration: 3.0}}"))
+        observer.wait(lambda level=level: reports("nmea_gnss", "level", level), f"{kind} to be reported")
+        observer.wait(lambda: reports("gnss_localizer", "message", "no fixes"), "the localizer to miss them")
+        observer.wait(lambda before=before: len(poses) > before + 5, f"poses after {kind}")
+        observer.wait(lambda: not reports("gnss_localizer", "message", "no fixes"), "all to be well")
+    values = {pair.key: pair.value for pair in latest("nmea_gnss").values}
+    assert int(values["fix: no fix"]) >= 20
+    assert int(values["reconnects"]) >= 1

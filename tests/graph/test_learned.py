@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the live node learned survives its restart; a replay of the second run is what the node computed."""
+
+import json
+import signal
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from fixtures.drawn_machine import Machine, drive
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from sensor_msgs.msg import Imu, JointState
+from std_srvs.srv import Trigger
+
+from trackslip_estimation.slip.measurements import Sprockets, YawRate
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+EPOCH_NS = 1_700_000_000_000_000_000
+PARAMETERS = {
+    "sources__box_pose__use_heading": False,
+    "initial_yaw_stddev": 0.02,
+    "state_file": "kept/slip_estimator.yaml",
+}
+
+
+def message_of(m):
+    kind = {Sprockets: JointState, YawRate: Imu}.get(type(m), PoseWithCovarianceStamped)
+    message = kind()
+    stamp_ns = EPOCH_NS + m.stamp_ns
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    if isinstance(m, Sprockets):
+        message.name = ["left_sprocket", "right_sprocket"]
+        message.velocity = [m.left_speed, m.right_speed]
+    elif isinstance(m, YawRate):
+        message.angular_velocity.z = m.rate
+        message.angular_velocity_covariance[8] = m.variance
+    else:
+        message.pose.pose.position.x, message.pose.pose.position.y = m.pose[:2].tolist()
+        message.pose.pose.orientation.w = 1.0
+        message.pose.covariance = np.diag([4e-4, 4e-4, 1.0, 1.0, 1.0, 100.0]).flatten()
+    return message
+
+
+class Graph:
+    """One run of estimator and recorder after the other."""
+
+    def __init__(self, programs, observer):
+        self.programs, self.observer = programs, observer
+        self.topics = {t: observer.publisher(t) for t in ("sprockets", "imu/data_raw", "box_pose")}
+        self.reports = observer.subscribe("measurement_reports")
+        self.healths = observer.healths()
+
+    def begin(self, bag, **changes):
+        self.recorder = self.programs.node("record", output=bag)
+        self.estimator = self.programs.node("slip_estimator", **{**PARAMETERS, **changes})
+        for topic in self.topics:
+            self.observer.wait_for_ends(topic, "record", "slip_estimator")
+        for node in ("record", "slip_estimator"):
+            self.observer.wait(lambda name=node: self.observer.state(name) == "active", f"{node} active")
+        outputs = ("odometry", "track_slip", "measurement_reports", "slip_estimator/parameters")
+        self.observer.wait_for_recorder(self.healths, *outputs, *self.topics)
+
+    def feed(self, measurements):
+        """One at a time, so that nothing is lost on a busy machine."""
+        self.reports.clear()
+        for count, m in enumerate(measurements, 1):
+            self.topics[m.source].publish(message_of(m))
+            self.observer.wait(lambda n=count: len(self.reports) >= n, f"{count} reports")
+
+    def status(self, name, condition=lambda _: True):
+        """Message and values of the next entry of /diagnostics."""
+        self.healths.clear()
+
+        def found():
+            return [h for h in self.healths if h.name == name and condition(h)]
+
+        self.observer.wait(found, name)
+        entry = found()[-1]
+        return entry, {pair.key: pair.value for pair in entry.values}
+
+    def ask(self, service):
+        return self.observer._ask(Trigger, f"slip_estimator/{service}", Trigger.Request())
+
+    def end(self, bag):
+        """What a replay of the run says."""
+        assert self.recorder.end(signal.SIGINT)[0] == 130
+        assert self.estimator.end()[0] == 130
+        program = self.programs.tool("trackslip", "replay", bag, "--json", f"{bag}.json")
+        assert program.wait() == 0, program.stderr
+        return json.loads((self.programs.folder / f"{bag}.json").read_text(encoding="utf-8"))
+
+
+def later(measurements, by_ns):
+    return [type(m)(**{**vars(m), "stamp_ns": m.stamp_ns + by_ns}) for m in measurements]
+
+
+def test_a_restart_keeps_what_was_learned(programs, observer):
+    graph = Graph(programs, observer)
+    machine = drive(Machine(gyro_scale=0.97, duration=20.0)).measurements
+    graph.begin("first")
+    entry, _ = graph.status("slip_estimator: state file")
+    assert "nothing learned before" in entry.message
+    assert graph.status("slip_estimator")[1]["gyro scale"] == "not observed yet"
+    graph.feed(machine)
+    first = graph.end("first")
+    assert first["replay_matches"] is True
+    assert first["learned"]["gyro_scale"]["observed"] is True
+
+    graph.begin("second")
+    entry, _ = graph.status("slip_estimator: state file")
+    assert "starts from what was learned" in entry.message
+    assert "gyro reads" in graph.status("slip_estimator")[1]["gyro scale"]
+    graph.feed(later(machine[: len(machine) // 4], 10**12))
+    assert graph.ask("reset").success
+    graph.feed(later(machine[: len(machine) // 4], 10**12 + 5_050_000_000))
+    second = graph.end("second")
+    assert second["replay_matches"] is True
+    before, after = (run["learned"]["gyro_scale"] for run in (first, second))
+    assert after["stddev"] <= before["stddev"] * 1.01
+    assert after["value"] == pytest.approx(before["value"], abs=2.0 * before["stddev"])
+    assert "starts from what was learned before" in programs._started[-1].stdout
+
+    graph.begin("third", vehicle__kinematics__tread=0.8)
+    entry, _ = graph.status("slip_estimator: state file")
+    assert entry.level == DiagnosticStatus.WARN
+    assert "is not used: it is of another vehicle" in entry.message
+    kept = programs.folder / "kept" / "slip_estimator.yaml"
+    graph.feed(later(machine[: len(machine) // 4], 2 * 10**12))
+    assert graph.ask("forget").success
+    assert not kept.exists()
+    assert graph.status("slip_estimator")[1]["gyro scale"] == "not observed yet"
+    graph.feed(later(machine[: len(machine) // 4], 2 * 10**12 + 5_050_000_000))
+    assert graph.end("third")["replay_matches"] is True
+    assert kept.exists()

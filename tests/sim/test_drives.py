@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random drives of random machines: four of the forty of ``make drives``, and the generator itself."""
+
+import numpy as np
+import pytest
+
+from trackslip_sim.drives.drive import random_drive
+from trackslip_sim.drives.main import missed_bars, parameters, scored
+from trackslip_sim.drives.score import Score
+from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, integrated
+
+
+def test_an_estimator_that_nobody_tuned_is_consistent_on_drawn_machines() -> None:
+    scores = [scored(seed)[2] for seed in range(4)]
+    assert missed_bars(scores) == []
+    assert sum(len(s.ends) for s in scores) >= 4  # minutes without fixes there were
+    assert max(s.refused_in_a_row for s in scores) <= 3
+
+
+def test_a_seed_gives_one_drive() -> None:
+    p = parameters()
+    one, same, other = (random_drive(seed, p, 20.0) for seed in (5, 5, 6))
+    assert one.measurements.tobytes() == same.measurements.tobytes()
+    assert one.machine == same.machine != other.machine
+    assert one.poses.shape[1] == 3
+    assert one.t[-1] == pytest.approx(20.0)
+
+
+def test_a_machine_as_stated_moves_as_its_nominal_truth() -> None:
+    errors = MotionErrors(DrawnMachine(), 0.73, 0.005, np.random.default_rng(0))
+    twists = np.tile((0.4, -0.01, 0.1), (200, 1))
+    assert np.array_equal(errors.apply(np.tile((0.4, 0.5), (200, 1)), twists), twists)
+
+
+def test_velocity_errors_have_the_size_that_is_drawn() -> None:
+    machine, V = DrawnMachine(velocity_errors=5.0), 0.4
+    errors = MotionErrors(machine, 0.73, 0.005, np.random.default_rng(0))
+    tracks = np.full((200_000, 2), V)
+    found = errors.apply(tracks, np.zeros((200_000, 3)))[1000:]
+    assert found[:, 0].std() == pytest.approx(np.sqrt(24.0) * 0.0024 * V, rel=0.1)
+    assert found[:, 2].std() == pytest.approx(np.sqrt(24.0) * 0.001 * V / 0.73, rel=0.1)
+
+
+def test_a_circle_closes() -> None:
+    twists = np.tile((0.5, 0.0, 0.25), (1000, 1))
+    poses = integrated(twists, 2.0 * np.pi / 0.25 / 1000, np.array((1.0, 2.0, 0.0)))
+    assert poses[-1] == pytest.approx((1.0, 2.0, 2.0 * np.pi), abs=1e-9)
+
+
+def test_each_missed_bar_is_told() -> None:
+    bad = Score(0.1, 9.0, 6.0, np.array((3.5,)), np.array((20.0, 20.0)), np.array((1.0, 1.0)), 9)
+    told = missed_bars([bad])
+    assert len(told) == 4
+    assert all("accepted" in text for text in told)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibrate`` and the estimator's states, of the same drive on the truth model: two ways to one number."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE
+from trackslip_estimation.slip.models.turning import ASYMMETRY, EFFICIENCY
+from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
+from trackslip_estimation.slip.records import to_records
+from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.simulate import simulate
+from trackslip_tools.calibration.calibrate import Calibration, calibrate
+from trackslip_tools.calibration.recording import Recording, Series, motions
+
+FloatArray = NDArray[np.float64]
+
+P = load_slip_parameters()
+SOURCES = ("imu/data_raw", "box_pose")
+SECONDS = 180.0
+GYRO_NOISE, FIX_NOISE = 0.003, (0.02, 0.02, 0.02)  # rad/s; m, m, rad
+
+
+@dataclass(frozen=True)
+class Machine:
+    """How a machine and its gyro differ from the drawing."""
+
+    soil: str
+    scale: float
+    bias: float  # rad/s
+    asymmetry: float  # rad/m
+    seed: int
+
+
+MACHINES = (
+    Machine("sand", 0.98, 0.004, 0.015, 1),
+    Machine("dry_clay", 1.02, -0.006, -0.02, 2),
+    Machine("sandy_loam", 1.0, 0.002, 0.0, 3),
+)
+
+
+@cache
+def drive(soil: str) -> Truth:
+    return simulate(load_scenario("field_trial").stretched(SECONDS), soil=soil, vehicle=P.vehicle.whole())
+
+
+@cache
+def recorded(machine: Machine) -> Recording:
+    """The drive with a turn of ε added to each metre that the sprockets drive."""
+    truth, rng = drive(machine.soil), np.random.default_rng(machine.seed)
+    t, at, fixed = (np.arange(0.1, SECONDS - 0.1, period) for period in (0.01, 0.0844, 0.24))
+    driven = truth.interpolate(t)
+    angles = np.column_stack((driven.left_angle, driven.right_angle))
+    turned = machine.asymmetry * P.vehicle.kinematics.rolling_radius * angles.mean(axis=1)
+    heading = driven.yaw + turned
+    velocity = (driven.v_x + 1j * driven.v_y) * np.exp(1j * heading)
+    place = np.concatenate(([0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2.0 * np.diff(t))))
+    rates = np.zeros((len(at), 3))
+    rate = np.interp(at, t, driven.yaw_rate + np.gradient(turned, t))
+    rates[:, 2] = machine.scale * rate + machine.bias + rng.normal(0.0, GYRO_NOISE, len(at))
+    columns = place.real, place.imag, heading
+    poses = np.column_stack([np.interp(fixed, t, column) for column in columns])
+    poses += rng.normal(0.0, FIX_NOISE, poses.shape)
+    claimed = np.tile(np.square(FIX_NOISE), (len(fixed), 1))
+    sprockets = Series(t, np.round(angles / P.encoder_resolution) * P.encoder_resolution)
+    return Recording(
+        machine.soil,
+        sprockets,
+        Series(at, rates),
+        Series(fixed, np.column_stack((poses, claimed))),
+        Series(np.empty(0), np.empty((0, 4))),
+        motions(sprockets, P.motion),
+    )
+
+
+def measurements(recording: Recording) -> Iterator[Measurement]:
+    for t, (left, right) in zip(*recording.sprockets, strict=True):
+        yield Sprockets("sprockets", round(t * 1e9), 0.0, 0.0, (left, right))
+    for t, rates in zip(*recording.gyro, strict=True):
+        yield YawRate(SOURCES[0], round(t * 1e9), rates[2], GYRO_NOISE**2)
+    for t, row in zip(*recording.poses, strict=True):
+        yield PoseFix(SOURCES[1], round(t * 1e9), row[:3], np.diag(row[3:]))
+
+
+@cache
+def calibrated(machine: Machine) -> Calibration:
+    return calibrate([recorded(machine)], P, SOURCES)
+
+
+@cache
+def learned(machine: Machine) -> tuple[FloatArray, FloatArray]:
+    """Mean and covariance at the end of the drive."""
+    estimator = SlipEstimator(P)
+    given = sorted(measurements(recorded(machine)), key=lambda m: m.stamp_ns)
+    estimator.process_records(to_records(given, estimator.sources))
+    last = estimator.window.states[int(estimator.window.status["count"][0]) - 1]
+    return last["mean"], last["covariance"]
+
+
+STATES = {
+    "gyro_scale": (GYRO_SCALE, 1.0),
+    "gyro_bias": (GYRO_BIAS, 0.0),
+    "asymmetry": (ASYMMETRY, 0.0),
+    "turning_efficiency": (EFFICIENCY, 0.0),
+}
+
+
+def both(machine: Machine, name: str) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Value and half of the 95 % interval, by calibration and by the estimator."""
+    calibration, (mean, P_) = calibrated(machine), learned(machine)
+    finding = calibration.findings[name]
+    assert finding.value is not None, finding.reason
+    assert finding.interval is not None
+    half = (finding.interval[1] - finding.interval[0]) / 2.0
+    if name == "turning_efficiency":  # of all turns; the state is that of the last ones
+        half = max(half, 2.0 * calibration.parameters[NODE]["turning.initial_efficiency_stddev"])
+    index, offset = STATES[name]
+    return (finding.value, half), (offset + float(mean[index]), 2.0 * math.sqrt(P_[index, index]))
+
+
+@pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.soil)
+@pytest.mark.parametrize("name", STATES)
+def test_calibration_and_learned_states_agree_within_their_intervals(machine: Machine, name: str) -> None:
+    """Both intervals are of 95 %: their difference lies within √(a² + b²) as often."""
+    (value, half), (state, doubt) = both(machine, name)
+    assert abs(value - state) <= math.hypot(half, doubt)
+
+
+@pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.soil)
+@pytest.mark.parametrize("name", ["gyro_scale", "gyro_bias", "asymmetry"])
+def test_both_find_what_the_machine_was_made_with(machine: Machine, name: str) -> None:
+    true = {"gyro_scale": machine.scale, "gyro_bias": machine.bias, "asymmetry": machine.asymmetry}[name]
+    for value, half in both(machine, name):
+        assert abs(value - true) <= 1.5 * half

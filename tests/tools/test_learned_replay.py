@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A replay says what was learned, and starts from what the live estimator started from."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import parameters_text
+from trackslip_common.parameters import to_flat
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned import to_tree
+from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
+from trackslip_tools.replay.run import replay
+from trackslip_tools.report.learned_panels import learned_panels, learned_rows
+from trackslip_tools.report.run import Run
+
+Summary = Callable[..., dict[str, Any]]
+WriteBag = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def learned_tree(drive: Callable[..., Any]) -> dict[str, Any]:
+    """Of an earlier run, on ground where nothing slips."""
+    p = load_slip_parameters()
+    estimator = SlipEstimator(p)
+    segments = [(5.0, 2.0, 2.0, 0.0, 0.0, 0.0), (5.0, 1.0, 2.0, 0.0, 0.0, 0.0)]
+    estimator.process_all(drive(segments, seed=4, gyro_bias=0.004).measurements)
+    assert estimator.learned is not None
+    return to_tree(estimator.learned, estimator.meaning)
+
+
+@pytest.fixture
+def second_run(tmp_path: Path, lines: list[Any], learned_tree: dict[str, Any]) -> Callable[..., Path]:
+    """A function that makes a bag of a run which started from this."""
+
+    def make_bag(learned: object = learned_tree) -> Path:
+        text = parameters_text(to_flat(load_slip_parameters()), NODE, learned=learned)
+        path = tmp_path / "second"
+        with BagWriter(path) as bag:
+            first_ns = min(line.log_ns for line in lines)
+            message = serialize(make(PARAMETERS_TYPE, data=text))
+            bag.write(f"/{PARAMETERS_TOPIC}", PARAMETERS_TYPE, message, first_ns - 1)
+            for line in sorted(lines, key=lambda line: line.log_ns):
+                bag.write(f"/{line.topic}", line.type_name, serialize(line.message), line.log_ns)
+        return path
+
+    return make_bag
+
+
+def test_a_replay_says_what_was_learned(
+    bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = summary(bag)["learned"]
+    assert {"gyro_scale", "asymmetry", "fix_delay.box_pose", "track_error"} <= found.keys()
+    assert {"gyro_noise_factor", "fix_noise_factor.box_pose"} <= found.keys()
+    assert all(entry.keys() == {"value", "stddev", "observed"} for entry in found.values())
+    assert found["track_error"]["observed"] is True
+    assert found["fix_delay.box_pose"]["observed"] is False
+    shown = capsys.readouterr().out
+    assert "learned: " in shown
+    assert "tracks err by " in shown
+    assert "not observed yet: " in shown
+
+
+def test_without_an_estimate_nothing_was_learned(bag: Path, summary: Summary) -> None:
+    assert summary(bag, "--start", "1000", code=1)["learned"] is None
+
+
+def test_a_replay_starts_from_what_the_live_estimator_started_from(
+    second_run: Callable[..., Path],
+    bag: Path,
+    tmp_path: Path,
+    summary: Summary,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = second_run()
+    found = summary(path)
+    assert "starts from what was learned before the bag begins" in capsys.readouterr().out
+    assert found["final"] != summary(bag)["final"]
+    with open_bag(path) as second:
+        replayed = replay(second, load_slip_parameters(), InputFilters(), None)
+    assert len(replayed.learned) > 1
+    assert replayed.estimates[-1]["pose"].tolist() == [found["final"][n] for n in ("x", "y", "yaw")]
+
+
+def test_what_a_replay_started_from_stands_in_the_bag_that_it_writes(
+    second_run: Callable[..., Path], tmp_path: Path, lines: list[Any], summary: Summary
+) -> None:
+    made, both = tmp_path / "made", tmp_path / "both"
+    summary(second_run(), "--output", made)
+    end_ns = max(line.log_ns for line in lines) + 1
+    with open_bag(made) as estimates:
+        written = [(m, estimates.deserialize(m.raw, m.type_name)) for m in estimates.messages()]
+    with BagWriter(both) as recording:
+        for line in sorted(lines, key=lambda line: line.log_ns):
+            recording.write(f"/{line.topic}", line.type_name, serialize(line.message), line.log_ns)
+        for k, (m, _) in enumerate(sorted(written, key=lambda pair: getattr(pair[1], "sequence", -1))):
+            recording.write(m.topic, m.type_name, m.raw, end_ns + k)
+    assert summary(both)["replay_matches"] is True
+
+
+@pytest.mark.parametrize(
+    ("learned", "options", "reason"),
+    [
+        (None, ("--set", "slip_estimator.vehicle.kinematics.tread=0.8"), "of another vehicle"),
+        (3, (), "does not hold what was learned"),
+        ({"machine": "x"}, (), "of another vehicle"),
+    ],
+)
+def test_what_does_not_fit_is_said_and_not_used(
+    second_run: Callable[..., Path],
+    summary: Summary,
+    capsys: pytest.CaptureFixture[str],
+    learned: object,
+    options: tuple[str, ...],
+    reason: str,
+) -> None:
+    summary(second_run(learned) if learned else second_run(), *options)
+    (line,) = (
+        line for line in capsys.readouterr().out.splitlines() if line.startswith("what was learned before")
+    )
+    assert reason in line
+
+
+def test_a_report_shows_how_it_came(emulated_run: Run) -> None:
+    rows = {row[0]: row for row in learned_rows(emulated_run)}
+    assert rows["gyro bias"][3] == "°/s"
+    assert rows["delay of box_pose"][1:3] == ("–", "–")
+    assert "…" in rows["turning efficiency κ"][2]
+    panels = {panel.title: panel for panel in learned_panels([emulated_run])}
+    (curve,) = panels["turning efficiency κ"].curves
+    assert curve.band is not None
+    width = curve.band[1] - curve.band[0]
+    assert width[-1] < width[0] / 2.0
+    assert np.all(np.diff(curve.times) > 0.0)
+    (course,) = panels["turning efficiency κ"].curves
+    assert len(course.times) == len(emulated_run.replay.learned)
