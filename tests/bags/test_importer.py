@@ -14,11 +14,12 @@ import yaml
 
 from trackslip_bags.importing.importer import import_log
 from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.parameters import PARAMETERS_TOPIC, bag_parameters
+from trackslip_bags.parameters import PARAMETERS_TOPIC, bag_parameters, bag_vehicle
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
+from trackslip_common.vehicle import load_vehicle
 from trackslip_tools.cli import import_command, info_command
 
 ROOT = Path(__file__).parents[2]
@@ -121,18 +122,16 @@ def test_the_bag_is_in_the_order_of_stamps(tmp_path: Path) -> None:
 
 
 def test_parameters_travel_in_the_bag(tmp_path: Path) -> None:
-    vehicle = read_mapping(config_file("mappings/warthog.yaml")).parameters["vehicle"]
-    mapping = changed(parameters={"vehicle": vehicle, "late_window": 0.5})
+    mapping = changed(vehicle="warthog", parameters={"late_window": 0.5})
     with open_bag(import_text(tmp_path, mapping=mapping)) as bag:
-        parameters = bag_parameters(bag)
-    assert parameters["vehicle.tread"] == 1.08
-    assert parameters["late_window"] == 0.5
-    assert len(parameters) == len(vehicle) + 1
+        assert bag_vehicle(bag) == load_vehicle("warthog")
+        assert bag_parameters(bag) == {"late_window": 0.5}
 
 
 def test_no_parameters_no_message(tmp_path: Path) -> None:
     with open_bag(import_text(tmp_path, mapping=changed(parameters=None))) as bag:
         assert bag_parameters(bag) == {}
+        assert bag_vehicle(bag) is None
         assert f"/{PARAMETERS_TOPIC}" not in bag.topics
 
 
@@ -197,8 +196,8 @@ BAD_MAPPINGS = {
     "time.unit: 'h' is unknown; accepted: s, ms, us, ns": changed(time__unit="h"),
     "start: 'noon' is not accepted": changed(start="noon"),
     "parameters: ['tread'] is not accepted": changed(parameters=["tread"]),
-    "parameters.vehicle: parameter 'mass' is missing": changed(parameters={"vehicle": {"tread": 1.0}}),
-    "parameters.vehicle: unknown parameter 'wheels'": changed(parameters={"vehicle": {"wheels": 4}}),
+    "parameters.vehicle: accepted: vehicle: NAME or FILE": changed(parameters={"vehicle": {"tread": 1.0}}),
+    "vehicle 'wartog': no such vehicle or file, did you mean 'warthog'?": changed(vehicle="wartog"),
     "no column speed; the columns are: t, wl, wr": changed(topics__sprockets__left_velocity__column="speed"),
     "no column m;": changed(topics__reference_pose__new_when_changes="m"),
     "column 'gx' never changes": changed(topics__reference_pose__new_when_changes="gx"),
@@ -282,4 +281,4 @@ def test_the_warthog_log(tmp_path: Path) -> None:
         assert np.mean(accelerations) == pytest.approx(9.81, abs=0.1)
         stamps = np.diff([stamp_ns_of(m) for m in contents(bag, "reference_pose")])
         assert stamps.min() > 0
-        assert bag_parameters(bag)["vehicle.tread"] == 1.08
+        assert bag_vehicle(bag) == load_vehicle("warthog")

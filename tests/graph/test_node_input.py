@@ -20,9 +20,9 @@ REFUSED = {
     },
     "watson_imu": {"serial_baud": 0, "parity": 7},
     "sick_pls": {"range_max": -1.0, "parity": "X", "glare_is_nan": "yes, please", "serial_baud": 1200},
-    "box_localizer": {"range_stddev": -0.1, "laser_x": "here", "vehicle__box_length": 0.0},
-    "slip_estimator": {"history_window": 100.0, "publish_tf": 1, "vehicle__tread": -1.0},
-    "soil_estimator": {"forces_period": 0.0, "dynamics__mu_r": -1.0, "vehicle__mass": "heavy"},
+    "box_localizer": {"range_stddev": -0.1, "laser_x": "here", "vehicle__sensors__box__length": 0.0},
+    "slip_estimator": {"history_window": 100.0, "publish_tf": 1, "vehicle__kinematics__tread": -1.0},
+    "soil_estimator": {"forces_period": 0.0, "dynamics__mu_r": -1.0, "vehicle__mass__mass": "heavy"},
     "record": {"more_topics": "((", "output": 1, "split_size": -1, "split_duration": -1.0},
     "emulator": {"lead_in": -1.0, "seed": "one", "soil": "cheese", "scenario": "moon", "mode": "magic"},
 }
@@ -70,13 +70,13 @@ def test_unknown_parameter_in_a_file(programs):
 
 
 def test_parameter_files_of_the_project_are_accepted(programs, observer):
-    """A node takes the file that ``config/`` has for it, and pc05.yaml where it has a vehicle."""
+    """A node takes the file that ``config/`` has for it, and the PC05 where it has a vehicle."""
     config = programs.folder / "mine.yaml"
-    config.write_text("/**: {ros__parameters: {vehicle: {tread: 0.8}}}", encoding="utf-8")
+    config.write_text("/**: {ros__parameters: {vehicle: {kinematics: {tread: 0.8}}}}", encoding="utf-8")
     texts = observer.subscribe("slip_estimator/parameters")
     programs.node("slip_estimator", "--params-file", "mine.yaml")
     observer.wait(lambda: texts, "the parameters in use")
-    assert "vehicle.tread: 0.8" in texts[0].data
+    assert "vehicle.kinematics.tread: 0.8" in texts[0].data
 
 
 def test_recorder_does_not_touch_what_exists(programs):

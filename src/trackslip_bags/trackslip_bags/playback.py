@@ -20,6 +20,7 @@ OWN_OUTPUTS = frozenset(
         "measurement_reports",
         "slip_estimator/parameters",
         "soil_estimator/parameters",
+        "vehicle",
         "diagnostics",
         "tf",
         "rosout",

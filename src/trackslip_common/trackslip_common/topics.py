@@ -38,6 +38,7 @@ TOPICS = {
     "slip_estimator/set_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
     "slip_estimator/parameters": Topic("std_msgs/msg/String", Flow.LATCHED),
     "soil_estimator/parameters": Topic("std_msgs/msg/String", Flow.LATCHED),
+    "vehicle": Topic("std_msgs/msg/String", Flow.LATCHED),
     "truth/odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "truth/track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "truth/track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),

@@ -5,22 +5,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import Parameters, from_flat, parameter
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.config_files import load_parameters
+from trackslip_common.parameters import parameter
+from trackslip_common.vehicle import WithVehicle
 from trackslip_sim.devices.sick_device import SickDeviceParameters
 from trackslip_sim.machine.scan_model import SiteParameters
 from trackslip_sim.machine.sensors import SensorNoise
 
 NODE = "emulator"
-DEFAULT_FILES = ("pc05.yaml", "site.yaml", "emulator.yaml")
+DEFAULT_FILES = ("site.yaml", "emulator.yaml")
 
 
 @dataclass(frozen=True, kw_only=True)
-class EmulatorParameters(Parameters):
+class EmulatorParameters(WithVehicle):
     """One emulated drive."""
 
-    vehicle: Vehicle
     site: SiteParameters
     noise: SensorNoise
     sick_start: SickDeviceParameters
@@ -45,4 +44,4 @@ def load_emulator_parameters(given: Mapping[str, Any]) -> EmulatorParameters:
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    return from_flat(EmulatorParameters, node_defaults(NODE, *DEFAULT_FILES) | dict(given), NODE)
+    return load_parameters(EmulatorParameters, NODE, DEFAULT_FILES, given)

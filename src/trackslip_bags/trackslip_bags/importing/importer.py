@@ -22,6 +22,8 @@ from trackslip_bags.reader import absolute
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
 IntArray = NDArray[np.int64]
@@ -68,6 +70,9 @@ def import_log(log: Path, mapping: LogMapping, output: Path) -> Imported:
     entries = sorted((e for e in found if e.stamp_ns >= 0), key=lambda entry: entry.stamp_ns)
     left_out = Counter(entry.topic for entry in found if entry.stamp_ns < 0)
     with BagWriter(output) as bag:
+        if mapping.vehicle is not None:
+            text = serialize(make(PARAMETERS_TYPE, data=vehicle_text(mapping.vehicle)))
+            bag.write(absolute(VEHICLE), PARAMETERS_TYPE, text, entries[0].stamp_ns)
         if mapping.parameters:
             text = serialize(make(PARAMETERS_TYPE, data=parameters_text(mapping.parameters, SLIP_NODE)))
             bag.write(absolute(PARAMETERS_TOPIC), PARAMETERS_TYPE, text, entries[0].stamp_ns)

@@ -11,6 +11,7 @@
         time_offset: -0.02           # s, added to the stamps; optional
         frame: base_link             # optional
       reference_pose: {x: ..., y: ..., yaw: ..., stddev: {x: 0.02, y: 0.02, yaw: 0.01}}
+    vehicle: warthog                 # a name of config/vehicles, or a file; optional
     parameters: {...}                # of slip_estimator, kept in the bag; optional
 
 ``scale`` multiplies before the unit is converted; it carries signs, gear ratios and the like.
@@ -24,8 +25,7 @@ from typing import Any
 
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import GRAVITY, Vehicle
+from trackslip_common.vehicle import GRAVITY, VehicleParameters, load_vehicle
 
 # Quantity → unit → factor to SI
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -103,6 +103,7 @@ class LogMapping:
     time: Column
     start_ns: int
     topics: Mapping[str, TopicMapping]
+    vehicle: VehicleParameters | None
     parameters: Mapping[str, Any]
 
     def column_names(self) -> list[str]:
@@ -122,22 +123,30 @@ def read_mapping(path: Path) -> LogMapping:
     """
     tree = read_yaml(path)
     where = str(path)
-    _check_keys(where, tree, required=("time", "topics"), optional=("start", "parameters"))
+    _check_keys(where, tree, required=("time", "topics"), optional=("start", "vehicle", "parameters"))
     topics = _section(f"{where}: topics", tree["topics"])
     if not topics:
         raise InputError(f"{where}: topics is empty; accepted: {', '.join(KINDS)}")
     _check_keys(f"{where}: topics", topics, optional=tuple(KINDS))
     parameters = _section(f"{where}: parameters", tree.get("parameters", {}))
     if "vehicle" in parameters:
-        vehicle = _section(f"{where}: parameters.vehicle", parameters["vehicle"])
-        from_flat(Vehicle, flatten(vehicle), f"{where}: parameters.vehicle")
+        raise InputError(f"{where}: parameters.vehicle: accepted: vehicle: NAME or FILE, beside parameters")
+    vehicle = tree.get("vehicle")
     return LogMapping(
         path=path,
         time=_column(f"{where}: time", tree["time"], _TIME),
         start_ns=_nanoseconds(f"{where}: start", tree.get("start", 0.0)),
         topics={name: _topic(f"{where}: {name}", topic, KINDS[name]) for name, topic in topics.items()},
+        vehicle=None if vehicle is None else _vehicle(where, vehicle),
         parameters=parameters,
     )
+
+
+def _vehicle(where: str, value: Any) -> VehicleParameters:
+    try:
+        return load_vehicle(_text("vehicle", value))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
 
 
 def _topic(where: str, value: Any, kind: TopicKind) -> TopicMapping:

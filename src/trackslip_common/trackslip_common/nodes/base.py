@@ -38,7 +38,8 @@ class TrackslipNode(GuardedNode, Generic[P]):
     def __init__(self, name: str, parameters: type[P], *default_files: str) -> None:
         super().__init__(name)
         common = CommonParameters(autostart=True, realtime_priority=self.realtime_priority)
-        given = node_parameters.read_overrides(self, common, parameters, default_files)
+        given = node_parameters.read_overrides(self, name, common, parameters, default_files)
+        self.what = name  # whatever it is called
         self.common, self.settings = given
         for record in given:
             node_parameters.declare(self, record)
@@ -133,5 +134,5 @@ class TrackslipNode(GuardedNode, Generic[P]):
     def _publish_parameters(self) -> None:
         """With which the estimates from now on are made: a bag carries them along."""
         if self.parameters_topic:
-            text = parameters_text(to_flat(self.settings), self.get_name())
+            text = parameters_text(to_flat(self.settings), self.what)
             self._parameters_used.publish(String(data=text))

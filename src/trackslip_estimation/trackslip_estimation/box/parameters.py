@@ -4,10 +4,10 @@
 from dataclasses import dataclass
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import WithVehicle
 
 NODE = "box_localizer"
-DEFAULT_FILES = ("pc05.yaml", "site.yaml", "box_localizer.yaml")
+DEFAULT_FILES = ("site.yaml", "box_localizer.yaml")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +39,7 @@ class BoxLocalizerParameters(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoxNodeParameters(BoxLocalizerParameters):
+class BoxNodeParameters(BoxLocalizerParameters, WithVehicle):
     """The localizer's, with the vehicle that carries the box and the frame of its poses."""
 
-    vehicle: Vehicle
     odom_frame: str = parameter("site frame, in which the laser's place is given")

@@ -26,7 +26,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
 
     def configure(self) -> None:
         """Make the localizer."""
-        self._localizer = BoxLocalizer(self.settings, self.settings.vehicle)
+        self._localizer = BoxLocalizer(self.settings, self.settings.vehicle.box)
         self._fixes = 0
         self._scans = 0
         self._news = (0, 0)

@@ -12,6 +12,8 @@ from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
@@ -52,6 +54,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._odometry = self.advertise(topic_class("odometry"), "odometry")
         self._pose_and_twist = conversions.blank_odometry(make, p.odom_frame, p.base_frame)
         self._track_slip = self.advertise(topic_class("track_slip"), "track_slip")
+        self._vehicle = self.advertise(topic_class(VEHICLE), VEHICLE)
         self._reports = self.advertise(topic_class("measurement_reports"), "measurement_reports")
         self._tf = self._advertise_tf() if p.publish_tf else None
         self.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
@@ -63,6 +66,10 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self.subscribe(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source in named(p.slip_sources):
             self.subscribe(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
+
+    def activate(self) -> None:
+        """State which vehicle the estimates are of."""
+        self._vehicle.publish(make("std_msgs/msg/String", data=vehicle_text(self.settings.vehicle)))
 
     def reload(self, values: dict[str, Any]) -> None:
         """Before its first run, the estimator is made anew; later it goes on with other values."""

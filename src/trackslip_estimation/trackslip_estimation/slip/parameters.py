@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the slip estimator (defaults: ``config/slip_estimator.yaml`` and ``config/pc05.yaml``)."""
+"""Parameters of the slip estimator (defaults: ``config/slip_estimator.yaml``, ``config/sources.yaml``)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import node_defaults
+from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, checked, from_flat, parameter, to_flat
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import WithVehicle
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.motion import MotionParameters
@@ -29,14 +29,13 @@ from trackslip_estimation.slip.sources import (
 FloatArray = NDArray[np.float64]
 
 NODE = "slip_estimator"
-DEFAULT_FILES = ("pc05.yaml", "slip_estimator.yaml")
+DEFAULT_FILES = ("slip_estimator.yaml",)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlipEstimatorParameters(ModelParameters):
+class SlipEstimatorParameters(ModelParameters, WithVehicle):
     """Everything the slip estimator can be told."""
 
-    vehicle: Vehicle
     motion: MotionParameters
     adaptation: AdaptationParameters
     filter: str = parameter("extended Kalman filter, or the thesis' Fig. 4.3", choices=("ekf", "daf"))
@@ -160,13 +159,10 @@ class SlipEstimatorParameters(ModelParameters):
         return pose, np.diag(np.square(deviations))
 
 
-def load_slip_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SlipEstimatorParameters:
+def load_slip_parameters(*layers: Mapping[str, Any]) -> SlipEstimatorParameters:
     """The defaults of ``config/`` with layers of dotted names over them, the last one on top.
 
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    values = node_defaults(NODE, *DEFAULT_FILES)
-    for layer in layers:
-        values = SlipEstimatorParameters.overlaid(values, layer)
-    return from_flat(SlipEstimatorParameters, values, where)
+    return load_parameters(SlipEstimatorParameters, NODE, DEFAULT_FILES, *layers)

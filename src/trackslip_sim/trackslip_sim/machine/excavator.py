@@ -8,8 +8,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import Parameters, from_flat
+from trackslip_common.config_files import load_parameters
+from trackslip_common.parameters import Parameters
 from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
@@ -44,7 +44,7 @@ def drive(p: EmulatorParameters) -> Truth:
     scenario = load_scenario(p.scenario)
     if p.duration > 0.0:
         scenario = scenario.stretched(p.duration)
-    return simulate(scenario, soil=p.soil or None, mode=p.mode, vehicle=p.vehicle)
+    return simulate(scenario, soil=p.soil or None, mode=p.mode, vehicle=p.vehicle.whole())
 
 
 class EmulatedExcavator:
@@ -59,12 +59,12 @@ class EmulatedExcavator:
         self.end_ns = self.drive_start_ns + round(window.duration * 1e9)
         self.sensors = MachineSensors(window, p.noise, self.drive_start_ns, p.seed)
         self.faults = Faults(load_scenario(p.scenario).faults, self.drive_start_ns)
-        can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
+        can = default_parameters(CanDriverParameters, can_parameters.NODE)
         watson = default_parameters(WatsonParameters, "watson_imu")
         sick = default_parameters(SickParameters, "sick_pls")
         frames = load_frames(can)
         layout = Layout(watson.channels, watson.formats, watson.full_scales)
-        self._scanner = SiteScanner(p.site, p.vehicle, p.seed)
+        self._scanner = SiteScanner(p.site, p.vehicle.box, p.seed)
         self._readings = readings = FaultyReadings(
             self.faults, self.sensors, self._scan, _full_scales(frames, layout, sick), p.seed
         )
@@ -165,4 +165,4 @@ def _full_scales(frames: FrameSet, layout: Layout, sick: SickParameters) -> Full
 
 def default_parameters(cls: type[T], node: str, *files: str) -> T:
     """A node's own default parameters, from its file or these of ``config/``."""
-    return from_flat(cls, node_defaults(node, *(files or (f"{node}.yaml",))), node)
+    return load_parameters(cls, node, files or (f"{node}.yaml",))

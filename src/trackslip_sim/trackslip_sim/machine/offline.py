@@ -14,6 +14,8 @@ import numpy as np
 from trackslip_bags.messages import make
 from trackslip_bags.writer import BagWriter
 from trackslip_common.tally import Tally
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_drivers import can_parameters
 from trackslip_drivers import conversions as of_sensors
 from trackslip_drivers.can_parameters import CanDriverParameters
@@ -80,7 +82,7 @@ class _Host:
         self.excavator = EmulatedExcavator(p, window, START_NS)
         self._window = window
         self._tally = Tally()
-        can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
+        can = default_parameters(CanDriverParameters, can_parameters.NODE)
         self._can = ExcavatorCan(can, load_frames(can), self._tally)
         watson = default_parameters(WatsonParameters, "watson_imu")
         layout = Layout(watson.channels, watson.formats, watson.full_scales)
@@ -89,10 +91,12 @@ class _Host:
         self._session = SickSession(self._sick, self._tally)
         self._baud = self._session.baud
         box = default_parameters(BoxNodeParameters, box_parameters.NODE, *box_parameters.DEFAULT_FILES)
-        self._vehicle = box.vehicle
-        self._localizer = BoxLocalizer(box, box.vehicle)
+        self._vehicle = p.vehicle.whole()
+        self._localizer = BoxLocalizer(box, p.vehicle.box)
         serializers = sensor_serializers(watson, _BODY_FRAME) | self._truth_serializers()
         self.recording = Recording(bag, serializers)
+        text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
+        self.recording.add(VEHICLE, text, START_NS)
         self._written_ns = START_NS
 
     def step(self, now_ns: int) -> None:

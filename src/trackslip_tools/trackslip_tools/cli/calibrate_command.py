@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the first bag's own"
     )
+    replay_options.add_vehicle(parser, "the first bag's")
     add("--gyro", metavar="TOPIC", help="the gyro; default: the first of yaw_rate_sources")
     add("--poses", metavar="TOPIC", help=f"fixes; default: the first of pose_sources, or {_REFERENCE}")
     add(
@@ -52,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         InputError: a bag, a parameter or an option cannot be used.
     """
     with open_bag(args.bags[0]) as bag:
-        p = replay_options.parameters_of(bag, args.params, [])
+        p = replay_options.parameters_of(bag, args.params, [], args.vehicle)
         gyro, poses = _sources(args, bag, p)
     recordings = []
     for path in shown(args.bags, "reading"):

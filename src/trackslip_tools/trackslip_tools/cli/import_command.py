@@ -2,6 +2,7 @@
 """``trackslip import``: a CSV log becomes a bag."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from trackslip_bags.importing.importer import import_log
@@ -10,6 +11,8 @@ from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode
+from trackslip_common.vehicle import load_vehicle
+from trackslip_tools.cli import replay_options
 
 EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --output out/field_log"
 
@@ -23,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="columns, units and vehicle; a path or a file of config/",
     )
+    replay_options.add_vehicle(parser, "the mapping's")
     parser.add_argument("--output", metavar="BAG", type=Path, required=True, help="directory to create")
 
 
@@ -32,7 +36,10 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the log, the mapping or the output cannot be used.
     """
-    imported = import_log(args.log, read_mapping(config_file(args.mapping)), args.output)
+    mapping = read_mapping(config_file(args.mapping))
+    if args.vehicle is not None:
+        mapping = replace(mapping, vehicle=load_vehicle(args.vehicle))
+    imported = import_log(args.log, mapping, args.output)
     with open_bag(args.output) as bag:
         print(describe(bag))
     for topic, count in imported.left_out.items():

@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         if args.publish:
             return publish.publish(bag, filters, args)
         publish.refuse_without_publish(args)
-        p = replay_options.parameters_of(bag, args.params, args.set)
+        p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
         of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
         with EstimateWriter(args.output, p) if args.output else nullcontext() as writer:

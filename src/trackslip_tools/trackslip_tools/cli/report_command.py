@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     for path, name in shown(pairs, "replaying"):
         with open_bag(path) as bag:
             given = ([] if name == _OWN else [name], args.set)
-            p = replay_options.parameters_of(bag, *given)
+            p = replay_options.parameters_of(bag, *given, args.vehicle)
             of_soil = replay_options.soil_parameters_of(bag, p, *given)
             replay_options.require_named(bag, p, filters, reference)
             if path not in recordings:

@@ -72,6 +72,6 @@ def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Tas
     with open_bag(path) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
-        p = replay_options.parameters_of(bag, args.params, args.set)
+        p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
         return read_task(bag, p, filters, reference, needs_reference=needs_reference)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.growing import GrowingRows
@@ -111,7 +111,7 @@ def _by_stamp(collected: GrowingRows) -> Rows:
 
 
 def dead_reckon(
-    vehicle: Vehicle,
+    vehicle: Kinematics,
     sprockets: Sprocketed,
     start_ns: int,
     start_pose: FloatArray,

@@ -11,6 +11,8 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import TOPICS
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, make_step
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
@@ -66,6 +68,8 @@ class EstimateWriter:
         if self._logged_ns is None and stamp_ns:
             text = make("std_msgs/msg/String", data=parameters_text(to_flat(self._p), SLIP_NODE))
             self._write(PARAMETERS_TOPIC, text, stamp_ns)
+            vehicle = make("std_msgs/msg/String", data=vehicle_text(self._p.vehicle))
+            self._write(VEHICLE, vehicle, stamp_ns)
 
     def _write(self, topic: str, message: Any, stamp_ns: int) -> None:
         self._bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
@@ -91,6 +95,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
     rmse["heading"] = of_filter.heading if of_filter else None
     rmse["slip"] = result.slip_rmse
     content = {
+        "vehicle": result.vehicle,
         "duration_s": result.duration_s,
         "messages": dict(sorted(result.messages.items())),
         "rejected": result.rejected.by_source(),

@@ -80,6 +80,7 @@ class Replay:
     live: LiveComparison | None = None
     paths: dict[str, Path] = field(default_factory=dict)
     soil: SoilReplay | None = None  # where the bag has hydraulics
+    vehicle: str = ""  # its name
 
 
 def replay(
@@ -113,6 +114,7 @@ def replay(
         watch(part)
     result = collector.result(p)
     result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
+    result.vehicle = p.vehicle.name
     result.elapsed_s = time.monotonic() - began
     return result
 
@@ -202,7 +204,7 @@ def _score(result: Replay, p: SlipEstimatorParameters, driven: DrivenCollector) 
     estimates = in_order(result.estimates)
     if len(estimates):
         result.paths["filter"] = path_of(estimates)
-    result.slip_rmse = slip_error(result.series, estimates, p.vehicle.tread)
+    result.slip_rmse = slip_error(result.series, estimates, p.vehicle.kinematics.tread)
     series = result.series.get(result.reference or "")
     if series is None:
         return
@@ -210,9 +212,9 @@ def _score(result: Replay, p: SlipEstimatorParameters, driven: DrivenCollector) 
     reference = reference_path(series, 0 if sprockets is None else int(sprockets.stamps_ns[0]))
     if sprockets is not None and len(reference.stamps_ns):
         start = (reference.stamps_ns[0], reference.poses[0])
-        result.paths["dead_reckoning"] = dead_reckon(p.vehicle, sprockets, *start)
+        result.paths["dead_reckoning"] = dead_reckon(p.vehicle.kinematics, sprockets, *start)
         if gyro is not None:
-            result.paths["encoder_gyro"] = dead_reckon(p.vehicle, sprockets, *start, gyro)
+            result.paths["encoder_gyro"] = dead_reckon(p.vehicle.kinematics, sprockets, *start, gyro)
     result.paths["reference"], result.sprockets = reference, sprockets
     for name in ("dead_reckoning", "encoder_gyro", "filter"):
         result.scores[name] = score(result.paths[name], reference) if name in result.paths else None

@@ -112,7 +112,7 @@ def true_slips(run: Run) -> Series | None:
     slips, odometry = (run.replay.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
     if slips is None or odometry is None:
         return None
-    return moving_slips(odometry, slips, run.parameters.vehicle.tread)
+    return moving_slips(odometry, slips, run.parameters.vehicle.kinematics.tread)
 
 
 def _truths(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:

@@ -110,7 +110,8 @@ def smooth_bag(
         watch(block)
     filtered, smoothed = (of.rows() for of in kept)
     of_filter, of_smoother = (
-        _errors(estimates, inputs, reference, p.vehicle.tread) for estimates in (filtered, smoothed)
+        _errors(estimates, inputs, reference, p.vehicle.kinematics.tread)
+        for estimates in (filtered, smoothed)
     )
     stamps_ns = smoothed["stamp_ns"]
     duration_s = (int(stamps_ns[-1]) - int(stamps_ns[0])) * 1e-9 if len(stamps_ns) else 0.0

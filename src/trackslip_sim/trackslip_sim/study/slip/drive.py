@@ -76,7 +76,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
         InputError: scenario, soil or sources are refused, or after settling nothing moves.
     """
     scenario = load_scenario(p.scenario).stretched(p.duration)
-    truth = simulate(scenario, soil=soil, vehicle=estimator.vehicle)
+    truth = simulate(scenario, soil=soil, vehicle=estimator.vehicle.whole())
     end = int(truth.duration * p.sprocket_rate + 1e-6) / p.sprocket_rate
     sprockets = list(_sprockets(truth, p, end, estimator.encoder_resolution))
     found = [*sprockets, *_rates(p.gyro_rate, end, estimator), *_fixes(p, end, estimator)]
@@ -166,7 +166,7 @@ def _true_drives(truth: Truth, at: Truth, rows: Rows, period: float) -> RecordAr
 
 def _moving(at: Truth, estimator: SlipEstimatorParameters) -> BoolArray:
     """Whether the machine moves, as when a replay is scored, and each track runs: else slips say nothing."""
-    vehicle = estimator.vehicle
+    vehicle = estimator.vehicle.kinematics
     on_ground = np.abs(at.v_x) + np.abs(at.yaw_rate) * vehicle.tread / 2.0 > MOVING
     slower = vehicle.rolling_radius * np.minimum(np.abs(at.left_speed), np.abs(at.right_speed))
     moving: BoolArray = on_ground & (slower > MOVING)
