@@ -25,13 +25,16 @@ _PAUSE = 2.5  # cycles: a longer one may end in a burst, of a sender that does n
 _PROMPT = 0.5  # of a cycle: frames off by more say nothing of the cycle
 _FEW = 8  # intervals that show a cycle
 _LONGEST = 4  # cycles of an interval that counts
-_LATE = 2.0  # cycles that one frame may be late, and no cycle is another for it
-_MANY = 10_000  # cycles over which it is averaged
+_BLOCK, _BLOCKS, _ENOUGH = (
+    32,
+    32,
+    3,
+)  # cycles of a block; blocks averaged; blocks that show more than intervals
 _LASTING_NS = 1_000_000_000  # frames that come otherwise for so long have another cycle
 _ROUGHLY = 0.25  # so near that of the DBC one interval must be to confirm it
-_AS_STATED = 0.02  # a measured cycle so near that of the DBC is that of the DBC
+_AS_STATED = 0.05  # a measured cycle so near that of the DBC is that of the DBC
 _PATIENCE = 200  # frames
-_TOLERANCE, _ROUGH_TOLERANCE = 1e-3, 2e-2  # of a cycle stated (two crystals, ours may be slewed), or measured
+_STATED, _MEASURED, _UNCOUNTED = 1e-3, 0.02, 0.1  # tolerance of a cycle: two crystals; measured; guessed
 
 
 class TimingEvent(Enum):
@@ -61,6 +64,9 @@ class _Held(NamedTuple):
 class CycleMeter:
     """The cycle of a sender, from the times between its frames.
 
+    Until there are some blocks of frames it is the median of the first intervals. A block is as long as its
+    frames' arrivals say, whatever came late within it; one that a stall made longer is outvoted by the rest.
+
     Args:
         nominal_ns: as the DBC states it; 0 where it does not.
     """
@@ -71,7 +77,8 @@ class CycleMeter:
 
     def _restart(self) -> None:
         self._first: deque[float] = deque(maxlen=2 * _FEW)  # ns a cycle, of the first intervals
-        self._time_ns = self._cycles = 0.0
+        self._blocks: deque[float] = deque(maxlen=_BLOCKS)  # ns a cycle
+        self._time_ns = self._cycles = 0  # of the block that is not full
         self._strange_ns, self._strange = 0, 0
         self.cycle_ns: float | None = None
         self.is_nominal = False
@@ -79,21 +86,27 @@ class CycleMeter:
     def add(self, interval_ns: int, cycles: int) -> None:
         """An interval of some cycles; one with more than a few lost shows nothing."""
         if interval_ns < 0 or not 1 <= cycles <= _LONGEST:
+            self._time_ns = self._cycles = 0
             return
         each = interval_ns / cycles
         if self.cycle_ns is None:
             self._first.append(each)
             self.cycle_ns = self._decide(statistics.median(self._first), _ROUGHLY, len(self._first))
-            self._time_ns, self._cycles = (self.cycle_ns or 0.0) * _FEW, float(_FEW)
             return
-        if abs(each / self.cycle_ns - 1.0) > _PROMPT:
-            self._doubt(interval_ns)
-            return
-        self._strange_ns, self._strange = 0, 0
-        if self._cycles > _MANY:
-            self._time_ns, self._cycles = self._time_ns / 2.0, self._cycles / 2.0
+        if abs(each / self.cycle_ns - 1.0) <= _PROMPT:
+            self._strange_ns, self._strange = 0, 0
+        else:
+            self._strange_ns, self._strange = self._strange_ns + interval_ns, self._strange + 1
         self._time_ns, self._cycles = self._time_ns + interval_ns, self._cycles + cycles
-        self.cycle_ns = self._decide(self._time_ns / self._cycles, _AS_STATED + _LATE / self._cycles, _FEW)
+        if self._strange_ns > _LASTING_NS and self._strange >= _FEW:
+            self._restart()
+        elif self._cycles >= _BLOCK:
+            self._blocks.append(self._time_ns / self._cycles)
+            self._time_ns = self._cycles = 0
+            if len(self._blocks) >= _ENOUGH:
+                middle = statistics.median(self._blocks)
+                agreeing = [block for block in self._blocks if abs(block / middle - 1.0) <= _AS_STATED]
+                self.cycle_ns = self._decide(statistics.fmean(agreeing), _AS_STATED, _FEW)
 
     def _decide(self, measured_ns: float, tolerance: float, count: int) -> float | None:
         """The DBC's cycle where ``count`` measured ones agree with it, or theirs once they are enough."""
@@ -103,11 +116,6 @@ class CycleMeter:
         if self.is_nominal:
             return self._nominal_ns
         return measured_ns if count >= _FEW and measured_ns > 0.0 else None
-
-    def _doubt(self, interval_ns: int) -> None:
-        self._strange_ns, self._strange = self._strange_ns + interval_ns, self._strange + 1
-        if self._strange_ns > _LASTING_NS and self._strange >= _FEW:
-            self._restart()
 
 
 class FrameTiming:
@@ -221,8 +229,9 @@ class FrameTiming:
         cycle_ns = self._meter.cycle_ns
         if not cycle_ns:
             return arrival_ns
-        if self._filter is None or abs(cycle_ns / self._filter_ns - 1.0) > 0.1 * _ROUGH_TOLERANCE:
-            tolerance = _TOLERANCE if self._meter.is_nominal and cycles is not None else _ROUGH_TOLERANCE
+        if self._filter is None or abs(cycle_ns / self._filter_ns - 1.0) > 0.1 * _MEASURED:
+            tolerance = _STATED if self._meter.is_nominal else _MEASURED
+            tolerance = tolerance if cycles is not None else _UNCOUNTED
             self._filter, self._filter_ns = PeriodicStamps(cycle_ns, tolerance, _PATIENCE), cycle_ns
             if self._accepted_ns is not None:
                 self._filter.filter(self._stamp_ns, 0)
