@@ -5,6 +5,8 @@ import signal
 
 import pytest
 
+from trackslip_common.vehicle import load_vehicle, vehicle_of_text
+
 NODES = (
     *("can_driver", "watson_imu", "sick_pls", "box_localizer"),
     *("slip_estimator", "soil_estimator", "record", "emulator"),
@@ -125,3 +127,30 @@ def test_ctrl_c_while_the_emulator_compiles(programs, observer):
     code, seconds = program.end()
     assert (code, program.stderr) == (130, "")
     assert seconds < BAR * SLACK
+
+
+def test_defaults_are_those_of_what_a_node_is_not_of_its_name(programs, observer):
+    texts = observer.subscribe("slip_estimator/parameters")
+    programs.node("slip_estimator", "-r", "__node:=second")
+    observer.wait(lambda: texts, "its parameters")
+    assert texts[0].data.startswith("slip_estimator:")
+
+
+def test_what_a_section_for_many_nodes_holds_for_others_is_no_error(programs, observer, tmp_path):
+    config = tmp_path / "all.yaml"
+    values = f"vehicle: excavator_20t, serial_port: /dev/x, output: {tmp_path / 'bag'}"
+    config.write_text(f"/**: {{ros__parameters: {{{values}}}}}", encoding="utf-8")
+    vehicle = observer.subscribe("vehicle")
+    for node in ("slip_estimator", "record"):
+        programs.node(node, "--params-file", str(config))
+    for node in ("slip_estimator", "record"):
+        observer.wait(lambda node=node: observer.state(node) == "active", f"{node} to be active")
+    observer.wait(lambda: vehicle, "the vehicle")
+    assert vehicle_of_text(vehicle[0].data, "vehicle") == load_vehicle("excavator_20t")
+
+
+def test_a_soil_estimator_without_hydraulics_says_what_it_lacks(programs, observer):
+    healths = observer.healths()
+    programs.node("soil_estimator", vehicle="warthog")
+    lacking = "vehicle 'warthog' has no mass and no hydraulics: no forces and no soil are estimated"
+    observer.wait(lambda: any(status.message == lacking for status in healths), "what it lacks")

@@ -251,7 +251,7 @@ def _hint(unknown: str, known: list[str]) -> str:
         before = "".join(f"{p}." for p in parts[:depth])
         there = dict.fromkeys(n.removeprefix(before).partition(".")[0] for n in known if n.startswith(before))
         if part not in there:
-            like = get_close_matches(part, list(there), n=1)
+            like = get_close_matches(part, list(there), n=1, cutoff=0.8)
             if like:
                 return f", did you mean '{before}{like[0]}'?"
             return f"; accepted: {', '.join(before + name for name in there) or 'a value, no group'}"
