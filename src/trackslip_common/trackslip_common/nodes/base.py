@@ -69,6 +69,10 @@ class TrackslipNode(GuardedNode, Generic[P]):
         """With the namespace."""
         return self.get_fully_qualified_name().removeprefix("/")
 
+    def hardware(self) -> str:
+        """What stands behind the node: its device, where it has one."""
+        return self.full_name
+
     def started_from(self) -> dict[str, Any]:
         """What the node started from beside its parameters, by name, for the parameters' topic."""
         return {}
@@ -103,7 +107,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
             entries = []
         entries += [*self.callback_failures.health(), *self.send_failures.health()]
         stamp = self.get_clock().now().to_msg()
-        self._status.publish(diagnostics(self.full_name, stamp, entries))
+        self._status.publish(diagnostics(self.full_name, stamp, entries, self.hardware()))
 
     def _configure(self) -> None:
         self._settings_in_use = self.settings
