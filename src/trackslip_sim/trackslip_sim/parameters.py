@@ -2,7 +2,7 @@
 """Parameters of the emulator (``config/emulator.yaml``, with the site and the vehicle)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from trackslip_common.config_files import load_parameters
@@ -38,6 +38,13 @@ class EmulatorParameters(WithVehicle):
     can_interface: str = parameter("python-can interface")
     can_channel: str = parameter("device or multicast address")
     can_port: int = parameter("UDP port, for udp_multicast only", ge=1024, le=65535)
+
+    def mounted_gnss(self) -> GnssParameters:
+        """The receiver, its antenna where the vehicle has it."""
+        antenna = self.vehicle.sensors.antenna if self.vehicle.sensors is not None else None
+        if antenna is None:
+            return self.gnss
+        return replace(self.gnss, antenna_x=antenna.x, antenna_y=antenna.y, antenna_z=antenna.z)
 
 
 def load_emulator_parameters(given: Mapping[str, Any]) -> EmulatorParameters:

@@ -64,14 +64,14 @@ class TrackslipNode(GuardedNode, Generic[P]):
         """What /diagnostics shall report; asked only while the node is active."""
         return [Health(OK, "running")]
 
-    def hardware(self) -> str:
-        """What stands behind the node: its device, where it has one."""
-        return self.full_name
-
     @property
     def full_name(self) -> str:
         """With the namespace."""
         return self.get_fully_qualified_name().removeprefix("/")
+
+    def hardware(self) -> str:
+        """What stands behind the node: its device, where it has one."""
+        return self.full_name
 
     def started_from(self) -> dict[str, Any]:
         """What the node started from beside its parameters, by name, for the parameters' topic."""

@@ -9,6 +9,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext
+from trackslip_common.config_files import config_file
 
 _COMMON = {
     "vehicle": ("", "a name of config/vehicles, or a file (empty: pc05 is assumed)"),
@@ -66,8 +67,11 @@ def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
     parameters = {"use_sim_time": _is_true(given["use_sim_time"]), **one.parameters}
     if one.executable in _WITH_VEHICLE and given["vehicle"]:
         parameters["vehicle"] = given["vehicle"]
+    files = [given["params_file"]] if given["params_file"] else []
+    receiver = []
     if one.executable == "slip_estimator":
         parameters |= _sources(sensors)
+        receiver = [str(config_file("gnss.yaml"))] if "gnss" in sensors else []
     if one.executable in _WITH_PREFIX and given["namespace"]:
         parameters["frame_prefix"] = given["namespace"].strip("/") + "/"
     return Node(
@@ -75,7 +79,7 @@ def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
         executable=one.executable,
         name=one.executable,
         namespace=given["namespace"],
-        parameters=[parameters, *([given["params_file"]] if given["params_file"] else [])],
+        parameters=[*receiver, parameters, *files],
         arguments=["--ros-args", "--log-level", given["log_level"]],
         respawn=_is_true(given["respawn"]),
         output="screen",

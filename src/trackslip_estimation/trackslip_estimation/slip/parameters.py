@@ -32,6 +32,8 @@ FloatArray = NDArray[np.float64]
 
 NODE = "slip_estimator"
 DEFAULT_FILES = ("slip_estimator.yaml",)
+GNSS_POSE = "gnss_pose"  # the topic whose lever arm the vehicle states
+_ANTENNA = "vehicle.sensors.antenna"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +125,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             InputError: a list is none, or names one twice.
         """
         lists = {kind: checked(cls, kind, values[kind], where) for kind in KINDS if kind in values}
-        return {"sources": source_groups(lists, where)}
+        antenna = {f"lever_arm_{axis}": values.get(f"{_ANTENNA}.{axis}") for axis in "xyz"}
+        mounted = {GNSS_POSE: {key: value for key, value in antenna.items() if value is not None}}
+        return {"sources": source_groups(lists, mounted, where)}
 
     @classmethod
     def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

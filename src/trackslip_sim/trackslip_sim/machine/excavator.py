@@ -78,7 +78,7 @@ class EmulatedExcavator:
         self.watson = WatsonDevice(layout, self._watson_line, readings.imu, True, start_ns)
         self.sick = SickDevice(sick, p.sick_start, readings.ranges, start_ns)
         self._gnss_line = BaudLine(default_parameters(NmeaParameters, "nmea_gnss").serial_baud, BITS_PER_CHAR)
-        antenna = GnssModel(p.gnss, self._pose_at, self.faults, p.seed)
+        antenna = GnssModel(p.mounted_gnss(), self._pose_at, self.faults, p.seed)
         self.gnss = NmeaDevice(p.gnss.device, self._gnss_line, antenna.measure, start_ns, p.seed)
         self._power_on: dict[str, Callable[[int], None]] = {
             CAN: lambda now_ns: self.can.start(now_ns + boot_ns),
