@@ -50,9 +50,9 @@ def random_drive(seed: int, p: SlipEstimatorParameters, duration: float = 600.0)
     """The drive of a seed, which also chooses the soil; ``duration`` in s."""
     random, soils, settings = np.random.default_rng(seed), load_soils(), load_settings()
     soil, machine = SOILS[seed % len(SOILS)], draw_machine(random)
-    setting = build_ground(soils[soil], (), soils), p.vehicle, settings
+    setting = build_ground(soils[soil], (), soils), p.vehicle.whole(), settings
     angles, twists, poses = drive_at_random(machine, setting, duration, seed)
-    t = settings.sample_period * np.arange(len(poses))
+    t = settings.sample_period * np.arange(len(poses), dtype=np.float64)
     fixes, fix_times = _fixes(machine, t, poses, next(iter(p.poses())), random)
     given = [
         *_sprockets(t, angles, p.encoder_resolution),
