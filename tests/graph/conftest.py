@@ -142,7 +142,7 @@ class Programs:
         self.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), _MARK: self._mark}
 
     def node(self, executable: str, *arguments: str, **parameters: Any) -> Program:
-        """An executable of ours with ROS parameters; ``vehicle__tread`` is ``vehicle.tread``."""
+        """An executable of ours with ROS parameters; ``noise__gyro_bias`` is ``noise.gyro_bias``."""
         given = list(arguments)
         for name, value in parameters.items():
             text = yaml.safe_dump(value, default_flow_style=True).splitlines()[0]
@@ -223,10 +223,11 @@ class Observer:
                 pytest.fail(f"waited for {what}; {surprise or 'too long'}")
             self._executor.spin_once(timeout_sec=0.05)
 
-    def subscribe(self, topic: str) -> list[Any]:
-        """The list that the topic's messages will be in."""
+    def subscribe(self, topic: str, as_topic: str | None = None) -> list[Any]:
+        """The list that the messages of a project topic, or of another one of the same kind, will be in."""
         received: list[Any] = []
-        self.node.create_subscription(topic_class(topic), topic, received.append, subscriber_qos(topic))
+        kind = as_topic or topic
+        self.node.create_subscription(topic_class(kind), topic, received.append, subscriber_qos(kind))
         return received
 
     def healths(self) -> list[Any]:

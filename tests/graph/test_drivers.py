@@ -9,6 +9,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -66,12 +67,12 @@ def defaults(cls, node):
     return from_flat(cls, node_defaults(node, f"{node}.yaml"), node)
 
 
-def plug_watson(path):
+def plug_watson(path, over_range=False):
     p = defaults(WatsonParameters, "watson_imu")
     line = BaudLine(p.serial_baud, BITS_PER_CHAR)
     layout = Layout(p.channels, p.formats, p.full_scales)
     begin_ns = time.time_ns() - INITIALISATION_NS  # it was switched on some time ago
-    device = WatsonDevice(layout, line, at_rest, True, begin_ns)
+    device = WatsonDevice(layout, line, partial(at_rest, over_range=over_range), True, begin_ns)
     port = PtyPort(path)
 
     def step(now_ns):
@@ -81,17 +82,18 @@ def plug_watson(path):
     return step, port.close
 
 
-def at_rest(stamp_ns):
-    return ImuSample(stamp_ns, (0.0, 0.0, G), (0.0, 0.0, RATE), FIELD, False)
+def at_rest(stamp_ns, over_range):
+    return ImuSample(stamp_ns, (0.0, 0.0, G), (0.0, 0.0, RATE), FIELD, over_range)
 
 
-def plug_sick(path, model="pls"):
+def plug_sick(path, model="pls", status=MappingProxyType({"byte": 0})):
     start = SickDeviceParameters(boot_delay=0.2, power_on_baud=9600)
     parameters = replace(defaults(SickParameters, "sick_pls"), model=model)
     device = SickDevice(parameters, start, yard, time.time_ns())
     port = PtyPort(path)
 
     def step(now_ns):
+        device.status = status["byte"]
         device.receive(port.read(), now_ns, port.baud)
         sent = device.step(now_ns)
         if port.baud == device.baud:
@@ -236,6 +238,37 @@ def test_refused_password_is_told(programs, observer, device):
     )
     node = [h for h in healths if h.name == "sick_pls"][-1]
     assert {pair.key: pair.value for pair in node.values}["scan: password refused"] == "1"
+
+
+def test_what_the_scanner_says_of_itself_is_told(programs, observer, device):
+    """Fatal, implausible, restart and pollution, until it says otherwise."""
+    path = programs.folder / "tty"
+    status = {"byte": 0xE4}
+    device(plug_sick, path, "pls", status).plug()
+    healths = observer.healths()
+    programs.node("sick_pls", serial_port=str(path))
+    parts = {"status": b"\2", "implausible": b"\2", "restart": b"\1", "pollution": b"\1"}
+
+    def told():
+        last = [h for h in healths if h.name == "sick_pls"][-1:]
+        return {h.name.partition(": ")[2]: h.level for h in healths[healths.index(last[0]) :]} if last else {}
+
+    observer.wait(lambda: parts.items() <= told().items(), "all of its status")
+    fatal = [h for h in healths if h.name == "sick_pls: status"][-1]
+    assert fatal.message == "scanner reports: fatal"
+    assert fatal.hardware_id == str(path)
+    status["byte"] = 0
+    observer.wait(lambda: told() and not parts.keys() & told().keys(), "nothing more")
+
+
+def test_watson_over_range_is_told(programs, observer, device):
+    path = programs.folder / "tty"
+    device(plug_watson, path, True).plug()
+    healths = observer.healths()
+    programs.node("watson_imu", serial_port=str(path))
+    observer.wait(
+        lambda: any(h.name == "watson_imu: range" and h.level == b"\1" for h in healths), "the warning"
+    )
 
 
 def test_can(bench, programs, observer):

@@ -26,12 +26,12 @@ class Health:
     part: str = ""  # of the node; empty for the node itself
 
 
-def diagnostics(node: str, stamp: Time, entries: Iterable[Health]) -> DiagnosticArray:
-    """The message with these lines."""
+def diagnostics(node: str, stamp: Time, entries: Iterable[Health], hardware: str) -> DiagnosticArray:
+    """The message with these lines; ``hardware`` tells the device of one node from that of its twin."""
     array = DiagnosticArray()
     array.header.stamp = stamp
     for entry in entries:
-        status = DiagnosticStatus(level=entry.level, message=entry.message, hardware_id=node)
+        status = DiagnosticStatus(level=entry.level, message=entry.message, hardware_id=hardware)
         status.name = f"{node}: {entry.part}" if entry.part else node
         status.values = [KeyValue(key=k, value=str(v)) for k, v in entry.values.items()]
         array.status.append(status)

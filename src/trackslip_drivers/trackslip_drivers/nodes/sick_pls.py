@@ -34,7 +34,11 @@ class SickNode(DriverNode[SickParameters]):
         self._lock = threading.Lock()  # the session is fed by the link's thread and stepped by one of ours
         self._session = SickSession(self.settings, self.tally)
         self._scans = self.advertise(topic_class("scan"), "scan")
-        self._status = DeviceStatus.from_byte(0)  # of the last scan
+        self._scan_status = DeviceStatus.from_byte(0)  # of the last scan
+
+    def hardware(self) -> str:
+        """The serial port."""
+        return self.settings.serial_port
 
     def open_port(self) -> SerialPort:
         """The serial port. Silent while the scanner boots: the session alone decides what is too long."""
@@ -63,7 +67,7 @@ class SickNode(DriverNode[SickParameters]):
         """The link's health, with the phase of the dialogue, a refused password or rate, and the status."""
         entries = super().health()
         phase, baud = self._session.phase, self._session.baud
-        entries[0].values |= {"phase": phase.value, "rate (Bd)": baud}
+        entries[0].values.update({"phase": phase.value, "rate (Bd)": baud})
         if phase is Phase.FAILED:
             entries.append(Health(ERROR, phase.value, part="password"))
         if phase is Phase.STREAMING and baud != self.settings.serial_baud:
@@ -73,7 +77,7 @@ class SickNode(DriverNode[SickParameters]):
 
     def _status_health(self) -> list[Health]:
         """What the scanner said of itself with its last scan."""
-        status, entries = self._status, []
+        status, entries = self._scan_status, []
         if status.severity >= Severity.WARNING:
             level = WARN if status.severity == Severity.WARNING else ERROR
             entries.append(Health(level, f"scanner reports: {status.severity_text}", part="status"))
@@ -89,7 +93,7 @@ class SickNode(DriverNode[SickParameters]):
         """A port was opened: the dialogue starts from nothing."""
         with self._lock:
             self._session = SickSession(self.settings, self.tally)
-            self._status = DeviceStatus.from_byte(0)
+            self._scan_status = DeviceStatus.from_byte(0)
 
     def _keep_talking(self, talk: Callable[[], None]) -> None:
         while not self._ending.wait(_STEP):
@@ -122,7 +126,7 @@ class SickNode(DriverNode[SickParameters]):
         with self._lock:
             scans = self._session.receive(data, steady_ns)
         for scan in scans:
-            self._status = scan.status
+            self._scan_status = scan.status
             self._scans.publish(
                 conversions.laser_scan(make, self.stamped(scan.sample), self.settings.frame_id)
             )
