@@ -7,21 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_common.config_files import node_defaults
+from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import from_flat
 from trackslip_drivers.protocols.wheel_motion import JointMotion, Rejection, of_speeds
 from trackslip_drivers.records import SprocketSample
-from trackslip_drivers.wheel_parameters import WheelParameters
+from trackslip_drivers.wheel_parameters import NODE, WheelParameters
 
 NAMES = ["rear_right_wheel", "arm", "front_left_wheel", "rear_left_wheel", "front_right_wheel"]
 S = 1_000_000_000
 
 
 def parameters(**given_):
-    return from_flat(
-        WheelParameters, node_defaults("wheel_adapter", "wheel_adapter.yaml") | given_, "wheel_adapter"
-    )
+    return load_parameters(WheelParameters, NODE, (f"{NODE}.yaml",), given_)
 
 
 def test_sides_are_means_of_their_joints_by_name():
@@ -74,7 +71,7 @@ def test_message_is_refused(names, positions, velocities, reason):
 
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.3, 3.0), st.floats(0.05, 0.6))
 def test_speeds_are_those_of_the_tracks(v, rate, separation, radius):
-    p = parameters(wheel_separation=separation, rolling_radius=radius)
+    p = parameters(wheel_separation=separation, **{"vehicle.kinematics.rolling_radius": radius})
     found = of_speeds(S, v, rate, p)
     assert radius * (found.left_velocity + found.right_velocity) / 2.0 == pytest.approx(v)
     turning = radius * (found.right_velocity - found.left_velocity) / separation

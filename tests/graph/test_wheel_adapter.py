@@ -37,7 +37,8 @@ def test_four_wheels(programs, observer):
 @pytest.mark.parametrize("kind", [Odometry, Twist])
 def test_base_controller(programs, observer, kind):
     name = kind.__name__.lower()
-    programs.node("wheel_adapter", message=name, topic="base", wheel_separation=1.0, rolling_radius=0.5)
+    radius = {"vehicle.kinematics.rolling_radius": 0.5}
+    programs.node("wheel_adapter", message=name, topic="base", wheel_separation=1.0, **radius)
     received = observer.subscribe("sprockets")
     message = kind()
     twist = message.twist.twist if kind is Odometry else message

@@ -23,53 +23,28 @@ from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.cli.main import main
 from trackslip_tools.replay.inputs import read_inputs
 
-ANTENNA = (-1.2, 0.6)
 OFFSET = 1.2  # rad, of the antenna pair
-TWENTY_TONNES = {
-    **{"rolling_radius": 0.35, "tread": 2.38, "contact_length": 3.46, "track_width": 0.6, "mass": 21000.0},
-    **{"yaw_inertia": 50000.0, "motor_displacement": 160e-6, "gear_ratio": 46.0, "motor_efficiency": 0.8},
-    **{"volumetric_efficiency": 0.93, "relief_pressure": 34e6, "pump_flow": 3.5e-3},
-}
 SEGMENTS = [(1.0, 0.0, 0.0), (8.0, 1.5, 1.5), (8.0, 0.8, 1.6), (6.0, 1.8, 1.8), (8.0, 1.6, 0.8), (12.0, 1.5, 1.4)]
 FLOAT = {"sensor": "gnss", "kind": "rtk_float", "start": 10.0, "duration": 30.0}
 
 
-def record(path: Path, faults: list[dict[str, Any]], **given: Any) -> Path:
-    vehicle = {f"vehicle.{name}": value for name, value in TWENTY_TONNES.items()}
-    gnss = {"device.rate": 10.0, "antenna_x": ANTENNA[0], "antenna_y": ANTENNA[1], "heading_offset": OFFSET}
-    scenario = parse_scenario(
-        {
-            "name": "gnss",
-            "soil": "sandy_loam",
-            "segments": [dict(zip(("duration", "left", "right"), row, strict=True)) for row in SEGMENTS],
-        }
-    )
+def record(path: Path, faults: list[dict[str, Any]]) -> Path:
+    segments = [dict(zip(("duration", "left", "right"), row, strict=True)) for row in SEGMENTS]
+    tree = {"name": "gnss", "soil": "sandy_loam", "faults": faults, "segments": segments}
     file = path.parent / f"{path.name}.yaml"
-    file.write_text(
-        json.dumps({"name": "gnss", "soil": "sandy_loam", "faults": faults, "segments": [
-            dict(zip(("duration", "left", "right"), row, strict=True)) for row in SEGMENTS]}),
-        encoding="utf-8",
-    )
-    p = load_emulator_parameters(
-        {"scenario": str(file), "seed": 3, "lead_in": 6.0, **vehicle, **{f"gnss.{k}": v for k, v in gnss.items()}}
-        | given
-    )
-    record_drive(p, simulate(scenario, vehicle=p.vehicle), path)
+    file.write_text(json.dumps(tree), encoding="utf-8")
+    given = {"vehicle": "excavator_20t", "scenario": str(file), "seed": 3, "lead_in": 6.0}
+    p = load_emulator_parameters({**given, "gnss.device.rate": 10.0, "gnss.heading_offset": OFFSET})
+    record_drive(p, simulate(parse_scenario(tree), vehicle=p.vehicle.whole()), path)
     return path
 
 
 def replayed(bag: Path, **changed: Any) -> dict[str, Any]:
     """The summary of ``trackslip replay`` with ``config/gnss.yaml``."""
-    given = {
-        **{f"vehicle.{name}": value for name, value in TWENTY_TONNES.items()},
-        "sources.gnss_pose.lever_arm_x": ANTENNA[0],
-        "sources.gnss_pose.lever_arm_y": ANTENNA[1],
-        **changed,
-    }
-    options = [f"--set=slip_estimator.{name}={json.dumps(value)}" for name, value in given.items()]
-    summary = bag.parent / "summary.json"
-    params = str(config_file("gnss.yaml"))
-    assert main(["replay", str(bag), "--params", params, *options, "--json", str(summary)]) == 0
+    options = [f"--set=slip_estimator.{name}={json.dumps(value)}" for name, value in changed.items()]
+    summary, params = bag.parent / "summary.json", str(config_file("gnss.yaml"))
+    command = ["replay", str(bag), "--vehicle", "excavator_20t", "--params", params, *options]
+    assert main([*command, "--json", str(summary)]) == 0
     found: dict[str, Any] = json.loads(summary.read_text(encoding="utf-8"))
     return found
 

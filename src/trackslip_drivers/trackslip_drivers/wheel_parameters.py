@@ -4,8 +4,10 @@
 from dataclasses import dataclass
 
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.parameters import parameter
+from trackslip_common.vehicle import WithVehicle
 
+NODE = "wheel_adapter"
 MESSAGES = {
     "joints": "sensor_msgs/msg/JointState",
     "odometry": "nav_msgs/msg/Odometry",
@@ -15,8 +17,8 @@ MESSAGES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class WheelParameters(Parameters):
-    """Where the motion comes from, and how it becomes that of two sprockets."""
+class WheelParameters(WithVehicle):
+    """Where the motion comes from, and how it becomes that of the vehicle's two sprockets."""
 
     topic: str = parameter("to listen to")
     message: str = parameter(
@@ -33,9 +35,6 @@ class WheelParameters(Parameters):
     joint_ratio: float = parameter("turns of a joint per turn of the sprocket, or of the wheel", gt=0.0)
     uses: str = parameter("what of a JointState", choices=("both", "positions", "velocities"))
     wheel_separation: float = parameter("as the base controller has it configured", unit="m", gt=0.0)
-    rolling_radius: float = parameter(
-        "of the vehicle: speeds become those of its sprockets", unit="m", gt=0.0
-    )
 
     def __post_init__(self) -> None:
         """Check what concerns one field, then what concerns several.

@@ -12,7 +12,7 @@ from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.protocols.wheel_motion import JointMotion, Rejection, of_speeds
 from trackslip_drivers.records import SprocketSample
-from trackslip_drivers.wheel_parameters import MESSAGES, WheelParameters
+from trackslip_drivers.wheel_parameters import MESSAGES, NODE, WheelParameters
 
 SPROCKETS = "sprockets"
 
@@ -21,7 +21,7 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
     """Converts; a message without a stamp (Twist) has that of its arrival."""
 
     def __init__(self) -> None:
-        super().__init__("wheel_adapter", WheelParameters, "wheel_adapter.yaml")
+        super().__init__(NODE, WheelParameters, f"{NODE}.yaml")
 
     def configure(self) -> None:
         """Listen and advertise."""

@@ -85,5 +85,6 @@ def of_speeds(stamp_ns: int, v: float, rate: float, p: WheelParameters) -> Sproc
     if not (math.isfinite(v) and math.isfinite(rate)):
         return Rejection.NOT_A_NUMBER
     half = rate * p.wheel_separation / 2.0
-    left, right = (v - half) / p.rolling_radius, (v + half) / p.rolling_radius
+    r = p.vehicle.kinematics.rolling_radius
+    left, right = (v - half) / r, (v + half) / r
     return SprocketSample(stamp_ns, math.nan, math.nan, left, right)
