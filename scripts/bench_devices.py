@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trackslip_common.config_files import node_defaults
+from trackslip_common.config_files import load_parameters, node_defaults
 from trackslip_common.parameters import from_flat
 from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
@@ -50,9 +50,7 @@ def imu(stamp_ns: int) -> ImuSample:
 def main(directory: Path, can_port: int) -> None:
     """Emulate."""
     now_ns = time.time_ns()
-    can = from_flat(
-        CanDriverParameters, node_defaults(can_parameters.NODE, *can_parameters.DEFAULT_FILES), "can_driver"
-    )
+    can = load_parameters(CanDriverParameters, can_parameters.NODE, can_parameters.DEFAULT_FILES)
     machine = CanDevice(load_frames(can), sprockets, hydraulics, now_ns)
     line = node_defaults("emulator", "emulator.yaml")
     bus = CanBus(line["can_interface"], line["can_channel"], {"port": can_port})

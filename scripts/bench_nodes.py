@@ -207,7 +207,7 @@ def _listener(topics: tuple[str, ...], odometry: tuple[str, ...] = ()) -> Iterat
 
 def _options(directory: Path, port: int, duration: float = 1.0) -> DemoOptions:
     bag = directory / "bag"
-    return DemoOptions(directory, bag, port, duration, "sand", "thesis", autostart=True)
+    return DemoOptions(directory, bag, port, duration, "sand", "thesis", "pc05", autostart=True)
 
 
 def _wait_for(path: Path) -> None:

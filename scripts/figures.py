@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from trackslip_common.soils import Soil, load_soils
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Vehicle, load_vehicle
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.terramechanics.domain import FloatArray
 from trackslip_estimation.terramechanics.resistance import longitudinal_resistance
@@ -31,7 +31,6 @@ from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.study.slip.figures import runs
 from trackslip_sim.study.slip.parameters import load_study_parameters
 from trackslip_sim.truth.record import Truth
-from trackslip_sim.truth.settings import load_vehicle
 from trackslip_sim.truth.simulate import simulate
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
@@ -193,7 +192,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder of the PNG files")
     output: Path = parser.parse_args().output
     output.mkdir(parents=True, exist_ok=True)
-    vehicle = load_vehicle()
+    vehicle = load_vehicle().whole()
     with style.context(STYLE):
         for name, draw in FIGURES.items():
             save(draw(vehicle), output / f"{name}.png")

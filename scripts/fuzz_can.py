@@ -5,8 +5,7 @@ import math
 from collections.abc import Callable
 
 from fuzz_script import pieces, script
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
+from trackslip_common.config_files import load_parameters
 from trackslip_common.tally import Tally
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_frames import FrameDecoder, Rejection, load_frames
@@ -23,7 +22,7 @@ SEALED = 4  # flag of a piece: its checksum is made good; the two bits below cho
 
 def can_frames() -> Target:
     """Decoder and pairing; a silence of any length may precede each frame."""
-    p = from_flat(CanDriverParameters, node_defaults(NODE, *DEFAULT_FILES), NODE)
+    p = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
     frames = load_frames(p)
     ids = [frames.by_name[name].frame_id for name in NAMES]
     good = [frames.encode(ENCODERS, {"left_count": 7, "right_count": 8}, alive) for alive in (0, 1, 2)]

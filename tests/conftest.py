@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 Segment = tuple[float, float, float, float, float, float]  # s; ω_L, ω_R rad/s; i_L, i_R; α rad
 
 ROOT = Path(__file__).parents[1]
-RADIUS, TREAD = 0.159, 0.73  # m, those of config/pc05.yaml
+RADIUS, TREAD = 0.159, 0.73  # m, those of config/vehicles/pc05.yaml
 MS = 1_000_000
 
 settings.register_profile("trackslip", derandomize=True, deadline=None, max_examples=100)

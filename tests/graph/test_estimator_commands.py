@@ -134,7 +134,7 @@ def test_all_that_a_user_asks_is_done_told_and_given_back(programs, observer):
     half, longer, tread = (
         number("gate_probability", 0.5),
         number("sources.box_pose.timeout", 3.0),
-        number("vehicle.tread", 0.7),
+        number("vehicle.kinematics.tread", 0.7),
     )
     for wanted, successful in (
         (half, True),

@@ -17,11 +17,9 @@ from trackslip_msgs.msg import MeasurementReport
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import open_bag
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.machine.scan_model import ANGLE_INCREMENT, ANGLE_MIN, TIME_INCREMENT, SiteScanner
-from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
+from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_tools.replay.run import replay
 
 pytestmark = pytest.mark.xdist_group("graph")
@@ -68,7 +66,7 @@ def pose(at_ms, y=0.0):
 
 
 def scan(at_ms):
-    p = from_flat(EmulatorParameters, node_defaults(NODE, *DEFAULT_FILES), NODE)
+    p = load_emulator_parameters({})
 
     def at_start(times):
         return np.zeros_like(times), np.zeros_like(times), np.zeros_like(times)
@@ -78,7 +76,7 @@ def scan(at_ms):
     message.angle_max = -ANGLE_MIN
     message.time_increment, message.scan_time = TIME_INCREMENT, 0.04
     message.range_min, message.range_max = 0.05, 50.0
-    message.ranges = SiteScanner(p.site, p.vehicle, at_ms).scan(at_ms * 1e-3, at_start).tolist()
+    message.ranges = SiteScanner(p.site, p.vehicle.box, at_ms).scan(at_ms * 1e-3, at_start).tolist()
     return message
 
 

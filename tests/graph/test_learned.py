@@ -121,7 +121,7 @@ def test_a_restart_keeps_what_was_learned(programs, observer):
     assert after["value"] == pytest.approx(before["value"], abs=2.0 * before["stddev"])
     assert "starts from what was learned before" in programs._started[-1].stdout
 
-    graph.begin("third", vehicle__tread=0.8)
+    graph.begin("third", vehicle__kinematics__tread=0.8)
     entry, _ = graph.status("slip_estimator: state file")
     assert entry.level == DiagnosticStatus.WARN
     assert "is not used: it is of another vehicle" in entry.message

@@ -5,6 +5,8 @@ import signal
 
 import pytest
 
+from trackslip_common.vehicle import load_vehicle, vehicle_of_text
+
 NODES = (
     *("can_driver", "watson_imu", "sick_pls", "box_localizer"),
     *("slip_estimator", "soil_estimator", "record", "emulator"),
@@ -20,9 +22,9 @@ REFUSED = {
     },
     "watson_imu": {"serial_baud": 0, "parity": 7},
     "sick_pls": {"range_max": -1.0, "parity": "X", "glare_is_nan": "yes, please", "serial_baud": 1200},
-    "box_localizer": {"range_stddev": -0.1, "laser_x": "here", "vehicle__box_length": 0.0},
-    "slip_estimator": {"history_window": 100.0, "publish_tf": 1, "vehicle__tread": -1.0},
-    "soil_estimator": {"forces_period": 0.0, "dynamics__mu_r": -1.0, "vehicle__mass": "heavy"},
+    "box_localizer": {"range_stddev": -0.1, "laser_x": "here", "vehicle__sensors__box__length": 0.0},
+    "slip_estimator": {"history_window": 100.0, "publish_tf": 1, "vehicle__kinematics__tread": -1.0},
+    "soil_estimator": {"forces_period": 0.0, "dynamics__mu_r": -1.0, "vehicle__mass__mass": "heavy"},
     "record": {"more_topics": "((", "output": 1, "split_size": -1, "split_duration": -1.0},
     "emulator": {"lead_in": -1.0, "seed": "one", "soil": "cheese", "scenario": "moon", "mode": "magic"},
 }
@@ -65,18 +67,20 @@ def test_parameter_file_that_is_not_yaml(programs):
 
 
 def test_unknown_parameter_in_a_file(programs):
-    (programs.folder / "one.yaml").write_text("/**: {ros__parameters: {nonsense: 1}}", encoding="utf-8")
+    (programs.folder / "one.yaml").write_text(
+        "watson_imu: {ros__parameters: {nonsense: 1}}", encoding="utf-8"
+    )
     is_refused(programs.node("watson_imu", "--params-file", "one.yaml"), "'nonsense'", "serial_port")
 
 
 def test_parameter_files_of_the_project_are_accepted(programs, observer):
-    """A node takes the file that ``config/`` has for it, and pc05.yaml where it has a vehicle."""
+    """A node takes the file that ``config/`` has for it, and the PC05 where it has a vehicle."""
     config = programs.folder / "mine.yaml"
-    config.write_text("/**: {ros__parameters: {vehicle: {tread: 0.8}}}", encoding="utf-8")
+    config.write_text("/**: {ros__parameters: {vehicle: {kinematics: {tread: 0.8}}}}", encoding="utf-8")
     texts = observer.subscribe("slip_estimator/parameters")
     programs.node("slip_estimator", "--params-file", "mine.yaml")
     observer.wait(lambda: texts, "the parameters in use")
-    assert "vehicle.tread: 0.8" in texts[0].data
+    assert "vehicle.kinematics.tread: 0.8" in texts[0].data
 
 
 def test_recorder_does_not_touch_what_exists(programs):
@@ -125,3 +129,30 @@ def test_ctrl_c_while_the_emulator_compiles(programs, observer):
     code, seconds = program.end()
     assert (code, program.stderr) == (0, "")
     assert seconds < BAR * SLACK
+
+
+def test_defaults_are_those_of_what_a_node_is_not_of_its_name(programs, observer):
+    texts = observer.subscribe("slip_estimator/parameters")
+    programs.node("slip_estimator", "-r", "__node:=second")
+    observer.wait(lambda: texts, "its parameters")
+    assert texts[0].data.startswith("slip_estimator:")
+
+
+def test_what_a_section_for_many_nodes_holds_for_others_is_no_error(programs, observer, tmp_path):
+    config = tmp_path / "all.yaml"
+    values = f"vehicle: excavator_20t, serial_port: /dev/x, output: {tmp_path / 'bag'}"
+    config.write_text(f"/**: {{ros__parameters: {{{values}}}}}", encoding="utf-8")
+    vehicle = observer.subscribe("vehicle")
+    for node in ("slip_estimator", "record"):
+        programs.node(node, "--params-file", str(config))
+    for node in ("slip_estimator", "record"):
+        observer.wait(lambda node=node: observer.state(node) == "active", f"{node} to be active")
+    observer.wait(lambda: vehicle, "the vehicle")
+    assert vehicle_of_text(vehicle[0].data, "vehicle") == load_vehicle("excavator_20t")
+
+
+def test_a_soil_estimator_without_hydraulics_says_what_it_lacks(programs, observer):
+    healths = observer.healths()
+    programs.node("soil_estimator", vehicle="warthog")
+    lacking = "vehicle 'warthog' has no mass and no hydraulics: no forces and no soil are estimated"
+    observer.wait(lambda: any(status.message == lacking for status in healths), "what it lacks")

@@ -89,7 +89,7 @@ def inputs():
     segments = (Segment(2.0, 0.0, 0.0), Segment(4.0, 2.0, 2.0), Segment(4.0, 1.0, 2.2))
     truth = simulate(Scenario(name="test", soil="sand", segments=segments))
     p = load_soil_parameters()
-    return list(soil_inputs(truth, p.vehicle, load_slip_parameters().motion, Sensing()))
+    return list(soil_inputs(truth, p.vehicle.whole(), load_slip_parameters().motion, Sensing()))
 
 
 def test_the_node_gives_what_the_estimator_gives(programs, observer, inputs):
@@ -135,7 +135,7 @@ def test_only_the_limits_of_the_warning_change_while_it_runs(programs, observer)
     for name, value, accepted in (
         ("stuck_time", 2.0, True),
         ("high_slip", 2.0, False),
-        ("vehicle.mass", 1.0, False),
+        ("vehicle.mass.mass", 1.0, False),
     ):
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
         answer = client.call_async(request)

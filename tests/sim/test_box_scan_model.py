@@ -9,14 +9,13 @@ import pytest
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import load_vehicle
 from trackslip_sim.machine.scan_model import TIME_INCREMENT, SiteParameters, SiteScanner
 
 
 @pytest.fixture(scope="module")
-def vehicle():
-    tree = read_yaml(config_file("pc05.yaml"))["/**"]["ros__parameters"]["vehicle"]
-    return from_flat(Vehicle, flatten(tree), "pc05.yaml")
+def box():
+    return load_vehicle().box
 
 
 def site(**changes):
@@ -37,23 +36,23 @@ def standing(x, y, yaw):
     return lambda times: (np.full_like(times, x), np.full_like(times, y), np.full_like(times, yaw))
 
 
-def test_box_ahead_and_nothing_else(vehicle):
-    ranges = SiteScanner(site(), vehicle, seed=0).scan(0.0, standing(6.0, 0.0, 0.0))
-    assert ranges[180] == pytest.approx(6.0 - vehicle.box_length / 2.0)
+def test_box_ahead_and_nothing_else(box):
+    ranges = SiteScanner(site(), box, seed=0).scan(0.0, standing(6.0, 0.0, 0.0))
+    assert ranges[180] == pytest.approx(6.0 - box.length / 2.0)
     hit = np.flatnonzero(np.isfinite(ranges))
-    half_width = np.arctan2(vehicle.box_width / 2.0, 6.0 - vehicle.box_length / 2.0)
+    half_width = np.arctan2(box.width / 2.0, 6.0 - box.length / 2.0)
     assert hit[-1] - 180 == int(np.rad2deg(half_width) / 0.5) == 180 - hit[0]
 
 
-def test_box_offset_and_laser_pose(vehicle):
-    ahead = dataclasses.replace(vehicle, box_x=0.5, box_y=0.2)
+def test_box_offset_and_laser_pose(box):
+    ahead = dataclasses.replace(box, box_x=0.5, box_y=0.2)
     scanner = SiteScanner(site(laser_x=2.0, laser_y=-7.0, laser_yaw=np.pi / 2.0), ahead, seed=0)
     ranges = scanner.scan(0.0, standing(2.2, 0.0, np.pi / 2.0))
     assert ranges[180] == pytest.approx(7.0 + 0.5 - 0.35)
 
 
-def test_walls_and_posts_hide_what_is_behind(vehicle):
-    scanner = SiteScanner(site(walls=(8.0, -1.0, 8.0, 1.0), posts=(3.0, 0.0, 0.1)), vehicle, seed=0)
+def test_walls_and_posts_hide_what_is_behind(box):
+    scanner = SiteScanner(site(walls=(8.0, -1.0, 8.0, 1.0), posts=(3.0, 0.0, 0.1)), box, seed=0)
     ranges = scanner.scan(0.0, standing(6.0, 0.0, 0.0))
     assert ranges[180] == pytest.approx(2.9)
     assert ranges[185] == pytest.approx(5.65 / np.cos(np.deg2rad(2.5)))
@@ -61,20 +60,20 @@ def test_walls_and_posts_hide_what_is_behind(vehicle):
     assert np.isinf(ranges[196])
 
 
-def test_each_beam_sees_the_vehicle_at_its_own_time(vehicle):
+def test_each_beam_sees_the_box_at_its_own_time(box):
     speed = 50.0  # m/s, so that it shows
 
     def pose_at(times):
         return 6.0 + speed * times, np.zeros_like(times), np.zeros_like(times)
 
-    ranges = SiteScanner(site(), vehicle, seed=0).scan(0.0, pose_at)
+    ranges = SiteScanner(site(), box, seed=0).scan(0.0, pose_at)
     assert ranges[180] == pytest.approx(5.65 + speed * 180 * TIME_INCREMENT)
     assert pytest.approx(720) == 0.040 / TIME_INCREMENT  # beams per turn of the mirror
 
 
-def test_noise_has_its_size_and_ranges_are_whole_centimetres(vehicle):
+def test_noise_has_its_size_and_ranges_are_whole_centimetres(box):
     scanner = SiteScanner(
-        site(range_stddev=0.03, range_resolution=0.01, walls=(5.0, -90.0, 5.0, 90.0)), vehicle, seed=1
+        site(range_stddev=0.03, range_resolution=0.01, walls=(5.0, -90.0, 5.0, 90.0)), box, seed=1
     )
     away = standing(-20.0, 0.0, 0.0)
     truth = scanner.true_ranges(0.0, away)
@@ -85,14 +84,14 @@ def test_noise_has_its_size_and_ranges_are_whole_centimetres(vehicle):
     assert ranges * 100.0 == pytest.approx(np.round(ranges * 100.0), abs=1e-6)
 
 
-def test_beyond_the_farthest_return_is_infinite(vehicle):
-    scanner = SiteScanner(site(range_max=10.0, walls=(12.0, -1.0, 12.0, 1.0)), vehicle, seed=0)
+def test_beyond_the_farthest_return_is_infinite(box):
+    scanner = SiteScanner(site(range_max=10.0, walls=(12.0, -1.0, 12.0, 1.0)), box, seed=0)
     assert np.all(np.isposinf(scanner.scan(0.0, standing(-20.0, 0.0, 0.0))))
 
 
-def test_same_seed_same_scan(vehicle):
+def test_same_seed_same_scan(box):
     noisy = site(range_stddev=0.03)
-    one, other = (SiteScanner(noisy, vehicle, seed=7).scan(0.0, standing(6.0, 1.0, 0.3)) for _ in range(2))
+    one, other = (SiteScanner(noisy, box, seed=7).scan(0.0, standing(6.0, 1.0, 0.3)) for _ in range(2))
     assert np.array_equal(one, other)
 
 

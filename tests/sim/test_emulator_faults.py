@@ -7,20 +7,18 @@ import itertools
 import numpy as np
 import pytest
 
-from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import from_flat
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
 from trackslip_drivers.protocols.can_frames import ERROR_FLAG
 from trackslip_sim.devices.pty_port import PtyPort
 from trackslip_sim.machine.excavator import EmulatedExcavator, drive
 from trackslip_sim.machine.faults import KINDS, Fault, parse_fault
-from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
+from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
 
 MS, S = 1_000_000, 1_000_000_000
 PARAMETERS = dataclasses.replace(
-    from_flat(EmulatorParameters, node_defaults(NODE, *DEFAULT_FILES), NODE),
+    load_emulator_parameters({}),
     scenario="straight",
     mode="thesis",
     duration=30.0,

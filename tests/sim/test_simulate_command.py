@@ -25,7 +25,7 @@ def test_json_has_the_promised_keys(tmp_path: Path, capsys: pytest.CaptureFixtur
     file = tmp_path / "out.json"
     assert run(parse("--scenario", "straight", "--soil", "dry_clay", "--json", str(file))) == 0
     report = json.loads(file.read_text())
-    assert set(report) == {"final", "duration_s", "elapsed_s"}
+    assert set(report) == {"vehicle", "final", "duration_s", "elapsed_s"}
     assert set(report["final"]) == {
         *("x", "y", "yaw", "v_x", "yaw_rate"),
         *("left_slip", "right_slip", "left_thrust", "right_thrust"),

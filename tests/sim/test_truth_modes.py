@@ -6,15 +6,16 @@ import pytest
 
 from trackslip_common.errors import InputError
 from trackslip_common.soils import soil
+from trackslip_common.vehicle import load_vehicle
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.truth.kinematic import Turning, simulate_kinematic
 from trackslip_sim.truth.record import COLUMNS, joined
-from trackslip_sim.truth.settings import load_settings, load_vehicle
+from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_pieces
 
-VEHICLE = load_vehicle()
+VEHICLE = load_vehicle().whole()
 SETTINGS = load_settings()
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 

@@ -8,14 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackslip_common.soils import load_soils
+from trackslip_common.vehicle import load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.ground import Ground, Patch, build_ground
 from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.rows import Column
-from trackslip_sim.truth.settings import TruthSettings, load_settings, load_vehicle
+from trackslip_sim.truth.settings import TruthSettings, load_settings
 from trackslip_sim.truth.shear import ShearDrive
 
-VEHICLE = load_vehicle()
+VEHICLE = load_vehicle().whole()
 SETTINGS = load_settings()
 SOILS = load_soils()
 NAMES = st.sampled_from(["sand", "sandy_loam", "clayey_soil", "dry_clay"])

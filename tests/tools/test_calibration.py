@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 
 P = load_slip_parameters()
 SOURCES = ("imu/data_raw", "box_pose")
-RADIUS, TREAD = P.vehicle.rolling_radius, P.vehicle.tread
+RADIUS, TREAD = P.vehicle.kinematics.rolling_radius, P.vehicle.kinematics.tread
 COUNT = 5.1133e-4  # rad, of an encoder
 STAND, STRAIGHT = (5.0, 0.0, 0.0), (8.0, 2.2, 2.2)
 LEFT, RIGHT = (6.0, 1.2, 2.2), (6.0, 2.2, 1.2)
@@ -201,8 +201,10 @@ def test_radius_and_slip_are_told_apart_by_the_user_only() -> None:
     assert "hard-ground" in soft.findings["rolling_radius"].reason
     assert hard.findings["rolling_radius"].value == soft.findings["effective_rolling_radius"].value
     assert "common_slip" not in hard.findings
-    assert "vehicle.rolling_radius" not in soft.parameters[NODE]
-    assert {node for node, values in hard.parameters.items() if "vehicle.rolling_radius" in values} == {
+    assert "vehicle.kinematics.rolling_radius" not in soft.parameters[NODE]
+    assert {
+        node for node, values in hard.parameters.items() if "vehicle.kinematics.rolling_radius" in values
+    } == {
         NODE,
         "soil_estimator",
         "box_localizer",
@@ -253,7 +255,7 @@ def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
     write_parameters(path, calibration, ["one", "two"])
     tree = read_yaml(path)
     p = load_slip_parameters(node_parameters(tree, NODE, str(path)))
-    assert p.vehicle.rolling_radius == calibration.findings["rolling_radius"].value
+    assert p.vehicle.kinematics.rolling_radius == calibration.findings["rolling_radius"].value
     gyro = p.gyros()["imu/data_raw"]
     assert gyro.sign == -1
     assert gyro.scale == pytest.approx(0.985, abs=0.02)

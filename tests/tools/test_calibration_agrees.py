@@ -50,7 +50,7 @@ MACHINES = (
 
 @cache
 def drive(soil: str) -> Truth:
-    return simulate(load_scenario("field_trial").stretched(SECONDS), soil=soil, vehicle=P.vehicle)
+    return simulate(load_scenario("field_trial").stretched(SECONDS), soil=soil, vehicle=P.vehicle.whole())
 
 
 @cache
@@ -60,7 +60,7 @@ def recorded(machine: Machine) -> Recording:
     t, at, fixed = (np.arange(0.1, SECONDS - 0.1, period) for period in (0.01, 0.0844, 0.24))
     driven = truth.interpolate(t)
     angles = np.column_stack((driven.left_angle, driven.right_angle))
-    turned = machine.asymmetry * P.vehicle.rolling_radius * angles.mean(axis=1)
+    turned = machine.asymmetry * P.vehicle.kinematics.rolling_radius * angles.mean(axis=1)
     heading = driven.yaw + turned
     velocity = (driven.v_x + 1j * driven.v_y) * np.exp(1j * heading)
     place = np.concatenate(([0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2.0 * np.diff(t))))

@@ -20,9 +20,13 @@ WriteBag = Callable[..., Path]
     ("options", "expected"),
     [
         ("--set slip_estimator.histery_window=3", "unknown parameter 'histery_window'"),
-        ("--set slip_estimator.vehicle.tred=3", "unknown parameter 'vehicle.tred'"),
-        ("--set slip_estimator.vehicle=3", "unknown parameter 'vehicle'"),
-        ("--set slip_estimator.vehicle.tread=0", "vehicle.tread: 0.0 is out of range; accepted: > 0 m"),
+        ("--set slip_estimator.vehicle.kinematics.tred=3", "did you mean 'vehicle.kinematics.tread'?"),
+        ("--vehicle excavator_20", "did you mean 'excavator_20t'?"),
+        ("--set slip_estimator.vehicle=3", "vehicle: 3 is not text; accepted: excavator_20t, pc05"),
+        (
+            "--set slip_estimator.vehicle.kinematics.tread=0",
+            "kinematics.tread: 0.0 is out of range; accepted: > 0",
+        ),
         ("--set slip_estimator.gate_probability=1.5", "1.5 is out of range; accepted: > 0 and < 1"),
         ("--set slip_estimator.history_window=.nan", "nan is out of range"),
         ("--set slip_estimator.history_window=long", "'long' is not a number; accepted: > 0"),

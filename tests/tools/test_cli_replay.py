@@ -117,8 +117,11 @@ def test_a_remapped_topic_is_the_source(
 
 def test_parameters_come_in_layers(bag: Path, tmp_path: Path, summary: Summary) -> None:
     wide = tmp_path / "wide.yaml"
-    wide.write_text("/**: {ros__parameters: {vehicle: {tread: 1.46}}}\n", encoding="utf-8")
-    tread = "slip_estimator.vehicle.tread"
+    wide.write_text(
+        "/**: {ros__parameters: {vehicle: {kinematics: {tread: 1.46}}, serial_port: /dev/x}}\n",
+        encoding="utf-8",
+    )
+    tread = "slip_estimator.vehicle.kinematics.tread"
     default, by_file = summary(bag), summary(bag, "--params", wide)
     assert by_file["rmse"]["dead_reckoning"] != default["rmse"]["dead_reckoning"]
     assert summary(bag, "--set", f"{tread}=1.46")["rmse"] == by_file["rmse"]
@@ -135,7 +138,14 @@ def test_a_replay_of_a_recorded_run_matches_it(
     with open_bag(made) as estimates:
         assert {t.removeprefix("/"): i.type_name for t, i in estimates.topics.items()} == {
             topic: TOPICS[topic].type_name
-            for topic in ("odometry", "track_slip", "measurement_reports", "slip_estimator/parameters")
+            for topic in (
+                "odometry",
+                "track_slip",
+                "measurement_reports",
+                "slip_estimator/parameters",
+                "vehicle",
+                "odometry/local",
+            )
         }
         written = [(m, estimates.deserialize(m.raw, m.type_name)) for m in estimates.messages()]
     in_order = sorted(written, key=lambda pair: getattr(pair[1], "sequence", -1))
@@ -147,7 +157,7 @@ def test_a_replay_of_a_recorded_run_matches_it(
             recording.write(message.topic, message.type_name, message.raw, end_ns + k)
     assert summary(both)["replay_matches"] is True
     assert "replay_matches" not in summary(both, "--withhold", "box_pose:4:5")
-    assert summary(both, "--set", "slip_estimator.vehicle.tread=0.74")["replay_matches"] is False
+    assert summary(both, "--set", "slip_estimator.vehicle.kinematics.tread=0.74")["replay_matches"] is False
 
 
 def test_info_lists_the_topics(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,9 +9,7 @@ import pytest
 from fixtures.arrival_rows import rows_of
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.measurements import Sprockets, YawRate
 from trackslip_tools.replay.dead_reckoning import DrivenCollector, Path, dead_reckon
 
@@ -20,10 +18,8 @@ EPOCH_NS = 1_700_000_000_000_000_000  # where float seconds are 240 ns apart
 ORIGIN = np.zeros(3)
 
 
-def vehicle() -> Vehicle:
-    values = node_defaults("slip_estimator", "pc05.yaml")
-    flat = {name.removeprefix("vehicle."): value for name, value in values.items()}
-    return replace(from_flat(Vehicle, flat, "pc05"), rolling_radius=0.2, tread=0.8)
+def vehicle() -> Kinematics:
+    return Kinematics(rolling_radius=0.2, tread=0.8, contact_length=1.2)
 
 
 def samples(

@@ -110,7 +110,7 @@ def test_what_a_replay_started_from_stands_in_the_bag_that_it_writes(
 @pytest.mark.parametrize(
     ("learned", "options", "reason"),
     [
-        (None, ("--set", "slip_estimator.vehicle.tread=0.8"), "of another vehicle"),
+        (None, ("--set", "slip_estimator.vehicle.kinematics.tread=0.8"), "of another vehicle"),
         (3, (), "does not hold what was learned"),
         ({"machine": "x"}, (), "of another vehicle"),
     ],

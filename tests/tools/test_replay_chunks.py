@@ -12,7 +12,7 @@ import pytest
 from trackslip_bags import chunks, tables
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
-from trackslip_common.parameters import to_flat
+from trackslip_common.vehicle import vehicle_layer
 from trackslip_estimation.slip.estimator import SlipEstimator, make_step
 from trackslip_estimation.slip.measurements import (
     Measurement,
@@ -118,7 +118,7 @@ def test_the_length_of_the_batches_changes_nothing(
 ) -> None:
     """Of both estimators."""
     p = load_slip_parameters()
-    of_soil = load_soil_parameters(to_flat(p.vehicle, "vehicle."))
+    of_soil = load_soil_parameters(vehicle_layer(p.vehicle))
 
     def found() -> list[Any]:
         details = Details()

@@ -69,6 +69,19 @@ def test_a_source_that_the_journal_does_not_know_is_merged_by_log_time() -> None
     ]
 
 
+def test_a_manual_pose_without_a_stamp_is_found_by_the_line_of_its_use() -> None:
+    arrivals = [arrival("a", 1, 10), arrival("gnss", 0, 11), arrival("a", 2, 12), arrival("gnss", 0, 13)]
+    lines = journal((20, "a", 1), (21, "a", 2), (22, "gnss", 2), (23, "gnss", 0))
+    rows, counts = ordered(arrivals, lines)
+    assert [(SOURCES[row["source"]], int(row["log_time_ns"])) for row in rows] == [
+        ("a", 10),
+        ("a", 12),
+        ("gnss", 13),
+        ("gnss", 11),
+    ]
+    assert counts.lost_inputs == 0
+
+
 def test_what_live_never_processed_is_left_out() -> None:
     """The recorder received stamp 2, the estimator did not: its journal is complete."""
     arrivals = [arrival("a", k, k) for k in (1, 2, 3)]

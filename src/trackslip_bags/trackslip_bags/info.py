@@ -3,7 +3,9 @@
 
 from datetime import datetime, timezone
 
+from trackslip_bags.parameters import bag_vehicle
 from trackslip_bags.reader import Bag
+from trackslip_common.vehicle import ASSUMED
 
 _HEAD = ("topic", "type", "count", "rate (Hz)")
 
@@ -17,6 +19,8 @@ def describe(bag: Bag) -> str:
         f"duration  {bag.duration_s:.3f} s",
         f"messages  {bag.message_count}",
     ]
+    vehicle = bag_vehicle(bag)
+    lines.append(f"vehicle   {vehicle.name if vehicle is not None else f'not named: {ASSUMED} is assumed'}")
     if bag.damage:
         lines.append(f"damage    {bag.damage} (trackslip recover rewrites what can be read)")
     rows = [

@@ -2,8 +2,10 @@
 """Parameters in bags of earlier versions, by the names of today: the one place that knows those of before."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
+from trackslip_common.vehicle import Hydraulics
 from trackslip_estimation.slip.sources import group_name, named
 
 # Until November 2026 each number of the sources was a list: a value for each source, or one for all.
@@ -24,6 +26,13 @@ _LISTS = {
     },
     "slip_sources": {"slip_timeouts": "timeout"},
 }
+# Until then also, a vehicle was one list of numbers without a name.
+_VEHICLE = {
+    **{name: f"kinematics.{name}" for name in ("rolling_radius", "tread", "contact_length")},
+    **{name: f"mass.{name}" for name in ("mass", "yaw_inertia", "track_width")},
+    **{f.name: f"hydraulics.{f.name}" for f in fields(Hydraulics)},
+    **{f"box_{name}": f"sensors.box.{name}" for name in ("length", "width", "x", "y")},
+}
 _DEFAULTS = {"pose_sources": ["box_pose"], "yaw_rate_sources": ["imu/data_raw"]}  # of mappings that name none
 
 
@@ -35,6 +44,10 @@ def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
         for old, key in keys.items():
             if old in values:
                 values |= _one_each(topics, key, values.pop(old))
+    vehicle = {name: f"vehicle.{new}" for name, new in _VEHICLE.items() if f"vehicle.{name}" in values}
+    values |= {new: values.pop(f"vehicle.{name}") for name, new in vehicle.items()}
+    if len(vehicle) == len(_VEHICLE):
+        values["vehicle.name"] = "unnamed"
     poses, gyros = (named(stated.get(kind, default)) for kind, default in _DEFAULTS.items())
     if {"use_heading", "position_only"} & values.keys():
         used, without = values.pop("use_heading", True), values.pop("position_only", ())

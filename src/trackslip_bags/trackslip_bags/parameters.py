@@ -10,7 +10,8 @@ from typing import Any
 from trackslip_bags.old_parameters import current_names
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flatten
+from trackslip_common.parameters import flatten, from_flat
+from trackslip_common.vehicle import TOPIC, VehicleParameters, WithVehicle, names_vehicle, vehicle_of_text
 from trackslip_common.yaml_text import parse_yaml
 
 PARAMETERS_TOPIC = "slip_estimator/parameters"
@@ -27,6 +28,22 @@ def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
         InputError: what is on the topic is no parameter file.
     """
     return current_names(stated_parameters(bag, node))
+
+
+def bag_vehicle(bag: Bag) -> VehicleParameters | None:
+    """The vehicle that a bag was recorded on, where it carries one.
+
+    Raises:
+        InputError: what it carries is none.
+    """
+    where = f"bag '{bag.path}'"
+    for message in bag.messages([TOPIC]):
+        return vehicle_of_text(bag.deserialize(message.raw, message.type_name).data, f"{where}: {TOPIC}")
+    values = bag_parameters(bag)
+    if not names_vehicle(values):
+        return None
+    own = {name: value for name, value in values.items() if name.startswith(f"{TOPIC}.")}
+    return from_flat(WithVehicle, own, where).vehicle
 
 
 def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:

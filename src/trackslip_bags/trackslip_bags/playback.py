@@ -13,6 +13,7 @@ from trackslip_bags.reader import Bag, absolute
 OWN_OUTPUTS = frozenset(
     {
         "odometry",
+        "odometry/local",
         "track_slip",
         "track_forces",
         "soil",
@@ -20,6 +21,7 @@ OWN_OUTPUTS = frozenset(
         "measurement_reports",
         "slip_estimator/parameters",
         "soil_estimator/parameters",
+        "vehicle",
         "diagnostics",
         "tf",
         "rosout",

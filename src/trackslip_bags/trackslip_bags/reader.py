@@ -15,6 +15,7 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 
 from trackslip_bags.metadata import METADATA
+from trackslip_bags.namespace import InNamespace
 from trackslip_bags.sources import (
     BagMessage,
     Source,
@@ -44,7 +45,7 @@ class Bag:
         self.path = path
         self.damage = damage
         self.files = files
-        self._sources = sources
+        self.sources = sources
         self._stores: dict[str, Typestore] = {}
         self.topics: dict[str, TopicInfo] = merged(source.topics() for source in sources)
         filled = [source for source in sources if source.end_ns >= source.start_ns]
@@ -81,7 +82,7 @@ class Bag:
         wanted = None if names is None else {topic for topic in self.topics if absolute(topic) in names}
         first = self.start_ns if start_ns is None else start_ns
         stop = self.end_ns + 1 if stop_ns is None else stop_ns
-        parts = [source.messages(wanted, first, stop) for source in self._sources]
+        parts = [source.messages(wanted, first, stop) for source in self.sources]
         try:
             yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=attrgetter("log_time_ns"))
         except Exception as error:
@@ -119,9 +120,9 @@ class Bag:
 
     def close(self) -> None:
         """Close the files."""
-        for source in self._sources:
+        for source in self.sources:
             source.close()
-        self._sources = []
+        self.sources = []
 
     def __enter__(self) -> "Bag":
         return self
@@ -136,12 +137,19 @@ class Bag:
         return MessageDefinition(MessageDefinitionFormat.NONE, "")
 
 
-def open_bag(path: Path | str) -> Bag:
+def open_bag(path: Path | str, namespace: str = "") -> Bag:
     """Open any bag; a recording that was killed opens with what is whole of it, as ``damage`` states.
+
+    With a namespace its topics have the names that they have in it, and those of others are not there.
 
     Raises:
         InputError: there is none, it is of another kind, or nothing of it can be read.
     """
+    bag = _open(path)
+    return Bag(bag.path, [InNamespace(s, namespace) for s in bag.sources], bag.damage) if namespace else bag
+
+
+def _open(path: Path | str) -> Bag:
     path = Path(path)
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")

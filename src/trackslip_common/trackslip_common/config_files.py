@@ -2,15 +2,17 @@
 """Finds and reads the YAML files of ``config/``: the one place where defaults live."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flatten
+from trackslip_common.parameters import Parameters, flatten, from_flat
 from trackslip_common.yaml_text import LONGEST, parse_yaml
+
+P = TypeVar("P", bound=Parameters)
 
 _SHARE = Path("share/trackslip_common/config")
 
@@ -25,7 +27,7 @@ def config_directory() -> Path:
     installed = [Path(prefix) / _SHARE for prefix in prefixes if prefix]
     checkout = [parent / "config" for parent in Path(__file__).resolve().parents]
     for directory in installed + checkout:
-        if (directory / "pc05.yaml").is_file():
+        if (directory / "vehicles").is_dir():
             return directory
     raise InputError(f"config directory not found; looked for {_SHARE} on AMENT_PREFIX_PATH")
 
@@ -83,6 +85,18 @@ def node_defaults(node: str, *files: str) -> dict[str, Any]:
         path = config_file(name)
         values |= node_parameters(read_yaml(path), node, str(path))
     return values
+
+
+def load_parameters(cls: type[P], node: str, files: Sequence[str], *layers: Mapping[str, Any]) -> P:
+    """What these files of ``config/`` give a kind of node, with layers of dotted names over them.
+
+    Raises:
+        InputError: a name is unknown or a value refused.
+    """
+    values: dict[str, Any] = {}
+    for layer in (node_defaults(node, *files), *layers):
+        values = cls.overlaid(values, layer)
+    return from_flat(cls, values, node)
 
 
 def parameters_text(parameters: Mapping[str, Any], node: str, **beside: Any) -> str:

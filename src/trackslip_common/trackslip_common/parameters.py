@@ -8,8 +8,9 @@ parameter descriptors of the nodes. A bad value is refused with one line, never 
     class Vehicle(Parameters):
         tread: float = parameter("distance between the track centre lines", unit="m", gt=0.0)
 
-A field that is ``Parameters`` itself is a group of them. A field that is a ``Mapping`` holds a group for each
-of the names that other parameters give, as ``groups_of`` says.
+A field that is ``Parameters`` itself is a group of them; one that may also be None is left out whole, or
+given whole. A field that is a ``Mapping`` holds a group for each of the names that other parameters give, as
+``groups_of`` says.
 """
 
 import dataclasses
@@ -21,7 +22,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from trackslip_common.errors import InputError
 
@@ -103,6 +104,8 @@ class Group(NamedTuple):
 class Parameters:
     """Base of the frozen parameter dataclasses: refuses bad values when constructed."""
 
+    NAMED: ClassVar[frozenset[str]] = frozenset()  # names that ``overlaid`` knows beside those of the fields
+
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
         """Field of kind ``Mapping`` → name → group, as the values (dotted names) ask for; none by default.
@@ -146,7 +149,8 @@ def flat_fields(of: type[Parameters] | Parameters, prefix: str = "") -> Iterator
         if spec is not None:
             yield prefix + name, kind, spec
         elif not _is_several(kind):
-            yield from flat_fields(kind if value is None else value, f"{prefix}{name}.")
+            group = value if record is not None else _group_class(kind)
+            yield from flat_fields(group, f"{prefix}{name}.") if group is not None else ()
         else:
             for key, group in (value or {}).items():
                 yield from flat_fields(group, f"{prefix}{name}.{key}.")
@@ -160,7 +164,7 @@ def to_flat(record: Parameters, prefix: str = "") -> dict[str, Any]:
         if spec is not None:
             flat[prefix + name] = list(value) if isinstance(value, tuple) else value
         elif not _is_several(kind):
-            flat |= to_flat(value, f"{prefix}{name}.")
+            flat |= to_flat(value, f"{prefix}{name}.") if value is not None else {}
         else:
             for key, group in value.items():
                 flat |= to_flat(group, f"{prefix}{name}.{key}.")
@@ -205,7 +209,9 @@ def from_flat(cls: type[T], values: Mapping[str, Any], where: str, prefix: str =
                 raise InputError(f"{where}: parameter '{full}' is missing ({spec.description})")
             arguments[name] = _coerce(f"{where}: {full}", values[full], kind, spec)
         elif not _is_several(kind):
-            arguments[name] = from_flat(kind, _inside(values, f"{full}."), where, f"{full}.")
+            inside, group = _inside(values, f"{full}."), _group_class(kind)
+            left_out = not inside and group is not kind
+            arguments[name] = None if left_out else from_flat(group, inside, where, f"{full}.")
         else:
             arguments[name] = {
                 key: _group(group, values, where, f"{full}.{key}.") for key, group in groups[name].items()
@@ -238,6 +244,11 @@ def _is_several(kind: Any) -> bool:
     return typing.get_origin(kind) is Mapping
 
 
+def _group_class(kind: Any) -> Any:
+    """Of a field that holds one group, or may."""
+    return next((k for k in typing.get_args(kind) if k is not type(None)), kind)
+
+
 def _hint(unknown: str, known: list[str]) -> str:
     """What the first part of a dotted name that is not known might have been, or may be."""
     parts = unknown.split(".")
@@ -245,7 +256,7 @@ def _hint(unknown: str, known: list[str]) -> str:
         before = "".join(f"{p}." for p in parts[:depth])
         there = dict.fromkeys(n.removeprefix(before).partition(".")[0] for n in known if n.startswith(before))
         if part not in there:
-            like = get_close_matches(part, list(there), n=1)
+            like = get_close_matches(part, list(there), n=1, cutoff=0.8)
             if like:
                 return f", did you mean '{before}{like[0]}'?"
             return f"; accepted: {', '.join(before + name for name in there) or 'a value, no group'}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The vehicle's constants, as one frozen record (``config/pc05.yaml`` holds the excavator's).
+"""The vehicle's constants: what a file of ``config/vehicles/`` holds, in groups, and a machine given whole.
 
 m, I_z   mass, yaw inertia                 kg, kg m²
 B        tread, between track centre lines m
@@ -9,35 +9,235 @@ V_m, n_g motor displacement, gear ratio    m³/rev, 1
 η_m      mechanical efficiency η₀/η_V      1
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, ClassVar
 
-from trackslip_common.parameters import Parameters, parameter
+import yaml
+
+from trackslip_common.config_files import config_directory, read_yaml
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, flatten, from_flat, parameter, to_flat
+from trackslip_common.yaml_text import parse_yaml
 
 GRAVITY = 9.80665  # m/s²
+ASSUMED = "pc05"  # where no vehicle is named
+TOPIC = "vehicle"  # carries the text of a vehicle, latched; also the name of the parameter that names one
+_GROUP = f"{TOPIC}."
 
 
 @dataclass(frozen=True, kw_only=True)
-class Vehicle(Parameters):
-    """Geometry, mass, hydraulics and marker of one tracked machine; SI units."""
+class Kinematics(Parameters):
+    """What every vehicle must state: it is enough for pose and slips."""
 
-    mass: float = parameter("mass m", unit="kg", gt=0.0)
+    rolling_radius: float = parameter("track travel per radian of sprocket r", unit="m", gt=0.0, le=5.0)
+    tread: float = parameter("distance B between the track centre lines", unit="m", gt=0.0, le=50.0)
+    contact_length: float = parameter("length l of one track on the ground", unit="m", gt=0.0, le=50.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mass(Parameters):
+    """What presses on the ground, and where."""
+
+    mass: float = parameter("mass m", unit="kg", gt=0.0, le=1e7)
     yaw_inertia: float = parameter("moment of inertia I_z about the vertical", unit="kg m²", gt=0.0)
-    tread: float = parameter("distance B between the track centre lines", unit="m", gt=0.0)
-    contact_length: float = parameter("length l of one track on the ground", unit="m", gt=0.0)
-    track_width: float = parameter("width b of one track", unit="m", gt=0.0)
-    rolling_radius: float = parameter("track travel per radian of sprocket r", unit="m", gt=0.0)
-    motor_displacement: float = parameter("oil per motor turn V_m", unit="m³", gt=0.0)
-    gear_ratio: float = parameter("motor turns per sprocket turn n_g", gt=0.0)
+    track_width: float = parameter("width b of one track", unit="m", gt=0.0, le=10.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hydraulics(Parameters):
+    """Travel motors: from pressures to thrusts."""
+
+    motor_displacement: float = parameter("oil per motor turn V_m", unit="m³", gt=0.0, le=0.1)
+    gear_ratio: float = parameter("motor turns per sprocket turn n_g", gt=0.0, le=1e4)
     motor_efficiency: float = parameter("pressure to torque η_m = η₀/η_V", gt=0.0, le=1.0)
     volumetric_efficiency: float = parameter("flow to speed η_V", gt=0.0, le=1.0)
-    relief_pressure: float = parameter("highest pressure over a motor", unit="Pa", gt=0.0)
-    pump_flow: float = parameter("flow of the pump of one track", unit="m³/s", gt=0.0)
-    box_length: float = parameter("side of the laser box along x", unit="m", gt=0.0)
-    box_width: float = parameter("side of the laser box along y", unit="m", gt=0.0)
-    box_x: float = parameter("centre of the laser box ahead of base_link", unit="m")
-    box_y: float = parameter("centre of the laser box left of base_link", unit="m")
+    relief_pressure: float = parameter("highest pressure over a motor", unit="Pa", gt=0.0, le=1e9)
+    pump_flow: float = parameter("flow of the pump of one track", unit="m³/s", gt=0.0, le=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpperStructure(Parameters):
+    """What swings: cab, engine and arm."""
+
+    mass: float = parameter("share of the mass that swings", unit="kg", gt=0.0, le=1e7)
+    swing_axis_x: float = parameter("swing axis ahead of base_link", unit="m", ge=-50.0, le=50.0)
+    swing_axis_y: float = parameter("swing axis left of base_link", unit="m", ge=-50.0, le=50.0)
+    centre_x: float = parameter("its centre of gravity ahead of the axis", unit="m", ge=-50.0, le=50.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box(Parameters):
+    """The upright box that a laser beside the machine sees."""
+
+    length: float = parameter("side along x", unit="m", gt=0.0, le=20.0)
+    width: float = parameter("side along y", unit="m", gt=0.0, le=20.0)
+    x: float = parameter("its centre ahead of base_link", unit="m", ge=-50.0, le=50.0)
+    y: float = parameter("its centre left of base_link", unit="m", ge=-50.0, le=50.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Antenna(Parameters):
+    """Phase centre of the GNSS antenna that gives the position."""
+
+    x: float = parameter("ahead of base_link", unit="m", ge=-50.0, le=50.0)
+    y: float = parameter("left of base_link", unit="m", ge=-50.0, le=50.0)
+    z: float = parameter("above the ground", unit="m", ge=-50.0, le=50.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensors(Parameters):
+    """Where what is mounted on the machine sits."""
+
+    box: Box | None
+    antenna: Antenna | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vehicle(Kinematics, Mass, Hydraulics):
+    """A machine whose ground, mass and hydraulics are all known; SI units."""
 
     @property
     def weight(self) -> float:
         """W = m g, N."""
         return self.mass * GRAVITY
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehicleParameters(Parameters):
+    """A vehicle file: all but the kinematics may be left out."""
+
+    name: str = parameter("what it is called")
+    kinematics: Kinematics
+    mass: Mass | None
+    hydraulics: Hydraulics | None
+    upper_structure: UpperStructure | None
+    sensors: Sensors | None
+
+    @property
+    def box(self) -> Box:
+        """That the laser sees.
+
+        Raises:
+            InputError: there is none.
+        """
+        if self.sensors is None or self.sensors.box is None:
+            raise InputError(f"vehicle '{self.name}' has no sensors.box for the laser; accepted: one with it")
+        return self.sensors.box
+
+    @property
+    def lacks(self) -> str:
+        """What of a whole machine is not given, in words; empty if nothing."""
+        missing = [name for name in ("mass", "hydraulics") if getattr(self, name) is None]
+        return f"vehicle '{self.name}' has no {' and no '.join(missing)}" if missing else ""
+
+    def whole(self) -> Vehicle:
+        """The machine whole.
+
+        Raises:
+            InputError: mass or hydraulics are not given.
+        """
+        if self.mass is None or self.hydraulics is None:
+            raise InputError(f"{self.lacks}; accepted: one whose file has them")
+        groups = (self.kinematics, self.mass, self.hydraulics)
+        return Vehicle(**{f.name: getattr(group, f.name) for group in groups for f in fields(group)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithVehicle(Parameters):
+    """Base of parameters with a vehicle: ``vehicle`` names its file, ``vehicle.<group>`` are its numbers."""
+
+    NAMED: ClassVar[frozenset[str]] = frozenset({TOPIC})
+
+    vehicle: VehicleParameters
+
+    @classmethod
+    def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+        """Values with others over them; a vehicle that is named replaces all of another.
+
+        Raises:
+            InputError: there is no such vehicle.
+        """
+        above = _with_numbers(above)
+        if f"{_GROUP}name" in above:
+            below = {name: value for name, value in below.items() if not name.startswith(_GROUP)}
+        elif f"{_GROUP}name" not in below:
+            below = {**below, **_with_numbers({TOPIC: ASSUMED})}
+        return super().overlaid(below, above)
+
+
+def names_vehicle(values: Mapping[str, Any]) -> bool:
+    """Whether these parameters name a vehicle."""
+    return TOPIC in values or f"{_GROUP}name" in values
+
+
+def vehicle_names() -> list[str]:
+    """Of the files in ``config/vehicles/``."""
+    return sorted(path.stem for path in (config_directory() / "vehicles").glob("*.yaml"))
+
+
+def load_vehicle(name: str = ASSUMED) -> VehicleParameters:
+    """A vehicle of ``config/vehicles/`` by its name, or of a file.
+
+    Raises:
+        InputError: there is no such vehicle, or a value in its file is refused.
+    """
+    path = _file(name)
+    return _vehicle(read_yaml(path), path.stem, str(path))
+
+
+def vehicle_of_text(text: str, where: str) -> VehicleParameters:
+    """From what the topic ``vehicle`` carries.
+
+    Raises:
+        InputError: it is no vehicle.
+    """
+    tree = parse_yaml(text, where)
+    if not isinstance(tree, Mapping):
+        raise InputError(f"{where}: expected names and values (a YAML mapping)")
+    return _vehicle(tree, "unnamed", where)
+
+
+def vehicle_text(vehicle: VehicleParameters) -> str:
+    """What a file of the vehicle would hold, without comments."""
+    tree: dict[str, Any] = {}
+    for name, value in to_flat(vehicle).items():
+        *groups, last = name.split(".")
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+        branch[last] = value
+    text: str = yaml.safe_dump(tree, sort_keys=False)
+    return text
+
+
+def vehicle_layer(vehicle: VehicleParameters) -> dict[str, Any]:
+    """All of its numbers as parameters of a node, by dotted name."""
+    return to_flat(vehicle, _GROUP)
+
+
+def _vehicle(tree: Mapping[str, Any], name: str, where: str) -> VehicleParameters:
+    return from_flat(VehicleParameters, {"name": name, **flatten(tree)}, where)
+
+
+def _with_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters with the numbers of the vehicle that they name, and what they say of it over them."""
+    if TOPIC not in values:
+        return dict(values)
+    rest = {name: value for name, value in values.items() if name != TOPIC}
+    name = values[TOPIC]
+    if not isinstance(name, str):
+        raise InputError(f"{TOPIC}: {name!r} is not text; accepted: {', '.join(vehicle_names())}, or a file")
+    return {**vehicle_layer(load_vehicle(name)), **rest}
+
+
+def _file(name: str) -> Path:
+    for candidate in (config_directory() / "vehicles" / f"{name}.yaml", Path(name)):
+        if candidate.is_file():
+            return candidate
+    known = vehicle_names()
+    like = get_close_matches(name, known, n=1)
+    hint = f", did you mean '{like[0]}'?" if like else f"; accepted: {', '.join(known)}, or a YAML file"
+    raise InputError(f"vehicle '{name}': no such vehicle or file{hint}")

@@ -1,31 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The drivers: CAN, Watson IMU, SICK PLS; with ``gnss:=true`` a GNSS receiver too."""
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch.actions import OpaqueFunction
 
-from launch import LaunchContext, LaunchDescription
+from launch import LaunchDescription
+from trackslip_common.nodes.launching import Launched, declared, nodes
 
 PACKAGE = "trackslip_drivers"
-EXECUTABLES = ("can_driver", "watson_imu", "sick_pls")
+EXECUTABLES = ("can_driver", "watson_imu", "sick_pls", "nmea_gnss")
 
 
 def generate_launch_description() -> LaunchDescription:
     """Defaults are the nodes' own; ``params_file`` goes over them."""
-    about = "ROS parameter file over the defaults of config/"
-    arguments = [
-        DeclareLaunchArgument("params_file", default_value="", description=about),
-        DeclareLaunchArgument("gnss", default_value="false", description="whether there is a GNSS receiver"),
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
-
-
-def _nodes(context: LaunchContext) -> list[Node]:
-    params_file = LaunchConfiguration("params_file").perform(context)
-    parameters = [params_file] if params_file else []
-    has_gnss = LaunchConfiguration("gnss").perform(context).lower() == "true"
-    return [
-        Node(package=PACKAGE, executable=name, name=name, parameters=parameters, output="screen")
-        for name in (*EXECUTABLES, *(["nmea_gnss"] if has_gnss else []))
-    ]
+    wanted = [Launched(PACKAGE, name) for name in EXECUTABLES]
+    return LaunchDescription([*declared(), OpaqueFunction(function=nodes, args=[wanted])])

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.parameters import parameter
+from trackslip_common.vehicle import WithVehicle
 from trackslip_common.yaml_text import parse_yaml
 
 NODE = "can_driver"
-DEFAULT_FILES = ("pc05.yaml", "can_driver.yaml")
+DEFAULT_FILES = ("can_driver.yaml",)
 
 _OVER_NETWORK = ("udp_multicast", "socketcand")  # python-can's interfaces with a port
 _INTERFACES = (
@@ -33,7 +33,7 @@ _INTERFACES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class CanDriverParameters(Parameters):
+class CanDriverParameters(WithVehicle):
     """Bus, contract, roles of its signals, and how they become motion."""
 
     can_interface: str = parameter("python-can interface", choices=_INTERFACES)
@@ -48,7 +48,6 @@ class CanDriverParameters(Parameters):
     max_sprocket_speed: float = parameter("a reading that moved faster is refused", unit="rad/s", gt=0.0)
     velocity_window: int = parameter("readings in the velocity fit", ge=2, le=50)
     pairing_timeout: float = parameter("oldest value that goes with those of another frame", unit="s", gt=0.0)
-    vehicle: Vehicle
 
     def bus_options(self) -> Mapping[str, Any]:
         """What python-can is given beside interface and channel.

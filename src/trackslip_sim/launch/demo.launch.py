@@ -4,33 +4,31 @@
 from datetime import datetime
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+from trackslip_common.nodes.launching import Launched, declared, nodes
+from trackslip_common.vehicle import ASSUMED
 from trackslip_sim.demo.graph import DemoOptions, demo_nodes
 
-_ARGUMENTS = (
-    ("duration", "40.0", "seconds of driving"),
-    ("soil", "sand", "a name of config/soils.yaml"),
-    ("scenario", "thesis", "a name of config/scenarios, or a file"),
-    ("devices", "/tmp/trackslip_devices", "directory of the emulated serial ports"),
-    ("can_port", "43113", "UDP port of the emulated CAN bus"),
-)
+_OWN = {
+    "duration": ("40.0", "seconds of driving"),
+    "soil": ("sand", "a name of config/soils.yaml"),
+    "scenario": ("thesis", "a name of config/scenarios, or a file"),
+    "devices": ("/tmp/trackslip_devices", "directory of the emulated serial ports"),
+    "can_port": ("43113", "UDP port of the emulated CAN bus"),
+}
 
 
 def generate_launch_description() -> LaunchDescription:
     """The machine starts to drive some seconds after its key is turned; the bag is written here."""
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=about)
-        for name, default, about in _ARGUMENTS
-    ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
+    return LaunchDescription([*declared(**_OWN), OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in _ARGUMENTS}
+    given = {name: LaunchConfiguration(name).perform(context) for name in (*_OWN, "vehicle")}
     options = DemoOptions(
         devices=Path(given["devices"]),
         bag=Path.cwd() / f"trackslip_{datetime.now():%Y%m%d_%H%M%S}",
@@ -38,15 +36,8 @@ def _nodes(context: LaunchContext) -> list[Node]:
         duration=float(given["duration"]),
         soil=given["soil"],
         scenario=given["scenario"],
+        vehicle=given["vehicle"] or ASSUMED,
         autostart=True,
     )
-    return [
-        Node(
-            package=node.package,
-            executable=node.executable,
-            name=node.executable,
-            parameters=[node.parameters],
-            output="screen",
-        )
-        for node in demo_nodes(options)
-    ]
+    wanted = [Launched(node.package, node.executable, node.parameters) for node in demo_nodes(options)]
+    return nodes(context, wanted)

@@ -14,6 +14,7 @@ from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import MODES, duration_of, simulate_in_pieces
 from trackslip_sim.truth.window import TruthWindow
+from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.json_file import write_json
 
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME|FILE",
         help=f"{', '.join(scenario_names())}, or a YAML file",
     )
+    replay_options.add_vehicle(parser, "none")
     parser.add_argument("--soil", metavar="S", help="soil outside the scenario's patches; default: its own")
     parser.add_argument(
         "--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds"
@@ -57,13 +59,16 @@ def run(arguments: argparse.Namespace) -> int:
                 f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_LONGEST:g} s"
             )
         scenario = scenario.stretched(arguments.duration)
-    pieces = simulate_in_pieces(scenario, soil=arguments.soil, mode=arguments.mode)
+    given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
+    if arguments.vehicle is not None:
+        given["vehicle"] = arguments.vehicle
+    p = load_emulator_parameters(given)
+    pieces = simulate_in_pieces(scenario, soil=arguments.soil, mode=arguments.mode, vehicle=p.vehicle.whole())
     drive = TruthWindow(pieces, duration_of(scenario, load_settings()))
     if arguments.output is not None:
-        given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
-        record_drive(load_emulator_parameters(given), drive, arguments.output)
+        record_drive(p, drive, arguments.output)
     drive.advance(drive.duration)
-    report = summary(drive.truth, time.perf_counter() - begin)
+    report = {"vehicle": p.vehicle.name, **summary(drive.truth, time.perf_counter() - begin)}
     print(json.dumps(report, indent=2))
     if arguments.json is not None:
         write_json(arguments.json, report)

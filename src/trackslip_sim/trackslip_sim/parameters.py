@@ -2,26 +2,25 @@
 """Parameters of the emulator (``config/emulator.yaml``, with the site and the vehicle)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import Parameters, from_flat, parameter
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.config_files import load_parameters
+from trackslip_common.parameters import parameter
+from trackslip_common.vehicle import WithVehicle
 from trackslip_sim.devices.sick_device import SickDeviceParameters
 from trackslip_sim.machine.gnss_model import GnssParameters
 from trackslip_sim.machine.scan_model import SiteParameters
 from trackslip_sim.machine.sensors import SensorNoise
 
 NODE = "emulator"
-DEFAULT_FILES = ("pc05.yaml", "site.yaml", "emulator.yaml")
+DEFAULT_FILES = ("site.yaml", "emulator.yaml")
 
 
 @dataclass(frozen=True, kw_only=True)
-class EmulatorParameters(Parameters):
+class EmulatorParameters(WithVehicle):
     """One emulated drive."""
 
-    vehicle: Vehicle
     site: SiteParameters
     noise: SensorNoise
     sick_start: SickDeviceParameters
@@ -40,6 +39,13 @@ class EmulatorParameters(Parameters):
     can_channel: str = parameter("device or multicast address")
     can_port: int = parameter("UDP port, for udp_multicast only", ge=1024, le=65535)
 
+    def mounted_gnss(self) -> GnssParameters:
+        """The receiver, its antenna where the vehicle has it."""
+        antenna = self.vehicle.sensors.antenna if self.vehicle.sensors is not None else None
+        if antenna is None:
+            return self.gnss
+        return replace(self.gnss, antenna_x=antenna.x, antenna_y=antenna.y, antenna_z=antenna.z)
+
 
 def load_emulator_parameters(given: Mapping[str, Any]) -> EmulatorParameters:
     """The defaults of ``config/`` with dotted names over them.
@@ -47,4 +53,4 @@ def load_emulator_parameters(given: Mapping[str, Any]) -> EmulatorParameters:
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    return from_flat(EmulatorParameters, node_defaults(NODE, *DEFAULT_FILES) | dict(given), NODE)
+    return load_parameters(EmulatorParameters, NODE, DEFAULT_FILES, given)

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from trackslip_common.config_files import config_file, node_defaults, read_yaml
-from trackslip_common.parameters import flat_fields, flatten, from_flat
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.config_files import node_defaults
+from trackslip_common.parameters import flat_fields, from_flat
+from trackslip_common.vehicle import load_vehicle
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.scan import Scan
@@ -23,8 +23,7 @@ from trackslip_sim.machine.scan_model import (
     SiteScanner,
 )
 
-PC05 = read_yaml(config_file("pc05.yaml"))["/**"]["ros__parameters"]["vehicle"]
-VEHICLE = from_flat(Vehicle, flatten(PC05), "pc05.yaml")
+BOX = load_vehicle().box
 NODE = node_defaults("box_localizer", "site.yaml", "box_localizer.yaml")
 NAMES = {name for name, _, _ in flat_fields(BoxLocalizerParameters)}
 PARAMETERS = dataclasses.replace(
@@ -59,11 +58,11 @@ def first_fix(pose, prediction, stddev, seed, resolution=0.01):
         range_stddev=max(stddev, 1e-4),
         range_resolution=resolution,
     )
-    ranges = SiteScanner(site(stddev, resolution), VEHICLE, seed).scan(
+    ranges = SiteScanner(site(stddev, resolution), BOX, seed).scan(
         0.0, lambda times: tuple(np.full_like(times, value) for value in pose)
     )
     scan = Scan(0, ranges, ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT)
-    return BoxLocalizer(parameters, VEHICLE).locate(scan)
+    return BoxLocalizer(parameters, BOX).locate(scan)
 
 
 def miss(fix, pose):
@@ -118,7 +117,7 @@ def test_exact_without_noise_where_two_sides_are_seen(distance, bearing, corner,
     )
 )
 def test_no_scan_breaks_it_or_gives_numbers_that_are_none(ranges):
-    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=8.0, initial_reach=50.0), VEHICLE)
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=8.0, initial_reach=50.0), BOX)
     outcome = localizer.locate(Scan(0, np.array(ranges), ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT))
     if isinstance(outcome, BoxFix):
         assert np.all(np.isfinite([outcome.x, outcome.y, outcome.yaw]))

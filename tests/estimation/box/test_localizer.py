@@ -8,10 +8,10 @@ import pytest
 from fixtures.box_drives import CEILING
 from fixtures.box_site import (
     BARE,
+    BOX,
     PARAMETERS,
     PERIOD,
     SITE,
-    VEHICLE,
     assert_near,
     drive,
     error,
@@ -27,8 +27,8 @@ from trackslip_sim.machine.scan_model import TIME_INCREMENT, SiteScanner
 
 
 def test_follows_a_turn_among_clutter():
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    outcomes = drive(localizer, SiteScanner(SITE, VEHICLE, seed=1), turning, 180)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    outcomes = drive(localizer, SiteScanner(SITE, BOX, seed=1), turning, 180)
     fixes = [outcome for outcome in outcomes if isinstance(outcome, BoxFix)]
     assert len(fixes) >= 177
     errors = np.array([error(fix, turning) for fix in fixes])
@@ -39,17 +39,17 @@ def test_follows_a_turn_among_clutter():
 
 
 def test_stamp_is_when_the_beams_hit_the_box():
-    ranges = SiteScanner(BARE, VEHICLE, seed=1).scan(1.0, standing(5.0, 0.0, 0.0))
-    fix = locate(BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=5.0), VEHICLE), 1.0, ranges)
+    ranges = SiteScanner(BARE, BOX, seed=1).scan(1.0, standing(5.0, 0.0, 0.0))
+    fix = locate(BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=5.0), BOX), 1.0, ranges)
     assert fix.stamp_ns == pytest.approx(1.0e9 + 180 * TIME_INCREMENT * 1e9, abs=TIME_INCREMENT * 1e9)
 
 
 def test_offset_of_the_box_is_applied_with_its_covariance():
-    vehicle = dataclasses.replace(VEHICLE, box_x=-0.4, box_y=0.3)
+    vehicle = dataclasses.replace(BOX, x=-0.4, y=0.3)
     pose_at = standing(1.0, 0.5, 0.4)
     ranges = SiteScanner(BARE, vehicle, seed=3).scan(1.0, pose_at)
     fix = locate(BoxLocalizer(PARAMETERS, vehicle), 1.0, ranges)
-    plain = locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, ranges)
+    plain = locate(BoxLocalizer(PARAMETERS, BOX), 1.0, ranges)
     assert_near(fix, pose_at)
     assert fix.yaw == plain.yaw
     assert fix.covariance[:2, :2].trace() > plain.covariance[:2, :2].trace()
@@ -58,15 +58,15 @@ def test_offset_of_the_box_is_applied_with_its_covariance():
 @pytest.mark.parametrize("initial_yaw", [-2.0, -0.3, 0.0, 0.3, 2.8])
 def test_front_of_the_box_follows_the_initial_heading(initial_yaw):
     parameters = dataclasses.replace(PARAMETERS, initial_yaw=initial_yaw)
-    ranges = SiteScanner(BARE, VEHICLE, seed=4).scan(1.0, standing(0.0, 0.0, initial_yaw + 0.2))
-    fix = locate(BoxLocalizer(parameters, VEHICLE), 1.0, ranges)
+    ranges = SiteScanner(BARE, BOX, seed=4).scan(1.0, standing(0.0, 0.0, initial_yaw + 0.2))
+    fix = locate(BoxLocalizer(parameters, BOX), 1.0, ranges)
     assert_near(fix, standing(0.0, 0.0, initial_yaw + 0.2))
 
 
 def test_finds_the_box_away_from_the_initial_place():
     pose_at = standing(2.5, -3.0, 0.2)
-    ranges = SiteScanner(SITE, VEHICLE, seed=5).scan(1.0, pose_at)
-    assert_near(locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, ranges), pose_at)
+    ranges = SiteScanner(SITE, BOX, seed=5).scan(1.0, pose_at)
+    assert_near(locate(BoxLocalizer(PARAMETERS, BOX), 1.0, ranges), pose_at)
 
 
 @pytest.mark.parametrize(
@@ -81,8 +81,8 @@ def test_finds_the_box_away_from_the_initial_place():
 )
 def test_clutter_is_not_the_box(posts, walls, reason):
     site = dataclasses.replace(BARE, posts=posts, walls=walls, laser_y=-6.0)
-    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, laser_y=-6.0, initial_reach=1.5), VEHICLE)
-    scanner = SiteScanner(site, VEHICLE, seed=6)
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, laser_y=-6.0, initial_reach=1.5), BOX)
+    scanner = SiteScanner(site, BOX, seed=6)
     outcomes = drive(localizer, scanner, standing(100.0, 100.0, 0.0), 20)
     rejections = [outcome for outcome in outcomes if isinstance(outcome, Rejection)]
     assert len(rejections) == 20
@@ -92,25 +92,25 @@ def test_clutter_is_not_the_box(posts, walls, reason):
 
 def test_box_before_a_wall_is_found():
     site = dataclasses.replace(BARE, walls=(-6.0, 1.2, 6.0, 1.2))
-    outcomes = drive(BoxLocalizer(PARAMETERS, VEHICLE), SiteScanner(site, VEHICLE, seed=7), turning, 20)
+    outcomes = drive(BoxLocalizer(PARAMETERS, BOX), SiteScanner(site, BOX, seed=7), turning, 20)
     assert sum(isinstance(outcome, BoxFix) for outcome in outcomes) >= 19
 
 
 def test_jump_of_the_box_is_gated():
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    scanner = SiteScanner(BARE, VEHICLE, seed=8)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    scanner = SiteScanner(BARE, BOX, seed=8)
     drive(localizer, scanner, standing(0.0, 0.0, 0.0), 3)
     outcome = locate(localizer, 1.0 + 3 * PERIOD, scanner.scan(0.0, standing(0.7, 0.0, 0.0)))
     assert outcome == Rejection(Reason.GATE)
 
 
 def test_coasts_through_a_short_occlusion():
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
 
     def someone_passes(index, ranges):
         return hidden(ranges, 0, 361) if 20 <= index < 28 else ranges
 
-    scanner = SiteScanner(SITE, VEHICLE, seed=9)
+    scanner = SiteScanner(SITE, BOX, seed=9)
     outcomes = drive(localizer, scanner, turning, 60, change=someone_passes)
     assert all(isinstance(outcome, Rejection) for outcome in outcomes[20:28])
     for outcome in outcomes[28:]:
@@ -118,14 +118,14 @@ def test_coasts_through_a_short_occlusion():
 
 
 def test_partly_hidden_box_is_located_with_larger_covariance():
-    scanner = SiteScanner(BARE, VEHICLE, seed=10)
+    scanner = SiteScanner(BARE, BOX, seed=10)
     pose_at = standing(3.0, -4.0, 0.1)
     parameters = dataclasses.replace(PARAMETERS, initial_x=3.0, initial_y=-4.0)
     ranges = scanner.scan(1.0, pose_at)
     on_box = np.flatnonzero(np.isfinite(ranges))
-    whole = locate(BoxLocalizer(parameters, VEHICLE), 1.0, ranges)
-    half = locate(BoxLocalizer(parameters, VEHICLE), 1.0, hidden(ranges, on_box[6], on_box[-1] + 3))
-    split = locate(BoxLocalizer(parameters, VEHICLE), 1.0, hidden(ranges, on_box[5], on_box[8]))
+    whole = locate(BoxLocalizer(parameters, BOX), 1.0, ranges)
+    half = locate(BoxLocalizer(parameters, BOX), 1.0, hidden(ranges, on_box[6], on_box[-1] + 3))
+    split = locate(BoxLocalizer(parameters, BOX), 1.0, hidden(ranges, on_box[5], on_box[8]))
     for fix in (whole, half, split):
         assert_near(fix, pose_at)
     assert half.covariance[:2, :2].trace() > 2.0 * whole.covariance[:2, :2].trace()
@@ -134,8 +134,8 @@ def test_partly_hidden_box_is_located_with_larger_covariance():
 
 def seen_again(pose_at, scans, hidden_for, seed=11):
     """Outcomes after the box, followed for 10 scans, was hidden for some."""
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    scanner = SiteScanner(BARE, VEHICLE, seed=seed)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    scanner = SiteScanner(BARE, BOX, seed=seed)
     drive(localizer, scanner, pose_at, 10)
     change = {"change": lambda _, ranges: hidden(ranges, 0, 361)}
     blind = drive(localizer, scanner, pose_at, hidden_for, first=10, **change)
@@ -154,8 +154,8 @@ def test_lost_for_two_seconds_it_is_found_again_with_its_heading():
 def test_back_in_sight_the_sides_were_claimed_at_once():
     """Turned by a quarter while hidden, as the tracks would tell: the last orientation is not the next."""
     for quarter, seed in ((1, 3), (-1, 4), (2, 5)):
-        localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-        scanner = SiteScanner(BARE, VEHICLE, seed=seed)
+        localizer = BoxLocalizer(PARAMETERS, BOX)
+        scanner = SiteScanner(BARE, BOX, seed=seed)
         drive(localizer, scanner, standing(0.0, 0.0, 0.1), 10)
         turned = standing(0.2, -0.1, 0.1 + quarter * np.pi / 2.0)
         for outcome in drive(localizer, scanner, turned, 80, first=32):
@@ -169,10 +169,10 @@ def test_back_in_sight_the_sides_were_claimed_at_once():
 def test_one_edge_near_the_edge_of_view_does_not_settle_the_sides():
     """The box comes into view at −90° a beam at a time: its far end is unknown, its centre too."""
     parameters = dataclasses.replace(PARAMETERS, laser_x=0.0, laser_y=0.0, laser_yaw=0.0, initial_y=-3.0)
-    scanner = SiteScanner(dataclasses.replace(BARE, laser_x=0.0, laser_y=0.0, laser_yaw=0.0), VEHICLE, seed=3)
+    scanner = SiteScanner(dataclasses.replace(BARE, laser_x=0.0, laser_y=0.0, laser_yaw=0.0), BOX, seed=3)
     seen = standing(-0.33, -2.6, -1.1)
     fix = locate(
-        BoxLocalizer(dataclasses.replace(parameters, initial_yaw=-1.1), VEHICLE), 1.0, scanner.scan(1.0, seen)
+        BoxLocalizer(dataclasses.replace(parameters, initial_yaw=-1.1), BOX), 1.0, scanner.scan(1.0, seen)
     )
     miss = error(fix, seen)
     assert miss @ np.linalg.solve(fix.covariance, miss) < 16.0
@@ -181,8 +181,8 @@ def test_one_edge_near_the_edge_of_view_does_not_settle_the_sides():
 
 def test_half_turn_unseen_is_not_falsely_certain():
     """Turned by more than a quarter while hidden: nothing in a scan distinguishes front and back."""
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    scanner = SiteScanner(BARE, VEHICLE, seed=14)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    scanner = SiteScanner(BARE, BOX, seed=14)
     before = standing(0.0, 0.0, 0.0)
     drive(localizer, scanner, before, 5)
     drive(localizer, scanner, before, 70, first=5, change=lambda _, ranges: hidden(ranges, 0, 361))
@@ -197,8 +197,8 @@ def test_what_was_there_before_is_not_the_box():
     twin = dataclasses.replace(
         BARE, walls=(-3.35, -0.3, -2.65, -0.3, -3.35, -0.3, -3.35, 0.3, -2.65, -0.3, -2.65, 0.3)
     )
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    scanner = SiteScanner(twin, VEHICLE, seed=15)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    scanner = SiteScanner(twin, BOX, seed=15)
     drive(localizer, scanner, turning, 10)
     gone = drive(localizer, scanner, standing(100.0, 100.0, 0.0), 60, first=10)
     assert all(isinstance(outcome, Rejection) for outcome in gone)
@@ -207,14 +207,13 @@ def test_what_was_there_before_is_not_the_box():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, 0.01])
 def test_scan_of_one_odd_value_gives_no_fix(value):
-    outcome = locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, np.full(361, value))
+    outcome = locate(BoxLocalizer(PARAMETERS, BOX), 1.0, np.full(361, value))
     assert isinstance(outcome, Rejection)
 
 
 def test_same_scans_same_fixes():
     runs = [
-        drive(BoxLocalizer(PARAMETERS, VEHICLE), SiteScanner(SITE, VEHICLE, seed=13), turning, 15)
-        for _ in range(2)
+        drive(BoxLocalizer(PARAMETERS, BOX), SiteScanner(SITE, BOX, seed=13), turning, 15) for _ in range(2)
     ]
     for one, other in zip(*runs, strict=True):
         assert (one.stamp_ns, one.x, one.y, one.yaw) == (other.stamp_ns, other.x, other.y, other.yaw)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamps of scans that come at any pace."""
 
-from fixtures.box_site import BARE, PARAMETERS, VEHICLE, assert_near, scan_of, standing
+from fixtures.box_site import BARE, BOX, PARAMETERS, assert_near, scan_of, standing
 
 from trackslip_common.clock_monitor import StampStatus
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
@@ -18,8 +18,8 @@ def statuses(stamps_s):
 
 
 def test_scans_further_apart_than_the_gap_were_refused_for_good():
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    scanner, there = SiteScanner(BARE, VEHICLE, seed=1), standing(0.0, 0.0, 0.0)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    scanner, there = SiteScanner(BARE, BOX, seed=1), standing(0.0, 0.0, 0.0)
     outcomes = [localizer.locate(scan_of(1.0 + 10.0 * k, scanner.scan(0.0, there))) for k in range(8)]
     assert [isinstance(outcome, BoxFix) for outcome in outcomes] == [True, False, False] + [True] * 5
     for outcome in outcomes[3:]:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fixtures.box_site import (
     BARE,
+    BOX,
     PARAMETERS,
     PERIOD,
     SITE,
-    VEHICLE,
     assert_near,
     drive,
     locate,
@@ -37,13 +37,13 @@ def reasons(outcomes):
 
 def scan(stamp, pose_at=ORIGIN, seed=12, **changes):
     """One scan of the bare site, with some of its fields replaced."""
-    ranges = SiteScanner(BARE, VEHICLE, seed).scan(stamp, pose_at)
+    ranges = SiteScanner(BARE, BOX, seed).scan(stamp, pose_at)
     return dataclasses.replace(scan_of(stamp, ranges), **changes)
 
 
 @pytest.mark.parametrize("stamps", [(1.0, 1.0), (1.0, 0.5)])
 def test_scan_not_later_than_the_one_before_is_refused(stamps):
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
     outcomes = [localizer.locate(scan(stamp)) for stamp in stamps]
     assert isinstance(outcomes[0], BoxFix)
     assert outcomes[1] == Rejection(Reason.NOT_LATER)
@@ -53,9 +53,9 @@ def test_scan_not_later_than_the_one_before_is_refused(stamps):
 
 def test_stamps_that_go_back_begin_another_run():
     """As a bag in a loop: the same scans again, with the same stamps."""
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
     for _ in range(3):
-        outcomes = drive(localizer, SiteScanner(SITE, VEHICLE, seed=1), turning, SCANS)
+        outcomes = drive(localizer, SiteScanner(SITE, BOX, seed=1), turning, SCANS)
         for outcome in outcomes[CONFIRMATIONS:]:
             assert_near(outcome, turning)
     assert localizer.restarts == 2
@@ -63,16 +63,16 @@ def test_stamps_that_go_back_begin_another_run():
 
 
 def test_box_that_ended_elsewhere_is_found_at_the_initial_pose_in_another_run():
-    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=0.5), VEHICLE)
-    drive(localizer, SiteScanner(SITE, VEHICLE, seed=1), turning, SCANS)
-    outcomes = drive(localizer, SiteScanner(SITE, VEHICLE, seed=2), turning, CONFIRMATIONS)
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=0.5), BOX)
+    drive(localizer, SiteScanner(SITE, BOX, seed=1), turning, SCANS)
+    outcomes = drive(localizer, SiteScanner(SITE, BOX, seed=2), turning, CONFIRMATIONS)
     assert_near(outcomes[-1], turning)
 
 
 def test_clock_set_back_during_a_run_leaves_the_box_where_it_was():
     """The initial pose is far by then, and the heading another."""
-    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=0.5), VEHICLE)
-    scanner = SiteScanner(SITE, VEHICLE, seed=1)
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=0.5), BOX)
+    scanner = SiteScanner(SITE, BOX, seed=1)
     drive(localizer, scanner, turning, SCANS)
     at = turning(np.array([1.0 + SCANS * PERIOD]))
     there = standing(*(float(value[0]) for value in at))
@@ -84,8 +84,8 @@ def test_clock_set_back_during_a_run_leaves_the_box_where_it_was():
 
 
 def test_one_scan_stamped_an_hour_ahead_is_refused_and_harms_nothing():
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    scanner = SiteScanner(SITE, VEHICLE, seed=1)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    scanner = SiteScanner(SITE, BOX, seed=1)
     drive(localizer, scanner, turning, 20)
     stamp = 1.0 + 20 * PERIOD
     assert locate(localizer, stamp + HOUR, scanner.scan(stamp, turning)) == Rejection(Reason.AHEAD)
@@ -94,8 +94,8 @@ def test_one_scan_stamped_an_hour_ahead_is_refused_and_harms_nothing():
 
 
 def test_first_scan_stamped_an_hour_ahead_is_outlived():
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    scanner = SiteScanner(SITE, VEHICLE, seed=1)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    scanner = SiteScanner(SITE, BOX, seed=1)
     locate(localizer, 1.0 + HOUR, scanner.scan(1.0, turning))
     outcomes = drive(localizer, scanner, turning, 20)
     assert reasons(outcomes) == [Reason.NOT_LATER] * (CONFIRMATIONS - 1)
@@ -104,8 +104,8 @@ def test_first_scan_stamped_an_hour_ahead_is_outlived():
 
 
 def test_stamps_ahead_that_confirm_each_other_are_another_time():
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
-    drive(localizer, SiteScanner(BARE, VEHICLE, seed=1), ORIGIN, 5)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
+    drive(localizer, SiteScanner(BARE, BOX, seed=1), ORIGIN, 5)
     late = [localizer.locate(scan(HOUR + k * PERIOD, seed=20 + k)) for k in range(CONFIRMATIONS + 2)]
     assert reasons(late) == [Reason.AHEAD] * (CONFIRMATIONS - 1)
     assert all(isinstance(outcome, BoxFix) for outcome in late[CONFIRMATIONS:])
@@ -113,7 +113,7 @@ def test_stamps_ahead_that_confirm_each_other_are_another_time():
 
 @pytest.mark.parametrize("ranges", [np.zeros(0), np.zeros(1), np.zeros((2, 2)), np.full(20_001, 5.0)])
 def test_malformed_scan_is_refused(ranges):
-    assert locate(BoxLocalizer(PARAMETERS, VEHICLE), 1.0, ranges) == Rejection(Reason.MALFORMED)
+    assert locate(BoxLocalizer(PARAMETERS, BOX), 1.0, ranges) == Rejection(Reason.MALFORMED)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_malformed_scan_is_refused(ranges):
     ids=str,
 )
 def test_scan_of_impossible_geometry_is_refused_and_the_next_gives_a_fix(changes):
-    localizer = BoxLocalizer(PARAMETERS, VEHICLE)
+    localizer = BoxLocalizer(PARAMETERS, BOX)
     for stamp in (1.0, 2.0):
         assert localizer.locate(scan(stamp, **changes)) == Rejection(Reason.MALFORMED)
         assert_near(localizer.locate(scan(stamp + 0.5)), ORIGIN)
@@ -145,7 +145,7 @@ def test_scan_of_clockwise_beams_was_malformed():
         angle_increment=-usual.angle_increment,
         time_increment=-usual.time_increment,
     )
-    one, other = (BoxLocalizer(PARAMETERS, VEHICLE).locate(s) for s in (usual, turned))
+    one, other = (BoxLocalizer(PARAMETERS, BOX).locate(s) for s in (usual, turned))
     assert_near(other, there)
     assert other.stamp_ns == pytest.approx(one.stamp_ns, abs=2)
     assert (other.x, other.y, other.yaw) == pytest.approx((one.x, one.y, one.yaw), abs=1e-9)
@@ -159,7 +159,7 @@ def test_scan_of_clockwise_beams_was_malformed():
 def test_object_that_touches_the_laser_is_not_the_box(ranges):
     """The laser would be within the box: such a fix was NaN, or the end of the node."""
     parameters = dataclasses.replace(PARAMETERS, initial_x=8.0, initial_reach=50.0)
-    outcome = locate(BoxLocalizer(parameters, VEHICLE), 1.0, np.array(ranges))
+    outcome = locate(BoxLocalizer(parameters, BOX), 1.0, np.array(ranges))
     assert outcome == Rejection(Reason.TOO_NEAR)
 
 
@@ -173,10 +173,10 @@ anything = st.one_of(st.floats(width=32), st.floats(-0.125, 0.125), st.sampled_f
     )
 )
 def test_whatever_scans_come_the_localizer_recovers(given_scans):
-    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=20.0), VEHICLE)
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=20.0), BOX)
     for stamp, angle_min, angle_increment, time_increment, beams in given_scans:
         geometry = {"angle_min": angle_min, "angle_increment": angle_increment}
-        ranges = SiteScanner(BARE, VEHICLE, seed=3).scan(1.0, ORIGIN)[:beams]
+        ranges = SiteScanner(BARE, BOX, seed=3).scan(1.0, ORIGIN)[:beams]
         bad = scan(stamp, ranges=ranges, time_increment=time_increment, **geometry)
         outcome = localizer.locate(bad)
         if isinstance(outcome, BoxFix):

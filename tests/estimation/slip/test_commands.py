@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from trackslip_bags.messages import make
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import reloadable
-from trackslip_estimation.slip.conversions import transforms
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import (
     FREEZE,
@@ -210,14 +208,3 @@ def test_a_restart_clears_the_watch() -> None:
     watch.add(Report("sprockets", 2 * S, Outcome.RESTARTED))
     assert watch.innovations(2 * S) == {}
     assert watch.lost(round(2.5 * S)) == {}
-
-
-def test_the_transform_is_that_of_the_estimate(found: list[Measurement]) -> None:
-    estimate = running(found).estimate()
-    message = transforms(make, estimate, "odom", "base_link")
-    (stamped,) = message.transforms
-    assert (stamped.header.frame_id, stamped.child_frame_id) == ("odom", "base_link")
-    assert stamped.header.stamp.sec * S + stamped.header.stamp.nanosec == estimate.stamp_ns
-    translation, rotation = stamped.transform.translation, stamped.transform.rotation
-    assert (translation.x, translation.y) == (estimate.pose[0], estimate.pose[1])
-    assert 2.0 * np.arctan2(rotation.z, rotation.w) == pytest.approx(estimate.pose[2])

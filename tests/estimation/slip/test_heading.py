@@ -194,9 +194,7 @@ def test_messages_of_both_kinds(yaw: float) -> None:
 
 
 def test_source_of_an_unknown_kind_of_message_is_refused() -> None:
-    with pytest.raises(
-        InputError, match=r"message: .pose. is out of range; accepted: one of imu, quat"
-    ):
+    with pytest.raises(InputError, match=r"message: .pose. is out of range; accepted: one of imu, quat"):
         with_headings(**{"sources.heading.message": "pose"})
 
 

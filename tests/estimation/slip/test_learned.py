@@ -157,7 +157,7 @@ def test_every_model_learns_and_tells(model: str, driven: list[Measurement]) -> 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"vehicle.tread": 0.74},
+        {"vehicle.kinematics.tread": 0.74},
         {"model": "icr"},
         {"sources.imu_data_raw.sign": -1},
         {"sources.imu_data_raw.scale": 0.98},

@@ -108,7 +108,7 @@ state, update = fields(np.zeros(1, STATE)[0]), fields(np.zeros(1, UPDATE)[0])
 state.mean[:], state.covariance[:] = c.prior_mean, np.diag(c.prior_variance)
 state.covariance[:3, :3] = np.diag((0.01, 0.01, 0.01)) ** 2
 assert state.mean[toy.PULL] == 0.0
-way = p.vehicle.rolling_radius * 2.0 * STEP
+way = p.vehicle.kinematics.rolling_radius * 2.0 * STEP
 pose, outcomes, rng = np.zeros(3), [], np.random.default_rng(0)
 for k in range(160):
     stamp_ns = round(k * STEP * 1e9)

@@ -52,7 +52,7 @@ EDGE = 1e-6  # of the central differences
 LIMIT = 18.5  # of the gate with two degrees of freedom, while it is no wider than χ² has it
 SOURCE = {"slip_sources": ["slip_seed"]}
 P = load_soil_parameters()
-LENGTH = P.vehicle.contact_length
+LENGTH = P.vehicle.kinematics.contact_length
 SOIL = StrengthSummary(0.02, (0.015, 0.0267), 3500.0, (3400.0, 3603.0), 30.0, True, "")
 TRACKS = np.full(2, 0.3)
 
@@ -325,7 +325,7 @@ LEGS = (
 def ride_on(soil: str) -> tuple[SoilInput, ...]:
     truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*leg) for leg in LEGS)))
     sensing = Sensing(speed_stddev=0.0003, yaw_rate_stddev=0.0003)
-    return tuple(soil_inputs(truth, P.vehicle, load_slip_parameters().motion, sensing))
+    return tuple(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, sensing))
 
 
 def seeds_on(soil: str, **changes: Any) -> tuple[list[SlipSeed], SoilEstimator]:

@@ -269,3 +269,14 @@ def test_what_is_said_of_a_source_that_another_layer_takes_away_is_no_mistake() 
 def test_the_box_is_stamped_better_than_a_source_that_nobody_knows() -> None:
     assert load_slip_parameters().poses()["box_pose"].stamp_error == 0.003
     assert load_slip_parameters({"pose_sources": ["fix"]}).poses()["fix"].stamp_error == 0.03
+
+
+def test_the_antenna_is_where_the_vehicle_has_it_unless_the_source_says_otherwise() -> None:
+    given = {"vehicle": "excavator_20t", "pose_sources": ["box_pose", "gnss_pose"]}
+    p = load_slip_parameters(given)
+    assert p.vehicle.sensors is not None
+    assert p.vehicle.sensors.antenna is not None
+    assert p.poses()["gnss_pose"].lever == (p.vehicle.sensors.antenna.x, p.vehicle.sensors.antenna.y)
+    assert p.poses()["box_pose"].lever == (0.0, 0.0)
+    own = load_slip_parameters(given, {"sources.gnss_pose.lever_arm_x": 0.5}).poses()["gnss_pose"]
+    assert own.lever == (0.5, p.vehicle.sensors.antenna.y)

@@ -40,7 +40,7 @@ from trackslip_estimation.slip.records import YAW_RATE
 
 FloatArray = NDArray[np.float64]
 
-RADIUS, TREAD = 0.159, 0.73  # m, those of config/pc05.yaml
+RADIUS, TREAD = 0.159, 0.73  # m, those of config/vehicles/pc05.yaml
 EDGE = 1e-6  # of the central differences
 CONFIGS = {name: config_of(model=name) for name in ("turning", "icr")}
 RECORDS = {name: config[0] for name, config in CONFIGS.items()}

@@ -167,7 +167,7 @@ def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reas
 def test_the_file_of_another_vehicle_is_kept_under_its_own_name(path: Path) -> None:
     written(path)
     first = path.read_bytes()
-    other = parameters(**{"vehicle.tread": 0.8})
+    other = parameters(**{"vehicle.kinematics.tread": 0.8})
     kept = StateFile(str(path))
     assert kept.read(meaning(other)) is None
     assert "of another vehicle" in kept.note
@@ -270,7 +270,7 @@ def test_to_forget_loses_nothing_of_another_vehicle(path: Path) -> None:
     written(path)
     first = path.read_bytes()
     kept = StateFile(str(path))
-    assert kept.read(meaning(parameters(**{"vehicle.tread": 0.8}))) is None
+    assert kept.read(meaning(parameters(**{"vehicle.kinematics.tread": 0.8}))) is None
     kept.forget()
     (aside,) = path.parent.iterdir()
     assert aside != path

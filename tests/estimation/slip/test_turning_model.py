@@ -11,7 +11,7 @@ from trackslip_estimation.slip.motion import Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 P = load_slip_parameters()
-RADIUS, GENTLE = P.vehicle.rolling_radius, P.turning.gentle_turn
+RADIUS, GENTLE = P.vehicle.kinematics.rolling_radius, P.turning.gentle_turn
 
 
 CONFIG = config_of()

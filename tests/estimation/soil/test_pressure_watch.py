@@ -35,7 +35,7 @@ class Bench:
         return named_faults(self._watch[0])
 
     def _evaluate(self, sample: np.ndarray) -> PressureFault | None:
-        found = evaluate(self._watch[0], sample[0], NUMBERS[0], P.vehicle.relief_pressure)
+        found = evaluate(self._watch[0], sample[0], NUMBERS[0], P.vehicle.whole().relief_pressure)
         return None if found == NO_FAULT else tuple(PressureFault)[found]
 
     def drive(

@@ -19,9 +19,10 @@ FloatArray = NDArray[np.float64]
 P = load_soil_parameters()
 SOILS = load_soils()
 # Without errors that never average: what is looked at is what the cells say
-GRID = StrengthGrid(replace(P.strength, slip_bias_stddev=0.0, thrust_scale_stddev=0.0), P.vehicle)
+VEHICLE = P.vehicle.whole()
+GRID = StrengthGrid(replace(P.strength, slip_bias_stddev=0.0, thrust_scale_stddev=0.0), VEHICLE)
 AXES = (GRID.log_moduli, GRID.log_limits)
-CLASSES = SoilClasses(P.classes, SOILS.values(), P.vehicle, GRID)
+CLASSES = SoilClasses(P.classes, SOILS.values(), VEHICLE, GRID)
 
 
 def posterior_about(modulus: float, limit: float, spread: float = 0.03) -> FloatArray:
@@ -34,7 +35,7 @@ def posterior_about(modulus: float, limit: float, spread: float = 0.03) -> Float
 @pytest.mark.parametrize("name", [name for name, s in SOILS.items() if s.shear_modulus is not None])
 def test_each_soil_is_found_at_its_own_strength(name: str) -> None:
     found = CLASSES.probabilities(
-        posterior_about(SOILS[name].value("shear_modulus"), limit_of(SOILS[name], P.vehicle))
+        posterior_about(SOILS[name].value("shear_modulus"), limit_of(SOILS[name], VEHICLE))
     )
     assert max(found, key=lambda other: found[other]) == name
     assert sum(found.values()) == pytest.approx(1.0, abs=1e-12)
@@ -53,31 +54,31 @@ def test_knowing_nothing_leaves_the_priors() -> None:
 
 
 def test_a_soil_without_modulus_may_have_any() -> None:
-    snow = limit_of(SOILS["petawawa_snow"], P.vehicle)
+    snow = limit_of(SOILS["petawawa_snow"], VEHICLE)
     both = [CLASSES.probabilities(posterior_about(k, snow))["petawawa_snow"] for k in (0.002, 0.05)]
     assert min(both) > 0.2
 
 
 def test_without_known_soils_none_is_certain() -> None:
     parameters = ClassesParameters(modulus_spread=0.3, limit_spread=0.05, none_prior=0.1)
-    alone = SoilClasses(parameters, [], P.vehicle, GRID)
+    alone = SoilClasses(parameters, [], VEHICLE, GRID)
     assert alone.probabilities(posterior_about(0.01, 3000.0)) == {NONE: pytest.approx(1.0)}
 
 
 def test_every_soil_on_the_line_has_the_strength() -> None:
-    limit = limit_of(soil("sand"), P.vehicle)
-    cohesion, angle = strength_line(limit, P.vehicle)
-    assert limit_of(Soil(name="a", cohesion=cohesion, friction_angle=0.0), P.vehicle) == pytest.approx(limit)
-    assert limit_of(Soil(name="b", cohesion=0.0, friction_angle=angle), P.vehicle) == pytest.approx(limit)
+    limit = limit_of(soil("sand"), VEHICLE)
+    cohesion, angle = strength_line(limit, VEHICLE)
+    assert limit_of(Soil(name="a", cohesion=cohesion, friction_angle=0.0), VEHICLE) == pytest.approx(limit)
+    assert limit_of(Soil(name="b", cohesion=0.0, friction_angle=angle), VEHICLE) == pytest.approx(limit)
     half = math.atan(0.5 * math.tan(angle))
     between = Soil(name="c", cohesion=0.5 * cohesion, friction_angle=half)
-    assert limit_of(between, P.vehicle) == pytest.approx(limit)
+    assert limit_of(between, VEHICLE) == pytest.approx(limit)
 
 
 def test_errors_that_never_average_come_in_as_if_the_cells_were_spread() -> None:
-    grid = StrengthGrid(P.strength, P.vehicle)
+    grid = StrengthGrid(P.strength, VEHICLE)
     sure = posterior_about(0.01, 3600.0)
-    spread = SoilClasses(P.classes, SOILS.values(), P.vehicle, grid).probabilities(sure)
+    spread = SoilClasses(P.classes, SOILS.values(), VEHICLE, grid).probabilities(sure)
     assert spread == pytest.approx(CLASSES.probabilities(grid.spread(sure)), rel=1e-9)
     assert grid.of_moduli(sure) == pytest.approx(grid.spread(sure).sum(axis=1), abs=1e-12)
     assert grid.of_limits(sure) == pytest.approx(grid.spread(sure).sum(axis=0), abs=1e-12)

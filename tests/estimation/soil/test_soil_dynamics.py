@@ -20,6 +20,7 @@ from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
 
 P = load_soil_parameters({"soil_period": 0.1})
+VEHICLE = P.vehicle.whole()
 MOTION = load_slip_parameters().motion
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 SEGMENTS = ((4.0, 0.0, 0.0), (6.0, 2.0, 2.0), (6.0, 1.0, 2.2), (3.0, 1.8, 1.8), (6.0, 2.2, 1.2))
@@ -31,7 +32,7 @@ def driven(name: str) -> tuple[Truth, list[SoilState]]:
     scenario = Scenario(name="test", soil=name, segments=tuple(Segment(*row) for row in SEGMENTS))
     truth, estimator = simulate(scenario), SoilEstimator(P)
     outputs = [
-        o for given in soil_inputs(truth, P.vehicle, MOTION, Sensing()) for o in estimator.advance(given)
+        o for given in soil_inputs(truth, VEHICLE, MOTION, Sensing()) for o in estimator.advance(given)
     ]
     return truth, [output for output in outputs if isinstance(output, SoilState)]
 
@@ -55,7 +56,7 @@ def test_mobilised_lateral_resistance_is_the_moment_within_ten_percent(name: str
     truth, states = driven(name)
     for state in within(states, *TURNS):
         moment = float(truth.at((state.stamp_ns - START_NS) * 1e-9).turning_moment[0])
-        true = 3.0 * moment / (P.vehicle.weight * P.vehicle.contact_length)  # (3.8)
+        true = 3.0 * moment / (VEHICLE.weight * VEHICLE.contact_length)  # (3.8)
         assert state.mu_l == pytest.approx(true, rel=0.10)
         assert abs(state.mu_l - true) < 3.0 * np.sqrt(state.mu_l_variance)
 
@@ -98,10 +99,10 @@ def steady(
 
 def test_steady_motion_gives_the_closed_forms() -> None:
     """μ_r = (F_L + F_R)/W straight, μ_l = 3 B (F_R − F_L)/(2 W l) in a left turn; mirrored to the right."""
-    weight = P.vehicle.weight
+    weight = VEHICLE.weight
     straight = steady((1000.0, 1200.0), Motion.STRAIGHT, (0.3, 0.0, 0.0), 30.0)
     assert straight.mu[0] == pytest.approx(2200.0 / weight, rel=1e-3)
-    lateral = 3.0 * P.vehicle.tread * 3000.0 / (2.0 * weight * P.vehicle.contact_length)
+    lateral = 3.0 * VEHICLE.tread * 3000.0 / (2.0 * weight * VEHICLE.contact_length)
     for left, right, rate in ((-500.0, 2500.0, 0.1), (2500.0, -500.0, -0.1)):
         turn = steady((left, right), Motion.TURNING, (0.3, 0.0, rate), 30.0)
         np.testing.assert_allclose(turn.mu, (2000.0 / weight, lateral), rtol=1e-3)
@@ -109,7 +110,7 @@ def test_steady_motion_gives_the_closed_forms() -> None:
 
 def test_reverse_is_resisted_forwards() -> None:
     backwards = steady((-1000.0, -1000.0), Motion.STRAIGHT, (-0.3, 0.0, 0.0), 30.0)
-    assert backwards.mu[0] == pytest.approx(2000.0 / P.vehicle.weight, rel=1e-3)
+    assert backwards.mu[0] == pytest.approx(2000.0 / VEHICLE.weight, rel=1e-3)
 
 
 def test_an_uncertain_inertia_shows_while_the_turn_begins() -> None:

@@ -27,7 +27,7 @@ Corrupt = Callable[[Hydraulics], Hydraulics | None]
 @cache
 def given(soil: str = "sand", segments: tuple[tuple[float, float, float], ...] = SEGMENTS) -> list[SoilInput]:
     truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*row) for row in segments)))
-    return list(soil_inputs(truth, P.vehicle, load_slip_parameters().motion, Sensing()))
+    return list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, Sensing()))
 
 
 def run(inputs: Iterable[SoilInput], estimator: SoilEstimator | None = None) -> list[SoilOutput]:
@@ -170,13 +170,13 @@ def test_a_clock_set_back_begins_anew() -> None:
 def test_spools_and_speeds_show_the_volumetric_efficiency() -> None:
     estimator = SoilEstimator(P)
     run(given(), estimator)
-    assert estimator.volumetric_efficiency == pytest.approx(P.vehicle.volumetric_efficiency, rel=0.02)
+    assert estimator.volumetric_efficiency == pytest.approx(P.vehicle.whole().volumetric_efficiency, rel=0.02)
 
 
 def test_offsets_of_the_transducers_do_not_reach_the_resistance() -> None:
     truth = simulate(Scenario(name="test", soil="sand", segments=tuple(Segment(*row) for row in SEGMENTS)))
     off = Sensing(offsets=(2e5, 2e5))
-    outputs = run(soil_inputs(truth, P.vehicle, load_slip_parameters().motion, off))
+    outputs = run(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, off))
     last = at(outputs, SoilState, 18.0)
     assert isinstance(last, SoilState)
     assert last.mu_r == pytest.approx(0.2, rel=0.05)

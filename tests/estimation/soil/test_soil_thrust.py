@@ -27,7 +27,7 @@ class Meter:
     """Pressures to thrusts, with offsets that are learned on the way."""
 
     def __init__(self) -> None:
-        self._numbers, self._motor = record_of(P.thrust)[0], motor_of(P.vehicle)[0]
+        self._numbers, self._motor = record_of(P.thrust)[0], motor_of(P.vehicle.whole())[0]
         self.offsets = new_offsets(P.thrust)[0]
 
     def learn(self, pressures: np.ndarray | None) -> None:
@@ -76,7 +76,7 @@ def test_the_variance_is_consistent_where_it_is_open_who_drives() -> None:
     for true_speed in (0.0, 0.5 * speed, 5.0 * speed, -5.0 * speed):
         found = meter.measure(pressures, np.full(2, true_speed))
         for way in (1.0, -1.0):
-            true = float(thrust_of_pressure(50 * BAR, way, P.vehicle))
+            true = float(thrust_of_pressure(50 * BAR, way, P.vehicle.whole()))
             if true_speed * way >= 0.0 or abs(true_speed) < speed:
                 assert (np.abs(found["force"] - true) < 3.0 * np.sqrt(found["variance"])).all()
     standing, driving = (meter.measure(pressures, np.full(2, w))["variance"] for w in (0.0, 1.0))
@@ -132,5 +132,5 @@ def test_an_unseen_thrust_is_held_ever_less_certain_up_to_relief() -> None:
     assert not held["is_known"]
     assert (np.diff(variances) >= 0.0).all()
     assert variances[-1] == pytest.approx(
-        float(thrust_of_pressure(P.vehicle.relief_pressure, 1, P.vehicle)) ** 2
+        float(thrust_of_pressure(P.vehicle.whole().relief_pressure, 1, P.vehicle.whole())) ** 2
     )

@@ -22,7 +22,7 @@ from trackslip_estimation.terramechanics.traction import thrust
 FloatArray = NDArray[np.float64]
 
 P = load_soil_parameters()
-VEHICLE, LENGTH = P.vehicle, P.vehicle.contact_length
+VEHICLE, LENGTH = P.vehicle.whole(), P.vehicle.whole().contact_length
 SURE = replace(P.strength, slip_bias_stddev=0.0, thrust_scale_stddev=0.0, change_distance=1e6)
 MODULI, LIMITS = np.geomspace(0.002, 0.06, 24), np.geomspace(2000.0, 8000.0, 16)
 CONTACT = Contact(element_places(LENGTH, 16), 0.5 * VEHICLE.tread)

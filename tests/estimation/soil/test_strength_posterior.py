@@ -26,7 +26,7 @@ from trackslip_estimation.terramechanics.traction import thrust
 FloatArray = NDArray[np.float64]
 
 P = load_soil_parameters()
-VEHICLE, STRENGTH = P.vehicle, P.strength
+VEHICLE, STRENGTH = P.vehicle.whole(), P.strength
 LENGTH, HALF_TREAD = VEHICLE.contact_length, 0.5 * VEHICLE.tread
 SPEED = 0.35  # m/s of the tracks
 MODULUS, LIMIT = 0.01, 3640.0

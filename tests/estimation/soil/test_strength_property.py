@@ -42,7 +42,7 @@ def samples(draw: st.DrawFn) -> Sample:
 @settings(deadline=None, max_examples=150)
 @given(st.lists(samples(), min_size=1, max_size=4))
 def test_any_input_leaves_a_distribution(given_samples: list[Sample]) -> None:
-    strength = Strength(SMALL, P.vehicle)
+    strength = Strength(SMALL, P.vehicle.whole())
     for sample in given_samples:
         strength.update(sample)
         cells = strength.posterior.cells
@@ -64,11 +64,11 @@ def test_left_and_right_turns_teach_the_same(
 ) -> None:
     """Mirrored left to right, and front to back, a drive says the same of the soil."""
     tracks = np.array((slower * 0.35, 0.35))
-    twist = np.array((0.35 * (1.0 - slip) - 0.5 * P.vehicle.tread * rate, v_y, rate))
+    twist = np.array((0.35 * (1.0 - slip) - 0.5 * P.vehicle.whole().tread * rate, v_y, rate))
     thrusts = np.array((-600.0, 3000.0))
     grids = []
     for mirrored in (False, True):
-        strength = Strength(SMALL, P.vehicle)
+        strength = Strength(SMALL, P.vehicle.whole())
         way = np.array((-1.0, 1.0, -1.0)) if reverse else np.array((1.0, -1.0, -1.0))
         order = slice(None) if reverse else slice(None, None, -1)
         sign = -1.0 if reverse else 1.0

@@ -11,10 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import load_vehicle
 from trackslip_estimation.terramechanics import (
     hydraulics,
     resistance,
@@ -25,9 +23,7 @@ from trackslip_estimation.terramechanics import (
 )
 
 MODULES = (strength, sinkage, resistance, traction, turning, hydraulics)
-PC05 = from_flat(
-    Vehicle, flatten(read_yaml(config_file("pc05.yaml"))["/**"]["ros__parameters"]["vehicle"]), "pc05.yaml"
-)
+PC05 = load_vehicle().whole()
 
 
 @dataclass(frozen=True)

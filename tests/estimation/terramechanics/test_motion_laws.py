@@ -7,14 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_common.config_files import config_file, read_yaml
-from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import GRAVITY, Vehicle
+from trackslip_common.vehicle import GRAVITY, load_vehicle
 from trackslip_estimation.terramechanics import hydraulics, turning
 
-PC05 = from_flat(
-    Vehicle, flatten(read_yaml(config_file("pc05.yaml"))["/**"]["ros__parameters"]["vehicle"]), "pc05.yaml"
-)
+PC05 = load_vehicle().whole()
 
 
 def between(low, high):

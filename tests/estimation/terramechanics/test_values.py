@@ -6,11 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.soils import soil
-from trackslip_common.vehicle import GRAVITY, Vehicle
+from trackslip_common.vehicle import GRAVITY, Vehicle, load_vehicle
 from trackslip_estimation.terramechanics import (
     hydraulics,
     resistance,
@@ -26,8 +24,7 @@ NORMAL_MU_L = np.linspace(0.5, 1.3, 81)
 
 @pytest.fixture(scope="module")
 def pc05() -> Vehicle:
-    tree = read_yaml(config_file("pc05.yaml"))["/**"]["ros__parameters"]["vehicle"]
-    return from_flat(Vehicle, flatten(tree), "pc05.yaml")
+    return load_vehicle().whole()
 
 
 def integral(f, start, stop, intervals=2000):

@@ -38,7 +38,8 @@ class TrackslipNode(GuardedNode, Generic[P]):
     def __init__(self, name: str, parameters: type[P], *default_files: str) -> None:
         super().__init__(name)
         common = CommonParameters(autostart=True, realtime_priority=self.realtime_priority)
-        given = node_parameters.read_overrides(self, common, parameters, default_files)
+        given = node_parameters.read_overrides(self, name, common, parameters, default_files)
+        self.what = name  # whatever it is called
         self.common, self.settings = given
         for record in given:
             node_parameters.declare(self, record)
@@ -63,9 +64,14 @@ class TrackslipNode(GuardedNode, Generic[P]):
         """What /diagnostics shall report; asked only while the node is active."""
         return [Health(OK, "running")]
 
+    @property
+    def full_name(self) -> str:
+        """With the namespace."""
+        return self.get_fully_qualified_name().removeprefix("/")
+
     def hardware(self) -> str:
         """What stands behind the node: its device, where it has one."""
-        return self.get_name()
+        return self.full_name
 
     def started_from(self) -> dict[str, Any]:
         """What the node started from beside its parameters, by name, for the parameters' topic."""
@@ -101,7 +107,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
             entries = []
         entries += [*self.callback_failures.health(), *self.send_failures.health()]
         stamp = self.get_clock().now().to_msg()
-        self._status.publish(diagnostics(self.get_name(), stamp, entries, self.hardware()))
+        self._status.publish(diagnostics(self.full_name, stamp, entries, self.hardware()))
 
     def _configure(self) -> None:
         self._settings_in_use = self.settings
@@ -141,5 +147,5 @@ class TrackslipNode(GuardedNode, Generic[P]):
     def _publish_parameters(self) -> None:
         """With which the estimates from now on are made: a bag carries them along."""
         if self.parameters_topic:
-            text = parameters_text(to_flat(self.settings), self.get_name(), **self.started_from())
+            text = parameters_text(to_flat(self.settings), self.what, **self.started_from())
             self._parameters_used.publish(String(data=text))

@@ -1,15 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node's parameters: from ``config/`` and what the user gave to a frozen record, and on to ROS."""
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, parameter, to_flat
+from trackslip_common.config_files import node_defaults, read_yaml
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import (
+    Parameters,
+    Spec,
+    flat_fields,
+    flatten,
+    from_flat,
+    known_names,
+    parameter,
+    to_flat,
+)
 
 P = TypeVar("P", bound=Parameters)
 
@@ -25,14 +39,16 @@ class CommonParameters(Parameters):
 
 
 def read_overrides(
-    node: Node, common: CommonParameters, kind: type[P], default_files: tuple[str, ...]
+    node: Node, what: str, common: CommonParameters, kind: type[P], default_files: tuple[str, ...]
 ) -> tuple[CommonParameters, P]:
     """``common`` and the defaults of ``config/`` with what the user gave on top, which is undeclared.
+
+    ``what`` the node is has its section there, whatever it is called. What a section for many nodes holds
+    beside the parameters of this one is for others.
 
     Raises:
         InputError: a parameter is unknown, of a wrong type or out of range.
     """
-    name = node.get_name()
     given = {
         key: entry.value
         for key, entry in node.get_parameters_by_prefix("").items()
@@ -42,9 +58,25 @@ def read_overrides(
         node.undeclare_parameter(key)
     shared = to_flat(common)
     shared |= {key: given.pop(key) for key in shared.keys() & given.keys()}
-    return from_flat(CommonParameters, shared, name), from_flat(
-        kind, kind.overlaid(node_defaults(name, *default_files), given), name
-    )
+    name, defaults = node.get_name(), node_defaults(what, *default_files)
+    shared_by_many = _names_for_many(sys.argv)
+    if shared_by_many & given.keys():
+        known = {*known_names(kind, kind.overlaid(defaults, given), name), *kind.NAMED}
+        for key in sorted(shared_by_many & given.keys() - known):
+            node.get_logger().info(f"parameter '{key}', given to many nodes, is none of this one")
+            del given[key]
+    return from_flat(CommonParameters, shared, name), from_flat(kind, kind.overlaid(defaults, given), name)
+
+
+def _names_for_many(arguments: Sequence[str]) -> frozenset[str]:
+    """Parameters in sections such as ``/**`` of the parameter files of a command line; dotted names."""
+    files = [file for flag, file in pairwise(arguments) if flag == "--params-file"]
+    found: set[str] = set()
+    for file in files:
+        with suppress(InputError):  # rcl has read it, or refused it
+            sections = [body for name, body in read_yaml(Path(file)).items() if "*" in name]
+            found.update(*(flatten(body.get("ros__parameters", {})) for body in sections))
+    return frozenset(found)
 
 
 def declare(node: Node, record: Parameters) -> None:
@@ -60,7 +92,7 @@ def changed(record: P, values: Mapping[str, Any], where: str) -> P:
     Raises:
         InputError: a value is refused.
     """
-    return from_flat(type(record), to_flat(record) | dict(values), where)
+    return from_flat(type(record), record.overlaid(to_flat(record), values), where)
 
 
 def differences(before: Parameters, after: Parameters) -> dict[str, Any]:

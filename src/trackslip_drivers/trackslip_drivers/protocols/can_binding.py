@@ -13,7 +13,7 @@ from typing import NamedTuple
 from cantools.database import Database, Message
 
 from trackslip_common.errors import InputError
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.protocols.can_codec import Field, field_of
 from trackslip_drivers.protocols.can_roles import ROLES, Role
 from trackslip_drivers.protocols.units import UNITS, Quantity, Unit, accepted
@@ -72,7 +72,7 @@ class Binder:
         dbc, roles: the files, for messages.
     """
 
-    def __init__(self, database: Database, vehicle: Vehicle, dbc: Path, roles: Path) -> None:
+    def __init__(self, database: Database, vehicle: VehicleParameters, dbc: Path, roles: Path) -> None:
         self._database = database
         self._vehicle = vehicle
         self._dbc = dbc
@@ -115,11 +115,14 @@ class Binder:
         where, message, signal = self._find(name, reference)
         unit = self._unit(where, name, role, message.get_signal_by_name(signal).unit)
         factor = unit.factor * role.sign * share
-        v = self._vehicle
         if unit.quantity is Quantity.FLOW:
+            v = self._vehicle.hydraulics
+            if v is None:
+                lacking = f"vehicle '{self._vehicle.name}' has no hydraulics"
+                raise InputError(f"{where}: flow: {lacking}; accepted: one with them")
             factor *= _TURN * v.volumetric_efficiency / (v.motor_displacement * v.gear_ratio)
         elif unit.quantity is Quantity.SPEED:
-            factor /= v.rolling_radius
+            factor /= self._vehicle.kinematics.rolling_radius
         return Scaled(self._place(where, message, signal, role), role.offset, factor / role.ratio)
 
     def _turned(self, name: str, role: Role) -> Turned:

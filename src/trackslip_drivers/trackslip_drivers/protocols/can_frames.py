@@ -18,7 +18,7 @@ from cantools.database.errors import Error as CantoolsError
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.can_parameters import NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_binding import Binder
 from trackslip_drivers.protocols.can_codec import CHECKSUMS, Codec, Protection, Value
@@ -61,7 +61,7 @@ class FrameSet:
         InputError: a file cannot be read or is none of its kind; a signal is missing; a unit is wrong.
     """
 
-    def __init__(self, dbc: Path, roles: Path, vehicle: Vehicle) -> None:
+    def __init__(self, dbc: Path, roles: Path, vehicle: VehicleParameters) -> None:
         try:
             database = cantools.database.load_file(dbc, strict=True)
         except (OSError, UnicodeDecodeError, CantoolsError) as error:

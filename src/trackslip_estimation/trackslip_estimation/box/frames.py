@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Box
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 
 FloatArray = NDArray[np.float64]
@@ -13,8 +13,8 @@ FloatArray = NDArray[np.float64]
 class Frames:
     """Constant transforms; poses are (x, y, yaw), m and rad."""
 
-    def __init__(self, p: BoxLocalizerParameters, vehicle: Vehicle) -> None:
-        self._box_in_base: FloatArray = np.array([vehicle.box_x, vehicle.box_y])
+    def __init__(self, p: BoxLocalizerParameters, box: Box) -> None:
+        self._box_in_base: FloatArray = np.array([box.x, box.y])
         self._laser_in_odom: FloatArray = np.array([p.laser_x, p.laser_y])
         self._laser_yaw = p.laser_yaw
         self._odom_from_laser = _rotation(p.laser_yaw)

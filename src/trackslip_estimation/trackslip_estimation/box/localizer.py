@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import StampStatus
 from trackslip_common.tally import Tally
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Box
 from trackslip_estimation.box.fit import posterior
 from trackslip_estimation.box.frames import Frames
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
@@ -49,17 +49,17 @@ class BoxFix:
 class BoxLocalizer:
     """Follows the box through scans given in order; its state depends on nothing else."""
 
-    def __init__(self, parameters: BoxLocalizerParameters, vehicle: Vehicle) -> None:
+    def __init__(self, parameters: BoxLocalizerParameters, box: Box) -> None:
         self._parameters = parameters
-        self._vehicle = vehicle
-        self._frames = Frames(parameters, vehicle)
+        self._box = box
+        self._frames = Frames(parameters, box)
         self.tally = Tally()
         self.restarts = 0
         self.reset()
 
     def reset(self) -> None:
         """Drop every scan: start again from the initial pose."""
-        self._search = BoxSearch(self._parameters, self._vehicle, self.tally)
+        self._search = BoxSearch(self._parameters, self._box, self.tally)
         self._tracks: list[Track | None] = [None]  # to look at, in turn; None: the initial pose
         self._first_ns: int | None = None  # stamp of the run's first scan
         self._clock = self._new_clock()

@@ -4,23 +4,23 @@
 from dataclasses import dataclass
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import WithVehicle
 
 NODE = "box_localizer"
-DEFAULT_FILES = ("pc05.yaml", "site.yaml", "box_localizer.yaml")
+DEFAULT_FILES = ("site.yaml", "box_localizer.yaml")
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxLocalizerParameters(Parameters):
     """The laser's place and noise, where the vehicle starts, and what is refused."""
 
-    laser_x: float = parameter("laser in the frame odom, x", unit="m")
-    laser_y: float = parameter("laser in the frame odom, y", unit="m")
-    laser_yaw: float = parameter("direction of the laser's middle beam in odom", unit="rad")
+    laser_x: float = parameter("laser in the frame map, x", unit="m")
+    laser_y: float = parameter("laser in the frame map, y", unit="m")
+    laser_yaw: float = parameter("direction of the laser's middle beam in map", unit="rad")
     range_stddev: float = parameter("noise of one range before rounding", unit="m", gt=0.0)
     range_resolution: float = parameter("step to which the laser rounds ranges", unit="m", ge=0.0)
-    initial_x: float = parameter("base_link in odom at the start, x", unit="m")
-    initial_y: float = parameter("base_link in odom at the start, y", unit="m")
+    initial_x: float = parameter("base_link in map at the start, x", unit="m")
+    initial_y: float = parameter("base_link in map at the start, y", unit="m")
     initial_yaw: float = parameter("heading at the start; decides which side is the front", unit="rad")
     initial_reach: float = parameter("distance about the initial place that is searched", unit="m", gt=0.0)
     minimum_beams: int = parameter("beams that must hit the box", ge=3)
@@ -42,8 +42,7 @@ class BoxLocalizerParameters(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoxNodeParameters(BoxLocalizerParameters):
+class BoxNodeParameters(BoxLocalizerParameters, WithVehicle):
     """The localizer's, with the vehicle that carries the box and the frame of its poses."""
 
-    vehicle: Vehicle
-    odom_frame: str = parameter("site frame, in which the laser's place is given")
+    map_frame: str = parameter("site frame, in which the laser's place is given")

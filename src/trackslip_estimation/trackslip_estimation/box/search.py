@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from trackslip_common.tally import Tally
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Box
 from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.clusters import Beams, beams_on, clusters, rejoined
 from trackslip_estimation.box.fit import Optimum, Rectangle, likely_starts, most_likely, seen_through
@@ -61,11 +61,11 @@ class Candidate:
 class BoxSearch:
     """Fits the box to the objects of a scan. Remembers the background, and counts objects refused."""
 
-    def __init__(self, p: BoxLocalizerParameters, vehicle: Vehicle, tally: Tally) -> None:
+    def __init__(self, p: BoxLocalizerParameters, box: Box, tally: Tally) -> None:
         self._parameters = p
         self._tally = tally
-        self._frames = Frames(p, vehicle)
-        self.box = Rectangle(vehicle.box_length, vehicle.box_width)
+        self._frames = Frames(p, box)
+        self.box = Rectangle(box.length, box.width)
         self.range_stddev = float(np.hypot(p.range_stddev, p.range_resolution / np.sqrt(12.0)))
         self.background = Background()
 

@@ -26,7 +26,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
 
     def configure(self) -> None:
         """Make the localizer."""
-        self._localizer = BoxLocalizer(self.settings, self.settings.vehicle)
+        self._localizer = BoxLocalizer(self.settings, self.settings.vehicle.box)
         self._fixes = 0
         self._scans = 0
         self._news = (0, 0)
@@ -53,7 +53,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         if isinstance(fix, BoxFix):
             self._fixes += 1
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
-            self._poses.publish(conversions.pose_with_covariance(make, pose, self.settings.odom_frame))
+            self._poses.publish(conversions.pose_with_covariance(make, pose, self.settings.map_frame))
 
 
 def main() -> None:

@@ -12,10 +12,13 @@ from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, message_class, topic_class
 from trackslip_common.nodes.run import run
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.nodes.state_keeper import StateKeeper
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import (
     FORGET,
     FREEZE,
@@ -31,6 +34,8 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import HEADING_MESSAGES, named
+
+LOCAL = "odometry/local"
 
 
 class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
@@ -54,8 +59,12 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._taken = self._estimates = 0
         self._heard: float | None = None  # s, steady: when the last sprocket sample came
         self._odometry = self.advertise(topic_class("odometry"), "odometry")
-        self._pose_and_twist = conversions.blank_odometry(make, p.odom_frame, p.base_frame)
+        self._frames = conversions.Frames(*p.frames)
+        self._pose_and_twist = conversions.blank_odometry(make, self._frames.map, self._frames.base)
+        self._local, self._local_odometry = LocalOdometry(), self.advertise(topic_class(LOCAL), LOCAL)
+        self._local_message = conversions.blank_odometry(make, self._frames.odom, self._frames.base)
         self._track_slip = self.advertise(topic_class("track_slip"), "track_slip")
+        self._vehicle = self.advertise(topic_class(VEHICLE), VEHICLE)
         self._reports = self.advertise(topic_class("measurement_reports"), "measurement_reports")
         self._tf = self._advertise_tf() if p.publish_tf else None
         self.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
@@ -70,6 +79,10 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self.subscribe(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
         for source in named(p.slip_sources):
             self.subscribe(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
+
+    def activate(self) -> None:
+        """State which vehicle the estimates are of."""
+        self._vehicle.publish(make("std_msgs/msg/String", data=vehicle_text(self.settings.vehicle)))
 
     def reload(self, values: dict[str, Any]) -> None:
         """Before its first run, the estimator is made anew; later it goes on with other values."""
@@ -149,10 +162,12 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def _publish(self, estimate: Estimate) -> None:
         conversions.fill_odometry(self._pose_and_twist, estimate)
         self._odometry.publish(self._pose_and_twist)
-        frames = self.settings.odom_frame, self.settings.base_frame
-        self._track_slip.publish(conversions.track_slip(make, estimate, frames[1]))
+        self._track_slip.publish(conversions.track_slip(make, estimate, self._frames.base))
+        local = self._local.after(estimate)
+        conversions.fill_odometry(self._local_message, local)
+        self._local_odometry.publish(self._local_message)
         if self._tf is not None:
-            self._tf.publish(conversions.transforms(make, estimate, *frames))
+            self._tf.publish(conversions.transforms(make, estimate, local, self._frames))
         self._estimates += 1
 
 

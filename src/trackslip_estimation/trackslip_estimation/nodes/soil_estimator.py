@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 from trackslip_common.nodes.base import TrackslipNode
-from trackslip_common.nodes.health import Health
+from trackslip_common.nodes.health import WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation.nodes.soil_health import soil_health
@@ -20,6 +20,7 @@ from trackslip_estimation.soil.soil_parameters import (
     SoilEstimatorParameters,
 )
 
+NOTHING = "no forces and no soil are estimated"
 _NICENESS = 5  # soils change slowly; the odometry that it listens to is waited for by others
 
 
@@ -33,21 +34,28 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
 
     def configure(self) -> None:
         """Make the estimator, its outputs and its inputs."""
-        self._estimator = SoilEstimator(self.settings)
+        self._estimator = None if self.settings.vehicle.lacks else SoilEstimator(self.settings)
         self._inputs = self._published = 0
+        self._frame = self.settings.frame_prefix + self.settings.base_frame
         self._heard: float | None = None  # s, steady: when the slip estimator was last heard
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
+        if self._estimator is None:
+            self.get_logger().warning(f"{self.settings.vehicle.lacks}: {NOTHING}")
+            return
         self.subscribe(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
         self.subscribe(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
         self.subscribe(topic_class(SLIPS), SLIPS, self._on_slips)
 
     def reload(self, values: dict[str, Any]) -> None:
         """The estimator goes on with other values."""
-        self._estimator.use(self.settings)
+        if self._estimator is not None:
+            self._estimator.use(self.settings)
 
     def health(self) -> list[Health]:
         """Waiting, running, or what is wrong; what was not used, by source and reason."""
+        if self._estimator is None:
+            return [Health(WARN, f"{self.settings.vehicle.lacks}: {NOTHING}")]
         total = self._estimator.tally.total
         rejected = {f"{source}: {reason}": n for (source, reason), n in sorted(total.items())}
         counts = {"inputs": self._inputs, "messages": self._published, **rejected}
@@ -65,10 +73,11 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         self._process(conversions.slips(message))
 
     def _process(self, given: SoilInput) -> None:
+        assert self._estimator is not None
         self._inputs += 1
         for output in self._estimator.advance(given):
             publisher = self._outputs[conversions.topic_of(output)]
-            publisher.publish(conversions.message_of(make, output, self.settings.base_frame))
+            publisher.publish(conversions.message_of(make, output, self._frame))
             self._published += 1
 
 

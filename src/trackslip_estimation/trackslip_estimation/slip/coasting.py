@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from trackslip_common.compiled import compiled
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR
@@ -31,7 +31,7 @@ class MotionLimits:
     yaw_rate: float  # rad/s
 
 
-def motion_limits(vehicle: Vehicle, max_sprocket_speed: float) -> MotionLimits:
+def motion_limits(vehicle: Kinematics, max_sprocket_speed: float) -> MotionLimits:
     """What the sprockets can do at the most."""
     fastest = vehicle.rolling_radius * max_sprocket_speed
     return MotionLimits(fastest, 2.0 * fastest / vehicle.tread)

@@ -70,13 +70,13 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     config = np.zeros(1, CONFIG)
     c = config[0]
     c["kappa"], c["sigma_points"] = p.kappa, p.filter == "daf"
-    c["rolling_radius"], c["tread"] = p.vehicle.rolling_radius, p.vehicle.tread
+    c["rolling_radius"], c["tread"] = p.vehicle.kinematics.rolling_radius, p.vehicle.kinematics.tread
     c["encoder_resolution"] = p.encoder_resolution
     c["initial_pose"], c["initial_covariance"] = p.initial_pose()
     c["starts_with_fix"] = p.start == "first_fix"
     c["motion_limits"] = limits_record(p.motion)[0]
     c["sprocket_timeout_ns"], c["max_sprocket_speed"] = round(p.sprocket_timeout * 1e9), p.max_sprocket_speed
-    limits = motion_limits(p.vehicle, p.max_sprocket_speed)
+    limits = motion_limits(p.vehicle.kinematics, p.max_sprocket_speed)
     c["speed_limit"], c["yaw_rate_limit"] = limits.speed, limits.yaw_rate
     c["unseen_yaw_rate"] = limits.yaw_rate if p.model == "free_slips" else 0.0
     c["adaptation"] = adaptation.constants(p.adaptation)
@@ -99,7 +99,7 @@ def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
         elif hasattr(model, "velocity_error_constants"):
             of_model = model.velocity_error_constants(noise)
         c[name] = tuple(of_model.get(field, 0.0) for field in dtype.names or ())
-    prior = model.prior(noise, p.vehicle.tread)
+    prior = model.prior(noise, p.vehicle.kinematics.tread)
     c["prior_mean"], c["prior_variance"] = prior.mean, np.square(prior.stddev)
     c["prior_covariance"] = np.diag(c["prior_variance"])
     for motion in Motion:

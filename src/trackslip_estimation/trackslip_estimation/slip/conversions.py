@@ -7,7 +7,7 @@ and replay share it.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,15 @@ from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.measurements import HeadingFix, PoseFix, Report, SlipFix, Sprockets, YawRate
 
 FloatArray = NDArray[np.float64]
+
+
+class Frames(NamedTuple):
+    """Names of REP-105."""
+
+    map: str
+    odom: str
+    base: str
+
 
 UNOBSERVED = 1e6  # variance of what a planar estimate does not contain
 _BLANK_36 = np.diag(np.full(6, UNOBSERVED)).ravel()
@@ -72,16 +81,16 @@ def heading_fix(message: Any, source: str, default_variance: float) -> HeadingFi
     return HeadingFix(source, m.stamp_ns, heading, m.variance_z if m.variance_z != 0.0 else default_variance)
 
 
-def odometry(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:
+def odometry(make: Make, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:
     """nav_msgs/Odometry of an estimate."""
-    message = blank_odometry(make, odom_frame, base_frame)
+    message = blank_odometry(make, parent_frame, base_frame)
     fill_odometry(message, estimate)
     return message
 
 
-def blank_odometry(make: Make, odom_frame: str, base_frame: str) -> Any:
+def blank_odometry(make: Make, parent_frame: str, base_frame: str) -> Any:
     """nav_msgs/Odometry for ``fill_odometry``, which is several times faster than to make one."""
-    message = make("nav_msgs/msg/Odometry", header=header(make, 0, odom_frame), child_frame_id=base_frame)
+    message = make("nav_msgs/msg/Odometry", header=header(make, 0, parent_frame), child_frame_id=base_frame)
     message.pose.covariance, message.twist.covariance = _BLANK_36.copy(), _BLANK_36.copy()
     return message
 
@@ -97,21 +106,33 @@ def fill_odometry(message: Any, estimate: Estimate) -> None:
     message.twist.covariance[_PLANE_IN_36] = estimate.outputs.twist_covariance.ravel()
 
 
-def transforms(make: Make, estimate: Estimate, odom_frame: str, base_frame: str) -> Any:
-    """tf2_msgs/TFMessage of an estimate."""
-    pose = planar_pose_message(make, estimate.pose)
+def transforms(make: Make, estimate: Estimate, local: Estimate, frames: Frames) -> Any:
+    """tf2_msgs/TFMessage of an estimate and of its pose in odom: map → odom → base_link."""
+    turn = estimate.pose[2] - local.pose[2]
+    c, s = math.cos(turn), math.sin(turn)
+    x, y, _ = local.pose
+    map_odom = np.array((estimate.pose[0] - c * x + s * y, estimate.pose[1] - s * x - c * y, turn))
+    chain = ((frames.map, frames.odom, map_odom), (frames.odom, frames.base, local.pose))
+    return make(
+        "tf2_msgs/msg/TFMessage",
+        transforms=[_transform(make, estimate.stamp_ns, *link) for link in chain],
+    )
+
+
+def _transform(make: Make, stamp_ns: int, parent: str, child: str, pose: FloatArray) -> Any:
+    """geometry_msgs/TransformStamped of (3,) x, y, heading."""
+    placed = planar_pose_message(make, pose)
     transform = make(
         "geometry_msgs/msg/Transform",
-        translation=_vector(make, pose.position.x, pose.position.y, 0.0),
-        rotation=pose.orientation,
+        translation=_vector(make, placed.position.x, placed.position.y, 0.0),
+        rotation=placed.orientation,
     )
-    stamped = make(
+    return make(
         "geometry_msgs/msg/TransformStamped",
-        header=header(make, estimate.stamp_ns, odom_frame),
-        child_frame_id=base_frame,
+        header=header(make, stamp_ns, parent),
+        child_frame_id=child,
         transform=transform,
     )
-    return make("tf2_msgs/msg/TFMessage", transforms=[stamped])
 
 
 def track_slip(make: Make, estimate: Estimate, base_frame: str) -> Any:

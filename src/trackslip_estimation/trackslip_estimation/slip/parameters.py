@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the slip estimator (defaults: ``config/slip_estimator.yaml`` and ``config/pc05.yaml``)."""
+"""Parameters of the slip estimator (defaults: ``config/slip_estimator.yaml``, ``config/sources.yaml``)."""
 
 import math
 from collections.abc import Mapping
@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import node_defaults
+from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, checked, from_flat, parameter, to_flat
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import WithVehicle
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.motion import MotionParameters
@@ -31,20 +31,23 @@ from trackslip_estimation.slip.sources import (
 FloatArray = NDArray[np.float64]
 
 NODE = "slip_estimator"
-DEFAULT_FILES = ("pc05.yaml", "slip_estimator.yaml")
+DEFAULT_FILES = ("slip_estimator.yaml",)
+GNSS_POSE = "gnss_pose"  # the topic whose lever arm the vehicle states
+_ANTENNA = "vehicle.sensors.antenna"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlipEstimatorParameters(ModelParameters):
+class SlipEstimatorParameters(ModelParameters, WithVehicle):
     """All parameters of the slip estimator."""
 
-    vehicle: Vehicle
     motion: MotionParameters
     adaptation: AdaptationParameters
     filter: str = parameter("extended Kalman filter, or the thesis' Fig. 4.3", choices=("ekf", "daf"))
     kappa: float = parameter("of the daf: scales the higher moments of its points", gt=-7.0, le=100.0)
-    odom_frame: str = parameter("site frame of the estimate and of the pose sources")
+    map_frame: str = parameter("site frame of the estimate and of the pose sources")
+    odom_frame: str = parameter("frame of odometry/local, which never jumps")
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
+    frame_prefix: str = parameter("before odom_frame and base_frame, such as 'one/' where there are several")
     pose_sources: tuple[str, ...] = parameter("topics of PoseWithCovarianceStamped; '' names none")
     yaw_rate_sources: tuple[str, ...] = parameter(
         "topics of Imu whose z rate is a measurement; '' names none"
@@ -97,7 +100,7 @@ class SlipEstimatorParameters(ModelParameters):
     state_file: str = parameter(
         "file that keeps what was learned until the next start; ~ is the home directory, '' for none"
     )
-    publish_tf: bool = parameter("whether odom_frame → base_frame goes to /tf, where tf2_msgs is installed")
+    publish_tf: bool = parameter("whether map → odom → base goes to /tf, where tf2_msgs is installed")
 
     def __post_init__(self) -> None:
         """Check also what belongs together.
@@ -122,7 +125,9 @@ class SlipEstimatorParameters(ModelParameters):
             InputError: a list is none, or names one twice.
         """
         lists = {kind: checked(cls, kind, values[kind], where) for kind in KINDS if kind in values}
-        return {"sources": source_groups(lists, where)}
+        antenna = {f"lever_arm_{axis}": values.get(f"{_ANTENNA}.{axis}") for axis in "xyz"}
+        mounted = {GNSS_POSE: {key: value for key, value in antenna.items() if value is not None}}
+        return {"sources": source_groups(lists, mounted, where)}
 
     @classmethod
     def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -166,6 +171,11 @@ class SlipEstimatorParameters(ModelParameters):
         """
         return from_flat(type(self), self.overlaid(to_flat(self), values), NODE)
 
+    @property
+    def frames(self) -> tuple[str, str, str]:
+        """Names of map, odom and base_link, as messages have them."""
+        return self.map_frame, self.frame_prefix + self.odom_frame, self.frame_prefix + self.base_frame
+
     def initial_pose(self) -> tuple[FloatArray, FloatArray]:
         """(3,) x, y, heading to start from, and (3, 3) covariance."""
         waits = self.start == "first_fix" and bool(self.compasses())  # for one of these to say the heading
@@ -175,13 +185,10 @@ class SlipEstimatorParameters(ModelParameters):
         return pose, np.diag(np.square(deviations))
 
 
-def load_slip_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SlipEstimatorParameters:
+def load_slip_parameters(*layers: Mapping[str, Any]) -> SlipEstimatorParameters:
     """The defaults of ``config/`` with layers of dotted names over them, the last one on top.
 
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    values = node_defaults(NODE, *DEFAULT_FILES)
-    for layer in layers:
-        values = SlipEstimatorParameters.overlaid(values, layer)
-    return from_flat(SlipEstimatorParameters, values, where)
+    return load_parameters(SlipEstimatorParameters, NODE, DEFAULT_FILES, *layers)

@@ -128,8 +128,12 @@ def group_name(topic: str) -> str:
     return topic.strip("/").replace("/", "_")
 
 
-def source_groups(lists: Mapping[str, Sequence[str]], where: str) -> dict[str, Group]:
+def source_groups(
+    lists: Mapping[str, Sequence[str]], mounted: Mapping[str, Mapping[str, Any]], where: str
+) -> dict[str, Group]:
     """Name → group of each source of the lists (name of a kind's list → topics).
+
+    ``mounted``: by topic, what the vehicle says of a source.
 
     Raises:
         InputError: two topics have one name.
@@ -144,7 +148,8 @@ def source_groups(lists: Mapping[str, Sequence[str]], where: str) -> dict[str, G
                     "one is named twice" if topics[name] == topic else f"'{topics[name]}' has the same name"
                 )
                 raise InputError(f"{where}: {kind}: '{topic}': {both}; accepted: each once")
-            topics[name], groups[name] = topic, Group(KINDS[kind], _defaults()[kind])
+            defaults = {**_defaults()[kind], **mounted.get(topic, {})}
+            topics[name], groups[name] = topic, Group(KINDS[kind], defaults)
     return groups
 
 

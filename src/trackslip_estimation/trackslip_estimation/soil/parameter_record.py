@@ -7,12 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, own_fields
+from trackslip_common.vehicle import Vehicle, VehicleParameters
 
 _KINDS = {bool: "?", int: "i8", float: "f8"}
 
 
 def record_of(parameters: Parameters) -> NDArray[Any]:
-    """(1,) record of all numbers, by their names; texts and lists are left out."""
+    """(1,) record of all numbers, by their names; texts and lists are left out, and a vehicle is given whole.
+
+    Raises:
+        InputError: the vehicle cannot be given whole.
+    """
     record = np.zeros(1, _dtype_of(type(parameters)))
     _fill(record[0], parameters)
     return record
@@ -22,7 +27,7 @@ def _dtype_of(cls: type) -> np.dtype[Any]:
     fields: list[tuple[str, Any]] = []
     for name, kind, spec in own_fields(cls):
         if spec is None:
-            fields.append((name, _dtype_of(kind)))
+            fields.append((name, _dtype_of(Vehicle if kind is VehicleParameters else kind)))
         elif kind in _KINDS:
             fields.append((name, _KINDS[kind]))
     return np.dtype(fields, align=True)
@@ -31,6 +36,8 @@ def _dtype_of(cls: type) -> np.dtype[Any]:
 def _fill(record: Any, parameters: Parameters) -> None:
     for name in record.dtype.names:
         value = getattr(parameters, name)
+        if isinstance(value, VehicleParameters):
+            value = value.whole()
         if isinstance(value, Parameters):
             _fill(record[name], value)
         else:

@@ -58,13 +58,17 @@ class SoilOutputs(NamedTuple):
 
 
 class SoilEstimator:
-    """Thrusts, sub-model 2 and the strength posterior, sample by sample."""
+    """Thrusts, sub-model 2 and the strength posterior, sample by sample.
+
+    Raises:
+        InputError: the vehicle has no mass or no hydraulics.
+    """
 
     def __init__(self, p: SoilEstimatorParameters) -> None:
-        self.restarts = 0
-        self._posterior = StrengthPosterior(p.strength, p.vehicle)
+        self.restarts, vehicle = 0, p.vehicle.whole()
+        self._posterior = StrengthPosterior(p.strength, vehicle)
         grid = self._posterior.grid
-        self._classes = SoilClasses(p.classes, load_soils().values(), p.vehicle, grid)
+        self._classes = SoilClasses(p.classes, load_soils().values(), vehicle, grid)
         self._state = step.new_state(p, grid.limits)
         self._one = np.zeros(1, SOIL_INPUT)
         self.use(p)
@@ -148,7 +152,7 @@ class SoilEstimator:
         nothing, p = self._state.forces[:0], self.parameters
         if known["seed_due"]:
             seed = seed_of(
-                known["seeder"], known["sample"], known["thrust"], p.seed, p.vehicle.contact_length
+                known["seeder"], known["sample"], known["thrust"], p.seed, p.vehicle.kinematics.contact_length
             )
             yield SoilOutputs(nothing, seeds=[seed])
         if known["soil_due"]:

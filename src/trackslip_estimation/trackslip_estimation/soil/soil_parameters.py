@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the soil estimator (defaults: ``config/soil_estimator.yaml`` and ``config/pc05.yaml``)."""
+"""Parameters of the soil estimator (defaults: ``config/soil_estimator.yaml``)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import Parameters, from_flat, parameter, to_flat
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.config_files import load_parameters
+from trackslip_common.parameters import from_flat, parameter, to_flat
+from trackslip_common.vehicle import WithVehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
 from trackslip_estimation.soil.pressure_watch import WatchParameters
@@ -18,14 +18,13 @@ from trackslip_estimation.soil.time_synchronizer import SynchronizerParameters
 
 NODE = "soil_estimator"
 PARAMETERS = "soil_estimator/parameters"  # topic that carries them into bags
-DEFAULT_FILES = ("pc05.yaml", "soil_estimator.yaml")
+DEFAULT_FILES = ("soil_estimator.yaml",)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SoilEstimatorParameters(Parameters):
+class SoilEstimatorParameters(WithVehicle):
     """All parameters of the soil estimator."""
 
-    vehicle: Vehicle
     moments: SynchronizerParameters
     thrust: ThrustParameters
     watch: WatchParameters
@@ -34,6 +33,7 @@ class SoilEstimatorParameters(Parameters):
     classes: ClassesParameters
     seed: SeedParameters
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
+    frame_prefix: str = parameter("before base_frame, such as 'one/' where there are several")
     forces_period: float = parameter("between two messages on track_forces", unit="s", gt=0.0, le=10.0)
     soil_period: float = parameter("between two messages on soil", unit="s", gt=0.0, le=60.0)
     low_reserve: float = parameter(
@@ -53,16 +53,13 @@ class SoilEstimatorParameters(Parameters):
         Raises:
             InputError: a name is unknown or a value refused.
         """
-        return from_flat(SoilEstimatorParameters, to_flat(self) | dict(values), NODE)
+        return from_flat(type(self), self.overlaid(to_flat(self), values), NODE)
 
 
-def load_soil_parameters(*layers: Mapping[str, Any], where: str = NODE) -> SoilEstimatorParameters:
+def load_soil_parameters(*layers: Mapping[str, Any]) -> SoilEstimatorParameters:
     """The defaults of ``config/`` with layers of dotted names over them, the last one on top.
 
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    values = node_defaults(NODE, *DEFAULT_FILES)
-    for layer in layers:
-        values |= layer
-    return from_flat(SoilEstimatorParameters, values, where)
+    return load_parameters(SoilEstimatorParameters, NODE, DEFAULT_FILES, *layers)

@@ -102,7 +102,7 @@ def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
 
 def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
     """(1,) KNOWN before the first sample."""
-    known, motor = np.zeros(1, KNOWN), motor_of(p.vehicle)
+    known, motor = np.zeros(1, KNOWN), motor_of(p.vehicle.whole())
     known["motor"], known["thrust"] = motor, unknown_thrust(motor[0])
     known["offsets"], known["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
     known["volumetric_efficiency"] = np.nan

@@ -132,7 +132,7 @@ class _Comparison:
     def _turn_slip(self, result: Replay) -> float:
         estimates = in_order(result.estimates)
         at = self._truth.interpolate(self._time(estimates["stamp_ns"]))
-        p = self._p.vehicle
+        p = self._p.vehicle.kinematics
         moving = np.abs(at.v_x) + np.abs(at.yaw_rate) * p.tread / 2.0 > MOVING
         speeds = np.column_stack((at.left_speed, at.right_speed))
         turning = np.abs(speeds[:, 1] - speeds[:, 0]) > UNEQUAL * np.abs(speeds).max(axis=1)
@@ -150,7 +150,7 @@ class _Comparison:
         stamps = [START_NS + round((self._lead_in + t) * 1e9) for t in (begin, end)]
         start, goal = (self._truth.at(t) for t in (begin, end))
         pose = np.array((start.x[0], start.y[0], start.yaw[0]))
-        path = dead_reckon(self._p.vehicle, sprockets, stamps[0], pose)
+        path = dead_reckon(self._p.vehicle.kinematics, sprockets, stamps[0], pose)
         x, y, _ = path.at(np.array(stamps[1:], dtype=np.int64))[0]
         return float(np.hypot(x - goal.x[0], y - goal.y[0]))
 

@@ -28,13 +28,16 @@ class DemoOptions:
     duration: float  # s of driving
     soil: str
     scenario: str
+    vehicle: str  # a name of config/vehicles, or a file
     autostart: bool  # of the emulator: False where somebody else turns the key
 
 
 def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
     """The emulator, three drivers, the estimators and the recorder."""
     can = {**_CAN, "can_port": options.can_port}
+    vehicle: dict[str, object] = {"vehicle": options.vehicle}
     emulator = {
+        **vehicle,
         **can,
         "autostart": options.autostart,
         "device_directory": str(options.devices),
@@ -44,11 +47,11 @@ def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
     }
     return [
         NodeSpec("trackslip_sim", "emulator", emulator),
-        NodeSpec("trackslip_drivers", "can_driver", can),
+        NodeSpec("trackslip_drivers", "can_driver", {**can, **vehicle}),
         NodeSpec("trackslip_drivers", "watson_imu", {"serial_port": str(options.devices / "watson")}),
         NodeSpec("trackslip_drivers", "sick_pls", {"serial_port": str(options.devices / "sick")}),
-        NodeSpec("trackslip_estimation", "box_localizer"),
-        NodeSpec("trackslip_estimation", "slip_estimator"),
-        NodeSpec("trackslip_estimation", "soil_estimator"),
+        NodeSpec("trackslip_estimation", "box_localizer", vehicle),
+        NodeSpec("trackslip_estimation", "slip_estimator", vehicle),
+        NodeSpec("trackslip_estimation", "soil_estimator", vehicle),
         NodeSpec("trackslip_estimation", "record", {"output": str(options.bag)}),
     ]

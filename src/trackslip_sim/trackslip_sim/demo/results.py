@@ -105,7 +105,7 @@ def evaluate(
     slips, true_slips = (series[name].since(drive_start_ns) for name in (TRACK_SLIP, TRUE_SLIP))
     encoders = result.paths["dead_reckoning"]
     of_filter, of_encoders = score(live, truth), score(encoders, truth)
-    moving = moving_slips(series[TRUE_ODOMETRY], true_slips, p.vehicle.tread)
+    moving = moving_slips(series[TRUE_ODOMETRY], true_slips, p.vehicle.kinematics.tread)
     slip_error = slip_rmse(slips, moving)
     if of_filter is None or of_encoders is None or slip_error is None:
         return None

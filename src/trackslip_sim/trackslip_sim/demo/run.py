@@ -16,6 +16,7 @@ from rich.console import Console
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.soils import load_soils
+from trackslip_common.vehicle import ASSUMED, load_vehicle
 from trackslip_sim.demo.graph import DemoOptions, demo_nodes
 from trackslip_sim.demo.output import claim
 from trackslip_sim.demo.picture import draw
@@ -51,6 +52,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--duration", default="40", help="seconds of driving")
     parser.add_argument("--soil", default="sand", help="a name of config/soils.yaml")
     parser.add_argument("--scenario", default="thesis", help="a name of config/scenarios, or a file")
+    parser.add_argument("--vehicle", default=ASSUMED, help="a name of config/vehicles, or a file")
     parser.add_argument("--output", type=Path, default=Path("out/demo"), help="directory of the results")
     options = parser.parse_args(argv)
     options.duration = _duration(options.duration)
@@ -58,6 +60,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     if options.soil not in soils:
         raise InputError(f"SOIL: '{options.soil}' is unknown; accepted: {', '.join(soils)}")
     load_scenario(options.scenario)
+    load_vehicle(options.vehicle).whole()
     return options
 
 
@@ -78,6 +81,7 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         bag=(output / "bag").resolve(),
         can_port=_free_udp_port(),
         duration=options.duration,
+        vehicle=options.vehicle,
         soil=options.soil,
         scenario=options.scenario,
         autostart=False,

@@ -71,7 +71,7 @@ def _soil() -> None:
     estimator = SoilEstimator(load_soil_parameters())
     truth = simulate(load_scenario("slalom").stretched(_ROLLING))
     motion = load_slip_parameters().motion
-    for given in soil_inputs(truth, estimator.parameters.vehicle, motion, Sensing()):
+    for given in soil_inputs(truth, estimator.parameters.vehicle.whole(), motion, Sensing()):
         estimator.advance(given)
 
 

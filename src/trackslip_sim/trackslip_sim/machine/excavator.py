@@ -8,8 +8,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import Parameters, from_flat
+from trackslip_common.config_files import load_parameters
+from trackslip_common.parameters import Parameters
 from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.nmea_parameters import NmeaParameters
@@ -47,7 +47,7 @@ def drive(p: EmulatorParameters) -> Truth:
     scenario = load_scenario(p.scenario)
     if p.duration > 0.0:
         scenario = scenario.stretched(p.duration)
-    return simulate(scenario, soil=p.soil or None, mode=p.mode, vehicle=p.vehicle)
+    return simulate(scenario, soil=p.soil or None, mode=p.mode, vehicle=p.vehicle.whole())
 
 
 class EmulatedExcavator:
@@ -67,7 +67,7 @@ class EmulatedExcavator:
         sick = default_parameters(SickParameters, "sick_pls")
         frames = load_frames(can)
         layout = Layout(watson.channels, watson.formats, watson.full_scales)
-        self._scanner = SiteScanner(p.site, p.vehicle, p.seed)
+        self._scanner = SiteScanner(p.site, p.vehicle.box, p.seed)
         self._readings = readings = FaultyReadings(
             self.faults, self.sensors, self._scan, _full_scales(frames, layout, sick), p.seed
         )
@@ -78,7 +78,7 @@ class EmulatedExcavator:
         self.watson = WatsonDevice(layout, self._watson_line, readings.imu, True, start_ns)
         self.sick = SickDevice(sick, p.sick_start, readings.ranges, start_ns)
         self._gnss_line = BaudLine(default_parameters(NmeaParameters, "nmea_gnss").serial_baud, BITS_PER_CHAR)
-        antenna = GnssModel(p.gnss, self._pose_at, self.faults, p.seed)
+        antenna = GnssModel(p.mounted_gnss(), self._pose_at, self.faults, p.seed)
         self.gnss = NmeaDevice(p.gnss.device, self._gnss_line, antenna.measure, start_ns, p.seed)
         self._power_on: dict[str, Callable[[int], None]] = {
             CAN: lambda now_ns: self.can.start(now_ns + boot_ns),
@@ -189,4 +189,4 @@ def _full_scales(frames: FrameSet, layout: Layout, sick: SickParameters) -> Full
 
 def default_parameters(cls: type[T], node: str, *files: str) -> T:
     """A node's own default parameters, from its file or these of ``config/``."""
-    return from_flat(cls, node_defaults(node, *(files or (f"{node}.yaml",))), node)
+    return load_parameters(cls, node, files or (f"{node}.yaml",))

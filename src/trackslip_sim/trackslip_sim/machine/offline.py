@@ -15,6 +15,8 @@ import numpy as np
 from trackslip_bags.messages import make
 from trackslip_bags.writer import BagWriter
 from trackslip_common.tally import Tally
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_drivers import can_parameters
 from trackslip_drivers import conversions as of_sensors
 from trackslip_drivers.can_parameters import CanDriverParameters
@@ -60,7 +62,7 @@ _FORCES_NS = 100_000_000
 _SOIL_NS = 1_000_000_000
 _WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes, while the window still has the truth
 _DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
-_BODY_FRAME, _SITE_FRAME = "base_link", "odom"
+_BODY_FRAME, _SITE_FRAME = "base_link", "map"
 
 
 def record_drive(p: EmulatorParameters, truth: Truth | TruthWindow, path: Path) -> dict[str, int]:
@@ -96,8 +98,8 @@ class _Host:
         self._session = SickSession(self._sick, self._tally)
         self._baud = self._session.baud
         box = default_parameters(BoxNodeParameters, box_parameters.NODE, *box_parameters.DEFAULT_FILES)
-        self._vehicle = box.vehicle
-        self._localizer = BoxLocalizer(box, box.vehicle)
+        self._vehicle = p.vehicle.whole()
+        self._localizer = BoxLocalizer(box, p.vehicle.box)
         self._receiver = default_parameters(NmeaParameters, "nmea_gnss")
         self._gnss = NmeaStream(self._receiver, self._tally)
         gnss = default_parameters(GnssLocalizerParameters, gnss_parameters.NODE)
@@ -106,6 +108,8 @@ class _Host:
         self._antenna = GnssLocalizer(self._map)
         serializers = sensor_serializers(watson, _BODY_FRAME) | self._truth_serializers()
         self.recording = Recording(bag, serializers)
+        text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
+        self.recording.add(VEHICLE, text, START_NS)
         self._written_ns = START_NS
 
     def step(self, now_ns: int) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Box
 
 FloatArray = NDArray[np.float64]
 Poses = tuple[FloatArray, FloatArray, FloatArray]
@@ -57,9 +57,9 @@ class SiteParameters(Parameters):
 class SiteScanner:
     """The laser on its site: scans of the vehicle's box before a fixed background."""
 
-    def __init__(self, site: SiteParameters, vehicle: Vehicle, seed: int) -> None:
+    def __init__(self, site: SiteParameters, box: Box, seed: int) -> None:
         self._site = site
-        self._vehicle = vehicle
+        self._box = box
         self._random = np.random.default_rng(seed)
         self.angles: FloatArray = ANGLE_MIN + ANGLE_INCREMENT * np.arange(BEAMS, dtype=np.float64)
         self._times: FloatArray = TIME_INCREMENT * np.arange(BEAMS, dtype=np.float64)
@@ -88,11 +88,11 @@ class SiteScanner:
         """Entry into the box by the slab method: beams and laser in the frame of the box, one per beam."""
         cos, sin = np.cos(yaw), np.sin(yaw)
         laser_x, laser_y = self._site.laser_x - x, self._site.laser_y - y
-        ahead = cos * laser_x + sin * laser_y - self._vehicle.box_x
-        beside = -sin * laser_x + cos * laser_y - self._vehicle.box_y
+        ahead = cos * laser_x + sin * laser_y - self._box.x
+        beside = -sin * laser_x + cos * laser_y - self._box.y
         u, v = self._direction.T
-        near_x, far_x = _slab(ahead, cos * u + sin * v, self._vehicle.box_length / 2.0)
-        near_y, far_y = _slab(beside, -sin * u + cos * v, self._vehicle.box_width / 2.0)
+        near_x, far_x = _slab(ahead, cos * u + sin * v, self._box.length / 2.0)
+        near_y, far_y = _slab(beside, -sin * u + cos * v, self._box.width / 2.0)
         near, far = np.maximum(near_x, near_y), np.minimum(far_x, far_y)
         return np.where((near <= far) & (near > 0.0), near, np.inf)
 

@@ -20,9 +20,9 @@ _STANDING = 1e-3  # rad/s, both sprockets
 _STRAIGHT = 0.02  # of the faster sprocket
 
 
-def certain_odometry(make: Make, odom_frame: str, base_frame: str) -> Any:
+def certain_odometry(make: Make, map_frame: str, base_frame: str) -> Any:
     """nav_msgs/Odometry with no variance in the plane, for ``odometry_columns``."""
-    message = blank_odometry(make, odom_frame, base_frame)
+    message = blank_odometry(make, map_frame, base_frame)
     message.pose.covariance, message.twist.covariance = in_six(np.zeros((3, 3))), in_six(np.zeros((3, 3)))
     return message
 

@@ -13,6 +13,8 @@ from trackslip_common.nodes.failures import cause
 from trackslip_common.nodes.health import ERROR, OK, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_sim.machine.cables import Cables
 from trackslip_sim.machine.excavator import EmulatedExcavator, drive
 from trackslip_sim.machine.faults import Fault, parse_fault
@@ -32,7 +34,7 @@ _TRUTH_PERIOD_NS = 10_000_000
 _FORCES_PERIOD_NS = 100_000_000
 _SOIL_PERIOD_NS = 1_000_000_000
 _DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
-_FRAMES = ("odom", "base_link")
+_FRAMES = ("map", "base_link")
 
 
 class EmulatorNode(TrackslipNode[EmulatorParameters]):
@@ -45,7 +47,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
     def configure(self) -> None:
         """Compute the drive, open the bus and the ports."""
         p = self.settings
-        self._truth = drive(p)
+        self._truth, self._whole = drive(p), p.vehicle.whole()
+        self._machine = self.advertise(topic_class(VEHICLE), VEHICLE)
         self._excavator: EmulatedExcavator | None = None
         self._odometry = self.advertise(topic_class("truth/odometry"), "truth/odometry")
         self._track_slip = self.advertise(topic_class("truth/track_slip"), "truth/track_slip")
@@ -58,6 +61,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
 
     def activate(self) -> None:
         """Power on."""
+        self._machine.publish(make("std_msgs/msg/String", data=vehicle_text(self.settings.vehicle)))
         self._finished = False
         self._trouble = ""
         self._stopping = threading.Event()
@@ -134,7 +138,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             self.get_logger().error(self._trouble)
 
     def _publish_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
-        at, vehicle = self._truth.at(excavator.sensors.time(stamp_ns)), self.settings.vehicle
+        at, vehicle = self._truth.at(excavator.sensors.time(stamp_ns)), self._whole
         stamp = stamp_columns([stamp_ns])
         odometry = certain_odometry(make, *_FRAMES)
         set_fields(odometry, {**stamp, **odometry_columns(at)})

@@ -10,10 +10,13 @@ from types import MappingProxyType
 from typing import Any
 
 from trackslip_common.errors import ExitCode, InputError
+from trackslip_common.vehicle import ASSUMED, load_vehicle
+from trackslip_estimation.slip.parameters import NODE
 from trackslip_sim.study.engine import Study
 from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
+from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import shown
 
@@ -41,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sigma-heading", type=float, metavar="A", help="noise of the fixes' heading, rad")
     add("--seeds", type=int, metavar="N", help="runs of each cell")
     add("--scenario", nargs="+", metavar="NAME|FILE", help="what is driven; slip: one")
+    replay_options.add_vehicle(parser, "none")
     add("--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds")
     add("--settling", type=float, metavar="S", help="slip: seconds at the start that are not scored")
     add("--set", metavar="node.param=value", action="append", default=[], help="one of the estimator's")
@@ -80,7 +84,10 @@ def _study(args: argparse.Namespace) -> Study[Any, Any]:
     given = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}
     for option in given.keys() - kind.PARAMETERS.keys():
         raise InputError(f"--{option.replace('_', '-')}: does not go with --estimator {args.estimator}")
-    return kind({kind.PARAMETERS[option]: value for option, value in given.items()}, args.set)
+    vehicle = load_vehicle(args.vehicle or ASSUMED)
+    print(f"vehicle: {vehicle.name}\n")
+    named = [f"{NODE}.vehicle={args.vehicle}"] if args.vehicle else []
+    return kind({kind.PARAMETERS[option]: value for option, value in given.items()}, [*named, *args.set])
 
 
 def _whole(text: str) -> int:

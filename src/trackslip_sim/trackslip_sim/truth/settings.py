@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the truth simulator (``config/truth.yaml``) and the readers of its parameter files."""
+"""Settings of the truth simulator (``config/truth.yaml``) and their reader."""
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, from_flat, parameter
-from trackslip_common.vehicle import Vehicle
-
-T = TypeVar("T", bound=Parameters)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,22 +46,9 @@ def load_settings(file: str = "truth.yaml") -> TruthSettings:
     Raises:
         InputError: the file or a value in it is refused.
     """
-    return _load(TruthSettings, file, "truth")
-
-
-def load_vehicle(file: str = "pc05.yaml") -> Vehicle:
-    """The vehicle in a file of ``config/`` or of the user's own.
-
-    Raises:
-        InputError: the file or a value in it is refused.
-    """
-    return _load(Vehicle, file, "vehicle")
-
-
-def _load(cls: type[T], file: str, group: str) -> T:
     tree = read_yaml(config_file(file))
-    for level in ("/**", "ros__parameters", group):
+    for level in ("/**", "ros__parameters", "truth"):
         tree = tree.get(level, {})
         if not isinstance(tree, dict):
             raise InputError(f"{file}: '{level}' holds {tree!r}; accepted: names and values")
-    return from_flat(cls, flatten(tree), file)
+    return from_flat(TruthSettings, flatten(tree), file)

@@ -11,12 +11,12 @@ from typing import Protocol
 
 from trackslip_common.errors import InputError
 from trackslip_common.soils import load_soils
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Vehicle, load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth.ground import Ground, build_ground
 from trackslip_sim.truth.record import FloatArray, Truth, joined
 from trackslip_sim.truth.rows import Recorder
-from trackslip_sim.truth.settings import TruthSettings, load_settings, load_vehicle
+from trackslip_sim.truth.settings import TruthSettings, load_settings
 from trackslip_sim.truth.shear import ShearDrive
 from trackslip_sim.truth.thesis import ThesisDrive
 
@@ -54,7 +54,7 @@ def simulate(
     """Drive ``scenario`` from rest at the origin; deterministic.
 
     ``soil`` replaces the scenario's own; its patches stay. ``vehicle`` and ``settings`` default to
-    ``config/pc05.yaml`` and ``config/truth.yaml``.
+    ``config/vehicles/pc05.yaml`` and ``config/truth.yaml``.
 
     Raises:
         InputError: mode or soil is unknown, a soil lacks a value, or the load leaves the contact.
@@ -84,7 +84,7 @@ def simulate_in_pieces(
     if name not in soils:
         raise InputError(f"soil: '{name}' is unknown; accepted: {', '.join(soils)}")
     ground = build_ground(soils[name], scenario.patches, soils)
-    vehicle, settings = vehicle or load_vehicle(), settings or load_settings()
+    vehicle, settings = vehicle or load_vehicle().whole(), settings or load_settings()
     relief = scenario.relief_pressure or vehicle.relief_pressure
     machine = MODES[mode](ground, vehicle, settings, relief)
     recorder = Recorder(vehicle, settings, machine.relief_pressure, ground.names)

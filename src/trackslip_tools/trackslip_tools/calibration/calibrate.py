@@ -48,16 +48,18 @@ def calibrate(
     findings["rolling_radius"] = _rolling_radius(
         findings["effective_rolling_radius"], hard_ground=hard_ground
     )
-    radius = findings["rolling_radius"].value or p.vehicle.rolling_radius
+    radius = findings["rolling_radius"].value or p.vehicle.kinematics.rolling_radius
     if not hard_ground:
         findings["common_slip"] = _common_slip(findings["effective_rolling_radius"], radius)
     turns = tracks.turning(recordings, unit)
+    tread = p.vehicle.kinematics.tread
     findings["asymmetry"] = tracks.asymmetry(recordings, unit, turns.gain.value, radius)
-    findings |= _turning(turns.gain, findings["gyro_scale"], radius, p.vehicle.tread)
+    findings |= _turning(turns.gain, findings["gyro_scale"], radius, tread)
     findings["tread"] = refused(
         "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
     )
-    return Calibration(findings, _parameters(findings, turns.spread * p.vehicle.tread / radius, p, sources))
+    spread = turns.spread * p.vehicle.kinematics.tread / radius
+    return Calibration(findings, _parameters(findings, spread, p, sources))
 
 
 def _gyro_of(findings: Mapping[str, Finding]) -> tracks.Gyro:
@@ -125,7 +127,7 @@ def _parameters(
 
     if findings["rolling_radius"].value is not None:
         for node in _VEHICLE_NODES:
-            add(node, "vehicle.rolling_radius", findings["rolling_radius"].value)
+            add(node, "vehicle.kinematics.rolling_radius", findings["rolling_radius"].value)
     if sources[0] in p.gyros():
         group = f"sources.{group_name(sources[0])}"
         if findings["gyro_sign"].value is not None:

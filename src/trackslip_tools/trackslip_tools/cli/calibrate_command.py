@@ -34,6 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the first bag's own"
     )
+    replay_options.add_vehicle(parser, "the first bag's")
+    replay_options.add_namespace(parser)
     add("--gyro", metavar="TOPIC", help="the gyro; default: the first of yaw_rate_sources")
     add("--poses", metavar="TOPIC", help=f"fixes; default: the first of pose_sources, or {_REFERENCE}")
     add(
@@ -51,12 +53,12 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: a bag, a parameter or an option cannot be used.
     """
-    with open_bag(args.bags[0]) as bag:
-        p = replay_options.parameters_of(bag, args.params, [])
+    with open_bag(args.bags[0], args.namespace) as bag:
+        p = replay_options.parameters_of(bag, args.params, [], args.vehicle)
         gyro, poses = _sources(args, bag, p)
     recordings = []
     for path in shown(args.bags, "reading"):
-        with open_bag(path) as bag:
+        with open_bag(path, args.namespace) as bag:
             if bag.damage:
                 print(f"note: {bag.damage}", file=sys.stderr)
             require_topics(bag, filter(None, (args.gyro, args.poses)))

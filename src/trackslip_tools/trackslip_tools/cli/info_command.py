@@ -7,6 +7,7 @@ from pathlib import Path
 from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
+from trackslip_tools.cli import replay_options
 
 EXAMPLE = "trackslip info out/demo/bag"
 
@@ -14,6 +15,7 @@ EXAMPLE = "trackslip info out/demo/bag"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("bag", metavar="BAG", type=Path, help="rosbag2 directory, .mcap or .db3 file")
+    replay_options.add_namespace(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -22,6 +24,6 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the bag cannot be read.
     """
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.namespace) as bag:
         print(describe(bag))
     return ExitCode.DONE

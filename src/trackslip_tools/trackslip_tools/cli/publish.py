@@ -15,7 +15,15 @@ from trackslip_tools.cli.keyboard import Keyboard
 from trackslip_tools.cli.nodes import node_module
 
 _RATES = (0.01, 100.0)
-_OFFLINE = ("params", "set", "thin", "reference", "output", "json")  # options that make no sense here
+_OFFLINE = (
+    "params",
+    "set",
+    "vehicle",
+    "thin",
+    "reference",
+    "output",
+    "json",
+)  # options that make no sense here
 _LIVE = ("rate", "paused", "loop", "also")  # options that make sense here alone
 
 

@@ -38,13 +38,13 @@ def run(args: argparse.Namespace) -> int:
         InputError: the bag, a parameter or an option cannot be used.
     """
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.namespace) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
         if args.publish:
             return publish.publish(bag, filters, args)
         publish.refuse_without_publish(args)
-        p = replay_options.parameters_of(bag, args.params, args.set)
+        p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
         of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
         learned, _ = learned_before(bag, p)
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"estimates: {args.output}")
     if args.json is not None:
         write_json(args.json, summary(result, waited_s()))
-    return ExitCode.DONE if len(result.estimates) else ExitCode.FAILED
+    return ExitCode.FAILED if result.no_estimate else ExitCode.DONE
 
 
 def _ignore(_: Part) -> None:

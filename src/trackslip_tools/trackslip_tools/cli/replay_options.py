@@ -9,18 +9,22 @@ from typing import Any
 
 from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative
 from trackslip_bags.old_parameters import current_names
-from trackslip_bags.parameters import stated_parameters
+from trackslip_bags.parameters import bag_vehicle, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Parameters, known_names, to_flat
+from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
+from trackslip_common.vehicle import ASSUMED, names_vehicle, vehicle_layer
+from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_tools.replay.inputs import SPROCKETS
 
+_KINDS: Mapping[str, type[Parameters]] = {NODE: SlipEstimatorParameters, SOIL_NODE: SoilEstimatorParameters}
 _LONGEST = 1e9  # s, some thirty years
 _POSES = (TOPICS["box_pose"].type_name, TOPICS["odometry"].type_name)
 
@@ -31,6 +35,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files"
     )
+    add_vehicle(parser, "the bag's")
+    add_namespace(parser)
     add("--remap", metavar="from:=to", action="append", default=[], help="read topic 'from' as 'to'")
     add("--start", metavar="S", type=float, default=0.0, help="seconds from the bag's first message")
     add("--stop", metavar="S", type=float, default=float("inf"), help="seconds from the bag's first message")
@@ -52,6 +58,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--reference", metavar="TOPIC", help="score against this topic, every sample of it")
 
 
+def add_vehicle(parser: argparse.ArgumentParser, default: str) -> None:
+    """Declare ``--vehicle``."""
+    about = f"a name of config/vehicles, or a file (default: {default}, else {ASSUMED})"
+    parser.add_argument("--vehicle", metavar="NAME|FILE", help=about)
+
+
+def add_namespace(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--namespace``."""
+    about = "the machine's part of a bag: topic sprockets is /NS/sprockets, and so on"
+    parser.add_argument("--namespace", metavar="NS", default="", help=about)
+
+
 def filters_of(args: argparse.Namespace) -> InputFilters:
     """What the options change in a bag.
 
@@ -71,52 +89,90 @@ def filters_of(args: argparse.Namespace) -> InputFilters:
     )
 
 
-def parameters_of(bag: Bag, files: Iterable[str], settings: Iterable[str]) -> SlipEstimatorParameters:
-    """Defaults, then what the bag carries, then files, then ``--set``: the last one counts.
+def parameters_of(
+    bag: Bag, files: Iterable[str], settings: Iterable[str], vehicle: str | None = None
+) -> SlipEstimatorParameters:
+    """Defaults, then what the bag carries, the vehicle named, files, ``--set``: the last one counts.
+
+    Prints which vehicle it is.
 
     Raises:
         InputError: a file, a name or a value is refused.
     """
-    return load_slip_parameters(*_layers(bag, files, settings, NODE, SlipEstimatorParameters))
+    of_bag = bag_vehicle(bag)
+    carried, *given = _layers(bag, files, settings, NODE)
+    named: dict[str, Any] = {} if vehicle is None else {VEHICLE: vehicle}
+    p = load_slip_parameters(vehicle_layer(of_bag) if of_bag is not None else {}, carried, named, *given)
+    if any(map(names_vehicle, (named, *given))):
+        print(f"vehicle: {p.vehicle.name}")
+    elif of_bag is not None:
+        print(f"vehicle: {p.vehicle.name}, the bag's")
+    else:
+        print(f"vehicle: {p.vehicle.name} is assumed: the bag names none (--vehicle does)")
+    return p
 
 
 def soil_parameters_of(
     bag: Bag, p: SlipEstimatorParameters, files: Iterable[str], settings: Iterable[str]
-) -> SoilEstimatorParameters:
-    """The same for the soil estimator, which has the vehicle of the slip estimator.
+) -> SoilEstimatorParameters | None:
+    """The same for the soil estimator, which has the vehicle of the slip estimator; None without pressures.
+
+    Prints what is missing of the vehicle, if that is why there is no soil.
 
     Raises:
         InputError: a file, a name or a value is refused.
     """
-    carried, *given = _layers(bag, files, settings, SOIL_NODE, SoilEstimatorParameters)
-    return load_soil_parameters(carried, to_flat(p.vehicle, "vehicle."), *given)
+    if not any(relative(topic) == HYDRAULICS for topic in bag.topics):
+        return None
+    if p.vehicle.lacks:
+        print(f"soil: {p.vehicle.lacks}: no forces and no soil are estimated")
+        return None
+    carried, *given = _layers(bag, files, settings, SOIL_NODE)
+    return load_soil_parameters(carried, *given, vehicle_layer(p.vehicle))
 
 
-def _layers(
-    bag: Bag, files: Iterable[str], settings: Iterable[str], node: str, kind: type[Parameters]
-) -> list[Mapping[str, Any]]:
+def _layers(bag: Bag, files: Iterable[str], settings: Iterable[str], node: str) -> list[Mapping[str, Any]]:
     """What the bag carries for a node, then each file, then ``--set``."""
-    stated = stated_parameters(bag, node)
+    carried = _carried(bag, node)
+    return [carried, *(_given(name, node, carried) for name in files), parse_settings(settings, node)]
+
+
+def _carried(bag: Bag, node: str) -> Mapping[str, Any]:
+    """The bag's parameters that this version knows, by the names of today."""
+    stated, where = stated_parameters(bag, node), f"bag '{bag.path}'"
     carried = current_names(stated)
-    if carried.keys() != stated.keys():
-        print(
-            "note: the bag's parameters have names of an earlier version; read as those of today",
-            file=sys.stderr,
-        )
-    values = kind.overlaid(node_defaults(node, f"{node}.yaml"), carried)
-    known = set(known_names(kind, values, f"bag '{bag.path}'"))
-    for name in sorted(carried.keys() - known):
-        print(f"note: the bag's parameter '{name}' is not one of this version", file=sys.stderr)
-    layers: list[Mapping[str, Any]] = [{n: v for n, v in carried.items() if n in known}]
-    for name in files:
-        path = config_file(name)
-        by_node = {n: node_parameters(read_yaml(path), n, str(path)) for n in (NODE, SOIL_NODE)}
-        if not any(by_node.values()):
-            accepted = f"{NODE}: {{ros__parameters: {{...}}}}, or /** for {NODE}"
-            raise InputError(f"--params {path}: nothing for {NODE} in it; accepted: {accepted}")
-        layers.append(by_node[node])
-    layers.append(parse_settings(settings, node))
-    return layers
+    known = _known(node, carried, where)
+    notes = [f"'{name}' is not one of this version" for name in sorted(carried.keys() - known)]
+    if node == NODE and carried.keys() != stated.keys():
+        notes.append("those of an earlier version are read by the names of today")
+    for note in notes:
+        print(f"note: parameters of {where}: {note}", file=sys.stderr)
+    return {name: value for name, value in carried.items() if name in known}
+
+
+def _given(name: str, node: str, carried: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A parameter file's; what its sections for many nodes hold for others is left out."""
+    path = config_file(name)
+    tree = read_yaml(path)
+    by_node = {n: node_parameters(tree, n, str(path)) for n in _KINDS}
+    if not any(by_node.values()):
+        accepted = f"{NODE}: {{ros__parameters: {{...}}}}, or /** for {NODE}"
+        raise InputError(f"--params {path}: nothing for {NODE} in it; accepted: {accepted}")
+    given, known = by_node[node], _known(node, {**carried, **by_node[node]}, str(path))
+    others = node_parameters(tree, "", str(path)).keys() - known
+    for other in sorted(others) if node == NODE else ():
+        if other not in {n for n, _, _ in flat_fields(_KINDS[SOIL_NODE])}:
+            print(f"note: {path}: '{other}', given to many nodes, is none of {NODE}", file=sys.stderr)
+    return {n: v for n, v in given.items() if n not in others}
+
+
+def _known(node: str, values: Mapping[str, Any], where: str) -> set[str]:
+    """Names of a node's parameters with these values over its defaults."""
+    kind = _KINDS[node]
+    return {
+        *known_names(kind, kind.overlaid(node_defaults(node, f"{node}.yaml"), values), where),
+        *kind.NAMED,
+    }
 
 
 def reference_of(args: argparse.Namespace) -> str | None:

@@ -57,9 +57,9 @@ def run(args: argparse.Namespace) -> int:
     recordings: dict[Path, Recording] = {}
     runs = []
     for path, name in shown(pairs, "replaying"):
-        with open_bag(path) as bag:
+        with open_bag(path, args.namespace) as bag:
             given = ([] if name == _OWN else [name], args.set)
-            p = replay_options.parameters_of(bag, *given)
+            p = replay_options.parameters_of(bag, *given, args.vehicle)
             of_soil = replay_options.soil_parameters_of(bag, p, *given)
             replay_options.require_named(bag, p, filters, reference)
             if path not in recordings:
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     page = _page(runs)
     _write(args.output, page)
     print(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
-    return ExitCode.DONE if any(len(one.replay.estimates) for one in runs) else ExitCode.FAILED
+    return ExitCode.DONE if not all(one.replay.no_estimate for one in runs) else ExitCode.FAILED
 
 
 def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:

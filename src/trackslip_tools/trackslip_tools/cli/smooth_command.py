@@ -33,10 +33,10 @@ def run(args: argparse.Namespace) -> int:
         InputError: the bag, a parameter or an option cannot be used.
     """
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
-    with open_bag(args.bag) as bag:
+    with open_bag(args.bag, args.namespace) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
-        p = replay_options.parameters_of(bag, args.params, args.set)
+        p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
         with SmoothedWriter(args.output, p) if args.output else nullcontext() as writer:
             watch = writer.add if writer else _ignore

@@ -69,9 +69,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
-    with open_bag(path) as bag:
+    with open_bag(path, args.namespace) as bag:
         if bag.damage:
             print(f"note: {bag.damage}", file=sys.stderr)
-        p = replay_options.parameters_of(bag, args.params, args.set)
+        p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
         return read_task(bag, p, filters, reference, needs_reference=needs_reference)

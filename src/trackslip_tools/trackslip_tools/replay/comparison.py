@@ -93,17 +93,21 @@ class TopicComparison:
 
 
 class LiveComparer:
-    """Both topics of the slip estimator.
+    """The topics of the slip estimator.
 
     A recording ends in the middle of things: what it holds beyond its last journal line is left out.
     """
 
     def __init__(self) -> None:
-        self._odometry, self._slips = TopicComparison(), TopicComparison()
+        self._odometry, self._slips, self._local = TopicComparison(), TopicComparison(), TopicComparison()
 
     def add_odometry(self, live: Rows, replayed: Rows) -> None:
         """More of ``odometry``, either may be empty."""
         self._odometry.add(_picked(live, _ODOMETRY), _picked(replayed, _ODOMETRY))
+
+    def add_local(self, live: Rows, replayed: Rows) -> None:
+        """More of ``odometry/local``, either may be empty."""
+        self._local.add(_picked(live, _ODOMETRY), _picked(replayed, _ODOMETRY))
 
     def add_slips(self, live: Rows, replayed: Rows) -> None:
         """More of ``track_slip``, either may be empty."""
@@ -111,23 +115,26 @@ class LiveComparer:
 
     def result(self, counts: JournalCounts) -> LiveComparison:
         """When all was added; ``counts`` are those of the whole journal."""
-        both, end_ns = (self._odometry, self._slips), counts.last_sprockets_ns
+        all_of_them, end_ns = (self._odometry, self._slips, self._local), counts.last_sprockets_ns
         return LiveComparison(
-            max(one.compared_until(end_ns) for one in both),
-            sum(one.unmatched(end_ns) for one in both),
-            max(one.largest_difference for one in both),
+            max(one.compared_until(end_ns) for one in all_of_them),
+            sum(one.unmatched(end_ns) for one in all_of_them),
+            max(one.largest_difference for one in all_of_them),
             counts.lost_lines,
             counts.lost_inputs,
         )
 
 
-def odometry_rows(estimates: Rows) -> Rows:
-    """(n,) rows of ``odometry`` that the live node publishes for (n,) of ``ESTIMATE``."""
+def odometry_rows(estimates: Rows, poses: Rows) -> Rows:
+    """(n,) rows of odometry that the live node publishes for (n,) of ``ESTIMATE``.
+
+    ``poses`` (n,) has the fields pose and pose_covariance: the same estimates, or those in odom.
+    """
     rows = np.zeros(len(estimates), _dtype(_ODOMETRY))
-    rows["stamp_ns"], rows["covariance"] = estimates["stamp_ns"], estimates["pose_covariance"]
+    rows["stamp_ns"], rows["covariance"] = estimates["stamp_ns"], poses["pose_covariance"]
     rows["twist_covariance"] = estimates["twist_covariance"]
     for k, (place, speed) in enumerate((("x", "v_x"), ("y", "v_y"), ("heading", "yaw_rate"))):
-        rows[place], rows[speed] = estimates["pose"][:, k], estimates["twist"][:, k]
+        rows[place], rows[speed] = poses["pose"][:, k], estimates["twist"][:, k]
     rows["heading"] = carried_headings(rows["heading"])
     return rows
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.growing import GrowingRows
@@ -83,7 +83,7 @@ class DrivenCollector:
 class DeadReckoner:
     """Dead reckoning of arrivals that come piece by piece, once it is known where it begins."""
 
-    def __init__(self, vehicle: Vehicle, *, with_gyro: bool) -> None:
+    def __init__(self, vehicle: Kinematics, *, with_gyro: bool) -> None:
         self._vehicle, self._with_gyro = vehicle, with_gyro
         self._sprockets: list[Rows] = []
         self._gyro: list[Rows] = []
@@ -164,7 +164,7 @@ def _by_stamp(rows: Rows) -> Rows:
 
 
 def dead_reckon(
-    vehicle: Vehicle,
+    vehicle: Kinematics,
     sprockets: Sprocketed,
     start_ns: int,
     start_pose: FloatArray,

@@ -112,7 +112,7 @@ def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
 
 def _named(rows: Rows, lines: Rows) -> IntArray:
     """(n,) the row that each line names, −1 where there is none: of several with one source and stamp the
-    first line names the first row, and so on.
+    first line names the first row, and so on. A manual pose without a stamp has in its line that of its use.
     """
     sources, stamps_ns = (np.concatenate((rows[n], lines[n])) for n in ("source", "stamp_ns"))
     order = np.lexsort((stamps_ns, sources))  # within a key: rows, then lines, both in order
@@ -127,4 +127,9 @@ def _named(rows: Rows, lines: Rows) -> IntArray:
     matched = number < count[key[at]]
     found = np.full(len(lines), -1)
     found[order[at[matched]] - len(rows)] = order[first[key[at[matched]]] + number[matched]]
+    unstamped = np.setdiff1d(np.flatnonzero(rows["stamp_ns"] == 0), found)
+    for source in np.unique(rows["source"][unstamped]):
+        own = unstamped[rows["source"][unstamped] == source]
+        unnamed = np.flatnonzero((found < 0) & (lines["source"] == source))[: own.size]
+        found[unnamed] = own[: unnamed.size]
     return found

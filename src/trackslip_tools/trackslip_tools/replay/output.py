@@ -11,13 +11,16 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import TOPICS
+from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, make_step
 from trackslip_estimation.slip.learned import Learned, meaning, to_tree
 from trackslip_estimation.slip.learned_text import summary_lines, to_json
+from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.inputs import ODOMETRY, REPORTS, TRACK_SLIP
+from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, REPORTS, TRACK_SLIP
 from trackslip_tools.replay.run import Part, Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
@@ -37,7 +40,7 @@ class EstimateWriter:
     def __init__(self, path: Path, p: SlipEstimatorParameters, learned: Learned | None = None) -> None:
         self._bag, self._p = BagWriter(path), p
         self._start = {} if learned is None else {"learned": to_tree(learned, meaning(p))}
-        self._sequence = 0
+        self._sequence, self._local = 0, LocalOdometry()
         self._logged_ns: int | None = None
 
     def __enter__(self) -> "EstimateWriter":
@@ -60,6 +63,8 @@ class EstimateWriter:
             if estimate is not None:
                 for topic in (ODOMETRY, TRACK_SLIP):
                     self._write(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
+                message = message_of(LOCAL_ODOMETRY, self._local.after(estimate), self._p)
+                self._write(LOCAL_ODOMETRY, message, estimate.stamp_ns)
 
     def add_soil(self, soil: SoilReplay) -> None:
         """What the soil estimator gave, when all is done."""
@@ -72,16 +77,20 @@ class EstimateWriter:
             content = parameters_text(to_flat(self._p), SLIP_NODE, **self._start)
             text = make("std_msgs/msg/String", data=content)
             self._write(PARAMETERS_TOPIC, text, stamp_ns)
+            vehicle = make("std_msgs/msg/String", data=vehicle_text(self._p.vehicle))
+            self._write(VEHICLE, vehicle, stamp_ns)
 
     def _write(self, topic: str, message: Any, stamp_ns: int) -> None:
         self._bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
 
 
 def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:
-    """The message that the live node publishes for an estimate on ``odometry`` or ``track_slip``."""
-    if topic == ODOMETRY:
-        return conversions.odometry(make, estimate, p.odom_frame, p.base_frame)
-    return conversions.track_slip(make, estimate, p.base_frame)
+    """The message that the live node publishes for an estimate on one of its topics."""
+    frames = conversions.Frames(*p.frames)
+    if topic in (ODOMETRY, LOCAL_ODOMETRY):
+        parent = frames.map if topic == ODOMETRY else frames.odom
+        return conversions.odometry(make, estimate, parent, frames.base)
+    return conversions.track_slip(make, estimate, frames.base)
 
 
 def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
@@ -97,6 +106,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
     rmse["heading"] = of_filter.heading if of_filter else None
     rmse["slip"] = result.slip_rmse
     content = {
+        "vehicle": result.vehicle,
         "duration_s": result.duration_s,
         "messages": dict(sorted(result.messages.items())),
         "rejected": result.rejected.by_source(),
@@ -104,6 +114,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "reference": result.reference,
         "rmse": rmse,
         "nees": result.nees,
+        "nees_position": result.nees_position,
         "learned": to_json(result.learned[-1].findings) if result.learned else None,
         "real_time_factor": result.duration_s / elapsed_s,
     }
@@ -123,9 +134,11 @@ def text(result: Replay, elapsed_s: float) -> str:
         lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]
     final = _final(result)
     if final is None:
-        lines.append("no estimate: nothing to start from (no fix of a pose source, no initial pose)")
+        lines.append(f"no estimate: {result.no_estimate}")
     else:
         lines.append("final  " + "  ".join(f"{name} {value:.4f}" for name, value in final.items()))
+        if result.no_estimate:
+            lines.append(f"no estimate of the heading: {result.no_estimate}")
     lines += [result.start] if result.start else []
     lines += summary_lines(result.learned[-1].findings) if result.learned else []
     lines += _scores(result)
@@ -150,12 +163,17 @@ def _scores(result: Replay) -> list[str]:
     lines = [f"RMSE against {result.reference}        position m   heading rad"]
     for name, label in _NAMES.items():
         found = result.scores.get(name)
-        numbers = f"{found.position:>12.4f}{found.heading:>14.4f}" if found else f"{'–':>12}{'–':>14}"
+        position = f"{found.position:.4f}" if found else "–"
+        heading = f"{found.heading:.4f}" if found and found.heading is not None else "–"
+        numbers = f"{position:>12}{heading:>14}"
         lines.append(f"  {label:<32}{numbers}")
     if result.slip_rmse is not None:
         lines.append(f"  slip RMSE {result.slip_rmse:.4f}")
     if result.nees is not None:
         lines.append(f"  mean NEES of pose {result.nees:.2f} (3 if consistent)")
+    elif result.nees_position is not None:
+        lines.append(f"  mean NEES of position {result.nees_position:.2f} (2 if consistent)")
+        lines.append("  the reference has no heading: positions are scored, dead reckoning has no beginning")
     return lines
 
 

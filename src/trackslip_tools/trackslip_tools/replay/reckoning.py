@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Kinematics
 from trackslip_tools.replay.dead_reckoning import DeadReckoner, Path
 from trackslip_tools.replay.errors import PathErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
@@ -16,7 +16,7 @@ _PATH = np.dtype([("stamp_ns", np.int64), ("pose", np.float64, (3,))])
 class Reckoning:
     """One of them: of a long bag it is thinned, once it is scored."""
 
-    def __init__(self, vehicle: Vehicle, *, with_gyro: bool) -> None:
+    def __init__(self, vehicle: Kinematics, *, with_gyro: bool) -> None:
         self._reckoner = DeadReckoner(vehicle, with_gyro=with_gyro)
         self._errors, self._drawn = PathErrors(), GrowingRows(_PATH, MOST_DRAWN)
         self._unbegun: list[Rows] | None = []  # of the reference, until it is known where to begin
@@ -41,12 +41,12 @@ class Reckoning:
         return (Path(rows["stamp_ns"], rows["pose"]) if len(rows) else None), self._errors.score
 
     def _begin(self, known: list[Rows]) -> None:
-        """At the first pose of the reference that is not before the first sprocket sample."""
+        """At the first pose of the reference with a heading that is not before the first sprocket sample."""
         first_ns = self.first_ns
         if first_ns is None or not known:
             return
         reference = np.concatenate(known)
-        later = reference[reference["stamp_ns"] >= first_ns]
+        later = reference[(reference["stamp_ns"] >= first_ns) & np.isfinite(reference["heading"])]
         if len(later):
             start = later[np.argmin(later["stamp_ns"])]
             pose = np.array([start[name] for name in ("x", "y", "heading")])

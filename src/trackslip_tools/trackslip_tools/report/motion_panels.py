@@ -64,14 +64,16 @@ def error_panels(runs: Sequence[Run]) -> list[Panel]:
         band = (np.zeros_like(away), claimed)
         distance.append(Curve(label, colour, errors.times, away, shown.form, band))
         turned = _DEGREES * errors.values[:, 2]
+        if not np.isfinite(turned).any():  # a reference of positions
+            continue
         band = within(np.zeros_like(turned), _DEGREES * np.sqrt(variances[:, 2]))
         heading.append(Curve(label, colour, errors.times, turned, shown.form, band))
     if not distance:
         return []
-    return [
-        Panel("Position: distance from the reference", "error, cm", distance, from_zero=True),
-        Panel("Heading: difference from the reference", "error, °", heading, limits=(0.0,)),
-    ]
+    panels = [Panel("Position: distance from the reference", "error, cm", distance, from_zero=True)]
+    if heading:
+        panels.append(Panel("Heading: difference from the reference", "error, °", heading, limits=(0.0,)))
+    return panels
 
 
 def motion_panels(runs: Sequence[Run]) -> list[Panel]:
@@ -112,7 +114,7 @@ def true_slips(run: Run) -> Series | None:
     slips, odometry = (run.replay.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
     if slips is None or odometry is None:
         return None
-    return moving_slips(odometry, slips, run.parameters.vehicle.tread)
+    return moving_slips(odometry, slips, run.parameters.vehicle.kinematics.tread)
 
 
 def _truths(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:

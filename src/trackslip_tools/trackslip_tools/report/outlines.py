@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle import Box
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.report.panel import SIGMAS
 from trackslip_tools.report.run import Run, States
@@ -29,9 +29,10 @@ def ellipses(states: States) -> FloatArray:
 def boxes(run: Run) -> FloatArray:
     """(k, 5, 2) closed outlines of the box by fixes that were accepted, evenly spread over them."""
     fixes = fixes_of(run).get(BOX_SOURCE)
-    if fixes is None:
+    sensors = run.parameters.vehicle.sensors
+    if fixes is None or sensors is None or sensors.box is None:
         return np.empty((0, 5, 2))
-    return np.array([_box(run.parameters.vehicle, pose) for pose in fixes[_spread(len(fixes), _BOXES)]])
+    return np.array([_outline(sensors.box, pose) for pose in fixes[_spread(len(fixes), _BOXES)]])
 
 
 def fixes_of(run: Run) -> dict[str, FloatArray]:
@@ -44,9 +45,9 @@ def fixes_of(run: Run) -> dict[str, FloatArray]:
     return {source: fixes["value"][own] for source, own in sorted(by_source.items())}
 
 
-def _box(vehicle: Vehicle, pose: FloatArray) -> FloatArray:
-    half = 0.5 * np.array((vehicle.box_length, vehicle.box_width))
-    centre = np.array((vehicle.box_x, vehicle.box_y))
+def _outline(box: Box, pose: FloatArray) -> FloatArray:
+    half = 0.5 * np.array((box.length, box.width))
+    centre = np.array((box.x, box.y))
     c, s = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array(((c, -s), (s, c)))
     return np.asarray(pose[:2] + (_CORNERS.T * half + centre) @ turn.T, dtype=np.float64)

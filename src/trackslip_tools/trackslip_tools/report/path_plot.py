@@ -128,10 +128,11 @@ def _draw_estimate(plot: figure, runs: Sequence[Run], run: Run, samples: int) ->
     first = {name: [float(source.data[name][0])] for name in ("x", "y", "heading")}
     marker = ColumnDataSource(first)
     vehicle = run.parameters.vehicle
-    size = {"width": vehicle.contact_length, "height": vehicle.tread + vehicle.track_width}
+    length, tread = vehicle.kinematics.contact_length, vehicle.kinematics.tread
+    size = {"width": length, "height": tread + (vehicle.mass.track_width if vehicle.mass else 0.0)}
     look = {"fill_color": colour, "fill_alpha": 0.25, "line_color": colour, "line_width": 1.5}
     plot.rect("x", "y", angle="heading", source=marker, **size, **look)
-    plot.ray("x", "y", angle="heading", length=0.9 * vehicle.contact_length, source=marker, color=colour)
+    plot.ray("x", "y", angle="heading", length=0.9 * length, source=marker, color=colour)
     return line, Track(source, marker)
 
 

@@ -12,9 +12,8 @@ from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
 from trackslip_bags.tables import TopicTable, read_tables
-from trackslip_common.config_files import node_defaults
+from trackslip_common.config_files import load_parameters
 from trackslip_common.message_fields import ForceFields, SoilFields
-from trackslip_common.parameters import from_flat
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
 
@@ -160,7 +159,7 @@ def _laser_view(scans: list[Any]) -> tuple[FloatArray | None, FloatArray]:
     """The laser's place and the points (n, 2) that it saw, by the site's numbers in ``config/``."""
     if not scans:
         return None, np.empty((0, 2))
-    p = from_flat(BoxNodeParameters, node_defaults(NODE, *DEFAULT_FILES), NODE)
+    p = load_parameters(BoxNodeParameters, NODE, DEFAULT_FILES)
     clouds = []
     for scan in scans:
         ranges = np.asarray(scan.ranges, dtype=np.float64)

@@ -85,6 +85,7 @@ def _facts(run: Run, colour: str) -> dict[str, str]:
         "date": f"{start:%Y-%m-%d %H:%M:%S} UTC",
         "looked_at": f"{recording.start_s:g} to {recording.stop_s:.1f} s",
         "duration": f"{recording.stop_s - recording.start_s:.1f} s",
+        "vehicle": p.vehicle.name,
         "filter": f"{p.filter}, model {p.model}",
         "speed": f"{run.replay.duration_s / run.replay.elapsed_s:.0f} × real time",
     }

@@ -97,7 +97,7 @@ def smooth_bag(
     wanted = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
     measurements, series = read_settled(bag, p, filters, wanted)
     truth = _Truth(series, reference)
-    of_filter, of_smoother = (_Compared(p.vehicle.tread) for _ in range(2))
+    of_filter, of_smoother = (_Compared(p.vehicle.kinematics.tread) for _ in range(2))
     count, stamps_ns = 0, [0, 0]
     for block in smoothed_blocks(measurements, p):
         if not len(block.smoothed):

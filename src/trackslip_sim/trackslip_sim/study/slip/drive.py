@@ -34,6 +34,7 @@ BoolArray = NDArray[np.bool_]
 class Drive:
     """Rows in the order of their stamps, after the fix at time 0 from which the filters start."""
 
+    whole: Truth  # evenly sampled
     truth: Truth  # at the rows
     begin: Window  # what the estimator holds at the start
     rows: Rows  # values and noises are each cell's own
@@ -76,7 +77,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
         InputError: scenario, soil or sources are refused, or after settling nothing moves.
     """
     scenario = load_scenario(p.scenario).stretched(p.duration)
-    truth = simulate(scenario, soil=soil, vehicle=estimator.vehicle)
+    truth = simulate(scenario, soil=soil, vehicle=estimator.vehicle.whole())
     end = int(truth.duration * p.sprocket_rate + 1e-6) / p.sprocket_rate
     sprockets = list(_sprockets(truth, p, end, estimator.encoder_resolution))
     found = [*sprockets, *_rates(p.gyro_rate, end, estimator), *_fixes(p, end, estimator)]
@@ -91,6 +92,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
             f"{NODE}: after {p.settling:g} s of settling nothing moves in '{p.scenario}' on {soil}"
         )
     return Drive(
+        whole=truth,
         truth=at,
         begin=begin,
         rows=rows,
@@ -166,7 +168,7 @@ def _true_drives(truth: Truth, at: Truth, rows: Rows, period: float) -> RecordAr
 
 def _moving(at: Truth, estimator: SlipEstimatorParameters) -> BoolArray:
     """Whether the machine moves, as when a replay is scored, and each track runs: else slips say nothing."""
-    vehicle = estimator.vehicle
+    vehicle = estimator.vehicle.kinematics
     on_ground = np.abs(at.v_x) + np.abs(at.yaw_rate) * vehicle.tread / 2.0 > MOVING
     slower = vehicle.rolling_radius * np.minimum(np.abs(at.left_speed), np.abs(at.right_speed))
     moving: BoolArray = on_ground & (slower > MOVING)

@@ -82,7 +82,7 @@ def run(trial: Trial, setting: Setting | None = None) -> Result:
     published = list(outputs(readings, setting))
     states = [output for output in published if isinstance(output, SoilState)]
     forces = [output for output in published if isinstance(output, TrackForces)]
-    vehicle = setting.soil.vehicle
+    vehicle = setting.soil.vehicle.whole()
     return Result(
         **_strength(states[-1], truth, vehicle),
         **_moment(states, truth, vehicle),

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.parameters import to_flat
+from trackslip_common.vehicle import vehicle_layer
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
@@ -76,7 +76,7 @@ def load_setting(
         InputError: a name is unknown or a value refused.
     """
     slip_p = load_slip_parameters(slip)
-    soil_p = load_soil_parameters(to_flat(slip_p.vehicle, "vehicle."), soil)
+    soil_p = load_soil_parameters(vehicle_layer(slip_p.vehicle), soil)
     noise = load_emulator_parameters({}).noise
     return Setting(study or load_soil_study_parameters({}), slip_p, soil_p, noise)
 
@@ -84,7 +84,7 @@ def load_setting(
 def drive(trial: Trial, scenario: Scenario | None = None, setting: Setting | None = None) -> Truth:
     """The true motion of the nominal or of a drawn machine; another scenario than the trial's as it is."""
     scenario, setting = scenario or _scenario_of(trial), setting or load_setting()
-    vehicle, settings = setting.soil.vehicle, load_settings()
+    vehicle, settings = setting.soil.vehicle.whole(), load_settings()
     if trial.drawn:
         p = setting.soil.strength
         radius, efficiency, load = np.random.default_rng((trial.seed, 1)).standard_normal(3).tolist()

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One machine's part of a bag that holds the topics of a namespace, by the names of a machine without one."""
+
+from collections.abc import Collection, Iterator
+
+from trackslip_bags.sources import BagMessage, Source, TopicInfo
+from trackslip_common.errors import InputError
+
+_OF_ALL = ("/tf", "/tf_static", "/diagnostics", "/clock")  # topics that no namespace moves
+
+
+class InNamespace:
+    """A part of a bag: ``/digger1/sprockets`` is ``/sprockets``; the other machines' topics are not there.
+
+    Raises:
+        InputError: nothing is in the namespace.
+    """
+
+    def __init__(self, source: Source, namespace: str) -> None:
+        self.start_ns, self.end_ns = source.start_ns, source.end_ns
+        self._source, self._topics = source, source.topics()
+        prefix = f"/{namespace.strip('/')}/"
+        self._outside = {_shortened(t, prefix): t for t in self._topics if t.startswith((prefix, *_OF_ALL))}
+        if not any(topic.startswith(prefix) for topic in self._topics):
+            there = sorted({topic.split("/")[1] for topic in self._topics if topic.count("/") > 1})
+            accepted = ", ".join(there) or "none, all topics are without"
+            raise InputError(f"--namespace {namespace}: nothing is in it; accepted: {accepted}")
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Name within the namespace → what there is of it."""
+        return {name: self._topics[topic] for name, topic in self._outside.items()}
+
+    def messages(self, wanted: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
+        """As those of the whole part."""
+        names = {topic: name for name, topic in self._outside.items() if wanted is None or name in wanted}
+        for message in self._source.messages(names.keys(), start_ns, stop_ns):
+            yield message._replace(topic=names[message.topic])
+
+    def close(self) -> None:
+        """Close the part."""
+        self._source.close()
+
+
+def _shortened(topic: str, prefix: str) -> str:
+    return f"/{topic.removeprefix(prefix)}" if topic.startswith(prefix) else topic

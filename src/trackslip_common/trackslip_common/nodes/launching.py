@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the launch files share: their arguments, and what each means for a node."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from launch import LaunchContext
+from trackslip_common.config_files import config_file
+
+_COMMON = {
+    "vehicle": ("", "a name of config/vehicles, or a file (empty: pc05 is assumed)"),
+    "params_file": ("", "ROS parameter file over the defaults of config/ and all other arguments"),
+    "namespace": ("", "of all nodes and their topics, and before the frames odom and base_link"),
+    "use_sim_time": ("false", "time from /clock, as a replay publishes it"),
+    "log_level": ("info", "debug, info, warn, error or fatal"),
+    "respawn": ("false", "start a node that ended anew"),
+    "laser": ("true", "scanner and box on the machine"),
+    "imu": ("true", "inertial unit"),
+    "hydraulics": ("true", "pressures: forces and soil"),
+    "gnss": ("false", "satellite receiver"),
+}
+_OF_SENSOR = {
+    "sick_pls": "laser",
+    "box_localizer": "laser",
+    "watson_imu": "imu",
+    "soil_estimator": "hydraulics",
+    "nmea_gnss": "gnss",
+    "gnss_localizer": "gnss",
+}
+_WITH_PREFIX = ("slip_estimator", "soil_estimator")
+_WITH_VEHICLE = ("slip_estimator", "soil_estimator", "box_localizer", "can_driver", "emulator")
+
+
+class Launched(NamedTuple):
+    """One node to launch, with parameters beside those that the arguments give."""
+
+    package: str
+    executable: str
+    parameters: Mapping[str, Any] = {}
+
+
+def declared(**own: tuple[str, str]) -> list[DeclareLaunchArgument]:
+    """The arguments of every launch file, and its ``own``: name=(default, description)."""
+    arguments = {**_COMMON, **own}
+    return [
+        DeclareLaunchArgument(name, default_value=default, description=about)
+        for name, (default, about) in arguments.items()
+    ]
+
+
+def nodes(context: LaunchContext, wanted: Iterable[Launched]) -> list[Node]:
+    """Those of ``wanted`` whose sensor is there, as the arguments say."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in _COMMON}
+    sensors = {name for name in _OF_SENSOR.values() if _is_true(given[name])}
+    return [
+        _node(one, given, sensors)
+        for one in wanted
+        if one.executable not in _OF_SENSOR or _OF_SENSOR[one.executable] in sensors
+    ]
+
+
+def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
+    parameters = {"use_sim_time": _is_true(given["use_sim_time"]), **one.parameters}
+    if one.executable in _WITH_VEHICLE and given["vehicle"]:
+        parameters["vehicle"] = given["vehicle"]
+    files = [given["params_file"]] if given["params_file"] else []
+    receiver = []
+    if one.executable == "slip_estimator":
+        parameters |= _sources(sensors)
+        receiver = [str(config_file("gnss.yaml"))] if "gnss" in sensors else []
+    if one.executable in _WITH_PREFIX and given["namespace"]:
+        parameters["frame_prefix"] = given["namespace"].strip("/") + "/"
+    return Node(
+        package=one.package,
+        executable=one.executable,
+        name=one.executable,
+        namespace=given["namespace"],
+        parameters=[*receiver, parameters, *files],
+        arguments=["--ros-args", "--log-level", given["log_level"]],
+        respawn=_is_true(given["respawn"]),
+        output="screen",
+    )
+
+
+def _sources(sensors: set[str]) -> dict[str, Any]:
+    """What the slip estimator listens to; without any pose it starts where its parameters say."""
+    if {"laser", "imu"} <= sensors and "gnss" not in sensors:
+        return {}  # its own defaults
+    poses = [topic for sensor, topic in (("laser", "box_pose"), ("gnss", "gnss_pose")) if sensor in sensors]
+    start = {} if poses else {"start": "initial_pose"}
+    return {
+        "pose_sources": poses or [""],
+        "yaw_rate_sources": ["imu/data_raw" if "imu" in sensors else ""],
+        **start,
+    }
+
+
+def _is_true(text: str) -> bool:
+    return text.lower() in ("true", "1", "yes", "on")

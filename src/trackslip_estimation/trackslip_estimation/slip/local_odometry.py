@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pose in the frame ``odom`` (REP-105): the integral of the estimated twist, which never jumps; compiled.
+
+    x, y, ψ        pose in odom, from the first estimate on                m, m, rad
+    v_x, v_y, ω    mean of the twists at both ends of an interval Δt       m/s, m/s, rad/s
+    x += (v_x cos ψ' − v_y sin ψ') Δt,  y += (v_x sin ψ' + v_y cos ψ') Δt,  ψ += ω Δt,  ψ' = ψ + ω Δt/2
+    P = F P Fᵀ + T Σ Tᵀ τ Δt    Σ covariance of the twist, whose errors last τ
+
+A fix that corrects the estimate shows in the twist at most. Where time goes back, or is lost for longer than
+an interval may be, the pose stays as it is.
+"""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.estimator import Estimate
+
+Records = NDArray[np.void]
+
+_LONGEST = 1.0  # s, interval that a twist is taken to last
+_CORRELATION = 1.0  # s, τ
+
+TWIST = np.dtype(
+    [("stamp_ns", np.int64), ("twist", np.float64, (3,)), ("twist_covariance", np.float64, (3, 3))],
+    align=True,
+)
+LOCAL = np.dtype(
+    [
+        ("stamp_ns", np.int64),
+        ("pose", np.float64, (3,)),
+        ("pose_covariance", np.float64, (3, 3)),
+        ("twist", np.float64, (3,)),
+        ("begun", np.int64),  # 0 or 1
+    ],
+    align=True,
+)
+
+
+class LocalOdometry:
+    """Follows the estimates in the order in which they are published."""
+
+    def __init__(self) -> None:
+        self._known = np.zeros(1, LOCAL)
+        self.advance(np.zeros(0, TWIST))  # compiles now
+
+    def advance(self, estimates: Records) -> Records:
+        """(n,) of ``LOCAL`` after each of (n,) records that have the fields of ``TWIST``."""
+        twists = np.zeros(len(estimates), TWIST)
+        for name in TWIST.names or ():
+            twists[name] = estimates[name]
+        found = np.zeros(len(estimates), LOCAL)
+        integrate(self._known, twists, found)
+        return found
+
+    def after(self, estimate: Estimate) -> Estimate:
+        """The estimate with its pose in ``odom``."""
+        twist = np.zeros(1, TWIST)
+        twist[0] = (estimate.stamp_ns, estimate.outputs.twist, estimate.outputs.twist_covariance)
+        local = self.advance(twist)[0]
+        return replace(estimate, pose=local["pose"], pose_covariance=local["pose_covariance"])
+
+
+@compiled
+def integrate(known: Records, twists: Records, found: Records) -> None:
+    """From ``known`` (1,) over (n,) of ``TWIST``: fills (n,) of ``LOCAL``, of which the last stays known."""
+    local = known[0]
+    for k in range(len(twists)):
+        given = twists[k]
+        dt = (given.stamp_ns - local.stamp_ns) * 1e-9
+        if local.begun == 1 and 0.0 < dt <= _LONGEST:
+            _move(local, given, dt)
+        local.begun, local.stamp_ns = 1, given.stamp_ns
+        local.twist[:] = given.twist
+        found[k].begun, found[k].stamp_ns = 1, given.stamp_ns
+        found[k].twist[:], found[k].pose[:] = local.twist, local.pose
+        found[k].pose_covariance[:] = local.pose_covariance
+
+
+@compiled
+def _move(local: Any, given: Any, dt: float) -> None:
+    """Over one interval."""
+    v_x = 0.5 * (local.twist[0] + given.twist[0])
+    v_y = 0.5 * (local.twist[1] + given.twist[1])
+    rate = 0.5 * (local.twist[2] + given.twist[2])
+    middle = local.pose[2] + 0.5 * rate * dt
+    c, s = math.cos(middle), math.sin(middle)
+    dx, dy = (v_x * c - v_y * s) * dt, (v_x * s + v_y * c) * dt
+    local.pose[0] += dx
+    local.pose[1] += dy
+    local.pose[2] += rate * dt
+    P, F, T = local.pose_covariance, np.eye(3), np.eye(3)
+    F[0, 2], F[1, 2] = -dy, dx
+    T[0, 0], T[0, 1], T[1, 0], T[1, 1] = c, -s, s, c
+    grown = F @ P @ F.T + T @ given.twist_covariance @ T.T * (_CORRELATION * dt)
+    P[:] = 0.5 * (grown + grown.T)

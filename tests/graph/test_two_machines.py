@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two machines in two namespaces of one domain: own estimates, own bags, own frames, nothing mixed."""
+
+import json
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from sensor_msgs.msg import JointState
+
+from trackslip_bags.reader import open_bag
+
+MACHINES = {"one": 1.0, "two": -2.0}  # rad/s of both sprockets
+BEGIN_S, STEP_MS, STEPS = 100, 20, 60
+NODES = ("slip_estimator", "record")
+
+
+def stamped(kind, at_ms):
+    message = kind()
+    message.header.stamp.sec, message.header.stamp.nanosec = BEGIN_S + at_ms // 1000, at_ms % 1000 * 1_000_000
+    return message
+
+
+def subscribe_tf(observer):
+    try:
+        return observer.subscribe("/tf", "tf")
+    except ModuleNotFoundError:  # tf2_msgs is optional
+        return []
+
+
+def links(name):
+    return {("map", f"{name}/odom"), (f"{name}/odom", f"{name}/base_link")}
+
+
+def test_two_machines_side_by_side(programs, observer):
+    healths, transforms = observer.healths(), subscribe_tf(observer)
+    found, local, reports = (
+        {name: observer.subscribe(f"/{name}/{topic}", topic) for name in MACHINES}
+        for topic in ("odometry", "odometry/local", "measurement_reports")
+    )
+    publishers = {
+        name: [observer.publisher(f"/{name}/{topic}", topic) for topic in ("sprockets", "box_pose")]
+        for name in MACHINES
+    }
+    running = {}
+    for name in MACHINES:
+        space = ("-r", f"__ns:=/{name}")
+        programs.node("slip_estimator", *space, frame_prefix=f"{name}/", vehicle="excavator_20t")
+        running[name] = programs.node("record", *space, output=name)
+        for topic in ("sprockets", "box_pose"):
+            observer.wait_for_ends(f"/{name}/{topic}", *NODES)
+        observer.wait_for_ends(f"/{name}/odometry", *NODES)
+    for step in range(STEPS):
+        for name, speed in MACHINES.items():
+            sprockets = stamped(JointState, step * STEP_MS)
+            sprockets.name = ["left_sprocket", "right_sprocket"]
+            sprockets.velocity = [speed, speed]
+            sprockets.position = [speed * step * STEP_MS * 1e-3] * 2
+            publishers[name][0].publish(sprockets)
+            if step == 0:
+                pose = stamped(PoseWithCovarianceStamped, 0)
+                pose.pose.pose.position.x, pose.pose.pose.orientation.w = speed, 1.0
+                pose.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
+                observer.wait(lambda name=name: reports[name], f"a report of {name}")
+                publishers[name][1].publish(pose)
+        observer.wait(lambda step=step: all(len(of) == step + 2 for of in reports.values()), "all reports")
+    for name, speed in MACHINES.items():
+        last, driven = found[name][-1], 0.35 * speed * (STEPS - 1) * STEP_MS * 1e-3
+        assert abs(last.pose.pose.position.x - speed - driven) < 0.05
+        assert (last.header.frame_id, last.child_frame_id) == ("map", f"{name}/base_link")
+        assert (local[name][-1].header.frame_id, local[name][-1].child_frame_id) == (
+            f"{name}/odom",
+            f"{name}/base_link",
+        )
+    chains = {(t.header.frame_id, t.child_frame_id) for message in transforms for t in message.transforms}
+    assert chains in (set(), links("one") | links("two"))
+    wanted = {f"{name}/{node}" for name in MACHINES for node in NODES}
+    observer.wait(lambda: wanted <= {status.name for status in healths}, "diagnostics of all four")
+    assert "slip_estimator" not in {status.name for status in healths}
+    for name, recorder in running.items():
+        assert recorder.end()[0] == 130
+        with open_bag(programs.folder / name) as bag:
+            filled = {topic for topic, info in bag.topics.items() if info.count}
+            assert {t.split("/")[1] for t in filled} <= {name, "tf", "diagnostics"}
+            assert f"/{name}/vehicle" in filled
+        replay = ("replay", name, "--namespace", name, "--json", f"{name}.json")
+        program = programs.tool("trackslip", *replay)
+        assert program.wait() == 0, program.stderr
+        summary = json.loads((programs.folder / f"{name}.json").read_text(encoding="utf-8"))
+        assert summary["replay_matches"] is True
+        assert summary["vehicle"] == "excavator_20t"
