@@ -24,7 +24,14 @@ from trackslip_tools.cli.main import main
 from trackslip_tools.replay.inputs import read_inputs
 
 OFFSET = 1.2  # rad, of the antenna pair
-SEGMENTS = [(1.0, 0.0, 0.0), (8.0, 1.5, 1.5), (8.0, 0.8, 1.6), (6.0, 1.8, 1.8), (8.0, 1.6, 0.8), (12.0, 1.5, 1.4)]
+SEGMENTS = [
+    (1.0, 0.0, 0.0),
+    (8.0, 1.5, 1.5),
+    (8.0, 0.8, 1.6),
+    (6.0, 1.8, 1.8),
+    (8.0, 1.6, 0.8),
+    (12.0, 1.5, 1.4),
+]
 FLOAT = {"sensor": "gnss", "kind": "rtk_float", "start": 10.0, "duration": 30.0}
 
 

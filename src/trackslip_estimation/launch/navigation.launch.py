@@ -20,7 +20,7 @@ def generate_launch_description() -> LaunchDescription:
     """Defaults are the nodes' own; ``params_file`` goes over them."""
     state_file = (
         _DEFAULT,
-        f"keeps what was learned; '{_DEFAULT}': one of the namespace in $ROS_HOME/trackslip; 'none': no file",
+        f"keeps what was learned; '{_DEFAULT}': one a namespace, in $ROS_HOME/trackslip; 'none': nothing",
     )
     return LaunchDescription([*declared(state_file=state_file), OpaqueFunction(function=_nodes)])
 
