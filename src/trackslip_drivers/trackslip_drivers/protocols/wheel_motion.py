@@ -28,7 +28,7 @@ class Rejection(Enum):
 
 
 class JointMotion:
-    """Samples of joint states in turn; positions are differenced where there are no velocities."""
+    """Samples of joint states in order; positions are differenced where there are no velocities."""
 
     def __init__(self, p: WheelParameters) -> None:
         self._sides = (

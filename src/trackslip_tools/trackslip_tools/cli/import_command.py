@@ -12,7 +12,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode
 from trackslip_common.vehicle import load_vehicle
-from trackslip_tools.cli import replay_options
+from trackslip_tools.cli import machine_options
 
 EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --output out/field_log"
 
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="columns and units, or topics; a path or a file of config/ (docs/import.md)",
     )
-    replay_options.add_vehicle(parser, "the mapping's")
+    machine_options.add_vehicle(parser, "the mapping's")
     add("--output", metavar="BAG", type=Path, required=True, help="directory to create")
 
 
