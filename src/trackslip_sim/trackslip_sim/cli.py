@@ -14,7 +14,7 @@ from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import MODES, duration_of, simulate_in_pieces
 from trackslip_sim.truth.window import TruthWindow
-from trackslip_tools.cli import replay_options
+from trackslip_tools.cli import machine_options
 from trackslip_tools.cli.json_file import write_json
 
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME|FILE",
         help=f"{', '.join(scenario_names())}, or a YAML file",
     )
-    replay_options.add_vehicle(parser, "none")
+    machine_options.add_vehicle(parser, "none")
     parser.add_argument("--soil", metavar="S", help="soil outside the scenario's patches; default: its own")
     parser.add_argument(
         "--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds"

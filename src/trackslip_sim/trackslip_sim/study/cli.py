@@ -16,7 +16,7 @@ from trackslip_sim.study.engine import Study
 from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
-from trackslip_tools.cli import replay_options
+from trackslip_tools.cli import machine_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import shown
 
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sigma-heading", type=float, metavar="A", help="noise of the fixes' heading, rad")
     add("--seeds", type=int, metavar="N", help="runs of each cell")
     add("--scenario", nargs="+", metavar="NAME|FILE", help="what is driven; slip: one")
-    replay_options.add_vehicle(parser, "none")
+    machine_options.add_vehicle(parser, "none")
     add("--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds")
     add("--settling", type=float, metavar="S", help="slip: seconds at the start that are not scored")
     add("--set", metavar="node.param=value", action="append", default=[], help="one of the estimator's")

@@ -12,7 +12,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.calibration.calibrate import calibrate
 from trackslip_tools.calibration.output import summary, text, write_parameters
 from trackslip_tools.calibration.recording import read_recording
-from trackslip_tools.cli import replay_options
+from trackslip_tools.cli import machine_options, replay_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import shown
 
@@ -34,8 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the first bag's own"
     )
-    replay_options.add_vehicle(parser, "the first bag's")
-    replay_options.add_namespace(parser)
+    machine_options.add_vehicle(parser, "the first bag's")
+    machine_options.add_namespace(parser)
     add("--gyro", metavar="TOPIC", help="the gyro; default: the first of yaw_rate_sources")
     add("--poses", metavar="TOPIC", help=f"fixes; default: the first of pose_sources, or {_REFERENCE}")
     add(

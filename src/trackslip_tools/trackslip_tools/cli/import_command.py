@@ -12,7 +12,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode
 from trackslip_common.vehicle import load_vehicle
-from trackslip_tools.cli import replay_options
+from trackslip_tools.cli import machine_options
 
 EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --output out/field_log"
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="columns, units and vehicle; a path or a file of config/",
     )
-    replay_options.add_vehicle(parser, "the mapping's")
+    machine_options.add_vehicle(parser, "the mapping's")
     parser.add_argument("--output", metavar="BAG", type=Path, required=True, help="directory to create")
 
 

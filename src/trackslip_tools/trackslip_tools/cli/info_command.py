@@ -7,7 +7,7 @@ from pathlib import Path
 from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
-from trackslip_tools.cli import replay_options
+from trackslip_tools.cli import machine_options
 
 EXAMPLE = "trackslip info out/demo/bag"
 
@@ -15,7 +15,7 @@ EXAMPLE = "trackslip info out/demo/bag"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("bag", metavar="BAG", type=Path, help="rosbag2 directory, .mcap or .db3 file")
-    replay_options.add_namespace(parser)
+    machine_options.add_namespace(parser)
 
 
 def run(args: argparse.Namespace) -> int:

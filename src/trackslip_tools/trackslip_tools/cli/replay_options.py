@@ -15,13 +15,14 @@ from trackslip_common.config_files import config_file, node_defaults, node_param
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
-from trackslip_common.vehicle import ASSUMED, names_vehicle, vehicle_layer
 from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle import names_vehicle, vehicle_layer
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
+from trackslip_tools.cli import machine_options
 from trackslip_tools.replay.inputs import SPROCKETS
 
 _KINDS: Mapping[str, type[Parameters]] = {NODE: SlipEstimatorParameters, SOIL_NODE: SoilEstimatorParameters}
@@ -35,8 +36,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files"
     )
-    add_vehicle(parser, "the bag's")
-    add_namespace(parser)
+    machine_options.add_vehicle(parser, "the bag's")
+    machine_options.add_namespace(parser)
     add("--remap", metavar="from:=to", action="append", default=[], help="read topic 'from' as 'to'")
     add("--start", metavar="S", type=float, default=0.0, help="seconds from the bag's first message")
     add("--stop", metavar="S", type=float, default=float("inf"), help="seconds from the bag's first message")
@@ -56,18 +57,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--seed", metavar="N", type=_seed, default=0, help="of the added noise")
     add("--reference", metavar="TOPIC", help="score against this topic, every sample of it")
-
-
-def add_vehicle(parser: argparse.ArgumentParser, default: str) -> None:
-    """Declare ``--vehicle``."""
-    about = f"a name of config/vehicles, or a file (default: {default}, else {ASSUMED})"
-    parser.add_argument("--vehicle", metavar="NAME|FILE", help=about)
-
-
-def add_namespace(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--namespace``."""
-    about = "the machine's part of a bag: topic sprockets is /NS/sprockets, and so on"
-    parser.add_argument("--namespace", metavar="NS", default="", help=about)
 
 
 def filters_of(args: argparse.Namespace) -> InputFilters:

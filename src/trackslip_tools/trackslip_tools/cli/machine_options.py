@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The options that say which machine: of commands that need nothing else of a replay, too."""
+
+import argparse
+
+from trackslip_common.vehicle import ASSUMED
+
+
+def add_vehicle(parser: argparse.ArgumentParser, default: str) -> None:
+    """Declare ``--vehicle``."""
+    about = f"a name of config/vehicles, or a file (default: {default}, else {ASSUMED})"
+    parser.add_argument("--vehicle", metavar="NAME|FILE", help=about)
+
+
+def add_namespace(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--namespace``."""
+    about = "the machine's part of a bag: topic sprockets is /NS/sprockets, and so on"
+    parser.add_argument("--namespace", metavar="NS", default="", help=about)
