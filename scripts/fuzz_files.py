@@ -100,7 +100,7 @@ def log_files() -> Target:
         mapping.write_bytes(first)
         log.write_bytes(second)
         with contextlib.suppress(InputError):
-            import_log(log, read_mapping(mapping), output)
+            import_log([log], read_mapping(mapping), output)
         shutil.rmtree(output, ignore_errors=True)
 
     return one_input, [MAPPING + b"\0" + LOG, MAPPING + b"\0" + LOG[:26], MAPPING + b"\0\xff\xfet"]

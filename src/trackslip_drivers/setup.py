@@ -26,6 +26,7 @@ setup(
             "watson_imu = trackslip_drivers.executables:watson_imu",
             "sick_pls = trackslip_drivers.executables:sick_pls",
             "nmea_gnss = trackslip_drivers.executables:nmea_gnss",
+            "wheel_adapter = trackslip_drivers.executables:wheel_adapter",
         ]
     },
 )

@@ -20,6 +20,7 @@ from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.vehicle import load_vehicle
+from trackslip_estimation.slip.conversions import UNOBSERVED
 from trackslip_tools.cli import import_command, info_command
 
 ROOT = Path(__file__).parents[2]
@@ -66,7 +67,7 @@ def import_text(folder: Path, log: str = LOG, mapping: dict[str, Any] = MAPPING)
     """Run the importer on a log and a mapping given as such; the bag's path."""
     (folder / "log.csv").write_text(log, encoding="utf-8")
     (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
-    import_log(folder / "log.csv", read_mapping(folder / "map.yaml"), folder / "bag")
+    import_log([folder / "log.csv"], read_mapping(folder / "map.yaml"), folder / "bag")
     return folder / "bag"
 
 
@@ -106,7 +107,7 @@ def test_units_signs_and_offsets(tmp_path: Path) -> None:
     assert (position.x, position.y, position.z) == (1.5, -0.25, 0.0)
     assert 2.0 * math.atan2(turn.z, turn.w) == pytest.approx(math.pi / 2.0)
     covariance = poses[0].pose.covariance.reshape(6, 6)
-    np.testing.assert_allclose(np.diag(covariance), [0.01, 0.04, 0.0, 0.0, 0.0, 0.09])
+    np.testing.assert_allclose(np.diag(covariance), [0.01, 0.04, *[UNOBSERVED] * 3, 0.09])
 
 
 def test_the_bag_is_in_the_order_of_stamps(tmp_path: Path) -> None:
@@ -170,16 +171,29 @@ BAD_MAPPINGS = {
     "key 'time' is missing": changed(time=None),
     "key 'topics' is missing": changed(topics=None),
     "topics is empty": changed(topics={}),
-    "topics: unknown key 'gnss'; accepted: sprockets, imu/data_raw": changed(topics__gnss={}),
+    "topics: unknown key 'sprocket', did you mean 'sprockets'?; accepted: sprockets, imu/data_raw": changed(
+        topics__sprocket={}
+    ),
+    "topics: unknown key 'gnss'": changed(topics__gnss={}),
+    "gnss.role: 'poses' is not accepted, did you mean 'pose'?": changed(topics__gnss={"role": "poses"}),
     "sprockets: 3 is not accepted": changed(topics__sprockets=3),
-    "sprockets: key 'left_velocity' is missing": changed(topics__sprockets__left_velocity=None),
-    "sprockets: key 'right_position' is missing": changed(
+    "sprockets: right_velocity is not accepted; accepted: left_velocity + right_velocity, or ": changed(
+        topics__sprockets__left_velocity=None
+    ),
+    "sprockets: left_velocity + right_velocity + left_position is not accepted": changed(
         topics__sprockets__left_position={"column": "wl", "unit": "rad"}
     ),
     "sprockets: unknown key 'stddev'": changed(topics__sprockets__stddev={"x": 1.0}),
-    "sprockets.left_velocity.unit: 'm/s' is unknown; accepted: rad/s, deg/s, rpm": changed(
-        topics__sprockets__left_velocity__unit="m/s"
+    "sprockets.left_velocity.unit: 'deg/sec' is unknown, did you mean 'deg/s'?; accepted: rad/s": changed(
+        topics__sprockets__left_velocity__unit="deg/sec"
     ),
+    "imu/data_raw.angular_velocity_z.unit: 'm/s' is a unit of speed; accepted: rad/s, deg/s": changed(
+        topics__imu__angular_velocity_z__unit="m/s"
+    ),
+    "sprockets.left_velocity: a speed over ground needs a vehicle in the mapping": changed(
+        topics__sprockets__left_velocity__unit="km/h"
+    ),
+    "reference_pose: unknown key 'yew', did you mean 'yaw'?": changed(topics__reference_pose__yew={}),
     "sprockets.left_velocity: key 'unit' is missing": changed(topics__sprockets__left_velocity__unit=None),
     "sprockets.left_velocity: 'wl' is not accepted": changed(topics__sprockets__left_velocity="wl"),
     "sprockets.right_velocity.scale: 'minus' is not accepted": changed(
@@ -190,18 +204,26 @@ BAD_MAPPINGS = {
     ),
     "sprockets.time_offset: True is not accepted": changed(topics__sprockets__time_offset=True),
     "sprockets.frame: 5 is not accepted": changed(topics__sprockets__frame=5),
-    "reference_pose: key 'stddev' is missing": changed(topics__reference_pose__stddev=None),
-    "reference_pose.stddev: key 'yaw' is missing": changed(topics__reference_pose__stddev__yaw=None),
+    "reference_pose: stddev of x is missing": changed(topics__reference_pose__stddev=None),
+    "reference_pose: stddev of yaw is missing": changed(topics__reference_pose__stddev__yaw=None),
     "reference_pose.stddev.x: 0 is out of range; accepted: > 0": changed(topics__reference_pose__stddev__x=0),
-    "time.unit: 'h' is unknown; accepted: s, ms, us, ns": changed(time__unit="h"),
+    "time.unit: 'sec' is unknown; accepted: s, ms, us, µs, ns": changed(time__unit="sec"),
     "start: 'noon' is not accepted": changed(start="noon"),
+    "start: 1e+300 is out of range": changed(start=1e300),
     "parameters: ['tread'] is not accepted": changed(parameters=["tread"]),
-    "parameters.vehicle: accepted: vehicle: NAME or FILE": changed(parameters={"vehicle": {"tread": 1.0}}),
+    "parameters.vehicle: accepted: vehicle, beside parameters": changed(
+        parameters={"vehicle": {"tread": 1.0}}
+    ),
     "vehicle 'wartog': no such vehicle or file, did you mean 'warthog'?": changed(vehicle="wartog"),
-    "no column speed; the columns are: t, wl, wr": changed(topics__sprockets__left_velocity__column="speed"),
-    "no column m;": changed(topics__reference_pose__new_when_changes="m"),
+    "vehicle: parameter 'kinematics.tread' is missing": changed(
+        vehicle={"kinematics": {"rolling_radius": 0.3, "contact_length": 1.0}}
+    ),
+    "no column 'speed'; the columns are: t, wl, wr": changed(
+        topics__sprockets__left_velocity__column="speed"
+    ),
+    "no column 'm'": changed(topics__reference_pose__new_when_changes="m"),
     "column 'gx' never changes": changed(topics__reference_pose__new_when_changes="gx"),
-    "the log begins at -1.000 s; accepted: a 'start'": changed(start=-2.0),
+    "line 2, column 't': -1.000 s is before 0; accepted: a 'start'": changed(start=-2.0),
 }
 
 
@@ -217,13 +239,30 @@ def test_a_malformed_mapping_is_named_in_one_line(tmp_path: Path, message: str) 
 
 BAD_LOGS = {
     "line 3, column 'wl': 'fast' is not accepted": LOG.replace("1050,180", "1050,fast"),
-    "line 4, column 'wl': '' is not accepted": LOG.replace("1100,360", "1100,"),
-    "line 2, column 'gz': 'nan' is not accepted": LOG.replace("0,0,90,7,0", "0,0,nan,7,0", 1),
-    "line 6, column 'heading': '' is not accepted": LOG.replace(",300,-50,180,10,20", ",300,-50"),
-    "column 't' goes back from 1150 to 1100": LOG.replace("1200", "1100"),
+    "line 2, column 'gz': 'inf' is not accepted": LOG.replace("0,0,90,7,0", "0,0,inf,7,0", 1),
+    "line 6, column 't' goes back from 101.15 s to 101.1 s": LOG.replace("1200", "1100"),
+    "line 5 has 10 cells, the header 12": LOG.replace("-25,90,10,20\n1200", "-25,90\n1200"),
+    "line 3 has 13 cells, the header 12 (decimal commas?)": LOG.replace("1050,180", "1050,180,5"),
+    "line 3, column 'wl': '180,5' has a decimal comma": LOG.replace(",", ";").replace(
+        "1050;180", "1050;180,5"
+    ),
+    "line 6: not a table (unexpected end of data)": LOG.replace("1150,360", '1150,"360'),
+    "not a table (field larger than field limit (131072))": LOG.replace("1150", "1" * 200_000),
+    "holds zero bytes": LOG.replace("1150", "11\x0050"),
+    "line 5, column 't': 3000000000 s is too late for a stamp; accepted: less than 2^31 s": LOG.replace(
+        "1150", "2999999900000"
+    ),
+    "line 5, column 't': '1763673783000000' is not accepted; accepted: a number of ms (is its unit us?)": (
+        LOG.replace("1150", "1763673783000000")
+    ),
+    "line 5, column 't': '1763673783000000000' is not accepted; accepted: a number of ms (is its unit ns?)": (
+        LOG.replace("1150", "1763673783000000000")
+    ),
+    "several columns 'wl'": LOG.replace("wl,wr", "wl,wl"),
+    "no row of": LOG.replace(",180,", ",,").replace(",360,", ",,"),
     "no rows below the header": LOG.splitlines()[0] + "\n",
-    "no column t, gx": "",
-    "no column t": LOG.replace(",", ";"),
+    "no column 't'; the columns are: none": "",
+    "no column 't', did you mean 'tt'?": LOG.replace("t,", "tt,", 1),
 }
 
 
@@ -241,8 +280,8 @@ def test_an_unreadable_log_is_named(tmp_path: Path, content: bytes | None) -> No
     if content is not None:
         (tmp_path / "log.csv").write_bytes(content)
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(MAPPING), encoding="utf-8")
-    with pytest.raises(InputError, match=r"log\.csv: cannot be read"):
-        import_log(tmp_path / "log.csv", read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
+    with pytest.raises(InputError, match=r"log\.csv.*(cannot be read|not found)"):
+        import_log([tmp_path / "log.csv"], read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
 
 
 def parsed(command: Any, *arguments: str) -> argparse.Namespace:
@@ -268,8 +307,9 @@ def test_the_commands_show_what_they_made(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.skipif(not WARTHOG.is_file(), reason="the recorded log is not here")
 def test_the_warthog_log(tmp_path: Path) -> None:
     mapping = read_mapping(config_file("mappings/warthog.yaml"))
-    counts, left_out = import_log(WARTHOG, mapping, tmp_path / "bag")
-    assert left_out == {"/sprockets": 4}  # moved back by 0.15 s
+    imported = import_log([WARTHOG], mapping, tmp_path / "bag")
+    counts = imported.counts
+    assert [sum(n.values()) for n in imported.left_out.values()] == [4]  # sprockets moved back by 0.15 s
     with open_bag(tmp_path / "bag") as bag:
         assert bag.damage == ""
         assert {name: info.count for name, info in bag.topics.items()} == counts

@@ -144,6 +144,12 @@ def test_an_ambiguous_signal_is_refused(tmp_path):
     assert "is in several frames; accepted: one of Upper.PumpMPa, Radio.PumpMPa" in text
 
 
+def test_a_flow_needs_the_hydraulics_of_the_vehicle(tmp_path):
+    vehicle = dataclasses.replace(PARAMETERS.vehicle, hydraulics=None)
+    with pytest.raises(InputError, match=r"'left_flow'.* vehicle 'pc05' has no hydraulics; accepted"):
+        machine(tmp_path, vehicle=vehicle)
+
+
 def test_no_roles(tmp_path):
     with pytest.raises(InputError, match="no roles; accepted: left_position"):
         machine(tmp_path, "roles: {}\n")

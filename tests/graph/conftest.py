@@ -31,7 +31,9 @@ from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 ROOT = Path(__file__).resolve().parents[2]
 INSTALL = ROOT / "ros2_ws" / "install"
 PACKAGE_OF = {
-    **dict.fromkeys(("can_driver", "watson_imu", "sick_pls", "nmea_gnss"), "trackslip_drivers"),
+    **dict.fromkeys(
+        ("can_driver", "watson_imu", "sick_pls", "nmea_gnss", "wheel_adapter"), "trackslip_drivers"
+    ),
     **dict.fromkeys(("box_localizer", "gnss_localizer"), "trackslip_estimation"),
     **dict.fromkeys(("slip_estimator", "soil_estimator"), "trackslip_estimation"),
     "record": "trackslip_bags",

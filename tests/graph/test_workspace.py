@@ -20,7 +20,7 @@ PACKAGES = sorted(path.parent for path in ROOT.glob("src/*/package.xml"))
 PYTHON_PACKAGES = [package.name for package in PACKAGES if (package / "setup.py").is_file()]
 EXECUTABLES = {
     "trackslip_bags": {"record"},
-    "trackslip_drivers": {"can_driver", "watson_imu", "sick_pls", "nmea_gnss"},
+    "trackslip_drivers": {"can_driver", "watson_imu", "sick_pls", "nmea_gnss", "wheel_adapter"},
     "trackslip_estimation": {"box_localizer", "gnss_localizer", "slip_estimator", "soil_estimator", "record"},
     "trackslip_tools": {"trackslip"},
     "trackslip_sim": {"emulator", "demo"},

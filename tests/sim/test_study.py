@@ -144,6 +144,7 @@ def test_nothing_to_score_is_refused(estimator: SlipEstimatorParameters) -> None
 def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters) -> None:
     """In the information form of Tichavský et al., F differentiated numerically, in a steady turn."""
     config, rows = make_config(estimator), Rows(np.zeros(60, MEASUREMENT), np.zeros(60, STATE))
+    config["stamp_errors"] = 0.0
     rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, 61)
     rows.measurements["kind"][19::20] = POSE
     rows.measurements["noise"] = fix = np.diag((4e-4, 4e-4, 1e-4))

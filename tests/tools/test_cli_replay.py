@@ -145,6 +145,7 @@ def test_a_replay_of_a_recorded_run_matches_it(
                 "measurement_reports",
                 "slip_estimator/parameters",
                 "vehicle",
+                "odometry/local",
             )
         }
         written = [(m, estimates.deserialize(m.raw, m.type_name)) for m in estimates.messages()]

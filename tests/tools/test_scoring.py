@@ -44,10 +44,14 @@ def estimates(*of: tuple[int, tuple[float, float, float], FloatArray]) -> Rows:
 
 
 def mean_nees(own: Rows, reference: Path) -> float | None:
+    return errors_against(own, reference).nees
+
+
+def errors_against(own: Rows, reference: Path) -> PathErrors:
     x, y, heading = reference.poses.T
     errors = PathErrors()
     errors.add_estimates(own, series_of(stamp_ns=reference.stamps_ns, x=x, y=y, heading=heading).rows)
-    return errors.nees
+    return errors
 
 
 def test_a_path_against_itself_has_no_error() -> None:
@@ -119,6 +123,23 @@ def test_nees_is_none_where_nothing_is_covered() -> None:
     own = estimates((0, (0, 0, 0), np.eye(3)))
     assert mean_nees(own, path((50,), (0, 0, 0))) is None
     assert mean_nees(own, path((0,), (0, 0, 0))) == 0.0
+
+
+def test_a_reference_of_positions_is_scored_as_such() -> None:
+    """No heading of it counts, be it nan: 0.1 m with σ = 0.1 m is 1 of 2."""
+    own = estimates(*((t, (0.1, 0, 3.0), np.diag((0.01, 0.01, 1e-9))) for t in (0, 100)))
+    reference = path((0, 100), (0, 0, math.nan), (0, 0, math.nan))
+    errors = errors_against(own, reference)
+    assert errors.score == score(path_of(own), reference) == Score(2, pytest.approx(0.1), None)
+    assert (errors.nees, errors.nees_position) == (None, pytest.approx(1.0))
+
+
+def test_headings_count_where_the_reference_has_them() -> None:
+    own = estimates(*((t, (0.1, 0, 0.2), np.eye(3) * 0.01) for t in (0, 100)))
+    reference = path((0, 100), (0, 0, math.nan), (0, 0, 0))
+    errors = errors_against(own, reference)
+    assert errors.score == Score(2, pytest.approx(0.1), pytest.approx(0.2))
+    assert (errors.nees, errors.nees_position) == (pytest.approx(5.0), pytest.approx(1.0))
 
 
 def slips(stamps_ns: Any, left: Any, right: Any) -> Series:

@@ -5,6 +5,7 @@ from datetime import datetime, timezone
 
 from trackslip_bags.parameters import bag_vehicle
 from trackslip_bags.reader import Bag
+from trackslip_common.errors import printable
 from trackslip_common.vehicle import ASSUMED
 
 _HEAD = ("topic", "type", "count", "rate (Hz)")
@@ -24,7 +25,7 @@ def describe(bag: Bag) -> str:
     if bag.damage:
         lines.append(f"damage    {bag.damage} (trackslip recover rewrites what can be read)")
     rows = [
-        (topic, info.type_name, str(info.count), _rate(info.count, bag.duration_s))
+        (printable(topic), printable(info.type_name), str(info.count), _rate(info.count, bag.duration_s))
         for topic, info in sorted(bag.topics.items())
     ]
     return "\n".join([*lines, "", *_table([_HEAD, *rows])])

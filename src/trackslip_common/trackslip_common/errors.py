@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one error a user's input can cause, and the exit codes of every executable."""
 
+from collections.abc import Iterable
 from enum import IntEnum
 
 _LONGEST_LINE = 900  # characters
@@ -34,3 +35,11 @@ class ExitCode(IntEnum):
     FAILED = 1  # ran, and failed its check
     BAD_INPUT = 2
     INTERRUPTED = 130
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """What to add to "'word' is unknown": the known word that is nearest to it; empty where none is near."""
+    from difflib import get_close_matches  # only for the one who mistyped
+
+    found = get_close_matches(word, list(known), n=1)
+    return f", did you mean '{found[0]}'?" if found else ""

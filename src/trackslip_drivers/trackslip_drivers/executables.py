@@ -22,3 +22,8 @@ def sick_pls() -> None:
 def nmea_gnss() -> None:
     """See ``trackslip_drivers.nodes.nmea_gnss``."""
     start("trackslip_drivers.nodes.nmea_gnss")
+
+
+def wheel_adapter() -> None:
+    """See ``trackslip_drivers.nodes.wheel_adapter``."""
+    start("trackslip_drivers.nodes.wheel_adapter")

@@ -1,83 +1,318 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads columns of a CSV log: comma-separated, names in the first line, numbers below."""
+"""CSV logs by a mapping: one file or several on one time base, each with columns and a rate of its own."""
 
-import csv
 import math
-import warnings
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.importing.columns import FIRST, Column, Spread, TimeColumn
+from trackslip_bags.importing.csv_table import NO_TIME, Table, Wanted, read_table
+from trackslip_bags.importing.local import LocalFrame
+from trackslip_bags.importing.mapping import CsvTopic
+from trackslip_bags.importing.roles import ROLES
+from trackslip_bags.importing.samples import (
+    FloatArray,
+    IntArray,
+    Samples,
+    Values,
+    differences,
+    track_speeds,
+    without_heading,
+    yaw_of,
+)
+from trackslip_bags.importing.times import LIMIT_NS, too_late
 from trackslip_common.errors import InputError
+from trackslip_estimation.slip.conversions import UNOBSERVED
 
-FloatArray = NDArray[np.float64]
+Rows = NDArray[np.bool_]
 
-_ENCODING = "utf-8-sig"  # UTF-8, with or without the mark that spreadsheets put first
+_NO_FIX = 0  # quality of a GGA sentence
+_STATUS_OF_QUALITY = {0: -1, 1: 0, 2: 1, 3: 0, 4: 2, 5: 2, 9: 2}  # NavSatStatus: none, fix, SBAS, GBAS
+_DIAGONAL, _FULL = 2, 3  # kinds of covariance of a NavSatFix; 0: unknown
 
 
-def read_columns(path: Path, names: Sequence[str]) -> dict[str, FloatArray]:
-    """The named columns, each (rows,), all finite.
+def read_csv_logs(
+    paths: Sequence[Path], topics: Sequence[CsvTopic], start_ns: int, local: LocalFrame
+) -> tuple[list[Samples], list[str]]:
+    """Samples of each topic, and notes on what was left out of the files.
 
     Raises:
-        InputError: the file cannot be read, lacks a column or has no rows, or a cell in one of these
-            columns is not a finite number (names its line and column).
+        InputError: a file cannot be read or does not fit the mapping.
     """
-    try:
-        indices = _indices(path, names)
-        table = _load(path, indices)
-        if table is None or not np.isfinite(table).all():
-            raise _bad_cell(path, names, indices)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
-    if not len(table):
-        raise InputError(f"{path}: no rows below the header; accepted: a CSV log with at least one")
-    return {name: table[:, i] for i, name in enumerate(names)}
+    files = {topic.name: _file_of(topic, paths) for topic in topics}
+    tables = {
+        path: read_table(path, _wanted([topic for topic in topics if files[topic.name] == path]))
+        for path in dict.fromkeys(files.values())
+    }
+    found = [_samples(tables[files[topic.name]], topic, start_ns, local) for topic in topics]
+    return found, [note for table in tables.values() for note in table.notes]
 
 
-def _indices(path: Path, names: Sequence[str]) -> list[int]:
-    """Where the named columns are."""
-    with path.open(encoding=_ENCODING, newline="") as stream:
-        header = [name.strip() for name in next(csv.reader(stream), [])]
-    missing = [name for name in names if name not in header]
-    if missing:
+def _file_of(topic: CsvTopic, paths: Sequence[Path]) -> Path:
+    """The file that a topic is in."""
+    names = ", ".join(path.name for path in paths)
+    if topic.file is None:
+        if len(paths) > 1:
+            raise InputError(f"{topic.where}: key 'file' is missing; accepted: a name or pattern of {names}")
+        return paths[0]
+    found = [path for path in paths if fnmatch(path.name, topic.file)]
+    if len(found) != 1:
+        many = "several files" if found else "no file"
+        raise InputError(f"{topic.where}.file: {many} '{topic.file}'; accepted: a pattern of one of {names}")
+    return found[0]
+
+
+def _wanted(topics: Sequence[CsvTopic]) -> Wanted:
+    """Every column of one file, once."""
+    numbers: list[str] = []
+    times: list[TimeColumn] = []
+    texts: list[str] = []
+    for topic in topics:
+        spreads = [s.value for s in topic.spreads.values() if isinstance(s.value, Column)]
+        numbers += [name for column in (*topic.columns.values(), *spreads) for name in column.names]
+        times += [topic.time, *([topic.received] if topic.received else [])]
+        texts += [topic.new_when_changes] if topic.new_when_changes else []
+    return Wanted(tuple(dict.fromkeys(numbers)), tuple(dict.fromkeys(times)), tuple(dict.fromkeys(texts)))
+
+
+class _Chosen:
+    """The rows that become messages, and why others do not."""
+
+    def __init__(self, rows: Rows) -> None:
+        self.rows = rows.copy()
+        self.left_out: Counter[str] = Counter()
+
+    def drop(self, bad: Any, reason: str) -> None:
+        """Rows that do not serve, (rows,) of bool."""
+        count = int((self.rows & bad).sum())
+        if count:
+            self.left_out[reason] += count
+            self.rows &= ~bad
+
+
+def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) -> Samples:
+    """One topic of a file."""
+    role = ROLES[topic.role]
+    columns = {name: _si(table, column, topic) for name, column in topic.columns.items()}
+    spreads = {axis: _variance(table, spread) for axis, spread in topic.spreads.items()}
+    stamps_ns, received_ns = _stamps(table, topic, start_ns)
+    present = np.isfinite([columns[name] for name in role.needed(columns)])
+    chosen = _Chosen(present.any(axis=0) & _new_rows(table, topic))
+    chosen.drop(~present.all(axis=0), "some cells are blank")
+    chosen.drop(stamps_ns == NO_TIME, "no time")
+    for axis in spreads.keys() & {"x", "y"} if topic.role == "pose" else ():
+        chosen.drop(~(spreads[axis] > 0.0), f"no standard deviation of {axis} above 0")
+    if "latitude" in columns:
+        chosen.drop(_is_nowhere(table, topic, columns), "latitude and longitude are 0")
+    rows = chosen.rows
+    if not rows.any():
+        reasons = ", ".join(f"{n} rows: {reason}" for reason, n in chosen.left_out.items()) or "all are blank"
         raise InputError(
-            f"{path}: no column {', '.join(missing)}; the columns are: {', '.join(header) or 'none'}"
+            f"{topic.where}: no row of {table.path} gives a message ({reasons}); accepted: some that do"
         )
-    return [header.index(name) for name in names]
+    columns = {name: array[rows] for name, array in columns.items()}
+    spreads = {axis: array[rows] for axis, array in spreads.items()}
+    values = _values(columns, spreads, stamps_ns[rows], topic, local)
+    times = stamps_ns[rows], received_ns[rows]
+    frames = [topic.frame or role.frame]
+    return Samples(topic.name, topic.role, frames, *times, values, chosen.left_out, table.path.name)
 
 
-def _load(path: Path, indices: list[int]) -> FloatArray | None:
-    """The columns, (rows, columns); None where a cell is no number."""
-    with path.open(encoding=_ENCODING) as stream, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of an empty table, which the caller reports
-        try:
-            return np.loadtxt(
-                stream, delimiter=",", skiprows=1, usecols=indices, ndmin=2, comments=None, quotechar='"'
+def _values(
+    columns: Values, spreads: Values, stamps_ns: IntArray, topic: CsvTopic, local: LocalFrame
+) -> Values:
+    """What the role's messages are made of."""
+    match topic.role:
+        case "sprockets":
+            return _sprockets(columns, stamps_ns, topic)
+        case "imu":
+            return _imu(columns, spreads)
+        case "pose":
+            return _pose(columns, spreads, local)
+        case "fix":
+            return _fix(columns, spreads)
+        case _:
+            nothing = np.full(len(stamps_ns), np.nan)
+            return {name: columns.get(name, nothing) for name in ROLES[topic.role].fields}
+
+
+def _si(table: Table, column: Column, topic: CsvTopic) -> FloatArray:
+    """(rows,) SI; what is along the ground as that of a sprocket, in a topic of sprockets."""
+    values: FloatArray = np.mean([table.numbers[name] for name in column.names], axis=0)
+    known = values[np.isfinite(values)]
+    origin = float(column.origin) if column.origin != FIRST else float(known[0]) if known.size else 0.0
+    found: FloatArray = (values - origin) * column.factor
+    if topic.role == "sprockets" and topic.geometry is not None and column is not topic.columns.get("speed"):
+        found = found / topic.geometry.rolling_radius if column.quantity in ("speed", "length") else found
+    return found
+
+
+def _variance(table: Table, spread: Spread) -> FloatArray:
+    """(rows,) variances, or covariances."""
+    values: FloatArray = np.full(len(table.lines), 1.0)
+    if isinstance(spread.value, Column):
+        column = spread.value
+        values = np.mean([table.numbers[name] for name in column.names], axis=0) * column.factor
+    else:
+        values = values * spread.value
+    return np.square(values) if spread.is_stddev else values
+
+
+def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, IntArray]:
+    """(rows,) stamps and times of arrival; NO_TIME where the row has none.
+
+    Raises:
+        InputError: a time is before 0 or beyond what a stamp can hold, or times go back.
+    """
+    times_ns = _checked(table, topic.time, start_ns)
+    known = times_ns != NO_TIME
+    if topic.received is None:
+        back = np.flatnonzero(np.diff(times_ns[known]) < 0)
+        if back.size:
+            line = int(table.lines[known][back[0] + 1])
+            before, after = (times_ns[known][back[0] + k] * 1e-9 for k in (0, 1))
+            raise InputError(
+                f"{table.path}: line {line}, column '{topic.time.name}' goes back from {before:.9g} s to "
+                f"{after:.9g} s; accepted: times that never decrease, or 'received' beside them"
             )
-        except UnicodeDecodeError:
-            raise
-        except ValueError:
-            return None
+    stamps_ns = np.where(known, times_ns + topic.time_offset_ns, NO_TIME)
+    if topic.received is None:
+        return stamps_ns, stamps_ns
+    received_ns = _checked(table, topic.received, start_ns)
+    return stamps_ns, np.where(received_ns == NO_TIME, stamps_ns, received_ns)
 
 
-def _bad_cell(path: Path, names: Sequence[str], indices: list[int]) -> InputError:
-    """The first cell that is no finite number, looked for only once it is known to be there."""
-    with path.open(encoding=_ENCODING, newline="") as stream:
-        rows = csv.reader(stream)
-        next(rows)
-        for row in filter(None, rows):
-            for name, index in zip(names, indices, strict=True):
-                cell = row[index] if index < len(row) else ""
-                if not _is_number(cell):
-                    place = f"{path}: line {rows.line_num}, column '{name}'"
-                    return InputError(f"{place}: '{cell}' is not accepted; accepted: a finite number")
-    return InputError(f"{path}: not a table of numbers; accepted: comma-separated, names in the first line")
+def _checked(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
+    """(rows,) ns, NO_TIME where blank."""
+    raw_ns = table.times[column]
+    times_ns = np.where(raw_ns == NO_TIME, NO_TIME, raw_ns + start_ns)
+    bad = np.flatnonzero((raw_ns != NO_TIME) & ((times_ns < 0) | (times_ns >= LIMIT_NS)))
+    if bad.size:
+        place = f"{table.path}: line {table.lines[bad[0]]}, column '{column.name}'"
+        seconds = times_ns[bad[0]] * 1e-9
+        if seconds < 0.0:
+            raise InputError(
+                f"{place}: {seconds:.3f} s is before 0; accepted: a 'start' that makes it 0 or later"
+            )
+        like = too_late(int(raw_ns[bad[0]]), column)
+        raise InputError(
+            f"{place}: {seconds:.12g} s is too late for a stamp{like}; accepted: less than 2^31 s"
+        )
+    return times_ns
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        return math.isfinite(float(cell))
-    except ValueError:
-        return False
+def _new_rows(table: Table, topic: CsvTopic) -> Rows:
+    """Which rows hold a new message: all, or those where the marking column changes.
+
+    The first row is none of the latter: since when its value has been held is unknown.
+    """
+    found = np.zeros(len(table.lines), np.bool_)
+    if topic.new_when_changes is None:
+        return ~found
+    marks = table.texts[topic.new_when_changes]
+    given = np.flatnonzero(marks != "")
+    found[given[1:]] = marks[given[1:]] != marks[given[:-1]]
+    if not found.any():
+        raise InputError(
+            f"{table.path}: column '{topic.new_when_changes}' never changes; "
+            "accepted as new_when_changes: one that does"
+        )
+    return found
+
+
+def _is_nowhere(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArray]) -> Rows:
+    """(rows,) whether a receiver without a fix wrote zeros.
+
+    Raises:
+        InputError: a latitude or longitude is none.
+    """
+    for name, limit in (("latitude", 90.0), ("longitude", 180.0)):
+        degrees = np.degrees(columns[name])
+        bad = np.flatnonzero(np.abs(degrees) > limit)
+        if bad.size:
+            place = f"{table.path}: line {table.lines[bad[0]]}, column '{topic.columns[name].names[0]}'"
+            accepted = f"-{limit:g} … {limit:g} deg (or another unit in the mapping)"
+            raise InputError(f"{place}: {degrees[bad[0]]:g} deg is no {name}; accepted: {accepted}")
+    nowhere: Rows = (columns["latitude"] == 0.0) & (columns["longitude"] == 0.0)
+    return nowhere
+
+
+def _sprockets(columns: Values, stamps_ns: IntArray, topic: CsvTopic) -> Values:
+    """Velocities as they are, from a twist, or from positions."""
+    positions = np.full((len(stamps_ns), 2), np.nan)
+    if "left_position" in columns:
+        positions = np.column_stack((columns["left_position"], columns["right_position"]))
+    if "left_velocity" in columns:
+        velocities = np.column_stack((columns["left_velocity"], columns["right_velocity"]))
+    elif topic.geometry is not None and "speed" in columns:
+        velocities = track_speeds(columns["speed"], columns["yaw_rate"], topic.geometry)
+    else:
+        velocities = differences(positions, stamps_ns)
+    return {"velocity": velocities, "position": positions}
+
+
+def _imu(columns: Values, spreads: Values) -> Values:
+    found: Values = {}
+    count = len(next(iter(columns.values())))
+    for key, name in (("rate", "angular_velocity"), ("acceleration", "linear_acceleration")):
+        axes = [f"{name}_{axis}" for axis in "xyz"]
+        nothing, covariance = np.full(count, np.nan), np.zeros((count, 3, 3))
+        for k, axis in enumerate(axes):
+            covariance[:, k, k] = spreads.get(axis, 0.0)
+        found[key] = np.column_stack([columns.get(axis, nothing) for axis in axes])
+        found[f"{key}_covariance"] = covariance
+    found["orientation"] = np.full((count, 4), np.nan)
+    found["orientation_covariance"] = np.zeros((count, 3, 3))
+    return found
+
+
+def _pose(columns: Values, spreads: Values, local: LocalFrame) -> Values:
+    """Local east and north where latitude and longitude are given."""
+    if "latitude" in columns:
+        x, y = local.east_north(_place(columns)).T
+    else:
+        x, y = columns["x"], columns["y"]
+    if "qw" in columns:
+        yaw = yaw_of(*(columns[name] for name in ("qx", "qy", "qz", "qw")))
+    elif "heading" in columns:
+        yaw = math.pi / 2.0 - columns["heading"]  # of a compass: from north, clockwise
+    else:
+        yaw = columns.get("yaw", np.full(len(x), np.nan))
+    covariance = np.zeros((len(x), 3, 3))
+    for k, axis in enumerate(("x", "y", "yaw")):
+        covariance[:, k, k] = spreads.get(axis, np.nan)
+    covariance[:, 0, 1] = covariance[:, 1, 0] = spreads.get("xy", 0.0)
+    return without_heading(np.column_stack((x, y, yaw)), covariance)
+
+
+def _fix(columns: Values, spreads: Values) -> Values:
+    place = _place(columns)
+    covariance, known = np.zeros((len(place), 3, 3)), np.full(len(place), "x" in spreads and "y" in spreads)
+    for k, axis in enumerate("xyz"):
+        covariance[:, k, k] = spreads.get(axis, UNOBSERVED)
+    covariance[:, 0, 1] = covariance[:, 1, 0] = spreads.get("xy", 0.0)
+    known &= np.isfinite(covariance).all(axis=(1, 2))
+    covariance[~known] = 0.0
+    status = columns.get("status", np.zeros(len(place)))
+    if "quality" in columns:
+        quality = np.nan_to_num(columns["quality"], nan=_NO_FIX).astype(int)
+        status = np.array([_STATUS_OF_QUALITY.get(one, -1) for one in quality.tolist()], np.float64)
+    kind = np.where(known, _FULL if "xy" in spreads else _DIAGONAL, 0)
+    return {
+        "place": place,
+        "covariance": covariance,
+        "kind": kind.astype(np.float64),
+        "status": np.nan_to_num(status, nan=-1.0),
+    }
+
+
+def _place(columns: Values) -> FloatArray:
+    """(n, 3) rad, rad, m; the altitude nan where it is unknown."""
+    nothing = np.full(len(columns["latitude"]), np.nan)
+    return np.column_stack((columns["latitude"], columns["longitude"], columns.get("altitude", nothing)))

@@ -1,22 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turns a CSV log into a bag, by a mapping file (see ``mapping``).
+"""Turns another robot's log into a bag, by a mapping file (see ``mapping``): CSV files, or a bag.
 
-Each message is logged at its own stamp, so that the bag is in the order of the stamps. Motion is planar:
-of the reference, z, roll and pitch are zero.
+A message is logged when it came: at the log time that a bag has, or a column ``received``; without one at its
+own stamp. Replay then gives it to the estimator no earlier than the robot had it. Motion is planar.
 """
 
-import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_bags.importing.csv_log import FloatArray, read_columns
-from trackslip_bags.importing.mapping import LogMapping, TopicMapping
-from trackslip_bags.messages import header, make, serialize
+from trackslip_bags.importing.bag_log import is_bag, read_bag_log
+from trackslip_bags.importing.csv_log import read_csv_logs
+from trackslip_bags.importing.local import LocalFrame
+from trackslip_bags.importing.mapping import BagTopic, CsvTopic, Datum, LogMapping
+from trackslip_bags.importing.roles import ROLES
+from trackslip_bags.importing.samples import Samples
+from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
 from trackslip_bags.reader import absolute
 from trackslip_bags.writer import BagWriter
@@ -26,143 +28,129 @@ from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
-IntArray = NDArray[np.int64]
-Values = Mapping[str, float]  # field → value, SI
-
-_UNKNOWN = -1.0  # first element of a covariance whose quantity was not measured
-
-
-class _Entry(NamedTuple):
-    """One message to be written."""
-
-    stamp_ns: int
-    topic: str
-    type_name: str
-    data: bytes
+_CSV = (".csv", ".txt", ".tsv", ".dat")
+_OTHER_CLOCK_S = 10.0
+_BEFORE_ZERO = "moved to before 0 s by time_offset"
 
 
-class Imported(NamedTuple):
+@dataclass(frozen=True)
+class Lateness:
+    """How long after their stamps a topic's messages were logged, s."""
+
+    median: float
+    longest: float
+
+    @property
+    def is_other_clock(self) -> bool:
+        """Whether stamps and log are of two clocks."""
+        return abs(self.median) > _OTHER_CLOCK_S
+
+
+@dataclass(frozen=True)
+class Imported:
     """What became of a log."""
 
     counts: dict[str, int]  # messages in the bag, by topic
-    left_out: dict[str, int]  # messages whose stamps an offset makes negative: no bag can hold them
+    left_out: dict[str, dict[str, int]]  # by topic and reason
+    lateness: dict[str, Lateness]  # by topic, of those that were not logged at their stamps
+    datum: Datum | None  # of local positions made of latitude and longitude
+    notes: list[str]
 
 
-def import_log(log: Path, mapping: LogMapping, output: Path) -> Imported:
-    """Write the bag; what a ``time_offset`` moves to before 0 is left out and counted.
+def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Imported:
+    """Write the bag; what cannot be a message is left out and counted.
 
     Raises:
         InputError: the log cannot be read or does not fit the mapping, or the bag exists already.
     """
-    columns = read_columns(log, mapping.column_names())
-    stamps_ns = _stamps(log, columns[mapping.time.name], mapping)
-    begin_ns = int(stamps_ns[0])
-    if begin_ns < 0:
-        raise InputError(
-            f"{mapping.path}: the log begins at {begin_ns * 1e-9:.3f} s; "
-            "accepted: a 'start' that makes it 0 or later"
-        )
-    found = [
-        entry
-        for name, topic in mapping.topics.items()
-        for entry in _entries(log, name, topic, columns, stamps_ns)
-    ]
-    entries = sorted((e for e in found if e.stamp_ns >= 0), key=lambda entry: entry.stamp_ns)
-    left_out = Counter(entry.topic for entry in found if entry.stamp_ns < 0)
+    local = LocalFrame(mapping.datum)
+    samples, notes = _read(logs, mapping, local)
+    samples = [_from_zero(one) for one in samples]
+    if not any(len(one.stamps_ns) for one in samples):
+        raise InputError(f"{logs[0]}: no message has a stamp of 0 s or later; accepted: another time_offset")
+    samples = [one for one in samples if len(one.stamps_ns)]
     with BagWriter(output) as bag:
-        if mapping.vehicle is not None:
-            text = serialize(make(PARAMETERS_TYPE, data=vehicle_text(mapping.vehicle)))
-            bag.write(absolute(VEHICLE), PARAMETERS_TYPE, text, entries[0].stamp_ns)
-        if mapping.parameters:
-            text = serialize(make(PARAMETERS_TYPE, data=parameters_text(mapping.parameters, SLIP_NODE)))
-            bag.write(absolute(PARAMETERS_TOPIC), PARAMETERS_TYPE, text, entries[0].stamp_ns)
-        for entry in entries:
-            bag.write(entry.topic, entry.type_name, entry.data, entry.stamp_ns)
-    return Imported(bag.counts, dict(left_out))
-
-
-def _stamps(log: Path, times: FloatArray, mapping: LogMapping) -> IntArray:
-    """Stamp of each row in ns, before the offset of a topic; (rows,)."""
-    back = np.flatnonzero(np.diff(times) < 0.0)
-    if back.size:
-        before, after = times[back[0]], times[back[0] + 1]
-        raise InputError(
-            f"{log}: column '{mapping.time.name}' goes back from {before:g} to {after:g}; "
-            "accepted: times that never decrease"
-        )
-    nanoseconds: IntArray = np.rint(times * (mapping.time.factor * 1e9)).astype(np.int64)
-    return nanoseconds + mapping.start_ns
-
-
-def _entries(
-    log: Path, name: str, topic: TopicMapping, columns: Mapping[str, FloatArray], stamps_ns: IntArray
-) -> Iterator[_Entry]:
-    """The messages of one topic, in the order of the rows."""
-    type_name, build = _BUILDERS[name]
-    rows = _new_rows(log, topic.new_when_changes, columns, len(stamps_ns))
-    values = {field: columns[column.name][rows] * column.factor for field, column in topic.columns.items()}
-    for i, stamp_ns in enumerate((stamps_ns[rows] + topic.time_offset_ns).tolist()):
-        fields = build({field: float(array[i]) for field, array in values.items()}, topic)
-        message = make(type_name, header=header(stamp_ns, topic.frame), **fields)
-        yield _Entry(stamp_ns, absolute(name), type_name, serialize(message))
-
-
-def _new_rows(log: Path, marker: str | None, columns: Mapping[str, FloatArray], count: int) -> IntArray:
-    """The rows that hold a new message: all, or those where the marking column changes.
-
-    The first row is none of the latter: since when its value has been held is unknown.
-    """
-    if marker is None:
-        return np.arange(count)
-    changed: IntArray = np.flatnonzero(np.diff(columns[marker])) + 1
-    if not changed.size:
-        raise InputError(
-            f"{log}: column '{marker}' never changes; accepted as new_when_changes: one that does"
-        )
-    return changed
-
-
-def _sprockets(values: Values, topic: TopicMapping) -> dict[str, Any]:
-    positions = [values[name] for name in ("left_position", "right_position") if name in values]
-    velocities = [values["left_velocity"], values["right_velocity"]]
-    return {"name": ["left_sprocket", "right_sprocket"], "position": positions, "velocity": velocities}
-
-
-def _imu(values: Values, topic: TopicMapping) -> dict[str, Any]:
-    fields = {
-        "orientation": make("geometry_msgs/msg/Quaternion", w=1.0),
-        "orientation_covariance": [_UNKNOWN] + [0.0] * 8,
-        "angular_velocity": _vector(values, "angular_velocity"),
-    }
-    if "linear_acceleration_x" in values:
-        return {**fields, "linear_acceleration": _vector(values, "linear_acceleration")}
-    return {**fields, "linear_acceleration_covariance": [_UNKNOWN] + [0.0] * 8}
-
-
-def _vector(values: Values, name: str) -> Any:
-    return make("geometry_msgs/msg/Vector3", **{axis: values[f"{name}_{axis}"] for axis in "xyz"})
-
-
-def _reference_pose(values: Values, topic: TopicMapping) -> dict[str, Any]:
-    half = values["yaw"] / 2.0
-    pose = make(
-        "geometry_msgs/msg/Pose",
-        position=make("geometry_msgs/msg/Point", x=values["x"], y=values["y"]),
-        orientation=make("geometry_msgs/msg/Quaternion", z=math.sin(half), w=math.cos(half)),
+        begin_ns = min(int(one.log_times_ns.min()) for one in samples)
+        for topic, text in _latched(mapping):
+            data = serialize(make(PARAMETERS_TYPE, data=text))
+            bag.write(absolute(topic), PARAMETERS_TYPE, data, begin_ns)
+        for log_time_ns, one, row in _in_log_order(samples):
+            type_name = ROLES[one.role].type_name
+            bag.write(absolute(one.topic), type_name, serialize(one.message(row)), log_time_ns)
+    left_out = {absolute(one.topic): dict(one.left_out) for one in samples if one.left_out}
+    late = {absolute(one.topic): found for one in samples if (found := _lateness(one)) is not None}
+    used = any(
+        "latitude" in getattr(t, "columns", ()) or isinstance(t, BagTopic) for t in mapping.topics.values()
     )
-    covariance = np.zeros((6, 6))  # of x, y, z and the rotations about them
-    covariance[0, 0], covariance[1, 1], covariance[5, 5] = (topic.stddev[k] ** 2 for k in ("x", "y", "yaw"))
-    return {"pose": make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance.ravel())}
+    return Imported(bag.counts, left_out, late, local.datum if used else None, notes)
 
 
-def _hydraulics(values: Values, topic: TopicMapping) -> dict[str, Any]:
-    absent = dict.fromkeys(("left_spool", "right_spool", "supply_pressure"), math.nan)
-    return {**absent, **values}
+def _read(logs: Sequence[Path], mapping: LogMapping, local: LocalFrame) -> tuple[list[Samples], list[str]]:
+    """Of a bag or of CSV files, as the mapping is for one or the other."""
+    missing = [path for path in logs if not path.exists()]
+    if missing:
+        raise InputError(f"log '{missing[0]}' not found; accepted: CSV files or their directory, or a bag")
+    topics = list(mapping.topics.values())
+    of_bag = [topic for topic in topics if isinstance(topic, BagTopic)]
+    if of_bag:
+        others = [path for path in logs if not is_bag(path)]
+        if others:
+            raise InputError(
+                f"{others[0]}: no bag, and {mapping.path} names topics of one (from); accepted: a bag"
+            )
+        return read_bag_log(logs, of_bag, local)
+    if any(map(is_bag, logs)):
+        raise InputError(f"{logs[0]}: a bag, and {mapping.path} names columns; accepted: topics with 'from'")
+    files = [file for path in logs for file in _csv_files(path)]
+    of_csv = [topic for topic in topics if isinstance(topic, CsvTopic)]
+    return read_csv_logs(files, of_csv, mapping.start_ns, local)
 
 
-_BUILDERS: Mapping[str, tuple[str, Callable[[Values, TopicMapping], dict[str, Any]]]] = {
-    "sprockets": ("sensor_msgs/msg/JointState", _sprockets),
-    "imu/data_raw": ("sensor_msgs/msg/Imu", _imu),
-    "reference_pose": ("geometry_msgs/msg/PoseWithCovarianceStamped", _reference_pose),
-    "hydraulics": ("trackslip_msgs/msg/TrackHydraulics", _hydraulics),
-}
+def _csv_files(path: Path) -> list[Path]:
+    """A file, or those in a directory."""
+    if not path.is_dir():
+        return [path]
+    found = sorted(file for file in path.iterdir() if file.suffix.lower() in _CSV)
+    if not found:
+        raise InputError(f"{path}: neither a bag nor a directory of CSV files ({', '.join(_CSV)})")
+    return found
+
+
+def _latched(mapping: LogMapping) -> Iterator[tuple[str, str]]:
+    """What a bag begins with: its vehicle, and what the estimator is told."""
+    if mapping.vehicle is not None:
+        yield VEHICLE, vehicle_text(mapping.vehicle)
+    if mapping.parameters:
+        yield PARAMETERS_TOPIC, parameters_text(mapping.parameters, SLIP_NODE)
+
+
+def _from_zero(one: Samples) -> Samples:
+    """Without what no bag can hold: stamps before 0."""
+    good = one.stamps_ns >= 0
+    if good.all():
+        return one
+    rows = np.flatnonzero(good)
+    frames = [one.frames[i] for i in rows.tolist()] if len(one.frames) > 1 else one.frames
+    values = {name: array[rows] for name, array in one.values.items()}
+    left_out = one.left_out + Counter({_BEFORE_ZERO: int((~good).sum())})
+    times = one.stamps_ns[rows], one.log_times_ns[rows]
+    return Samples(one.topic, one.role, frames, *times, values, left_out, one.source)
+
+
+def _in_log_order(samples: Sequence[Samples]) -> Iterator[tuple[int, Samples, int]]:
+    """Log time, topic and row of each message; of the same time in the order of mapping and log."""
+    numbers = np.concatenate([np.full(len(one.stamps_ns), k) for k, one in enumerate(samples)])
+    rows = np.concatenate([np.arange(len(one.stamps_ns)) for one in samples])
+    times = np.concatenate([one.log_times_ns for one in samples])
+    order = np.argsort(times, kind="stable")
+    for log_time_ns, number, row in zip(
+        times[order].tolist(), numbers[order].tolist(), rows[order].tolist(), strict=True
+    ):
+        yield log_time_ns, samples[number], row
+
+
+def _lateness(one: Samples) -> Lateness | None:
+    late = (one.log_times_ns - one.stamps_ns) * 1e-9
+    if not late.any():
+        return None
+    return Lateness(float(np.median(late)), float(late.max()))

@@ -1,98 +1,110 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mapping file of ``trackslip import``: which column of a CSV log is what, in which unit.
+"""The mapping file of ``trackslip import``: what of a log is what. docs/import.md has the whole form.
 
-    time: {column: t, unit: s}
-    start: 0.0                       # s since the epoch, added to every time; optional
-    topics:
-      sprockets:
-        left_velocity: {column: wl, unit: deg/s, scale: -1.0}
-        right_velocity: {column: wr, unit: deg/s}
-        new_when_changes: seq        # other rows repeat the last message; optional
-        time_offset: -0.02           # s, added to the stamps; optional
-        frame: base_link             # optional
-      reference_pose: {x: ..., y: ..., yaw: ..., stddev: {x: 0.02, y: 0.02, yaw: 0.01}}
-    vehicle: warthog                 # a name of config/vehicles, or a file; optional
-    parameters: {...}                # of slip_estimator, kept in the bag; optional
-
-``scale`` multiplies before the unit is converted; it carries signs, gear ratios and the like.
+time: {column: t, unit: s}             # of CSV logs
+topics:
+  sprockets:                           # columns of a CSV log …
+    left_velocity: {column: wl, unit: deg/s, scale: -1.0}
+    right_velocity: {column: wr, unit: deg/s}
+  imu/data_raw: {from: /imu/data}      # … or a topic of a bag
+  reference_pose: {x: …, y: …, yaw: …, stddev: {x: 0.02, y: 0.02, yaw: 0.01}}
+vehicle: warthog                       # a name of config/vehicles, a file, or {kinematics: {…}}
+parameters: {…}                        # of slip_estimator; both are kept in the bag
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from trackslip_bags.importing.columns import (
+    FIRST,
+    Column,
+    Spread,
+    TimeColumn,
+    read_column,
+    read_spreads,
+    read_time,
+)
+from trackslip_bags.importing.roles import ROLE_OF_TOPIC, ROLES, Role
+from trackslip_bags.importing.tree import (
+    check_keys,
+    choice,
+    nanoseconds,
+    number,
+    positive,
+    section,
+    text,
+    texts,
+)
 from trackslip_common.config_files import read_yaml
-from trackslip_common.errors import InputError
-from trackslip_common.vehicle import GRAVITY, VehicleParameters, load_vehicle
+from trackslip_common.errors import InputError, did_you_mean
+from trackslip_common.parameters import flatten, from_flat
+from trackslip_common.vehicle import VehicleParameters, load_vehicle
 
-# Quantity → unit → factor to SI
-_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_ANGLE = {"rad": 1.0, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
-_ANGULAR_RATE = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0}
-_ACCELERATION = {"m/s^2": 1.0, "g": GRAVITY}
-_PRESSURE = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "MPa": 1e6}
-_RATIO = {"1": 1.0, "%": 1e-2}
-
-_COMMON_KEYS = ("time_offset", "frame", "new_when_changes")
+_COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
+_OF_CSV = ("file", "time", "received", "new_when_changes")
+_OF_BAG = ("left", "right", "use", "stamp", "child_frame", "position_only")
+_FROM = "from"  # the key by which a section names a topic of a bag
 
 
-@dataclass(frozen=True)
-class TopicKind:
-    """A topic that a log can fill: field → its units, and the frame where the mapping names none."""
+class Geometry(NamedTuple):
+    """What turns speeds over ground into speeds of sprockets."""
 
-    required: Mapping[str, Mapping[str, float]]
-    optional: Mapping[str, Mapping[str, float]]
-    frame: str
-    stddev: tuple[str, ...] = ()
-    optional_together: bool = True  # the optional fields are there all or none
+    rolling_radius: float  # m
+    tread: float  # m
 
 
-KINDS: Mapping[str, TopicKind] = {
-    "sprockets": TopicKind(
-        required={"left_velocity": _ANGULAR_RATE, "right_velocity": _ANGULAR_RATE},
-        optional={"left_position": _ANGLE, "right_position": _ANGLE},
-        frame="base_link",
-    ),
-    "imu/data_raw": TopicKind(
-        required={f"angular_velocity_{axis}": _ANGULAR_RATE for axis in "xyz"},
-        optional={f"linear_acceleration_{axis}": _ACCELERATION for axis in "xyz"},
-        frame="imu_link",
-    ),
-    "reference_pose": TopicKind(
-        required={"x": _LENGTH, "y": _LENGTH, "yaw": _ANGLE},
-        optional={},
-        frame="map",
-        stddev=("x", "y", "yaw"),
-    ),
-    "hydraulics": TopicKind(
-        required={"left_pressure": _PRESSURE, "right_pressure": _PRESSURE},
-        optional={"left_spool": _RATIO, "right_spool": _RATIO, "supply_pressure": _PRESSURE},
-        frame="",
-        optional_together=False,
-    ),
-}
+class Datum(NamedTuple):
+    """Origin of local east and north."""
+
+    latitude: float  # deg
+    longitude: float  # deg
+    altitude: float  # m
 
 
 @dataclass(frozen=True)
-class Column:
-    """A column of the log, and the factor that makes its numbers SI."""
+class Joints:
+    """Joints whose mean, times the ratio, is a sprocket."""
+
+    names: tuple[str, ...]
+    ratio: float  # turns of the sprocket per turn of a joint; negative where it turns the other way
+
+
+@dataclass(frozen=True)
+class Topic:
+    """What one topic of the bag is made of."""
 
     name: str
-    factor: float
+    where: str  # in the mapping file, for messages
+    role: str
+    frame: str | None  # None: the role's, or what the message has
+    time_offset_ns: int
+    spreads: Mapping[str, Spread]
+    geometry: Geometry | None
 
 
 @dataclass(frozen=True)
-class TopicMapping:
-    """How one topic's messages are made; ``stddev`` in m and rad, of the reference alone."""
+class CsvTopic(Topic):
+    """From columns."""
 
+    file: str | None  # pattern of the file's name; None where there is one file
+    time: TimeColumn
+    received: TimeColumn | None
     columns: Mapping[str, Column]
-    frame: str
-    time_offset_ns: int
     new_when_changes: str | None
-    stddev: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class BagTopic(Topic):
+    """From the messages of a topic."""
+
+    source: str
+    joints: Mapping[str, Joints]  # left and right
+    uses: str  # of joints: both, positions, velocities
+    stamped: bool  # by the header; else by the time of the log
+    child_frame: str | None  # of transforms
+    position_only: bool
 
 
 @dataclass(frozen=True)
@@ -100,123 +112,197 @@ class LogMapping:
     """A whole mapping file."""
 
     path: Path
-    time: Column
     start_ns: int
-    topics: Mapping[str, TopicMapping]
+    datum: Datum | None  # None: the first position
+    topics: Mapping[str, CsvTopic | BagTopic]
     vehicle: VehicleParameters | None
     parameters: Mapping[str, Any]
 
-    def column_names(self) -> list[str]:
-        """Every column the mapping uses, once, in the order of the file."""
-        names = [self.time.name]
-        for topic in self.topics.values():
-            names += [column.name for column in topic.columns.values()]
-            names += [topic.new_when_changes] if topic.new_when_changes else []
-        return list(dict.fromkeys(names))
 
-
-def read_mapping(path: Path) -> LogMapping:
-    """Read a mapping file.
+def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMapping:
+    """Read a mapping file; ``vehicle`` replaces its own.
 
     Raises:
         InputError: it cannot be read, or a key, unit or value in it is not accepted.
     """
     tree = read_yaml(path)
     where = str(path)
-    _check_keys(where, tree, required=("time", "topics"), optional=("start", "vehicle", "parameters"))
-    topics = _section(f"{where}: topics", tree["topics"])
+    check_keys(where, tree, ("topics",), ("time", "received", "start", "datum", "vehicle", "parameters"))
+    topics = section(f"{where}: topics", tree["topics"])
     if not topics:
-        raise InputError(f"{where}: topics is empty; accepted: {', '.join(KINDS)}")
-    _check_keys(f"{where}: topics", topics, optional=tuple(KINDS))
-    parameters = _section(f"{where}: parameters", tree.get("parameters", {}))
+        raise InputError(f"{where}: topics is empty; accepted: {', '.join(ROLE_OF_TOPIC)}")
+    parameters = section(f"{where}: parameters", tree.get("parameters", {}))
     if "vehicle" in parameters:
-        raise InputError(f"{where}: parameters.vehicle: accepted: vehicle: NAME or FILE, beside parameters")
-    vehicle = tree.get("vehicle")
+        raise InputError(f"{where}: parameters.vehicle: accepted: vehicle, beside parameters")
+    if vehicle is None and "vehicle" in tree:
+        vehicle = _vehicle(path, tree["vehicle"])
+    geometry = None if vehicle is None else _geometry(vehicle)
+    common: dict[str, Any] = {name: tree[name] for name in ("time", "received") if name in tree}
+    found = {name: _topic(where, name, topic, common, geometry) for name, topic in topics.items()}
+    if len({isinstance(topic, BagTopic) for topic in found.values()}) > 1:
+        raise InputError(f"{where}: topics both with and without '{_FROM}'; accepted: one log, a bag or CSV")
+    if common and any(isinstance(topic, BagTopic) for topic in found.values()):
+        raise InputError(f"{where}: '{next(iter(common))}' is of CSV logs; accepted for a bag: {_FROM} alone")
     return LogMapping(
         path=path,
-        time=_column(f"{where}: time", tree["time"], _TIME),
-        start_ns=_nanoseconds(f"{where}: start", tree.get("start", 0.0)),
-        topics={name: _topic(f"{where}: {name}", topic, KINDS[name]) for name, topic in topics.items()},
-        vehicle=None if vehicle is None else _vehicle(where, vehicle),
+        start_ns=nanoseconds(f"{where}: start", tree.get("start", 0.0)),
+        datum=_datum(f"{where}: datum", tree.get("datum", FIRST)),
+        topics=found,
+        vehicle=vehicle,
         parameters=parameters,
     )
 
 
-def _vehicle(where: str, value: Any) -> VehicleParameters:
-    try:
-        return load_vehicle(_text("vehicle", value))
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
+def _topic(
+    where: str, name: str, value: Any, common: Mapping[str, Any], geometry: Geometry | None
+) -> CsvTopic | BagTopic:
+    place = f"{where}: {text(f'{where}: topics', name)}"
+    if name not in ROLE_OF_TOPIC and not (isinstance(value, Mapping) and "role" in value):
+        like = did_you_mean(name, ROLE_OF_TOPIC)
+        accepted = f"{', '.join(ROLE_OF_TOPIC)}, or any with a role"
+        raise InputError(f"{where}: topics: unknown key '{name}'{like}; accepted: {accepted}")
+    tree = section(place, value)
+    role = choice(f"{place}.role", tree.get("role", ROLE_OF_TOPIC.get(name)), ROLES)
+    own = (_FROM, *_keys_of(ROLES[role], _OF_BAG)) if _FROM in tree else _keys_of(ROLES[role], _OF_CSV)
+    check_keys(place, tree, (), own if _FROM in tree else (*ROLES[role].fields, *own))
+    of_both = {
+        "name": name,
+        "where": place,
+        "role": role,
+        "frame": text(f"{place}.frame", tree["frame"]) if "frame" in tree else None,
+        "time_offset_ns": nanoseconds(f"{place}.time_offset", tree.get("time_offset", 0.0)),
+        "spreads": read_spreads(place, tree, ROLES[role].axes),
+        "geometry": _own_geometry(f"{place}.geometry", tree["geometry"]) if "geometry" in tree else geometry,
+    }
+    if _FROM in tree:
+        return _bag_topic(place, tree, ROLES[role], of_both)
+    return _csv_topic(place, {**common, **tree}, ROLES[role], of_both)
 
 
-def _topic(where: str, value: Any, kind: TopicKind) -> TopicMapping:
-    tree = _section(where, value)
-    extra = ("stddev",) if kind.stddev else ()
-    _check_keys(where, tree, required=(*kind.required, *extra), optional=(*kind.optional, *_COMMON_KEYS))
-    if kind.optional_together and any(name in tree for name in kind.optional):
-        _check_keys(where, tree, required=(*kind.required, *extra, *kind.optional), optional=_COMMON_KEYS)
-    fields = {**kind.required, **kind.optional}
+def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping[str, Any]) -> CsvTopic:
+    given = [name for name in role.fields if name in tree]
+    role.check(where, set(given))
+    if "time" not in tree:
+        raise InputError(
+            f"{where}: key 'time' is missing, here or for all topics; accepted: {{column, unit}}"
+        )
+    columns = {name: read_column(f"{where}.{name}", tree[name], role.fields[name]) for name in given}
+    _require_spreads(where, role, of_both["spreads"], set(given))
+    _require_geometry(where, columns, of_both["geometry"])
     marker = tree.get("new_when_changes")
-    return TopicMapping(
-        columns={
-            name: _column(f"{where}.{name}", tree[name], fields[name]) for name in fields if name in tree
-        },
-        frame=_text(f"{where}.frame", tree.get("frame", kind.frame)),
-        time_offset_ns=_nanoseconds(f"{where}.time_offset", tree.get("time_offset", 0.0)),
-        new_when_changes=None if marker is None else _text(f"{where}.new_when_changes", marker),
-        stddev=_stddev(f"{where}.stddev", tree["stddev"], kind) if kind.stddev else {},
+    return CsvTopic(
+        **of_both,
+        file=text(f"{where}.file", tree["file"]) if "file" in tree else None,
+        time=read_time(f"{where}.time", tree["time"]),
+        received=read_time(f"{where}.received", tree["received"]) if "received" in tree else None,
+        columns=columns,
+        new_when_changes=None if marker is None else text(f"{where}.new_when_changes", marker),
     )
 
 
-def _stddev(where: str, value: Any, kind: TopicKind) -> dict[str, float]:
-    tree = _section(where, value)
-    _check_keys(where, tree, required=kind.stddev)
-    result = {name: _number(f"{where}.{name}", tree[name]) for name in kind.stddev}
-    for name, number in result.items():
-        if number <= 0.0:
-            raise InputError(f"{where}.{name}: {number:g} is out of range; accepted: > 0")
-    return result
+def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping[str, Any]) -> BagTopic:
+    joints = {side: _joints(f"{where}.{side}", tree[side]) for side in ("left", "right") if side in tree}
+    columns = [axis for axis, spread in of_both["spreads"].items() if isinstance(spread.value, Column)]
+    if columns:
+        raise InputError(f"{where}: a column of {columns[0]}, and the log is a bag; accepted: a number, SI")
+    if len(joints) == 1:
+        raise InputError(f"{where}: only one of left and right; accepted: the joints of both")
+    return BagTopic(
+        **of_both,
+        source=text(f"{where}.{_FROM}", tree[_FROM]),
+        joints=joints,
+        uses=choice(f"{where}.use", tree.get("use", "both"), ("both", "positions", "velocities")),
+        stamped=choice(f"{where}.stamp", tree.get("stamp", "header"), ("header", "log")) == "header",
+        child_frame=text(f"{where}.child_frame", tree["child_frame"]) if "child_frame" in tree else None,
+        position_only=_flag(f"{where}.position_only", tree.get("position_only", False)),
+    )
 
 
-def _column(where: str, value: Any, units: Mapping[str, float]) -> Column:
-    tree = _section(where, value)
-    _check_keys(where, tree, required=("column", "unit"), optional=("scale",))
-    unit = str(tree["unit"])
-    if unit not in units:
-        raise InputError(f"{where}.unit: '{unit}' is unknown; accepted: {', '.join(units)}")
-    scale = _number(f"{where}.scale", tree.get("scale", 1.0))
-    return Column(_text(f"{where}.column", tree["column"]), scale * units[unit])
+def _keys_of(role: Role, keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Those that mean something of such a topic."""
+    without = set() if role.axes else {"stddev", "covariance"}
+    if role is not ROLES["sprockets"]:
+        without |= {"left", "right", "use", "geometry"}
+    if role is not ROLES["pose"]:
+        without |= {"child_frame", "position_only"}
+    return tuple(key for key in (*keys, *_COMMON) if key not in without)
 
 
-def _check_keys(
-    where: str, tree: Mapping[str, Any], required: tuple[str, ...] = (), optional: tuple[str, ...] = ()
-) -> None:
-    accepted = ", ".join((*required, *optional))
-    for key in tree:
-        if key not in (*required, *optional):
-            raise InputError(f"{where}: unknown key '{key}'; accepted: {accepted}")
-    for key in required:
-        if key not in tree:
-            raise InputError(f"{where}: key '{key}' is missing; accepted: {accepted}")
-
-
-def _section(where: str, value: Any) -> Mapping[str, Any]:
+def _joints(where: str, value: Any) -> Joints:
+    """A name, a list of names, or ``{joints: …, sign: -1, ratio: 0.1}``."""
     if not isinstance(value, Mapping):
-        raise InputError(f"{where}: {value!r} is not accepted; accepted: names and values (a YAML mapping)")
+        return Joints(texts(where, value), 1.0)
+    check_keys(where, value, ("joints",), ("sign", "ratio"))
+    sign = number(f"{where}.sign", value.get("sign", 1))
+    if abs(sign) != 1.0:
+        raise InputError(f"{where}.sign: {sign:g} is not accepted; accepted: 1 or -1")
+    return Joints(
+        texts(f"{where}.joints", value["joints"]), sign * positive(f"{where}.ratio", value.get("ratio", 1.0))
+    )
+
+
+def _require_spreads(where: str, role: Role, spreads: Mapping[str, Spread], given: set[str]) -> None:
+    """A pose says how sure it is."""
+    if role is not ROLES["pose"]:
+        return
+    headed = given & {"yaw", "heading", "qz"}
+    for axis in ("x", "y", *(("yaw",) if headed else ())):
+        if axis not in spreads:
+            raise InputError(
+                f"{where}: stddev of {axis} is missing; accepted: {axis} under stddev or covariance"
+            )
+    if "yaw" in spreads and not headed:
+        raise InputError(f"{where}: stddev of yaw, and no yaw; accepted: yaw, heading, or qx + qy + qz + qw")
+
+
+def _require_geometry(where: str, columns: Mapping[str, Column], geometry: Geometry | None) -> None:
+    """Speeds over ground need the vehicle's."""
+    grounded = [name for name, column in columns.items() if column.quantity in ("speed", "length")]
+    if ROLES["sprockets"].fields.keys() >= columns.keys() and grounded and geometry is None:
+        raise InputError(f"{where}.{grounded[0]}: {needs_geometry()}")
+
+
+def needs_geometry() -> str:
+    """What is missing where speeds are over ground."""
+    return "a speed over ground needs a vehicle in the mapping, or geometry: {rolling_radius: …, tread: …}"
+
+
+def _vehicle(path: Path, value: Any) -> VehicleParameters:
+    """By its name, from a file, here or beside the mapping, or as it stands in the mapping."""
+    where = f"{path}: vehicle"
+    if isinstance(value, Mapping):
+        return from_flat(VehicleParameters, {"name": path.stem, **flatten(value)}, where)
+    name = text(where, value)
+    beside = path.parent / name
+    try:
+        return load_vehicle(str(beside) if beside.is_file() else name)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _geometry(vehicle: VehicleParameters) -> Geometry:
+    return Geometry(vehicle.kinematics.rolling_radius, vehicle.kinematics.tread)
+
+
+def _own_geometry(where: str, value: Any) -> Geometry:
+    tree = section(where, value)
+    check_keys(where, tree, Geometry._fields, ())
+    return Geometry(*(positive(f"{where}.{name}", tree[name]) for name in Geometry._fields))
+
+
+def _datum(where: str, value: Any) -> Datum | None:
+    if value == FIRST:
+        return None
+    tree = section(where, value)
+    check_keys(where, tree, ("latitude", "longitude"), ("altitude",))
+    latitude, longitude = (number(f"{where}.{name}", tree[name]) for name in ("latitude", "longitude"))
+    if abs(latitude) > 90.0 or abs(longitude) > 180.0:
+        accepted = "latitude in -90 … 90, longitude in -180 … 180 deg"
+        raise InputError(f"{where}: {latitude:g}, {longitude:g} is out of range; accepted: {accepted}")
+    return Datum(latitude, longitude, number(f"{where}.altitude", tree.get("altitude", 0.0)))
+
+
+def _flag(where: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"{where}: {value!r} is not accepted; accepted: true or false")
     return value
-
-
-def _text(where: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise InputError(f"{where}: {value!r} is not accepted; accepted: text")
-    return value
-
-
-def _number(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(f"{where}: {value!r} is not accepted; accepted: a finite number")
-    return float(value)
-
-
-def _nanoseconds(where: str, value: Any) -> int:
-    return round(_number(where, value) * 1e9)

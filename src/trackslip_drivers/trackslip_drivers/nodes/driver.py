@@ -54,6 +54,10 @@ class DriverNode(TrackslipNode[P]):
         self._reported: tuple[bytes, str] | None = None
         self.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    def hardware(self) -> str:
+        """The serial port, where it has one."""
+        return str(getattr(self.settings, "serial_port", self.full_name))
+
     def open_port(self) -> Port[Any]:
         """Open the port to the sensor, or raise; in the link's thread, as all that follow."""
         raise NotImplementedError

@@ -36,10 +36,6 @@ class SickNode(DriverNode[SickParameters]):
         self._scans = self.advertise(topic_class("scan"), "scan")
         self._scan_status = DeviceStatus.from_byte(0)  # of the last scan
 
-    def hardware(self) -> str:
-        """The serial port."""
-        return self.settings.serial_port
-
     def open_port(self) -> SerialPort:
         """The serial port. Silent while the scanner boots: the session alone decides what is too long."""
         return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)

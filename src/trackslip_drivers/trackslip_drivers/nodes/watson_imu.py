@@ -36,10 +36,6 @@ class WatsonNode(DriverNode[WatsonParameters]):
         self._motion = conversions.blank_imu(make, p.frame_id, *stddevs)
         self._field = conversions.blank_magnetic_field(make, p.frame_id, p.magnetic_field_stddev)
 
-    def hardware(self) -> str:
-        """The serial port."""
-        return self.settings.serial_port
-
     def open_port(self) -> SerialPort:
         """The serial port."""
         return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)

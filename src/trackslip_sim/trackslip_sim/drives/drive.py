@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A random drive as the estimator is given it: counts of the encoders, a gyro, and fixes while the laser sees it.
+"""A random drive as the estimator is given it: counts of the encoders, a gyro, and fixes while in sight.
 
 Fixes are drawn, not found in scans: their standard deviations grow with the distance as the box localizer's
 do, and they come while the machine is before the laser and not too far away.
@@ -25,9 +25,7 @@ SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 _SPROCKETS, _GYRO, _SCANS = 100.0, 11.85, 4.8  # Hz
 _GYRO_STDDEV, _BIAS_STDDEV = 0.005, 0.005  # rad/s; stated, and of the bias
 _FARTHEST = 24.0  # m from the laser
-_PER_METRE = np.array(
-    (0.0007, 0.0007, 0.0037)
-)  # standard deviations of a fix over the distance, rad/m the last
+_PER_METRE = np.array((0.0007, 0.0007, 0.0037))  # standard deviations of a fix over the distance
 _START_NS = 10**9
 _LEAD_IN = 0.5  # s before the first fix
 
@@ -54,7 +52,7 @@ def random_drive(seed: int, p: SlipEstimatorParameters, duration: float = 600.0)
     soil, machine = SOILS[seed % len(SOILS)], draw_machine(random)
     setting = build_ground(soils[soil], (), soils), p.vehicle.whole(), settings
     angles, twists, poses = drive_at_random(machine, setting, duration, seed)
-    t = settings.sample_period * np.arange(len(poses))
+    t = settings.sample_period * np.arange(len(poses), dtype=np.float64)
     fixes, fix_times = _fixes(machine, t, poses, next(iter(p.poses())), random)
     given = [
         *_sprockets(t, angles, p.encoder_resolution),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m trackslip_sim.drives.main``: random drives of random machines, with what each comes to and the bars.
+"""``python -m trackslip_sim.drives.main``: random drives of random machines, held against their bars.
 
 Exit code 1 where a bar is missed.
 """
@@ -65,9 +65,7 @@ def _row(seed: int, soil: str, m: DrawnMachine, s: Score) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=40, help="drives (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="at a time (default: one per core)")
     args = parser.parse_args(argv)
@@ -80,11 +78,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(_row(seed, *found), flush=True)
             scores.append(found[2])
     ends = np.concatenate([s.ends for s in scores])
-    rmse = np.sqrt(np.mean([s.position_rmse**2 for s in scores]))
+    rmse = 1e3 * np.sqrt(np.mean([s.position_rmse**2 for s in scores]))
+    nees, refused = np.mean([s.nees for s in scores]), max(s.refused_in_a_row for s in scores)
     print(
-        f"{len(scores)} drives: {1e3 * rmse:.1f} mm with fixes; NEES {np.mean([s.nees for s in scores]):.2f}; "
-        f"d² at {ends.size} ends {ends.mean():.2f}; fixes refused in a row {max(s.refused_in_a_row for s in scores)}"
+        f"{len(scores)} drives: {rmse:.1f} mm with fixes, NEES {nees:.2f}, {refused} refused in a row;",
+        end=" ",
     )
+    print(f"d² {ends.mean():.2f} at {ends.size} ends of silences, {np.sum(ends > INSIDE)} outside 3 σ")
     missed = missed_bars(scores)
     for bar in missed:
         print(f"missed: {bar}")

@@ -27,7 +27,7 @@ class Route:
         self._aim(0.0)
 
     def next(self, t: float, pose: FloatArray) -> tuple[float, float, float]:
-        """Seconds, left and right sprocket speed in rad/s of the next segment; ``pose`` (3,) at time ``t``, s."""
+        """Seconds, left and right sprocket speed (rad/s) of what comes next at a pose (3,) and ``t`` s."""
         x, y = self._place[0] - pose[0], self._place[1] - pose[1]
         if math.hypot(x, y) < _NEAR or t > self._until:
             self._aim(t)

@@ -48,13 +48,12 @@ def score(drive: RandomDrive, p: SlipEstimatorParameters) -> Score:
     """The estimator's, on one drive."""
     path = _run(drive, p)
     t, errors, P = path.t, path.errors, path.covariances
-    nees = np.einsum("ki,ki->k", errors, np.linalg.solve(P, errors[:, :, np.newaxis])[:, :, 0])
+    nees = _squares(errors, P)
     gaps = np.diff(drive.fix_times, append=np.inf)
     last, back = drive.fix_times[:-1][gaps[:-1] > _SILENCE], drive.fix_times[1:][gaps[:-1] > _SILENCE]
-    stays = [
-        np.any((drive.fix_times > t0 + _SETTLED - 1.0) & (drive.fix_times <= t0 + _SETTLED)) for t0 in back
-    ]
-    settled = np.searchsorted(t, back[np.array(stays, dtype=bool)] + _SETTLED)
+    due = back + _SETTLED
+    stays = np.diff(np.searchsorted(drive.fix_times, np.stack((due - 1.0, due))), axis=0)[0] > 0
+    settled = np.searchsorted(t, due[stays])
     settled = settled[settled < len(t)]
     long = back[back - last > _LONG]
     ends = np.searchsorted(t, long) - 1
@@ -66,9 +65,7 @@ def score(drive: RandomDrive, p: SlipEstimatorParameters) -> Score:
         nees=float(nees.mean()),
         longest=_longest(nees > LARGE) * float(t[1] - t[0]),
         headings=np.abs(errors[settled, 2]) / np.sqrt(P[settled, 2, 2]),
-        ends=np.einsum(
-            "ki,ki->k", planar, np.linalg.solve(P[ends, :2, :2], planar[:, :, np.newaxis])[:, :, 0]
-        ),
+        ends=_squares(planar, P[ends, :2, :2]),
         end_errors=np.hypot(*planar.T),
         refused_in_a_row=_longest(~path.accepted),
     )
@@ -88,6 +85,11 @@ def _run(drive: RandomDrive, p: SlipEstimatorParameters) -> _Path:
         covariances.append(block.states["covariance"][published, :3, :3])
         accepted.append(block.updates["outcome"][of == POSE] == Outcome.ACCEPTED)
     return _Path(*map(np.concatenate, (stamps, errors, covariances, accepted)))
+
+
+def _squares(errors: FloatArray, P: FloatArray) -> FloatArray:
+    """(k,) eᵀ P⁻¹ e."""
+    return np.asarray(np.einsum("ki,ki->k", errors, np.linalg.solve(P, errors[:, :, np.newaxis])[:, :, 0]))
 
 
 def _longest(flags: NDArray[np.bool_]) -> int:

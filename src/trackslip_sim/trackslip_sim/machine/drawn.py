@@ -8,8 +8,9 @@
     f       size of the velocity errors over the emulated excavator's       1
     τ       correlation time of both                                        s
 
-σ_v² = (f² − 1) ((0.0024 V)² + (0.042 d)²) and B² σ_ω² = (f² − 1) ((0.001 V)² + (0.042 d)²): the shapes and, for
-f = 1, the sizes that were measured on the shear truth, which has these errors already.
+    σ_v² = (f² − 1) ((0.0024 V)² + (0.042 d)²)     B² σ_ω² = (f² − 1) ((0.001 V)² + (0.042 d)²)
+
+The shapes are those measured on the shear truth, which has errors of the size of f = 1 already.
 """
 
 import math
@@ -67,7 +68,7 @@ class MotionErrors:
         self._mean_state = np.zeros((1, 2))
 
     def apply(self, tracks: FloatArray, twists: FloatArray) -> FloatArray:
-        """(n, 3) v_x, v_y, ω of the drawn machine, by the tracks' speeds (n, 2) and the nominal twists (n, 3)."""
+        """(n, 3) v_x, v_y, ω of the drawn machine, by the tracks' speeds (n, 2) and nominal twists (n, 3)."""
         machine = self._machine
         mean, self._mean_state = lfilter(*self._mean, tracks, axis=0, zi=self._mean_state)
         white = self._random.standard_normal(tracks.shape)

@@ -18,7 +18,8 @@ _ALL = {
         "Find rolling radius, gyro scale and mounting, delays and offsets from bags, with 95 % intervals.",
     ),
     "import": Command(
-        "trackslip_tools.cli.import_command", "Turn a CSV log into a bag, by a mapping of its columns."
+        "trackslip_tools.cli.import_command",
+        "Turn a log of another machine (CSV files, a bag of ROS 1 or ROS 2) into a bag, by a mapping.",
     ),
     "info": Command(
         "trackslip_tools.cli.info_command", "List a bag's topics, types, counts, rates and duration."

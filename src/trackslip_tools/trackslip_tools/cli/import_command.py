@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip import``: a CSV log becomes a bag."""
+"""``trackslip import``: a log of another robot becomes a bag."""
 
 import argparse
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 
-from trackslip_bags.importing.importer import import_log
+from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
@@ -19,15 +19,22 @@ EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --outp
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("log", metavar="CSV", type=Path, help="comma-separated, names in the first line")
-    parser.add_argument(
+    add = parser.add_argument
+    add(
+        "logs",
+        metavar="LOG",
+        type=Path,
+        nargs="+",
+        help="CSV files or a directory of them; or a bag of ROS 2, or .bag files of ROS 1",
+    )
+    add(
         "--mapping",
         metavar="YAML",
         required=True,
-        help="columns, units and vehicle; a path or a file of config/",
+        help="columns and units, or topics; a path or a file of config/ (docs/import.md)",
     )
     machine_options.add_vehicle(parser, "the mapping's")
-    parser.add_argument("--output", metavar="BAG", type=Path, required=True, help="directory to create")
+    add("--output", metavar="BAG", type=Path, required=True, help="directory to create")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -36,12 +43,26 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the log, the mapping or the output cannot be used.
     """
-    mapping = read_mapping(config_file(args.mapping))
-    if args.vehicle is not None:
-        mapping = replace(mapping, vehicle=load_vehicle(args.vehicle))
-    imported = import_log(args.log, mapping, args.output)
+    vehicle = None if args.vehicle is None else load_vehicle(args.vehicle)
+    imported = import_log(args.logs, read_mapping(config_file(args.mapping), vehicle), args.output)
     with open_bag(args.output) as bag:
         print(describe(bag))
-    for topic, count in imported.left_out.items():
-        print(f"left out: {count} of {topic}, which time_offset moves to before 0 s")
+    for line in _notes(imported):
+        print(line)
     return ExitCode.DONE
+
+
+def _notes(imported: Imported) -> Iterator[str]:
+    """What a user must know of it."""
+    if imported.datum is not None:
+        latitude, longitude, altitude = imported.datum
+        yield f"datum: latitude {latitude:.9f}, longitude {longitude:.9f} deg, altitude {altitude:.3f} m"
+    for topic, late in imported.lateness.items():
+        yield f"late: {topic} came {late.median:.3f} s after its stamps, at most {late.longest:.3f} s"
+        if late.is_other_clock:
+            yield f"note: stamps of {topic} and the log are of different clocks (stamp: log, or time_offset)"
+    for topic, reasons in imported.left_out.items():
+        for reason, count in reasons.items():
+            yield f"left out: {count} of {topic}: {reason}"
+    for note in imported.notes:
+        yield f"note: {note}"

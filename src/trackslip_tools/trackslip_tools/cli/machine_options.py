@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options that say which machine: of commands that need nothing else of a replay, too."""
+"""Options that say which machine a bag is of; they load nothing."""
 
 import argparse
 

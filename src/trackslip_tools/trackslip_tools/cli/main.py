@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from trackslip_common.errors import ExitCode, InputError
+from trackslip_common.errors import ExitCode, InputError, did_you_mean
 from trackslip_tools.cli.commands import Command, commands
 
 
@@ -44,7 +44,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     known = commands()
     asked = next((word for word in argv if not word.startswith("-")), None)
     if asked is not None and asked not in known:
-        raise InputError(f"trackslip: no command '{asked}'{_like(asked, known)} (see trackslip --help)")
+        raise InputError(
+            f"trackslip: no command '{asked}'{did_you_mean(asked, known)} (see trackslip --help)"
+        )
     parser = _Parser(
         prog="trackslip",
         description="The workbench around bags.",
@@ -65,13 +67,6 @@ def _add(added: Any, name: str, command: Command, *, whole: bool) -> None:
         parser.epilog = f"example: {module.EXAMPLE}"
         module.add_arguments(parser)
         parser.set_defaults(run=module.run)
-
-
-def _like(asked: str, known: dict[str, Command]) -> str:
-    from difflib import get_close_matches  # only here
-
-    found = get_close_matches(asked, known, n=1)
-    return f", did you mean '{found[0]}'?" if found else ""
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"estimates: {args.output}")
     if args.json is not None:
         write_json(args.json, summary(result, waited_s()))
-    return ExitCode.DONE if len(result.estimates) else ExitCode.FAILED
+    return ExitCode.FAILED if result.no_estimate else ExitCode.DONE
 
 
 def _ignore(_: Part) -> None:

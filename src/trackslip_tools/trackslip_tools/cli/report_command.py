@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     page = _page(runs)
     _write(args.output, page)
     print(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
-    return ExitCode.DONE if any(len(one.replay.estimates) for one in runs) else ExitCode.FAILED
+    return ExitCode.DONE if not all(one.replay.no_estimate for one in runs) else ExitCode.FAILED
 
 
 def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:

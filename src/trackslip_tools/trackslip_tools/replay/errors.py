@@ -50,13 +50,16 @@ class Waiting:
 
 
 class PathErrors:
-    """RMS errors of a path, and its mean NEES where its poses have covariances."""
+    """RMS errors of a path, and its mean NEES where its poses have covariances.
+
+    Samples of the reference without a heading (nan) count for the position alone.
+    """
 
     def __init__(self) -> None:
         self._reference = Waiting()  # stamp_ns, x, y, heading
         self._recent: tuple[Path, FloatArray] | None = None  # the end of the piece before
-        self._position = self._heading = self._nees = 0.0  # sums of squares
-        self._count = self._with_nees = 0
+        self._position = self._heading = self._nees = self._nees_position = 0.0  # sums of squares
+        self._count = self._headed = self._with_nees = self._with_nees_position = 0
 
     def add(self, path: Path, reference: Rows | None, covariances: FloatArray | None = None) -> None:
         """More of both; ``covariances`` (n, 3, 3) of the path's poses."""
@@ -75,10 +78,14 @@ class PathErrors:
         errors = errors_of(path, true)
         self._count += len(errors)
         self._position += float(np.sum(errors[:, :2] ** 2))
-        self._heading += float(np.sum(errors[:, 2] ** 2))
+        headed = np.isfinite(errors[:, 2])
+        self._headed += int(headed.sum())
+        self._heading += float(np.sum(errors[headed, 2] ** 2))
         if covariances is not None:
-            self._nees += float(np.sum(nees_of_each(path, P, true)[0]))
-            self._with_nees += len(errors)
+            self._nees += float(np.sum(nees_of_each(path, P, true)[0][headed]))
+            self._nees_position += float(np.sum(nees_of_each(path, P, true, 2)[0]))
+            self._with_nees += int(headed.sum())
+            self._with_nees_position += len(errors)
 
     def add_estimates(self, estimates: Rows, reference: Rows | None) -> None:
         """More of both; (n,) with stamp_ns, pose, pose_covariance."""
@@ -90,13 +97,18 @@ class PathErrors:
         """None where nothing was compared."""
         if not self._count:
             return None
-        position, heading = (math.sqrt(total / self._count) for total in (self._position, self._heading))
-        return Score(self._count, position, heading)
+        heading = math.sqrt(self._heading / self._headed) if self._headed else None
+        return Score(self._count, math.sqrt(self._position / self._count), heading)
 
     @property
     def nees(self) -> float | None:
-        """Mean; None where nothing was compared."""
+        """Mean of the pose's; None where nothing was compared."""
         return self._nees / self._with_nees if self._with_nees else None
+
+    @property
+    def nees_position(self) -> float | None:
+        """Mean of the position's; None where nothing was compared."""
+        return self._nees_position / self._with_nees_position if self._with_nees_position else None
 
 
 class SlipErrors:

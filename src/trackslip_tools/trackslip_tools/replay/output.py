@@ -114,6 +114,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "reference": result.reference,
         "rmse": rmse,
         "nees": result.nees,
+        "nees_position": result.nees_position,
         "learned": to_json(result.learned[-1].findings) if result.learned else None,
         "real_time_factor": result.duration_s / elapsed_s,
     }
@@ -133,9 +134,11 @@ def text(result: Replay, elapsed_s: float) -> str:
         lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]
     final = _final(result)
     if final is None:
-        lines.append("no estimate: nothing to start from (no fix of a pose source, no initial pose)")
+        lines.append(f"no estimate: {result.no_estimate}")
     else:
         lines.append("final  " + "  ".join(f"{name} {value:.4f}" for name, value in final.items()))
+        if result.no_estimate:
+            lines.append(f"no estimate of the heading: {result.no_estimate}")
     lines += [result.start] if result.start else []
     lines += summary_lines(result.learned[-1].findings) if result.learned else []
     lines += _scores(result)
@@ -160,12 +163,17 @@ def _scores(result: Replay) -> list[str]:
     lines = [f"RMSE against {result.reference}        position m   heading rad"]
     for name, label in _NAMES.items():
         found = result.scores.get(name)
-        numbers = f"{found.position:>12.4f}{found.heading:>14.4f}" if found else f"{'–':>12}{'–':>14}"
+        position = f"{found.position:.4f}" if found else "–"
+        heading = f"{found.heading:.4f}" if found and found.heading is not None else "–"
+        numbers = f"{position:>12}{heading:>14}"
         lines.append(f"  {label:<32}{numbers}")
     if result.slip_rmse is not None:
         lines.append(f"  slip RMSE {result.slip_rmse:.4f}")
     if result.nees is not None:
         lines.append(f"  mean NEES of pose {result.nees:.2f} (3 if consistent)")
+    elif result.nees_position is not None:
+        lines.append(f"  mean NEES of position {result.nees_position:.2f} (2 if consistent)")
+        lines.append("  the reference has no heading: positions are scored, dead reckoning has no beginning")
     return lines
 
 

@@ -41,12 +41,12 @@ class Reckoning:
         return (Path(rows["stamp_ns"], rows["pose"]) if len(rows) else None), self._errors.score
 
     def _begin(self, known: list[Rows]) -> None:
-        """At the first pose of the reference that is not before the first sprocket sample."""
+        """At the first pose of the reference with a heading that is not before the first sprocket sample."""
         first_ns = self.first_ns
         if first_ns is None or not known:
             return
         reference = np.concatenate(known)
-        later = reference[reference["stamp_ns"] >= first_ns]
+        later = reference[(reference["stamp_ns"] >= first_ns) & np.isfinite(reference["heading"])]
         if len(later):
             start = later[np.argmin(later["stamp_ns"])]
             pose = np.array([start[name] for name in ("x", "y", "heading")])

@@ -30,8 +30,9 @@ from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, InputStream, Logged
+from trackslip_tools.replay.no_estimate import Taken, why_no_estimate
 from trackslip_tools.replay.reckoning import Reckoning
-from trackslip_tools.replay.scoring import Score, in_order, path_of
+from trackslip_tools.replay.scoring import Score, in_order, path_of, reference_path
 from trackslip_tools.replay.series import Series, SeriesCollector, reduced
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilReplay, SoilRun
 from trackslip_tools.replay.start import learned_before
@@ -84,11 +85,13 @@ class Replay:
     reference: str | None = None
     series: dict[str, Series] = field(default_factory=dict)  # of truth and reference
     scores: dict[str, Score | None] = field(default_factory=dict)
-    nees: float | None = None
+    nees: float | None = None  # of the pose, where the reference has headings
+    nees_position: float | None = None
     slip_rmse: float | None = None
     live: LiveComparison | None = None
     paths: dict[str, Path] = field(default_factory=dict)
     soil: SoilReplay | None = None  # where the bag has hydraulics
+    no_estimate: str = ""  # why there is none, or none with a heading
     vehicle: str = ""  # its name
     learned: list[Known] = field(default_factory=list)  # in the course of it
     start: str = ""  # what it started from, where that is not the parameters alone
@@ -125,6 +128,7 @@ def replay(
             soil.add(part.estimates, part.arrivals["log_time_ns"][published], part.tables)
         watch(part)
     result = collector.result()
+    result.no_estimate = why_no_estimate(bag, p, filters, collector.taken)
     result.start = start
     result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
     result.vehicle = p.vehicle.name
@@ -173,6 +177,7 @@ class _Collector:
             for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
         }
         self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
+        self.taken = Taken(Counter(), self._rejected)
         self._learned: list[Known] = []
 
     def add(self, part: Part) -> None:
@@ -182,6 +187,8 @@ class _Collector:
         self._learned += part.learned
         refused = part.results["outcome"] != Outcome.ACCEPTED
         pairs = np.column_stack((part.arrivals["source"][refused], part.results["outcome"][refused]))
+        for source, count in enumerate(np.bincount(part.arrivals["source"]).tolist()):
+            self.taken.given[part.sources[source]] += count
         for (source, outcome), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
             self._rejected.add(part.sources[source], Outcome(outcome), int(count))
         tables = {topic: part.tables[topic].rows for topic in self._scored & part.tables.keys()}
@@ -220,12 +227,14 @@ class _Collector:
             self._last = np.empty(1, KEPT)
             for name in KEPT.names or ():
                 self._last[name] = estimates[name][-1]
+            self.taken.heading_variance = float(estimates["pose_covariance"][-1, 2, 2])
 
     def _score(self, found: Replay, reference: str) -> None:
         """Paths beside the filter's, and the errors of all against the reference."""
         first_ns = next((r.first_ns for r in self._reckonings.values()), None)
         found.paths["reference"] = reference_path(found.series[reference], first_ns or 0)
-        found.scores["filter"], found.nees = self._errors.score, self._errors.nees
+        found.scores["filter"] = self._errors.score
+        found.nees, found.nees_position = self._errors.nees, self._errors.nees_position
         for name, reckoning in self._reckonings.items():
             path, found.scores[name] = reckoning.result()
             if path is not None:
@@ -252,11 +261,3 @@ def _scored(reference: str | None) -> frozenset[str]:
 def own_reference(bag: Bag) -> str | None:
     """The topic to score against where none is named, if the bag has one."""
     return next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
-
-
-def reference_path(series: Series, from_ns: int) -> Path:
-    """The reference from the first sprocket sample on, its heading continuous."""
-    covered = series.since(from_ns)
-    poses = covered.columns("x", "y", "heading")
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    return Path(covered.stamps_ns.copy(), poses)

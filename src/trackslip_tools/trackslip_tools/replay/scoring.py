@@ -3,7 +3,9 @@
 
 e      error of x, y, heading        m, m, rad
 P      covariance that was claimed   (3, 3)
-NEES   eᵀ P⁻¹ e, on average 3 if P is consistent
+NEES   eᵀ P⁻¹ e, on average 3 if P is consistent; of x and y alone 2
+
+A reference may have no heading, at all or at some samples: nan. Its positions count all the same.
 """
 
 from dataclasses import dataclass
@@ -25,7 +27,7 @@ class Score:
 
     samples: int
     position: float  # m
-    heading: float  # rad
+    heading: float | None  # rad; None where the reference has none
 
 
 def in_order(estimates: Rows) -> Rows:
@@ -44,21 +46,35 @@ def path_of(estimates: Rows) -> Path:
     return Path(estimates["stamp_ns"].copy(), poses)
 
 
+def reference_path(series: Series, from_ns: int) -> Path:
+    """The reference from the first sprocket sample on, its heading continuous where it has one."""
+    covered = series.since(from_ns)
+    poses = covered.columns("x", "y", "heading")
+    known = np.isfinite(poses[:, 2])
+    poses[known, 2] = np.unwrap(poses[known, 2])
+    return Path(covered.stamps_ns.copy(), poses)
+
+
 def score(path: Path, reference: Path) -> Score | None:
     """Errors at the stamps of the reference; None where the path covers none of them."""
     errors = errors_of(path, reference)
     if not len(errors):
         return None
-    position, heading = np.hypot(errors[:, 0], errors[:, 1]), errors[:, 2]
-    return Score(len(errors), _rms(position), _rms(heading))
+    position, heading = np.hypot(errors[:, 0], errors[:, 1]), errors[np.isfinite(errors[:, 2]), 2]
+    return Score(len(errors), _rms(position), _rms(heading) if heading.size else None)
 
 
-def nees_of_each(path: Path, covariances: FloatArray, reference: Path) -> tuple[FloatArray, FloatArray]:
-    """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |P| there."""
-    errors = errors_of(path, reference)
+def nees_of_each(
+    path: Path, covariances: FloatArray, reference: Path, size: int = 3
+) -> tuple[FloatArray, FloatArray]:
+    """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |P| there.
+
+    ``size`` 3: of the pose, nan where the reference has no heading; 2: of the position.
+    """
+    errors = errors_of(path, reference)[:, :size]
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
     nearest = np.searchsorted(midpoints, reference.stamps_ns[_inside(path, reference)])
-    P = covariances[nearest]
+    P = covariances[nearest, :size, :size]
     weighed = np.linalg.solve(P, errors[:, :, np.newaxis])[:, :, 0]
     return np.sum(errors * weighed, axis=1), np.linalg.slogdet(P)[1]
 

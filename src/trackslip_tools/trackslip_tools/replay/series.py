@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_fields import headings_of
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_tools.replay.growing import GrowingRows
 
 FloatArray = NDArray[np.float64]
@@ -20,7 +21,7 @@ _COVARIANCES = ("covariance", "twist_covariance")
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Rows with the field ``stamp_ns``, which rises; of poses also x, y, heading (in (−π, π])."""
+    """Rows with the field ``stamp_ns``, which rises; of poses also x, y, heading (nan: unknown)."""
 
     rows: Rows  # (n,)
 
@@ -95,4 +96,5 @@ def reduced(rows: Rows, *, detailed: bool = False) -> Rows:
         found[name] = rows[name]
     if heading:
         found["heading"] = headings_of(rows)
+        found["heading"][rows["covariance"][:, 2, 2] > UNKNOWN_HEADING**2] = np.nan
     return found

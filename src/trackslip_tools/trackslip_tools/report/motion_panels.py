@@ -64,14 +64,16 @@ def error_panels(runs: Sequence[Run]) -> list[Panel]:
         band = (np.zeros_like(away), claimed)
         distance.append(Curve(label, colour, errors.times, away, shown.form, band))
         turned = _DEGREES * errors.values[:, 2]
+        if not np.isfinite(turned).any():  # a reference of positions
+            continue
         band = within(np.zeros_like(turned), _DEGREES * np.sqrt(variances[:, 2]))
         heading.append(Curve(label, colour, errors.times, turned, shown.form, band))
     if not distance:
         return []
-    return [
-        Panel("Position: distance from the reference", "error, cm", distance, from_zero=True),
-        Panel("Heading: difference from the reference", "error, °", heading, limits=(0.0,)),
-    ]
+    panels = [Panel("Position: distance from the reference", "error, cm", distance, from_zero=True)]
+    if heading:
+        panels.append(Panel("Heading: difference from the reference", "error, °", heading, limits=(0.0,)))
+    return panels
 
 
 def motion_panels(runs: Sequence[Run]) -> list[Panel]:

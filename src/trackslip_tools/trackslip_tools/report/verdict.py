@@ -89,11 +89,15 @@ def _same_as_live(run: Run) -> Verdict:
 
 def _position(run: Run) -> Verdict:
     if run.states is None:
-        return _checked(False, "no estimate", "Nothing to start from: no fix, no initial pose.")
+        why = run.replay.no_estimate or "Nothing to start from: no fix, no initial pose"
+        return _checked(False, "no estimate", f"{why[0].upper()}{why[1:]}.")
     own, encoders = (run.replay.scores.get(name) for name in ("filter", "dead_reckoning"))
     if own is None:
         return _unknown("No reference in the bag (--reference names one).")
-    value = f"{100.0 * own.position:.1f} cm, {math.degrees(own.heading):.2f}° RMSE"
+    turned = "" if own.heading is None else f", {math.degrees(own.heading):.2f}°"
+    value = f"{100.0 * own.position:.1f} cm{turned} RMSE"
+    if run.replay.no_estimate:
+        return _checked(False, value, f"No heading: {run.replay.no_estimate}.")
     if encoders is None:
         return _checked(own.position <= _POSITION, value, f"Against {run.replay.reference}.")
     words = f"Encoders alone: {100.0 * encoders.position:.1f} cm. Wanted: {100.0 * _POSITION:g} cm, "
@@ -102,10 +106,13 @@ def _position(run: Run) -> Verdict:
 
 
 def _pose_consistency(run: Run) -> Verdict:
-    if run.replay.nees is None:
-        return _unknown("No reference in the bag.")
-    value = f"NEES {run.replay.nees:.2f}, 3 expected"
-    return _consistency(run.replay.nees / 3.0, value, "Errors of the pose")
+    pose, position = run.replay.nees, run.replay.nees_position
+    if pose is not None:
+        return _consistency(pose / 3.0, f"NEES {pose:.2f}, 3 expected", "Errors of the pose")
+    if position is not None:
+        value = f"NEES of the position {position:.2f}, 2 expected"
+        return _consistency(position / 2.0, value, "Errors of the position (the reference has no heading)")
+    return _unknown("No reference in the bag.")
 
 
 def _innovation_consistency(run: Run) -> Verdict:
@@ -173,11 +180,16 @@ def _gaps(run: Run) -> Verdict:
 
 
 def _rejections(run: Run) -> Verdict:
-    """Before the start every measurement is refused; that is no fault."""
+    """Before the start every measurement is refused; that is no fault, if there is a start."""
     waiting = Outcome.WAITING.name.lower()
+    by_source = run.replay.rejected.by_source()
+    early = sum(reasons.get(waiting, 0) for reasons in by_source.values())
+    if run.states is None:
+        total = sum(sum(reasons.values()) for reasons in by_source.values())
+        return _checked(False, f"all {total}", "No measurement was used: there is no estimate.")
     refused = {
         source: sum(n for reason, n in reasons.items() if reason != waiting)
-        for source, reasons in run.replay.rejected.by_source().items()
+        for source, reasons in by_source.items()
     }
     shares = {
         source: count / max(run.replay.messages.get(source, count), 1)
@@ -185,6 +197,8 @@ def _rejections(run: Run) -> Verdict:
         if count
     }
     if not shares:
+        if early:
+            return _checked(True, f"{early} before the start", "Since the start every measurement was used.")
         return _checked(True, "none", "Every measurement was used.")
     value = ", ".join(f"{source} {100.0 * share:.2f} %" for source, share in shares.items())
     good = max(shares.values()) <= _SHARE

@@ -5,7 +5,8 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.run import own_reference, reference_path
+from trackslip_tools.replay.run import own_reference
+from trackslip_tools.replay.scoring import reference_path
 from trackslip_tools.replay.settled import read_settled
 from trackslip_tools.tuning.task import Task, make_task
 

@@ -52,7 +52,7 @@ class Score(NamedTuple):
     rejected: dict[str, int]  # source → how many
     position: float  # m, RMS error
     heading: float  # rad, RMS error
-    nees: float  # mean of the pose's, 3 if consistent
+    nees: float  # mean of the pose's, 3 if consistent; of the position's where there is no heading
     pose_log_likelihood: float  # mean of the reference's poses, by what the filter states of its own
 
 
@@ -96,11 +96,14 @@ class Task:
         poses[:, 2] = np.unwrap(poses[:, 2])
         path = Path(stamps_ns, poses)
         errors = score(path, self.reference)
-        nees, log_dets = nees_of_each(path, result.covariances, self.reference)
         if errors is None:
             return math.nan, math.nan, math.nan, math.nan
-        likelihood = -0.5 * float(np.mean(nees + log_dets)) - 1.5 * math.log(2.0 * math.pi)
-        return errors.position, errors.heading, float(np.mean(nees)), likelihood
+        size = 2 if errors.heading is None else 3  # of what the reference has
+        nees, log_dets = nees_of_each(path, result.covariances, self.reference, size)
+        known = np.isfinite(nees)
+        likelihood = -0.5 * float(np.mean((nees + log_dets)[known])) - 0.5 * size * math.log(2.0 * math.pi)
+        heading = math.nan if errors.heading is None else errors.heading
+        return errors.position, heading, float(np.mean(nees[known])), likelihood
 
 
 def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, reference: Path | None) -> Task:

@@ -185,9 +185,10 @@ def error_growth(dt: float, motion: int, c: Any) -> tuple[float, float, float]:
         mean = a * (2.0 / 3.0 - a / 2.0)
     else:
         mean = (2.0 * a - 4.0 * lost + 1.0 - (1.0 - lost) ** 2) / (a * a)
-    end = 1.0 - (1.0 - lost) ** 2
-    both = lost * lost / a
-    mean = both * both / end * 1.0001
+    end, both = 1.0 - (1.0 - lost) ** 2, lost * lost / a
+    if end > 0.0:  # given both ends, a machine with inertia strays less between them than Markov's
+        known = both * both / end
+        mean = known + (mean - known) * a * a / (1.0 + a * a)
     return mean, both, end
 
 

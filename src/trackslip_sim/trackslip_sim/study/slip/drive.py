@@ -34,6 +34,7 @@ BoolArray = NDArray[np.bool_]
 class Drive:
     """Rows in the order of their stamps, after the fix at time 0 from which the filters start."""
 
+    whole: Truth  # evenly sampled
     truth: Truth  # at the rows
     begin: Window  # what the estimator holds at the start
     rows: Rows  # values and noises are each cell's own
@@ -91,6 +92,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
             f"{NODE}: after {p.settling:g} s of settling nothing moves in '{p.scenario}' on {soil}"
         )
     return Drive(
+        whole=truth,
         truth=at,
         begin=begin,
         rows=rows,

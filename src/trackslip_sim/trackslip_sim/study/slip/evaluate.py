@@ -14,11 +14,12 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.window import Window, make_window
 from trackslip_sim.study.slip.drive import Drive
 from trackslip_sim.study.slip.kernels import bound, compare, scratch, variances
-from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters
+from trackslip_sim.study.slip.parameters import DRAWN, SHEAR, Cell, StudyParameters
 from trackslip_sim.study.slip.results import Row, Sums, summary, total
-from trackslip_sim.study.slip.trial import Setting, Trial, make_trial
+from trackslip_sim.study.slip.trial import Setting, Trial, make_trial, of_machine
 
 FloatArray = NDArray[np.float64]
+_UNKNOWN = "unknown_source"  # of fixes: nobody says how they are stamped
 Map = Callable[[Callable[[int], Sums], Iterable[int]], Iterable[Sums]]
 
 
@@ -40,8 +41,12 @@ def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEs
     """What the runs of a cell have in common."""
     config, linear = (make_config(estimator.changed({"filter": name})) for name in (cell.filter, "ekf"))
     for c in (config, linear):
-        c["gate_limits"] = c["heading_ceiling"] = np.inf  # what the filters are given is all true
-        c["position_floor"] = c["heading_floor"] = c["stamp_errors"] = 0.0
+        c["heading_ceiling"] = np.inf
+        c["position_floor"] = c["heading_floor"] = 0.0
+        if cell.truth == DRAWN:
+            c["stamp_errors"] = estimator.changed({"pose_sources": (_UNKNOWN,)}).poses()[_UNKNOWN].stamp_error
+        else:  # what the filters are given is all true
+            c["gate_limits"], c["stamp_errors"] = np.inf, 0.0
     rows = drive.rows._replace(measurements=drive.with_noise(cell, p.sigma_heading))
     return Setting(cell, drive, rows, config, linear, p.sigma_heading)
 
@@ -69,7 +74,8 @@ def _filtered(setting: Setting, trial: Trial) -> Window:
 def least(setting: Setting, trial: Trial) -> FloatArray:
     """(s, 6) variances by the posterior Cramér–Rao bound."""
     drive, linear = setting.drive, setting.linear
-    covariances = bound(trial.rows, trial.states, trial.start_state, trial.start[1], linear)
+    rows, true = of_machine(trial.rows, trial.machine, linear)
+    covariances = bound(rows, trial.states, trial.start_state, trial.start[1], true)
     return variances(drive.scored, trial.states, covariances, trial.rows.drives, scratch(), linear)
 
 

@@ -35,8 +35,11 @@ from trackslip_estimation.slip.observation import (
     fill_outputs,
     jacobian,
     observed,
+    stamp_shift,
+    to_delayed,
 )
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS, STATE
+from trackslip_estimation.slip.records import POSE as POSE_FIX
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -76,7 +79,7 @@ def bound(
     c = config[0]
     bounds = np.empty((rows.drives.size, start.size, start.size))
     before, stamp_ns, none = start, 0, np.zeros((start.size, start.size))
-    P = P.copy()
+    P, room = P.copy(), rows.drives[:1].copy()
     for k in range(rows.drives.size):
         measurement, drive = rows.measurements[k], rows.drives[k]
         _, F, Q = linearize(before, none, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
@@ -88,7 +91,14 @@ def bound(
             left, right, _ = comparable_speeds(kind, drive, c)
             add_rounding(kind, before, R, drive, c)
             H = jacobian(kind, before, z.size, (left, right), c)
+            shift = (0.0, 0.0, 0.0)
+            if kind == POSE_FIX:
+                room[0] = drive
+                room[0].mean[:] = before
+                shift = stamp_shift(room[0], measurement.source, c)
+            to_delayed(before.copy(), P, shift, 1.0)
             ekf.correct(before.copy(), P, np.zeros(z.size), H, R)
+            to_delayed(before.copy(), P, shift, -1.0)
         bounds[k] = P
     return bounds
 

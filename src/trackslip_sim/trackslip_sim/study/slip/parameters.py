@@ -11,8 +11,8 @@ from trackslip_common.parameters import from_flat, parameter
 from trackslip_sim.study.parameters import GridParameters
 
 NODE = "study"
-SHEAR, MATCHED = "shear", "matched"
-TRUTHS = (SHEAR, MATCHED)
+SHEAR, MATCHED, DRAWN = "shear", "matched", "drawn"
+TRUTHS = (SHEAR, MATCHED, DRAWN)
 FILTERS = ("ekf", "daf")
 _SHORTEST = 1.0  # s to be scored
 

@@ -9,10 +9,14 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.kalman.linear_algebra import root
 from trackslip_estimation.slip.config import ConfigRecord
-from trackslip_estimation.slip.models.model import GYRO_BIAS
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE
+from trackslip_estimation.slip.models.turning import ASYMMETRY
+from trackslip_estimation.slip.models.turning import CODE as TURNING
+from trackslip_estimation.slip.records import POSE, YAW_RATE
+from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, draw_machine, integrated
 from trackslip_sim.study.slip.drive import Drive, fix_deviations
 from trackslip_sim.study.slip.kernels import Rows, draw, nearest, slips_of
-from trackslip_sim.study.slip.parameters import MATCHED, Cell
+from trackslip_sim.study.slip.parameters import DRAWN, MATCHED, SHEAR, Cell
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +40,7 @@ class Trial(NamedTuple):
     start_state: FloatArray  # (n,) the truth there
     states: FloatArray  # (k, n) the truth at the rows, as states of the filter's model
     slips: FloatArray  # (k, 3) left slip, right slip, slip angle
+    machine: DrawnMachine = DrawnMachine()
 
 
 def generator(cell: Cell, seed: int) -> np.random.Generator:
@@ -46,7 +51,7 @@ def generator(cell: Cell, seed: int) -> np.random.Generator:
 def make_trial(setting: Setting, seed: int) -> Trial:
     """Draw one run."""
     random = generator(setting.cell, seed)
-    return (_matched if setting.cell.truth == MATCHED else _shear)(setting, random)
+    return {MATCHED: _matched, SHEAR: _shear, DRAWN: _drawn}[setting.cell.truth](setting, random)
 
 
 def _matched(setting: Setting, random: np.random.Generator) -> Trial:
@@ -79,6 +84,56 @@ def _shear(setting: Setting, random: np.random.Generator) -> Trial:
     states = nearest(poses, twists, true_speeds, prior, setting.linear)
     slips = np.stack((at.left_slip, at.right_slip, at.slip_angle), axis=1)
     return Trial(_with_values(setting.rows, values), start, mean, states, slips)
+
+
+def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
+    """The shear truth as another machine would drive it, whose parameters state the nominal one.
+
+    Slips are those against the rolling radius that is stated: nobody can tell them from another radius.
+    """
+    drive, machine, c = setting.drive, draw_machine(random), setting.config[0]
+    whole, at, fixes, rates = drive.whole, drive.truth, drive.fixes, drive.rates
+    r, B, period = c["rolling_radius"], c["tread"], float(whole.t[1])
+    errors = MotionErrors(machine, B, period, random)
+    twists = errors.apply(
+        r * np.stack((whole.left_speed, whole.right_speed), axis=1),
+        np.stack((whole.v_x, whole.v_y, whole.yaw_rate), axis=1),
+    )
+    poses = np.concatenate((np.zeros((1, 3)), integrated(twists[1:], period, np.zeros(3))))
+    delay = machine.fix_delay
+    at_rows, moving = _interpolate(at.t, whole.t, poses), _interpolate(at.t, whole.t, twists)
+    deviations = fix_deviations(setting.cell, setting.sigma_heading) * np.sqrt(machine.fix_variance)
+    start = _start(setting, deviations * random.standard_normal(3))
+    mean, covariance = prior = _start(setting, np.zeros(3))
+    mean[GYRO_BIAS] = np.sqrt(covariance[GYRO_BIAS, GYRO_BIAS]) * random.standard_normal()
+    mean[GYRO_SCALE], mean[FIX_DELAY] = machine.gyro_scale - 1.0, delay / c["stamp_errors"].max()
+    if c["model"] == TURNING:
+        mean[ASYMMETRY] = machine.asymmetry
+    values, of_fixes = np.zeros((len(at_rows), 3)), at.t[fixes] - delay
+    values[fixes] = _interpolate(of_fixes, whole.t, poses)
+    values[fixes] += deviations * random.standard_normal((len(of_fixes), 3))
+    noise = machine.gyro_noise * setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
+    values[rates, 0] = machine.gyro_scale * moving[rates, 2] + mean[GYRO_BIAS] + noise
+    true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
+    states = nearest(at_rows, moving[:, ::2].copy(), true_speeds, prior, setting.linear)
+    slips = slips_of(states, drive.true_drives, setting.linear)
+    slips[:, 2] = at.slip_angle
+    return Trial(_with_values(setting.rows, values), start, mean, states, slips, machine)
+
+
+def of_machine(rows: Rows, machine: DrawnMachine, config: ConfigRecord) -> tuple[Rows, ConfigRecord]:
+    """Rows and numbers of the model with the noise that a machine truly has, for the bound."""
+    measurements, true = rows.measurements.copy(), config.copy()
+    noise, kind = measurements["noise"], measurements["kind"]
+    noise[kind == YAW_RATE] *= machine.gyro_noise**2
+    noise[kind == POSE] *= machine.fix_variance
+    for name in ("straight", "turning", "changing"):
+        true["velocity_errors"][name] *= machine.velocity_errors
+    return rows._replace(measurements=measurements), true
+
+
+def _interpolate(times: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:
+    return np.stack([np.interp(times, t, column) for column in columns.T], axis=1)
 
 
 def _start(setting: Setting, pose: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is read of messages of other robots: numbers, one row a message, and the samples made of the rows."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trackslip_bags.importing.local import LocalFrame
+from trackslip_bags.importing.mapping import BagTopic, Joints, needs_geometry
+from trackslip_bags.importing.roles import (
+    FIX,
+    HYDRAULICS,
+    IMU,
+    JOINTS,
+    ODOMETRY,
+    POSE,
+    POSE_STAMPED,
+    ROLES,
+    TRANSFORM,
+    TRANSFORMS,
+    TWISTS,
+)
+from trackslip_bags.importing.samples import (
+    FloatArray,
+    IntArray,
+    Values,
+    differences,
+    track_speeds,
+    without_heading,
+    yaw_of,
+)
+from trackslip_common.errors import InputError
+from trackslip_common.message_fields import PLANE_IN_6
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+
+Row = tuple[float, ...]
+
+NO_JOINTS = "has none of the joints"
+NO_FIX = "receiver without a fix"
+_NAN_4, _ZERO_9 = (math.nan,) * 4, (0.0,) * 9
+_DEFAULT_JOINTS = {"left": Joints((LEFT_SPROCKET,), 1.0), "right": Joints((RIGHT_SPROCKET,), 1.0)}
+
+
+class Reading(NamedTuple):
+    """What one message gave."""
+
+    header: Any  # None where it has none
+    row: Row
+    lacks: str = ""  # why it gives no sample
+
+
+Reader = Callable[[Any, BagTopic], Iterator[Reading]]
+
+
+def _joints(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    """Left and right velocity, left and right position."""
+    at = {name: k for k, name in enumerate(message.name)}
+    sides = [(topic.joints or _DEFAULT_JOINTS)[side] for side in ("left", "right")]
+    if not all(name in at for side in sides for name in side.names):
+        yield Reading(message.header, _NAN_4, NO_JOINTS)
+        return
+    row = []
+    for values, use in ((message.velocity, "velocities"), (message.position, "positions")):
+        for side in sides:
+            known = topic.uses in ("both", use) and len(values) == len(at)
+            mean = (
+                sum(float(values[at[name]]) for name in side.names) / len(side.names) if known else math.nan
+            )
+            row.append(mean * side.ratio)
+    yield Reading(message.header, tuple(row), "" if any(map(math.isfinite, row)) else "holds no such numbers")
+
+
+def _twist(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    """Speed and yaw rate."""
+    twist = message
+    while hasattr(twist, "twist"):
+        twist = twist.twist
+    row = (float(twist.linear.x), float(twist.angular.z))
+    finite = all(map(math.isfinite, row))
+    yield Reading(getattr(message, "header", None), row, "" if finite else "holds no such numbers")
+
+
+def _imu(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    """As the message has it: rate, acceleration, orientation, each with its covariance."""
+    turn = message.orientation
+    row = (
+        *_vector(message.angular_velocity, message.angular_velocity_covariance),
+        *_vector(message.linear_acceleration, message.linear_acceleration_covariance),
+        *(_NAN_4 if message.orientation_covariance[0] < 0.0 else (turn.x, turn.y, turn.z, turn.w)),
+        *(_ZERO_9 if message.orientation_covariance[0] < 0.0 else message.orientation_covariance),
+    )
+    lacks = "" if message.angular_velocity_covariance[0] >= 0.0 else "states that it has no angular velocity"
+    yield Reading(message.header, tuple(map(float, row)), lacks)
+
+
+def _vector(vector: Any, covariance: Any) -> Row:
+    """Three numbers, nan where the covariance says that there are none, and nine."""
+    if covariance[0] < 0.0:
+        return (math.nan,) * 3 + _ZERO_9
+    return (vector.x, vector.y, vector.z, *covariance)
+
+
+def _pose(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    """x, y, yaw and nine numbers of their covariance (nan where the message has none)."""
+    pose, covariance = message.pose, np.full((3, 3), np.nan)
+    if hasattr(pose, "covariance"):
+        covariance, pose = np.asarray(pose.covariance, np.float64).reshape(6, 6)[PLANE_IN_6], pose.pose
+    yield _reading(message.header, pose.position, pose.orientation, covariance)
+
+
+def _transform(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    transforms = message.transforms if hasattr(message, "transforms") else [message]
+    for one in transforms:
+        if topic.child_frame is None or one.child_frame_id.lstrip("/") == topic.child_frame.lstrip("/"):
+            motion = one.transform
+            yield _reading(one.header, motion.translation, motion.rotation, np.full((3, 3), np.nan))
+
+
+def _reading(header: Any, place: Any, turn: Any, covariance: FloatArray) -> Reading:
+    yaw = yaw_of(*(np.array([float(getattr(turn, axis))]) for axis in "xyzw"))[0]
+    position = (float(place.x), float(place.y))
+    lacks = "" if all(map(math.isfinite, position)) else "holds no such numbers"
+    return Reading(header, (*position, float(yaw), *covariance.ravel().tolist()), lacks)
+
+
+def _fix(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    """Latitude, longitude (rad), altitude, nine numbers of covariance, its kind, status."""
+    kind = int(message.position_covariance_type)
+    row = (
+        math.radians(message.latitude),
+        math.radians(message.longitude),
+        float(message.altitude),
+        *map(float, message.position_covariance),
+        float(kind),
+        float(message.status.status),
+    )
+    is_nowhere = message.latitude == message.longitude == 0.0
+    without = topic.role == "pose" and (message.status.status < 0 or is_nowhere)
+    finite = math.isfinite(row[0]) and math.isfinite(row[1])
+    yield Reading(message.header, row, NO_FIX if without or not finite else "")
+
+
+def _hydraulics(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    yield Reading(message.header, tuple(float(getattr(message, n)) for n in ROLES["hydraulics"].fields))
+
+
+READERS: Mapping[tuple[str, str], Reader] = {
+    ("sprockets", JOINTS): _joints,
+    **{("sprockets", name): _twist for name in (ODOMETRY, *TWISTS)},
+    ("imu", IMU): _imu,
+    **{("pose", name): _pose for name in (POSE, POSE_STAMPED, ODOMETRY)},
+    **{("pose", name): _transform for name in (TRANSFORM, *TRANSFORMS)},
+    ("pose", FIX): _fix,
+    ("fix", FIX): _fix,
+    ("hydraulics", HYDRAULICS): _hydraulics,
+}
+"""(role, message type) → what reads it."""
+
+
+def values_of(
+    rows: FloatArray, stamps_ns: IntArray, topic: BagTopic, type_name: str, local: LocalFrame
+) -> Values:
+    """What the role's messages are made of, from (n, k) numbers.
+
+    Raises:
+        InputError: neither mapping nor messages say how sure a pose is, or how large the vehicle.
+    """
+    match topic.role:
+        case "sprockets":
+            return _sprocket_values(rows, stamps_ns, topic)
+        case "imu":
+            return _imu_values(rows, topic)
+        case "pose":
+            return _pose_values(rows, topic, type_name, local)
+        case "fix":
+            covariance = rows[:, 3:12].reshape(-1, 3, 3)
+            return {
+                "place": rows[:, :3],
+                "covariance": covariance,
+                "kind": rows[:, 12],
+                "status": rows[:, 13],
+            }
+        case _:
+            return dict(zip(ROLES["hydraulics"].fields, rows.T, strict=True))
+
+
+def _sprocket_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
+    if rows.shape[1] == 2:  # speed and yaw rate
+        if topic.geometry is None:
+            raise InputError(f"{topic.where}: {needs_geometry()}")
+        nothing = np.full((len(rows), 2), np.nan)
+        return {"velocity": track_speeds(rows[:, 0], rows[:, 1], topic.geometry), "position": nothing}
+    velocity, position = rows[:, :2], rows[:, 2:]
+    if np.isnan(velocity).any() and np.isfinite(position).all():
+        velocity = differences(position, stamps_ns)
+    return {"velocity": velocity, "position": position}
+
+
+def _imu_values(rows: FloatArray, topic: BagTopic) -> Values:
+    names, sizes = ("rate", "acceleration", "orientation"), (3, 3, 4)
+    found: Values = {}
+    begin = 0
+    for name, size in zip(names, sizes, strict=True):
+        found[name] = rows[:, begin : begin + size]
+        found[f"{name}_covariance"] = rows[:, begin + size : begin + size + 9].reshape(-1, 3, 3)
+        begin += size + 9
+    for axis, spread in topic.spreads.items():
+        key = "rate" if axis.startswith("angular") else "acceleration"
+        k = "xyz".index(axis[-1])
+        found[f"{key}_covariance"][:, k, k] = _variance(spread)
+    return found
+
+
+def _pose_values(rows: FloatArray, topic: BagTopic, type_name: str, local: LocalFrame) -> Values:
+    if type_name == FIX:
+        covariance = np.full((len(rows), 3, 3), np.nan)
+        covariance[:, :2, :2] = rows[:, 3:12].reshape(-1, 3, 3)[:, :2, :2]
+        covariance[rows[:, 12] == 0.0] = np.nan
+        pose = np.column_stack((local.east_north(rows[:, :3]), np.full(len(rows), np.nan)))
+    else:
+        pose, covariance = rows[:, :3].copy(), rows[:, 3:12].reshape(-1, 3, 3).copy()
+    for axis, spread in topic.spreads.items():
+        k, m = {"x": (0, 0), "y": (1, 1), "yaw": (2, 2), "xy": (0, 1)}[axis]
+        if axis in ("x", "y"):
+            covariance[:, k, :] = covariance[:, :, k] = 0.0
+        covariance[:, k, m] = covariance[:, m, k] = _variance(spread)
+    if topic.position_only:
+        pose[:, 2] = np.nan
+    headed = np.isfinite(pose[:, 2]).any()
+    for k, axis in enumerate(("x", "y", "yaw") if headed else ("x", "y")):
+        if not (covariance[:, k, k] > 0.0).all():
+            accepted = f"stddev: {{{axis}: …}}{', or position_only: true' if axis == 'yaw' else ''}"
+            text = f"{topic.source} states no variance of {axis} that is above 0"
+            raise InputError(f"{topic.where}: {text}; accepted: {accepted}")
+    return without_heading(pose, covariance)
+
+
+def _variance(spread: Any) -> float:
+    value = float(spread.value)
+    return value * value if spread.is_stddev else value

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of other robots by a mapping: ROS 2 (MCAP, SQLite) and ROS 1; each message keeps how late it came."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row, values_of
+from trackslip_bags.importing.local import LocalFrame
+from trackslip_bags.importing.logged import Logged, RobotLog, Ros2Bag
+from trackslip_bags.importing.mapping import BagTopic
+from trackslip_bags.importing.roles import ROLES
+from trackslip_bags.importing.ros1 import Ros1Bags
+from trackslip_bags.importing.samples import Samples
+from trackslip_bags.importing.times import LIMIT_NS
+from trackslip_bags.metadata import METADATA
+from trackslip_bags.reader import absolute, open_bag
+from trackslip_bags.sources import error_line
+from trackslip_common.errors import InputError, did_you_mean
+
+_ROS1 = (".bag", ".bag.active")
+_ROS2 = (".mcap", ".db3", ".mcap.zstd")
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a bag: a directory of one, or a file with a bag's name."""
+    if path.is_dir():
+        return (path / METADATA).exists() or any(file.suffix in _ROS2 for file in path.iterdir())
+    return path.name.endswith((*_ROS1, *_ROS2))
+
+
+def read_bag_log(
+    paths: Sequence[Path], topics: Sequence[BagTopic], local: LocalFrame
+) -> tuple[list[Samples], list[str]]:
+    """Samples of each topic, and notes.
+
+    Raises:
+        InputError: the bag cannot be read or does not fit the mapping.
+    """
+    if all(path.name.endswith(_ROS1) and path.is_file() for path in paths):
+        with Ros1Bags(paths) as ros1:
+            return _read(ros1, topics, local), []
+    if len(paths) > 1:
+        accepted = "one, or several .bag files of ROS 1 (a split recording of ROS 2: its directory)"
+        raise InputError(f"{len(paths)} bags; accepted: {accepted}")
+    with open_bag(paths[0]) as bag:
+        return _read(Ros2Bag(bag), topics, local), [f"damaged: {bag.damage}"] if bag.damage else []
+
+
+def _read(log: RobotLog, topics: Sequence[BagTopic], local: LocalFrame) -> list[Samples]:
+    """One pass over the bag."""
+    types = log.types
+    collectors = [_Collector(log, topic, _type_of(log, topic, types)) for topic in topics]
+    by_source: dict[str, list[_Collector]] = {}
+    for collector in collectors:
+        by_source.setdefault(absolute(collector.topic.source), []).append(collector)
+    for message in log.read(list(by_source)):
+        for collector in by_source[message.topic]:
+            collector.add(message)
+    return [collector.samples(local) for collector in collectors]
+
+
+def _type_of(log: RobotLog, topic: BagTopic, types: dict[str, str] | Any) -> str:
+    """The type of a topic, which must serve its role."""
+    source = absolute(topic.source)
+    if source not in types:
+        like, there = did_you_mean(source, types), ", ".join(sorted(types)) or "nothing"
+        raise InputError(f"{topic.where}.from: no topic '{source}' in {log.path}{like}; it holds: {there}")
+    found: str = types[source]
+    if (topic.role, found) not in READERS:
+        accepted = ", ".join(ROLES[topic.role].messages)
+        raise InputError(f"{topic.where}.from: {source} is a {found}; accepted: {accepted}")
+    return found
+
+
+class _Collector:
+    """What one topic of the mapping gets of the bag."""
+
+    def __init__(self, log: RobotLog, topic: BagTopic, type_name: str) -> None:
+        self.topic, self._type_name, self._log = topic, type_name, log
+        self._read = READERS[topic.role, type_name]
+        self._rows: list[Row] = []
+        self._times: list[tuple[int, int]] = []  # stamp, log time
+        self._frames: list[str] = []
+        self._left_out: Counter[str] = Counter()
+        self._seen: dict[str, None] = {}  # joints of messages that did not serve
+
+    def add(self, message: Logged) -> None:
+        """One message of its topic.
+
+        Raises:
+            InputError: it is of another form than its type has elsewhere.
+        """
+        try:
+            self._add(message)
+        except (AttributeError, LookupError, TypeError, ValueError, OverflowError) as error:
+            text = (
+                f"bag '{self._log.path}': bad {self._type_name} on {self.topic.source} ({error_line(error)})"
+            )
+            raise InputError(text) from error
+
+    def _add(self, message: Logged) -> None:
+        for reading in self._read(message.content, self.topic):
+            stamp_ns = message.log_time_ns
+            if self.topic.stamped and reading.header is not None:
+                stamp = reading.header.stamp
+                stamp_ns = int(stamp.sec) * 10**9 + int(stamp.nanosec) or message.log_time_ns
+            stamp_ns += self.topic.time_offset_ns
+            lacks = reading.lacks or ("" if 0 <= stamp_ns < LIMIT_NS else "stamp outside 0 … 2^31 s")
+            if lacks:
+                self._left_out[lacks] += 1
+                self._seen |= dict.fromkeys(message.content.name) if lacks == NO_JOINTS else {}
+                continue
+            self._rows.append(reading.row)
+            self._times.append((stamp_ns, message.log_time_ns))
+            frame = "" if reading.header is None else str(reading.header.frame_id)
+            self._frames.append(self.topic.frame or frame or ROLES[self.topic.role].frame)
+
+    def samples(self, local: LocalFrame) -> Samples:
+        """When all was added."""
+        topic = self.topic
+        if not self._rows:
+            raise InputError(self._nothing())
+        stamps_ns, log_times_ns = np.array(self._times, np.int64).T
+        values = values_of(np.array(self._rows, np.float64), stamps_ns, topic, self._type_name, local)
+        frames = self._frames if len(set(self._frames)) > 1 else self._frames[:1]
+        return Samples(
+            topic.name, topic.role, frames, stamps_ns, log_times_ns, values, self._left_out, topic.source
+        )
+
+    def _nothing(self) -> str:
+        """Why there is not one sample."""
+        topic = self.topic
+        if self._seen:
+            wanted = [name for joints in topic.joints.values() for name in joints.names]
+            like = next((text for name in wanted if (text := did_you_mean(name, self._seen))), "")
+            asked = ", ".join(wanted) or "left_sprocket, right_sprocket (no left and right in the mapping)"
+            there = ", ".join(self._seen)
+            return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"
+        reasons = ", ".join(f"{n}: {reason}" for reason, n in self._left_out.items())
+        child = f" of child frame '{topic.child_frame}'" if topic.child_frame else ""
+        return f"{topic.where}: no message of {topic.source}{child} serves ({reasons or 'there is none'})"

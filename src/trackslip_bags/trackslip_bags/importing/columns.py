@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a mapping names columns of a CSV log: values with their units, times, and how sure they are."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from trackslip_bags.importing.tree import check_keys, number, positive, section, text, texts
+from trackslip_common.errors import InputError, did_you_mean
+from trackslip_common.units import UNITS, factor_to_si
+
+ISO = "iso8601"
+FIRST = "first"  # as an origin: the first value of the column
+
+_ZONE = re.compile(r"Z|([+-])(\d\d):?(\d\d)")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column, or the mean of several: (value − origin) · factor is SI."""
+
+    names: tuple[str, ...]
+    quantity: str  # of its unit; empty for a plain number
+    factor: float
+    origin: float | str = 0.0  # in the column's own unit, or FIRST
+
+
+@dataclass(frozen=True)
+class TimeColumn:
+    """A column of times: numbers of a unit, or ISO 8601."""
+
+    name: str
+    unit: str  # of UNITS["time"], or ISO
+    zone_ns: int = 0  # east of Greenwich, of ISO times that state no zone
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How sure a value is: a number, or a column of its own."""
+
+    value: float | Column
+    is_stddev: bool  # else a variance, or a covariance of two axes
+
+
+def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
+    """``{column: …, unit: …}`` with ``scale`` and ``origin`` if wanted; no unit without a quantity.
+
+    Raises:
+        InputError: a key, unit or value is not accepted.
+    """
+    tree = section(where, value)
+    check_keys(where, tree, ("column", "unit") if quantities else ("column",), ("scale", "origin"))
+    quantity, factor = factor_to_si(f"{where}.unit", tree["unit"], *quantities) if quantities else ("", 1.0)
+    origin = tree.get("origin", 0.0)
+    return Column(
+        names=texts(f"{where}.column", tree["column"]),
+        quantity=quantity,
+        factor=factor * number(f"{where}.scale", tree.get("scale", 1.0)),
+        origin=FIRST if origin == FIRST else number(f"{where}.origin", origin),
+    )
+
+
+def read_time(where: str, value: Any) -> TimeColumn:
+    """``{column: t, unit: ms}`` or ``{column: t, unit: iso8601, zone: "+02:00"}``.
+
+    Raises:
+        InputError: a key, unit or value is not accepted.
+    """
+    tree = section(where, value)
+    is_iso = tree.get("unit") == ISO
+    check_keys(where, tree, ("column", "unit"), ("zone",) if is_iso else ())
+    name, zone = text(f"{where}.column", tree["column"]), tree.get("zone", "Z")
+    accepted = (*UNITS["time"], ISO)
+    unit = str(tree["unit"])
+    if unit not in accepted:
+        like = did_you_mean(unit, accepted)
+        raise InputError(f"{where}.unit: '{unit}' is unknown{like}; accepted: {', '.join(accepted)}")
+    offset_ns = zone_offset_ns(str(zone))
+    if offset_ns is None:
+        raise InputError(f'{where}.zone: {zone!r} is not accepted; accepted: Z, or as "+02:00"')
+    return TimeColumn(name, unit, offset_ns)
+
+
+def zone_offset_ns(zone: str) -> int | None:
+    """Of ``Z`` or ``+02:00``, ns east of Greenwich; None of anything else."""
+    found = _ZONE.fullmatch(zone)
+    if found is None:
+        return None
+    sign, hours, minutes = found.groups()
+    seconds = 0 if sign is None else (int(hours) * 60 + int(minutes)) * 60
+    return (-seconds if sign == "-" else seconds) * 1_000_000_000
+
+
+def read_spreads(where: str, tree: Mapping[str, Any], axes: Mapping[str, str]) -> dict[str, Spread]:
+    """``stddev: {x: …}`` and ``covariance: {x: …, xy: …}`` of a topic, by axis or pair of axes.
+
+    Raises:
+        InputError: a key, unit or value is not accepted, or an axis is stated twice.
+    """
+    found: dict[str, Spread] = {}
+    stddevs = section(f"{where}.stddev", tree.get("stddev", {}))
+    check_keys(f"{where}.stddev", stddevs, (), axes)
+    for axis, value in stddevs.items():
+        found[axis] = Spread(_stddev(f"{where}.stddev.{axis}", value, axes[axis]), is_stddev=True)
+    pairs = {**axes, **({"xy": axes["x"]} if "x" in axes else {})}
+    covariances = section(f"{where}.covariance", tree.get("covariance", {}))
+    check_keys(f"{where}.covariance", covariances, (), pairs)
+    for axis, value in covariances.items():
+        if axis in found:
+            raise InputError(f"{where}.covariance.{axis}: stddev has it too; accepted: one of the two")
+        found[axis] = Spread(_variance(f"{where}.covariance.{axis}", value, pairs[axis]), is_stddev=False)
+    return found
+
+
+def _stddev(where: str, value: Any, quantity: str) -> float | Column:
+    """A number is SI."""
+    return read_column(where, value, (quantity,)) if isinstance(value, Mapping) else positive(where, value)
+
+
+def _variance(where: str, value: Any, quantity: str) -> float | Column:
+    """Of the square of a unit, written as ``m^2``, ``m²`` or ``(rad/s)^2``."""
+    if not isinstance(value, Mapping):
+        return number(where, value)
+    unit = str(value.get("unit"))
+    squares: dict[str, float] = {}
+    for known, factor in UNITS[quantity].items():
+        inside = f"({known})" if "/" in known or "^" in known else known
+        squares |= {f"{inside}^2": factor * factor, f"{inside}²": factor * factor}
+    check_keys(where, value, ("column", "unit"), ())
+    if unit not in squares:
+        like = did_you_mean(unit, squares)
+        accepted = ", ".join(name for name in squares if name.endswith("^2"))
+        raise InputError(f"{where}.unit: '{unit}' is unknown{like}; accepted: {accepted}")
+    return Column(texts(f"{where}.column", value["column"]), quantity, squares[unit])

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a log can give: roles, the fields that columns fill, and the messages of other robots that serve."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from trackslip_common.errors import InputError
+
+Group = tuple[str, ...]
+
+JOINTS = "sensor_msgs/msg/JointState"
+ODOMETRY = "nav_msgs/msg/Odometry"
+IMU = "sensor_msgs/msg/Imu"
+FIX = "sensor_msgs/msg/NavSatFix"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+TWISTS = (
+    "geometry_msgs/msg/Twist",
+    "geometry_msgs/msg/TwistStamped",
+    "geometry_msgs/msg/TwistWithCovarianceStamped",
+)
+HYDRAULICS = "trackslip_msgs/msg/TrackHydraulics"
+
+_POSITION = ("length",)
+_ANGLE = ("angle",)
+_RATE = ("angular rate",)
+_ACCELERATION = ("acceleration",)
+_PRESSURE = ("pressure",)
+NUMBER = ()  # without a unit
+
+
+_RATES = tuple(f"angular_velocity_{axis}" for axis in "xyz")
+_ACCELERATIONS = tuple(f"linear_acceleration_{axis}" for axis in "xyz")
+_QUATERNION = ("qx", "qy", "qz", "qw")
+_VELOCITIES = ("left_velocity", "right_velocity")
+_POSITIONS = ("left_position", "right_position")
+_PLACE = ("latitude", "longitude")
+
+
+@dataclass(frozen=True)
+class Role:
+    """What a topic of the bag is.
+
+    ``fields`` may be columns of a CSV log: name → quantities, one of which its unit must be of. ``choices``
+    say which go together: of each, the fields that are given must be one group. ``axes``: what a standard
+    deviation or covariance may be stated of, with its quantity. ``messages``: types that a bag may have.
+    """
+
+    type_name: str
+    frame: str
+    fields: Mapping[str, Group]
+    choices: tuple[tuple[Group, ...], ...]
+    messages: tuple[str, ...]
+    axes: Mapping[str, str]
+    optional: tuple[str, ...] = ()  # fields, and axes, that a message may lack
+
+    def needed(self, given: Iterable[str]) -> list[str]:
+        """Of the fields that are given, those without which there is no message."""
+        names = list(given)
+        optional = self.optional if self.optional != _POSITIONS or _VELOCITIES[0] in names else ()
+        return [name for name in names if name not in optional]
+
+    def check(self, where: str, given: set[str]) -> None:
+        """Fields that are given together.
+
+        Raises:
+            InputError: they are no group.
+        """
+        for groups in self.choices:
+            own = given.intersection(*[{field for group in groups for field in group}])
+            if not any(own == set(group) for group in groups):
+                accepted = ", or ".join(" + ".join(group) for group in groups if group)
+                found = " + ".join(f for f in self.fields if f in own) or "none of them"
+                raise InputError(f"{where}: {found} is not accepted; accepted: {accepted}")
+
+
+ROLES: Mapping[str, Role] = {
+    "sprockets": Role(
+        type_name=JOINTS,
+        frame="base_link",
+        fields={
+            **dict.fromkeys(_VELOCITIES, ("angular rate", "speed")),
+            **dict.fromkeys(_POSITIONS, ("angle", "length")),
+            "speed": ("speed",),
+            "yaw_rate": _RATE,
+        },
+        choices=((_VELOCITIES, _VELOCITIES + _POSITIONS, _POSITIONS, ("speed", "yaw_rate")),),
+        messages=(JOINTS, ODOMETRY, *TWISTS),
+        axes={},
+        optional=_POSITIONS,
+    ),
+    "imu": Role(
+        type_name=IMU,
+        frame="imu_link",
+        fields={**dict.fromkeys(_RATES, _RATE), **dict.fromkeys(_ACCELERATIONS, _ACCELERATION)},
+        choices=((_RATES, _RATES[2:]), ((), _ACCELERATIONS)),
+        messages=(IMU,),
+        axes={**dict.fromkeys(_RATES, "angular rate"), **dict.fromkeys(_ACCELERATIONS, "acceleration")},
+        optional=(*_RATES[:2], *_ACCELERATIONS),
+    ),
+    "pose": Role(
+        type_name=POSE,
+        frame="map",
+        fields={
+            "x": _POSITION,
+            "y": _POSITION,
+            **dict.fromkeys(_PLACE, _ANGLE),
+            "altitude": _POSITION,
+            "yaw": _ANGLE,
+            "heading": _ANGLE,
+            **dict.fromkeys(_QUATERNION, NUMBER),
+        },
+        choices=(
+            (("x", "y"), _PLACE, (*_PLACE, "altitude")),
+            ((), ("yaw",), ("heading",), _QUATERNION),
+        ),
+        messages=(POSE, POSE_STAMPED, ODOMETRY, TRANSFORM, *TRANSFORMS, FIX),
+        axes={"x": "length", "y": "length", "yaw": "angle"},
+        optional=("altitude", "yaw", "heading", *_QUATERNION),
+    ),
+    "fix": Role(
+        type_name=FIX,
+        frame="gnss_link",
+        fields={**dict.fromkeys(_PLACE, _ANGLE), "altitude": _POSITION, "quality": NUMBER, "status": NUMBER},
+        choices=((_PLACE, (*_PLACE, "altitude")), ((), ("quality",), ("status",))),
+        messages=(FIX,),
+        axes={"x": "length", "y": "length", "z": "length"},
+        optional=("altitude", "quality", "status"),
+    ),
+    "hydraulics": Role(
+        type_name=HYDRAULICS,
+        frame="",
+        fields={
+            "left_pressure": _PRESSURE,
+            "right_pressure": _PRESSURE,
+            "left_spool": ("ratio",),
+            "right_spool": ("ratio",),
+            "supply_pressure": _PRESSURE,
+        },
+        choices=((("left_pressure", "right_pressure"),),),
+        messages=(HYDRAULICS,),
+        axes={},
+        optional=("left_spool", "right_spool", "supply_pressure"),
+    ),
+}
+
+ROLE_OF_TOPIC: Mapping[str, str] = {
+    "sprockets": "sprockets",
+    "imu/data_raw": "imu",
+    "reference_pose": "pose",
+    "box_pose": "pose",
+    "gnss_pose": "pose",
+    "fix": "fix",
+    "hydraulics": "hydraulics",
+}
+"""Of topics that need not say what they are."""

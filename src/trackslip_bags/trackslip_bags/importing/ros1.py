@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of ROS 1 (format 2.0), one or several of one recording."""
+
+import heapq
+from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from rosbags.rosbag1 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from trackslip_bags.importing.logged import Logged
+from trackslip_bags.reader import absolute
+from trackslip_bags.sources import error_line
+from trackslip_common.errors import InputError
+
+
+class Ros1Bags:
+    """Open bags; definitions of types are those that the bags hold."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self.path = paths[0]
+        self._readers: list[Reader] = []
+        try:
+            for path in paths:
+                self._open(path)
+        except InputError:
+            self.close()
+            raise
+
+    @property
+    def types(self) -> Mapping[str, str]:
+        """Topic → type name, as ROS 2 writes it."""
+        return {absolute(c.topic): c.msgtype for reader in self._readers for c in reader.connections}
+
+    def read(self, topics: Sequence[str]) -> Iterator[Logged]:
+        """Messages in log order.
+
+        Raises:
+            InputError: a bag is damaged inside.
+        """
+        parts = [self._of_one(reader, frozenset(topics)) for reader in self._readers]
+        yield from heapq.merge(*parts, key=attrgetter("log_time_ns"))
+
+    def close(self) -> None:
+        """Close the files."""
+        for reader in self._readers:
+            reader.close()
+        self._readers = []
+
+    def __enter__(self) -> "Ros1Bags":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _open(self, path: Path) -> None:
+        reader = Reader(path)
+        try:
+            reader.open()
+        except Exception as error:
+            hint = "; rosbag reindex mends one that was cut off" if "index" in str(error) else ""
+            text = f"bag '{path}' cannot be read ({error_line(error)}){hint}"
+            raise InputError(f"{text}; accepted: a ROS 1 bag of format 2.0") from error
+        self._readers.append(reader)
+
+    def _of_one(self, reader: Reader, topics: frozenset[str]) -> Iterator[Logged]:
+        connections = [c for c in reader.connections if absolute(c.topic) in topics]
+        stores: dict[int, Any] = {}
+        try:
+            for connection in connections:
+                store = get_typestore(Stores.EMPTY)
+                store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+                stores[connection.id] = store
+            for connection, time_ns, raw in reader.messages(connections) if connections else ():
+                content = stores[connection.id].deserialize_ros1(raw, connection.msgtype)
+                yield Logged(absolute(connection.topic), time_ns, content)
+        except Exception as error:
+            raise InputError(f"bag '{reader.path}' is damaged inside ({error_line(error)})") from error

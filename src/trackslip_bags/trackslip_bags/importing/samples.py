@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a log gave, as arrays, and the ROS messages that are made of them.
+
+    sprockets    velocity (n, 2), position (n, 2): left, right                      rad/s, rad
+    imu          rate, acceleration (n, 3), orientation (n, 4), each with a covariance (n, 3, 3)
+    pose         pose (n, 3): x, y, yaw; covariance (n, 3, 3)                       m, m, rad
+    fix          place (n, 3): latitude, longitude, altitude; covariance (n, 3, 3);
+                 kind, status (n,)                                                  rad, rad, m
+    hydraulics   left_pressure … supply_pressure (n,)                               Pa, 1
+
+What is not known is nan; of an Imu's covariance then the first element is −1 (REP-145), and of a pose's
+heading the variance is UNOBSERVED.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_bags.importing.mapping import Geometry
+from trackslip_bags.importing.roles import ROLES
+from trackslip_bags.messages import header, make
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+from trackslip_estimation.slip.conversions import UNOBSERVED, pose_with_covariance
+from trackslip_estimation.slip.measurements import PoseFix
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Values = dict[str, FloatArray]
+
+UNKNOWN = -1.0  # first element of a covariance whose quantity was not measured
+
+
+@dataclass
+class Samples:
+    """Of one topic, in the order of the log."""
+
+    topic: str
+    role: str
+    frames: list[str]  # of each, or one for all
+    stamps_ns: IntArray  # (n,)
+    log_times_ns: IntArray  # (n,)
+    values: Values
+    left_out: Counter[str] = field(default_factory=Counter)  # reason → how many
+    source: str = ""  # topic or file that it came from
+
+    def message(self, row: int) -> Any:
+        """One of them as a message."""
+        frame = self.frames[row if len(self.frames) > 1 else 0]
+        stamp_ns = int(self.stamps_ns[row])
+        values = {name: array[row] for name, array in self.values.items()}
+        if self.role == "pose":
+            return pose_with_covariance(
+                make, PoseFix(self.topic, stamp_ns, values["pose"], values["covariance"]), frame
+            )
+        return make(
+            ROLES[self.role].type_name, header=header(stamp_ns, frame), **_BUILDERS[self.role](values)
+        )
+
+
+def track_speeds(speed: FloatArray, yaw_rate: FloatArray, geometry: Geometry) -> FloatArray:
+    """(n, 2) rad/s of the sprockets that would drive so without slip; m/s, rad/s (n,)."""
+    apart = yaw_rate * geometry.tread / 2.0
+    return np.column_stack((speed - apart, speed + apart)) / geometry.rolling_radius
+
+
+def differences(positions: FloatArray, stamps_ns: IntArray) -> FloatArray:
+    """(n, 2) rad/s from (n, 2) rad: each over the time since the one before; the first as the second."""
+    if len(positions) < 2:
+        return np.zeros_like(positions)
+    steps = np.diff(stamps_ns) * 1e-9
+    with np.errstate(divide="ignore", invalid="ignore"):
+        speeds = np.diff(positions, axis=0) / steps[:, np.newaxis]
+    speeds = np.where(steps[:, np.newaxis] > 0.0, speeds, 0.0)
+    return np.concatenate((speeds[:1], speeds))
+
+
+def yaw_of(qx: FloatArray, qy: FloatArray, qz: FloatArray, qw: FloatArray) -> FloatArray:
+    """(n,) rotation about z, rad; nan where there is no rotation (all zero)."""
+    yaw = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+    return np.where(qx * qx + qy * qy + qz * qz + qw * qw > 0.0, yaw, np.nan)
+
+
+def without_heading(pose: FloatArray, covariance: FloatArray) -> Values:
+    """Poses (n, 3) and covariances (n, 3, 3), those without a heading marked so."""
+    missing = ~(np.isfinite(pose[:, 2]) & np.isfinite(covariance[:, 2, 2]))
+    pose[missing, 2] = 0.0
+    covariance[missing, 2, :] = covariance[missing, :, 2] = 0.0
+    covariance[missing, 2, 2] = UNOBSERVED
+    return {"pose": pose, "covariance": covariance}
+
+
+def _sprockets(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+    names = [LEFT_SPROCKET, RIGHT_SPROCKET]
+    known = np.isfinite(values["position"]).all()
+    return {"name": names, "position": values["position"] if known else [], "velocity": values["velocity"]}
+
+
+def _imu(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, key in (("angular_velocity", "rate"), ("linear_acceleration", "acceleration")):
+        vector = np.nan_to_num(values[key], nan=0.0).tolist()
+        found[name] = make("geometry_msgs/msg/Vector3", **dict(zip("xyz", vector, strict=True)))
+        found[f"{name}_covariance"] = _imu_covariance(values[key], values[f"{key}_covariance"])
+    turn = values["orientation"]
+    w, *rest = (turn[3], *turn[:3]) if np.isfinite(turn).all() else (1.0, 0.0, 0.0, 0.0)
+    found["orientation"] = make(
+        "geometry_msgs/msg/Quaternion", w=float(w), **dict(zip("xyz", map(float, rest), strict=True))
+    )
+    found["orientation_covariance"] = _imu_covariance(turn, values["orientation_covariance"])
+    return found
+
+
+def _imu_covariance(vector: FloatArray, covariance: FloatArray) -> list[float]:
+    """Nine numbers; axes that were not measured have the variance UNOBSERVED; if none was, −1 says so."""
+    missing = np.isnan(vector)
+    if missing.all():
+        return [UNKNOWN] + [0.0] * 8
+    found = np.nan_to_num(covariance, nan=0.0).copy()
+    if missing.any() and len(vector) == 3:
+        found[np.ix_(missing, missing)] = 0.0
+        found[missing, missing] = UNOBSERVED
+    numbers: list[float] = found.ravel().tolist()
+    return numbers
+
+
+def _fix(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+    latitude, longitude, altitude = values["place"].tolist()
+    status = make("sensor_msgs/msg/NavSatStatus", status=int(values["status"]), service=1)
+    return {
+        "status": status,
+        "latitude": math.degrees(latitude),
+        "longitude": math.degrees(longitude),
+        "altitude": altitude,
+        "position_covariance": values["covariance"].ravel(),
+        "position_covariance_type": int(values["kind"]),
+    }
+
+
+def _hydraulics(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+    return {name: float(value) for name, value in values.items()}
+
+
+_BUILDERS: Mapping[str, Callable[[Mapping[str, FloatArray]], dict[str, Any]]] = {
+    "sprockets": _sprockets,
+    "imu": _imu,
+    "fix": _fix,
+    "hydraulics": _hydraulics,
+}

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Times of a CSV log, exactly: text → ns."""
+
+import re
+from contextlib import suppress
+from datetime import datetime, timezone
+from decimal import Decimal
+
+from trackslip_bags.importing.columns import ISO, TimeColumn, zone_offset_ns
+
+_SCALES = {
+    name: Decimal(nanoseconds)
+    for name, nanoseconds in (
+        ("s", 10**9),
+        ("ms", 10**6),
+        ("us", 10**3),
+        ("µs", 10**3),
+        ("ns", 1),
+        ("min", 60 * 10**9),
+        ("h", 3600 * 10**9),
+    )
+}
+_ISO = re.compile(
+    r"(\d{4})-?(\d\d)-?(\d\d)[T ](\d\d):?(\d\d)(?::?(\d\d)(?:[.,](\d{1,9})\d*)?)? ?(Z|[+-]\d\d:?\d\d)?"
+)
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_OUR_DAYS = range(10**18, 2**31 * 10**9)  # since 2001
+_LARGEST = Decimal(2) ** 62  # ns: no clock shows more, and int64 holds it
+
+LIMIT_NS = 2**31 * 10**9  # seconds of a ROS stamp are 32 bit, with sign
+
+
+def accepted(cell: str, column: TimeColumn) -> str:
+    """What such a column may hold instead of a cell; where another unit would do, which."""
+    if column.unit == ISO:
+        return "as 2026-11-20T14:30:00.25+01:00"
+    return f"a number of {column.unit}{_likely_unit(cell)}"
+
+
+def time_ns(cell: str, column: TimeColumn) -> int:
+    """ns since the column's own zero, of ISO times since 1970.
+
+    Raises:
+        ValueError: the cell holds no such time.
+    """
+    return _iso_ns(cell, column.zone_ns) if column.unit == ISO else _number_ns(cell, column.unit)
+
+
+def _number_ns(cell: str, unit: str) -> int:
+    try:
+        value = Decimal(cell) * _SCALES[unit]
+    except ArithmeticError as error:
+        raise ValueError(cell) from error
+    if not value.is_finite() or abs(value) > _LARGEST:
+        raise ValueError(cell)
+    return int(value.to_integral_value())
+
+
+def _iso_ns(cell: str, default_zone_ns: int) -> int:
+    found = _ISO.fullmatch(cell)
+    if found is None:
+        raise ValueError(cell)
+    *parts, fraction, zone = found.groups()
+    whole = datetime(*(int(part or 0) for part in parts), tzinfo=timezone.utc) - _EPOCH  # type: ignore[arg-type, misc]
+    zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0
+    nanoseconds = int((fraction or "0").ljust(9, "0"))
+    found_ns = (whole.days * 86400 + whole.seconds) * 1_000_000_000 + nanoseconds - zone_ns
+    if abs(found_ns) > _LARGEST:
+        raise ValueError(cell)
+    return found_ns
+
+
+def too_late(value_ns: int, column: TimeColumn) -> str:
+    """A hint for a time beyond what stamps can hold: the unit that would make it one of our days."""
+    return "" if column.unit == ISO else _likely_unit(str(Decimal(value_ns) / _SCALES[column.unit]))
+
+
+def _likely_unit(cell: str) -> str:
+    for unit in ("ms", "us", "ns"):
+        with suppress(ValueError):
+            if _number_ns(cell, unit) in _OUR_DAYS:
+                return f" (is its unit {unit}?)"
+    return ""

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``wheel_adapter``: joint states or a base controller's speeds in, ``sprockets`` out."""
+
+import sys
+from typing import Any
+
+from trackslip_common.make import stamp_ns_of
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import OK, WARN, Health
+from trackslip_common.nodes.messages import make, message_class, topic_class
+from trackslip_common.nodes.run import run
+from trackslip_drivers import conversions
+from trackslip_drivers.protocols.wheel_motion import JointMotion, Rejection, of_speeds
+from trackslip_drivers.records import SprocketSample
+from trackslip_drivers.wheel_parameters import MESSAGES, NODE, WheelParameters
+
+SPROCKETS = "sprockets"
+
+
+class WheelAdapterNode(TrackslipNode[WheelParameters]):
+    """Converts; a message without a stamp (Twist) has that of its arrival."""
+
+    def __init__(self) -> None:
+        super().__init__(NODE, WheelParameters, f"{NODE}.yaml")
+
+    def configure(self) -> None:
+        """Listen and advertise."""
+        p = self.settings
+        self._joints = JointMotion(p)
+        self._received = self._published = 0
+        self._news = (0, 0)
+        self._sprockets = self.advertise(topic_class(SPROCKETS), SPROCKETS)
+        self.subscribe(message_class(MESSAGES[p.message]), p.topic, self._on_message)
+
+    def health(self) -> list[Health]:
+        """Messages in and out, and why some were not used."""
+        (received, published), self._news = self._news, (self._received, self._published)
+        refused = {f"{source}: {why}": n for (source, why), n in sorted(self.tally.total.items())}
+        values = {"received": self._received, "published": self._published, **refused}
+        if self._received == received:
+            return [Health(WARN, f"nothing on {self.settings.topic}", values)]
+        if self._published == published:
+            return [Health(WARN, "all refused", values)]
+        return [Health(OK, "running", values)]
+
+    def _on_message(self, message: Any) -> None:
+        self._received += 1
+        found = self._sample(message)
+        if isinstance(found, Rejection):
+            self.tally.add(self.settings.topic, found)
+            return
+        self._published += 1
+        self._sprockets.publish(conversions.joint_state(make, found, self.settings.frame_id))
+
+    def _sample(self, message: Any) -> SprocketSample | Rejection:
+        now_ns = self.get_clock().now().nanoseconds
+        stamp_ns = stamp_ns_of(message) if hasattr(message, "header") else now_ns
+        if self.settings.message == "joints":
+            return self._joints.sample(
+                stamp_ns, list(message.name), list(message.position), list(message.velocity)
+            )
+        twist = message
+        while hasattr(twist, "twist"):
+            twist = twist.twist
+        return of_speeds(stamp_ns, twist.linear.x, twist.angular.z, self.settings)
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(run(WheelAdapterNode))

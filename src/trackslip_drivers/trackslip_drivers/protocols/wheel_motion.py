@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sprockets from what other machines have: several joints a side, or speeds of a base controller.
+
+    q_k, n   angle or speed of a joint, sprocket turns per turn of it, with its sign   rad or rad/s, 1
+    v, ω     speeds that a base controller reports                                     m/s, rad/s
+    b        separation of the wheels that it reckons with                             m
+    r        rolling radius of the vehicle                                             m
+
+Joints: q_j = n mean(q_k) of each side. Speeds: ω_j = (v ∓ ω b/2)/r, left and right; they are measured by the
+tracks all the same, so that slips remain to be estimated.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from enum import Enum
+
+from trackslip_drivers.records import SprocketSample
+from trackslip_drivers.wheel_parameters import WheelParameters
+
+
+class Rejection(Enum):
+    """Why a message was not used."""
+
+    JOINTS = "lacks a joint"
+    LENGTHS = "names and values differ in number"
+    NOTHING = "has neither positions nor velocities"
+    NOT_A_NUMBER = "not a number"
+
+
+class JointMotion:
+    """Samples of joint states in order; positions are differenced where there are no velocities."""
+
+    def __init__(self, p: WheelParameters) -> None:
+        self._sides = (
+            (p.left_joints, p.left_sign / p.joint_ratio),
+            (p.right_joints, p.right_sign / p.joint_ratio),
+        )
+        self._uses = p.uses
+        self._last: tuple[int, tuple[float, float]] | None = None
+
+    def restart(self) -> None:
+        """What comes next does not continue what was."""
+        self._last = None
+
+    def sample(
+        self, stamp_ns: int, names: Sequence[str], positions: Sequence[float], velocities: Sequence[float]
+    ) -> SprocketSample | Rejection:
+        """Of one message; its arrays may be empty. Positions that it has not are nan."""
+        positions = positions if self._uses != "velocities" else ()
+        velocities = velocities if self._uses != "positions" else ()
+        if {len(positions), len(velocities)} - {0, len(names)}:
+            return Rejection.LENGTHS
+        if not positions and not velocities:
+            return Rejection.NOTHING
+        at = {name: k for k, name in enumerate(names)}
+        if any(name not in at for joints, _ in self._sides for name in joints):
+            return Rejection.JOINTS
+        angles, speeds = self._of_sides(positions, at), self._of_sides(velocities, at)
+        if not velocities:
+            speeds = self._differenced(stamp_ns, angles)
+        if not all(map(math.isfinite, (*speeds, *(angles if positions else ())))):
+            return Rejection.NOT_A_NUMBER
+        return SprocketSample(stamp_ns, *angles, *speeds)
+
+    def _of_sides(self, values: Sequence[float], at: Mapping[str, int]) -> tuple[float, float]:
+        if not values:
+            return math.nan, math.nan
+        left, right = (
+            ratio * math.fsum(values[at[name]] for name in joints) / len(joints)
+            for joints, ratio in self._sides
+        )
+        return left, right
+
+    def _differenced(self, stamp_ns: int, angles: tuple[float, float]) -> tuple[float, float]:
+        """Zero for the first; the estimator prefers positions, and takes these as they are."""
+        last, self._last = self._last, (stamp_ns, angles)
+        if last is None or stamp_ns <= last[0]:
+            return 0.0, 0.0
+        seconds = (stamp_ns - last[0]) * 1e-9
+        return (angles[0] - last[1][0]) / seconds, (angles[1] - last[1][1]) / seconds
+
+
+def of_speeds(stamp_ns: int, v: float, rate: float, p: WheelParameters) -> SprocketSample | Rejection:
+    """Of a base controller's speeds; without positions (nan)."""
+    if not (math.isfinite(v) and math.isfinite(rate)):
+        return Rejection.NOT_A_NUMBER
+    half = rate * p.wheel_separation / 2.0
+    r = p.vehicle.kinematics.rolling_radius
+    left, right = (v - half) / r, (v + half) / r
+    return SprocketSample(stamp_ns, math.nan, math.nan, left, right)

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the node ``wheel_adapter`` (values: ``config/wheel_adapter.yaml``)."""
+
+from dataclasses import dataclass
+
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import parameter
+from trackslip_common.vehicle import WithVehicle
+
+NODE = "wheel_adapter"
+MESSAGES = {
+    "joints": "sensor_msgs/msg/JointState",
+    "odometry": "nav_msgs/msg/Odometry",
+    "twist": "geometry_msgs/msg/Twist",
+    "twist_stamped": "geometry_msgs/msg/TwistStamped",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WheelParameters(WithVehicle):
+    """Where the motion comes from, and how it becomes that of the vehicle's two sprockets."""
+
+    topic: str = parameter("to listen to")
+    message: str = parameter(
+        "joints: JointState; odometry, twist, twist_stamped: speeds of a base controller",
+        choices=tuple(MESSAGES),
+    )
+    frame_id: str = parameter("of the sprockets' messages")
+    left_joints: tuple[str, ...] = parameter("joints of the left side; their mean is used")
+    right_joints: tuple[str, ...] = parameter("joints of the right side")
+    left_sign: int = parameter(
+        "1, or -1 where they turn backward as the machine drives forward", choices=(1, -1)
+    )
+    right_sign: int = parameter("the same of the right side", choices=(1, -1))
+    joint_ratio: float = parameter("turns of a joint per turn of the sprocket, or of the wheel", gt=0.0)
+    uses: str = parameter("what of a JointState", choices=("both", "positions", "velocities"))
+    wheel_separation: float = parameter("as the base controller has it configured", unit="m", gt=0.0)
+
+    def __post_init__(self) -> None:
+        """Check what concerns one field, then what concerns several.
+
+        Raises:
+            InputError: a value is out of range, or a joint is on both sides.
+        """
+        super().__post_init__()
+        names = [*self.left_joints, *self.right_joints]
+        if not (self.left_joints and self.right_joints) or len(set(names)) < len(names) or "" in names:
+            raise InputError(
+                f"WheelParameters: left_joints {list(self.left_joints)} and right_joints "
+                f"{list(self.right_joints)} are refused; accepted: one or more on each side, each once"
+            )

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why a replay gives no estimate, or none of the heading: in the words of what a user can change."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.reader import Bag
+from trackslip_common.tally import Tally
+from trackslip_common.topics import TOPICS
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
+from trackslip_estimation.slip.measurements import SET_POSE, Outcome
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.sources import named
+from trackslip_tools.replay.inputs import SPROCKETS
+
+_WAITING = Outcome.WAITING.name.lower()
+_NO_FIXES = ("reference_pose",)  # poses that are no source unless somebody says so
+
+
+@dataclass
+class Taken:
+    """What the estimator was given, and what it made of it."""
+
+    given: Counter[str]  # by source
+    rejected: Tally
+    heading_variance: float | None = None  # rad², of the last estimate; None: there is none
+
+
+def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, taken: Taken) -> str:
+    """One clause; empty where there is an estimate."""
+    if taken.heading_variance is not None:
+        if taken.heading_variance <= UNKNOWN_HEADING**2:
+            return ""
+        stddev = math.degrees(math.sqrt(taken.heading_variance))
+        return (
+            f"heading unknown (±{stddev:.0f}°): it is found from fixes along some metres driven, or from a "
+            "source with a heading, or initial_yaw with its initial_yaw_stddev"
+        )
+    if not taken.given[SPROCKETS]:
+        return "no sprockets between --start and --stop"
+    if _all_refused(taken, [SPROCKETS]):
+        return f"every sample of the sprockets was refused ({_reasons(taken, [SPROCKETS])})"
+    if p.start != "first_fix":
+        return "no sprocket sample could start it"
+    sources = named(p.pose_sources)
+    came = [source for source in (*sources, SET_POSE) if taken.given[source]]
+    if not sources:
+        return f"no fix came: pose_sources names none{_elsewhere(bag, filters, sources)}"
+    if not came:
+        hidden = {edit.topic for edit in filters.withhold} & set(sources)
+        why = f"{', '.join(sorted(hidden))} is withheld" if hidden else f"nothing on {', '.join(sources)}"
+        return f"no fix came: {why}{_elsewhere(bag, filters, sources)}"
+    if _all_refused(taken, came):
+        return f"every fix was refused ({_reasons(taken, came)})"
+    return "no sprockets after the first fix"
+
+
+def _all_refused(taken: Taken, sources: Iterable[str]) -> bool:
+    """Whether none would have served; what only waits for a start would have."""
+    by_source = taken.rejected.by_source()
+    for source in sources:
+        refused = sum(n for reason, n in by_source.get(source, {}).items() if reason != _WAITING)
+        if refused < taken.given[source]:
+            return False
+    return True
+
+
+def _reasons(taken: Taken, sources: Iterable[str]) -> str:
+    by_source = taken.rejected.by_source()
+    return "; ".join(
+        f"{source}: {', '.join(f'{n} {reason}' for reason, n in by_source.get(source, {}).items())}"
+        for source in sources
+    )
+
+
+def _elsewhere(bag: Bag, filters: InputFilters, sources: Iterable[str]) -> str:
+    """Topics of the bag that could be a source, and how to name one."""
+    pose = TOPICS["box_pose"].type_name
+    names = [
+        filters.remap.get(relative(topic), relative(topic))
+        for topic, info in sorted(bag.topics.items())
+        if info.type_name == pose and info.count
+    ]
+    others = [name for name in names if name not in (*sources, SET_POSE)]
+    if not others:
+        return ""
+    first = next((name for name in others if name not in _NO_FIXES), others[0])
+    return f"; the bag has {', '.join(others)} (--set slip_estimator.pose_sources=[{first}])"

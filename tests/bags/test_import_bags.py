@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of other robots, of ROS 1 and ROS 2: each topic of theirs gets a role, and keeps how late it was."""
+
+import copy
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from fixtures.robot_logs import (
+    EPOCH_NS,
+    IMU_LATE_NS,
+    POSE_LATE_NS,
+    RADIUS,
+    TREAD,
+    Drive,
+    drive,
+    write_ros1,
+    write_ros2,
+)
+
+from trackslip_bags.importing.importer import Imported, import_log
+from trackslip_bags.importing.mapping import read_mapping
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
+
+GEOMETRY = {"rolling_radius": RADIUS, "tread": TREAD}
+MAPPING: dict[str, Any] = {
+    "topics": {
+        "sprockets": {
+            "from": "/joint_states",
+            "left": ["front_left_wheel", "rear_left_wheel"],
+            "right": {"joints": ["front_right_wheel", "rear_right_wheel"], "sign": -1},
+        },
+        "imu/data_raw": {"from": "/imu/data"},
+        "mocap_pose": {"role": "pose", "from": "mocap", "stddev": {"x": 0.03, "y": 0.03, "yaw": 0.05}},
+        "reference_pose": {"from": "/truth", "stddev": {"x": 0.001, "y": 0.001, "yaw": 0.001}},
+    },
+    "parameters": {"pose_sources": ["mocap_pose"]},
+}
+TRUTH = drive(4.0)
+
+
+@pytest.fixture(scope="module", params=["ros1", "ros2"])
+def log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("log")
+    if request.param == "ros1":
+        return write_ros1(folder / "robot.bag", TRUTH)
+    return write_ros2(folder / "robot", TRUTH)
+
+
+def changed(**topics: Any) -> dict[str, Any]:
+    """The mapping with other topics; `imu` stands for imu/data_raw, None removes."""
+    mapping = copy.deepcopy(MAPPING)
+    for name, topic in topics.items():
+        mapping["topics"][{"imu": "imu/data_raw"}.get(name, name)] = topic
+    mapping["topics"] = {name: topic for name, topic in mapping["topics"].items() if topic is not None}
+    return mapping
+
+
+def imported(log: Path, folder: Path, mapping: dict[str, Any] = MAPPING) -> tuple[Imported, dict[str, Any]]:
+    """What the importer says, and all messages by topic, each with its log time."""
+    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    found = import_log([log], read_mapping(folder / "map.yaml"), folder / "bag")
+    messages: dict[str, list[tuple[int, Any]]] = {}
+    with open_bag(folder / "bag") as bag:
+        for m in bag.messages():
+            messages.setdefault(m.topic, []).append((m.log_time_ns, bag.deserialize(m.raw, m.type_name)))
+    return found, messages
+
+
+def test_joints_become_sprockets(log: Path, tmp_path: Path) -> None:
+    """Sides are means of two wheels; the right ones turn the other way."""
+    _, messages = imported(log, tmp_path)
+    sprockets = [m for _, m in messages["/sprockets"]]
+    assert sprockets[0].name == ["left_sprocket", "right_sprocket"]
+    np.testing.assert_allclose([m.velocity for m in sprockets], TRUTH.wheels, atol=1e-12)
+    np.testing.assert_allclose(sprockets[-1].position, TRUTH.wheels.sum(axis=0) / 50.0)
+
+
+def test_every_message_keeps_how_late_it_was(log: Path, tmp_path: Path) -> None:
+    found, messages = imported(log, tmp_path)
+    for topic, late_ns in (("/imu/data_raw", IMU_LATE_NS), ("/mocap_pose", POSE_LATE_NS)):
+        lateness = [log_time_ns - stamp_ns_of(m) for log_time_ns, m in messages[topic]]
+        assert set(lateness) == {late_ns}
+        assert found.lateness[topic].median == pytest.approx(late_ns * 1e-9)
+    assert "/reference_pose" not in found.lateness
+    assert stamp_ns_of(messages["/sprockets"][0][1]) == EPOCH_NS
+
+
+def test_a_time_offset_moves_stamps_not_arrivals(log: Path, tmp_path: Path) -> None:
+    imu = {"from": "/imu/data", "time_offset": -0.01}
+    _, messages = imported(log, tmp_path, changed(imu=imu))
+    log_time_ns, first = messages["/imu/data_raw"][0]
+    assert (stamp_ns_of(first), log_time_ns) == (EPOCH_NS - 10_000_000, EPOCH_NS + IMU_LATE_NS)
+    (tmp_path / "other").mkdir()
+    _, messages = imported(log, tmp_path / "other", changed(imu={"from": "/imu/data", "stamp": "log"}))
+    assert all(stamp_ns_of(m) == log_time_ns for log_time_ns, m in messages["/imu/data_raw"])
+
+
+def test_imu_and_poses_come_with_their_covariances(log: Path, tmp_path: Path) -> None:
+    _, messages = imported(log, tmp_path)
+    imu = messages["/imu/data_raw"][0][1]
+    assert (imu.angular_velocity_covariance[8], imu.linear_acceleration.z) == (9e-6, 9.81)
+    assert (imu.orientation_covariance[0], imu.header.frame_id) == (-1.0, "imu")
+    truth = messages["/reference_pose"][0][1]
+    position, turn = truth.pose.pose.position, truth.pose.pose.orientation
+    np.testing.assert_allclose((position.x, position.y), TRUTH.pose[5, :2])
+    assert 2.0 * math.atan2(turn.z, turn.w) == pytest.approx(TRUTH.pose[5, 2])
+    np.testing.assert_allclose(np.diag(truth.pose.covariance.reshape(6, 6))[[0, 1, 5]], 1e-6)
+
+
+@pytest.mark.parametrize("use", ["positions", "velocities"])
+def test_positions_or_velocities_alone_serve(log: Path, tmp_path: Path, use: str) -> None:
+    sprockets = {**MAPPING["topics"]["sprockets"], "use": use}
+    _, messages = imported(log, tmp_path, changed(sprockets=sprockets))
+    found = [m for _, m in messages["/sprockets"]]
+    assert len(found[0].position) == (2 if use == "positions" else 0)
+    np.testing.assert_allclose([m.velocity for m in found[1:]], TRUTH.wheels[1:], atol=1e-5)
+
+
+def test_speeds_of_a_base_controller_serve(log: Path, tmp_path: Path) -> None:
+    """Its v and ω are those of the wheels without slip, by its own geometry."""
+    sprockets = {"from": "/odom", "geometry": GEOMETRY}
+    _, messages = imported(log, tmp_path, changed(sprockets=sprockets))
+    np.testing.assert_allclose([m.velocity for _, m in messages["/sprockets"]], TRUTH.wheels, atol=1e-12)
+
+
+def test_a_reference_of_positions_has_no_heading(log: Path, tmp_path: Path) -> None:
+    truth = {"from": "/truth", "stddev": {"x": 0.001, "y": 0.001}, "position_only": True}
+    _, messages = imported(log, tmp_path, changed(reference_pose=truth))
+    assert messages["/reference_pose"][0][1].pose.covariance[35] == 1e6
+
+
+BAD = {
+    "sprockets.from: no topic '/joint_state' in": (
+        changed(sprockets={"from": "joint_state"}),
+        "did you mean '/joint_states'?; it holds: /imu/data, /joint_states, /mocap, /odom, /truth",
+    ),
+    "sprockets.from: /imu/data is a sensor_msgs/msg/Imu; accepted: sensor_msgs/msg/JointState": (
+        changed(sprockets={"from": "/imu/data"}),
+        "nav_msgs/msg/Odometry",
+    ),
+    "sprockets: /joint_states has no joints front_left": (
+        changed(sprockets={"from": "/joint_states", "left": "front_left", "right": "front_right"}),
+        "did you mean 'front_left_wheel'?; accepted: arm, front_left_wheel",
+    ),
+    "sprockets: /joint_states has no joints left_sprocket, right_sprocket (no left and right": (
+        changed(sprockets={"from": "/joint_states"}),
+        "accepted: arm, front_left_wheel",
+    ),
+    "sprockets: only one of left and right": (
+        changed(sprockets={"from": "/joint_states", "left": "front_left_wheel"}),
+        "accepted: the joints of both",
+    ),
+    "sprockets.right.sign: 2 is not accepted": (
+        changed(sprockets={"from": "/j", "left": "a", "right": {"joints": "b", "sign": 2}}),
+        "accepted: 1 or -1",
+    ),
+    "sprockets: unknown key 'lift', did you mean 'left'?": (
+        changed(sprockets={"from": "/joint_states", "lift": "a"}),
+        "accepted: from, left, right",
+    ),
+    "sprockets: a speed over ground needs a vehicle": (changed(sprockets={"from": "/odom"}), "geometry"),
+    "mocap_pose: mocap states no variance of x": (
+        changed(mocap_pose={"role": "pose", "from": "mocap"}),
+        "accepted: stddev: {x: …}",
+    ),
+    "mocap_pose: mocap states no variance of yaw": (
+        changed(mocap_pose={"role": "pose", "from": "mocap", "stddev": {"x": 0.1, "y": 0.1}}),
+        "or position_only: true",
+    ),
+    "reference_pose: no message of /truth of child frame 'rover' serves": (
+        changed(reference_pose={"from": "/truth", "child_frame": "rover", "stddev": {"x": 1, "y": 1}}),
+        "there is none",
+    ),
+    "imu/data_raw: a column of angular_velocity_z, and the log is a bag": (
+        changed(
+            imu={"from": "/imu/data", "stddev": {"angular_velocity_z": {"column": "s", "unit": "rad/s"}}}
+        ),
+        "a number, SI",
+    ),
+    "topics both with and without 'from'": (changed(hydraulics={}), "one log"),
+    "'time' is of CSV logs": ({**MAPPING, "time": {"column": "t", "unit": "s"}}, "from alone"),
+}
+
+
+@pytest.mark.parametrize("message", BAD)
+def test_what_does_not_fit_is_named_in_one_line(log: Path, tmp_path: Path, message: str) -> None:
+    mapping, rest = BAD[message]
+    if message.startswith("topics both"):
+        pressures = {"column": "p", "unit": "bar"}
+        hydraulics = {
+            "left_pressure": pressures,
+            "right_pressure": pressures,
+            "time": {"column": "t", "unit": "s"},
+        }
+        mapping = changed(hydraulics=hydraulics)
+    with pytest.raises(InputError) as caught:
+        imported(log, tmp_path, mapping)
+    assert message in str(caught.value)
+    assert rest in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "bag").exists()
+
+
+def test_split_bags_of_ros1_are_one_log(tmp_path: Path) -> None:
+    half = len(TRUTH.t) // 2
+    parts = [Drive(*(column[rows] for column in TRUTH)) for rows in (slice(0, half), slice(half, None))]
+    logs = [write_ros1(tmp_path / f"{k}.bag", part) for k, part in enumerate(parts)]
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(MAPPING), encoding="utf-8")
+    found = import_log(logs, read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
+    assert found.counts["/sprockets"] == len(TRUTH.t)
+
+
+@pytest.mark.parametrize("content", [b"", b"#ROSBAG V2.0\n", b"#ROSBAG V1.2\n1234", b"\x00" * 5000])
+def test_what_is_no_bag_of_ros1_is_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "robot.bag").write_bytes(content)
+    with pytest.raises(InputError, match=r"robot\.bag' cannot be read .* accepted: a ROS 1 bag"):
+        imported(tmp_path / "robot.bag", tmp_path)
+
+
+def test_a_cut_bag_of_ros1_names_what_mends_it(tmp_path: Path) -> None:
+    whole = write_ros1(tmp_path / "robot.bag", TRUTH).read_bytes()
+    for size in (len(whole) // 3, len(whole) - 100):
+        (tmp_path / "robot.bag").write_bytes(whole[:size])
+        with pytest.raises(InputError, match="rosbag reindex"):
+            imported(tmp_path / "robot.bag", tmp_path)
+
+
+def test_a_type_of_another_form_is_named(tmp_path: Path) -> None:
+    """A bag whose definition of JointState was damaged."""
+    log = write_ros1(tmp_path / "robot.bag", TRUTH)
+    log.write_bytes(log.read_bytes().replace(b"float64[] velocity", b"float64[] velocitx"))
+    with pytest.raises(
+        InputError, match=r"robot\.bag': bad sensor_msgs/msg/JointState on /joint_states \(.*velocity"
+    ):
+        imported(log, tmp_path)
+
+
+def test_a_mapping_of_columns_is_not_for_a_bag(log: Path, tmp_path: Path) -> None:
+    speeds = {side: {"column": side, "unit": "rad/s"} for side in ("left_velocity", "right_velocity")}
+    mapping = {"time": {"column": "t", "unit": "s"}, "topics": {"sprockets": speeds}}
+    with pytest.raises(InputError, match=r"a bag, and .* names columns; accepted: topics with 'from'"):
+        imported(log, tmp_path, mapping)
+    (tmp_path / "log.csv").write_text("t\n0\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"no bag, and .* names topics of one"):
+        imported(tmp_path / "log.csv", tmp_path)

@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CSV logs as people have them: several files, blanks, dates, latitudes, ground speeds, one gyro axis."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_bags.importing.columns import TimeColumn
+from trackslip_bags.importing.importer import Imported, import_log
+from trackslip_bags.importing.mapping import read_mapping
+from trackslip_bags.importing.times import time_ns
+from trackslip_bags.reader import open_bag
+from trackslip_common.config_files import config_file
+from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
+from trackslip_common.units import UNITS
+
+GEOMETRY = {"rolling_radius": 0.5, "tread": 2.0}
+T = {"column": "t", "unit": "s"}
+WHEELS = {
+    "left_velocity": {"column": "l", "unit": "rad/s"},
+    "right_velocity": {"column": "r", "unit": "rad/s"},
+}
+XY = {"x": {"column": "x", "unit": "m"}, "y": {"column": "y", "unit": "m"}}
+SURE = {"x": 0.1, "y": 0.1}
+
+
+def imported(
+    folder: Path, logs: str | dict[str, str], topics: dict[str, Any], **more: Any
+) -> tuple[Imported, dict[str, list[Any]]]:
+    """What the importer says of logs given as text, and the messages by topic."""
+    files = logs if isinstance(logs, dict) else {"log.csv": logs}
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    mapping = {"time": T, "topics": topics, **more}
+    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    found = import_log([folder / name for name in files], read_mapping(folder / "map.yaml"), folder / "bag")
+    messages: dict[str, list[Any]] = {}
+    with open_bag(folder / "bag") as bag:
+        for m in bag.messages():
+            messages.setdefault(m.topic.lstrip("/"), []).append(bag.deserialize(m.raw, m.type_name))
+    return found, messages
+
+
+def covariance(message: Any) -> np.ndarray[Any, Any]:
+    """Of x, y, yaw."""
+    found: np.ndarray[Any, Any] = message.pose.covariance.reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
+    return found
+
+
+def test_several_files_have_their_own_columns_times_and_rates(tmp_path: Path) -> None:
+    files = {
+        "imu.csv": "stamp,gz\n1000,0.1\n1010,0.2\n1020,0.3\n",
+        "wheels.csv": "t;l;r\n1.0;4;5\n1.02;4;5\n",
+        "gps_2.tsv": "t\tx\ty\n1.015\t7\t8\n",
+    }
+    gyro = {"angular_velocity_z": {"column": "gz", "unit": "rad/s"}}
+    topics = {
+        "sprockets": {"file": "wheels.csv", **WHEELS},
+        "imu/data_raw": {"file": "imu*", "time": {"column": "stamp", "unit": "ms"}, **gyro},
+        "gnss_pose": {"file": "gps*", **XY, "stddev": SURE},
+    }
+    found, messages = imported(tmp_path, files, topics)
+    assert found.counts == {"/sprockets": 2, "/imu/data_raw": 3, "/gnss_pose": 1}
+    assert [stamp_ns_of(m) // 1_000_000 for m in messages["imu/data_raw"]] == [1000, 1010, 1020]
+
+
+def test_a_directory_stands_for_its_files(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "wheels.csv").write_text("t,l,r\n1,2,3\n", encoding="utf-8")
+    (tmp_path / "logs" / "notes.md").write_text("nothing", encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump({"time": T, "topics": {"sprockets": WHEELS}}))
+    assert import_log([tmp_path / "logs"], read_mapping(tmp_path / "map.yaml"), tmp_path / "bag").counts
+
+
+@pytest.mark.parametrize(
+    ("of_file", "message"),
+    [
+        ({}, "key 'file' is missing; accepted: a name or pattern of a.csv, b.csv"),
+        ({"file": "*.csv"}, "several files '*.csv'; accepted: a pattern of one of a.csv, b.csv"),
+        ({"file": "c.csv"}, "no file 'c.csv'"),
+    ],
+)
+def test_which_file_must_be_clear(tmp_path: Path, of_file: dict[str, str], message: str) -> None:
+    files = dict.fromkeys(("a.csv", "b.csv"), "t,l,r\n1,2,3\n")
+    with pytest.raises(InputError) as caught:
+        imported(tmp_path, files, {"sprockets": {**WHEELS, **of_file}})
+    assert message in str(caught.value)
+
+
+def test_a_blank_cell_is_no_value_in_this_row(tmp_path: Path) -> None:
+    """Rows of several rates in one file; a fix without a heading is one without a heading."""
+    log = (
+        "t,l,r,x,y,yaw,s\n1,2,3,,,,\n2,2,3,5,6,,0.2\n3,nan,NA,7,8,1.5,0.1\n4,2,,,,,\n,2,3,,,,\n5,2,3,5,6,1,\n"
+    )
+    pose = {**XY, "yaw": {"column": "yaw", "unit": "rad"}}
+    stddev = {"x": {"column": "s", "unit": "m"}, "y": 0.3, "yaw": 0.05}
+    found, messages = imported(tmp_path, log, {"sprockets": WHEELS, "gnss_pose": {**pose, "stddev": stddev}})
+    assert [stamp_ns_of(m) // 10**9 for m in messages["sprockets"]] == [1, 2, 5]
+    assert found.left_out["/sprockets"] == {"some cells are blank": 1, "no time": 1}
+    assert found.left_out["/gnss_pose"] == {"no standard deviation of x above 0": 1}
+    first, second = (np.diag(covariance(m)) for m in messages["gnss_pose"])
+    np.testing.assert_allclose(first, (0.04, 0.09, 1e6))
+    np.testing.assert_allclose(second, (0.01, 0.09, 0.0025))
+
+
+def test_covariances_of_each_row(tmp_path: Path) -> None:
+    log = "t,x,y,xx,yy,xy\n1,5,6,4,9,-1\n"
+    squares = {k: {"column": c, "unit": "cm^2"} for k, c in (("x", "xx"), ("y", "yy"), ("xy", "xy"))}
+    _, messages = imported(tmp_path, log, {"gnss_pose": {**XY, "covariance": squares}})
+    np.testing.assert_allclose(covariance(messages["gnss_pose"][0])[:2, :2], [[4e-4, -1e-4], [-1e-4, 9e-4]])
+
+
+def test_one_gyro_axis_leaves_the_others_unknown(tmp_path: Path) -> None:
+    topic = {"angular_velocity_z": {"column": "g", "unit": "deg/s"}, "stddev": {"angular_velocity_z": 0.01}}
+    _, messages = imported(tmp_path, "t,g\n1,90\n", {"imu/data_raw": topic})
+    imu = messages["imu/data_raw"][0]
+    assert imu.angular_velocity.z == pytest.approx(math.pi / 2.0)
+    np.testing.assert_allclose(np.diag(imu.angular_velocity_covariance.reshape(3, 3)), (1e6, 1e6, 1e-4))
+    assert imu.linear_acceleration_covariance[0] == -1.0
+
+
+@pytest.mark.parametrize(
+    ("columns", "row"),
+    [
+        ({s: {"column": s[0], "unit": "km/h"} for s in ("left_velocity", "right_velocity")}, "3.6,7.2"),
+        ({s: {"column": s[0], "unit": "rpm"} for s in WHEELS}, f"{60.0 / math.pi},{120.0 / math.pi}"),
+        ({"speed": {"column": "l", "unit": "m/s"}, "yaw_rate": {"column": "r", "unit": "rad/s"}}, "1.5,0.5"),
+        (
+            {
+                s: {"column": ["l", "r"], "unit": "rad/s", "scale": k}
+                for s, k in zip(WHEELS, (1, 2), strict=True)
+            },
+            "1,3",
+        ),
+    ],
+)
+def test_speeds_of_any_kind_become_sprockets(tmp_path: Path, columns: dict[str, Any], row: str) -> None:
+    """1 and 2 m/s of the tracks are 2 and 4 rad/s; so are a twist, and means of two columns."""
+    topic = {**columns, "geometry": GEOMETRY}
+    _, messages = imported(tmp_path, f"t,l,r\n1,{row}\n", {"sprockets": topic})
+    np.testing.assert_allclose(messages["sprockets"][0].velocity, (2.0, 4.0))
+
+
+def test_positions_alone_give_velocities(tmp_path: Path) -> None:
+    columns = {s: {"column": s[0], "unit": "deg"} for s in ("left_position", "right_position")}
+    _, messages = imported(tmp_path, "t,l,r\n1,0,0\n1.5,90,-45\n2.5,90,45\n", {"sprockets": columns})
+    expected = np.array(((1, -0.5), (1, -0.5), (0, 0.5))) * math.pi
+    np.testing.assert_allclose([m.velocity for m in messages["sprockets"]], expected, atol=1e-12)
+    assert messages["sprockets"][1].position[0] == pytest.approx(math.pi / 2.0)
+
+
+def test_latitude_and_longitude_become_fixes_and_local_poses(tmp_path: Path) -> None:
+    """A minute of latitude is a nautical mile, more or less; a receiver without a fix writes zeros."""
+    rows = ("1,48.0,11.0,4,0,0.01", "2,48.01666667,11.0,5,90,0.2", "3,0,0,0,0,9", "4,48,11.001,4,,0.01")
+    log = "\n".join(("t,lat,lon,q,cog,s", *rows, ""))
+    place = {k: {"column": k[:3], "unit": "deg"} for k in ("latitude", "longitude")}
+    stddev = {"x": {"column": "s", "unit": "m"}, "y": {"column": "s", "unit": "m"}}
+    topics = {
+        "fix": {**place, "quality": {"column": "q"}, "stddev": stddev},
+        "gnss_pose": {
+            **place,
+            "heading": {"column": "cog", "unit": "deg"},
+            "stddev": {**stddev, "yaw": 0.01},
+            "frame": "map",
+        },
+    }
+    for number, datum in enumerate(("first", {"latitude": 48.0, "longitude": 11.0})):
+        (folder := tmp_path / str(number)).mkdir()
+        found, messages = imported(folder, log, topics, datum=datum)
+        fixes, poses = messages["fix"], messages["gnss_pose"]
+        assert [m.status.status for m in fixes] == [2, 2, 2]
+        assert (fixes[1].latitude, fixes[1].position_covariance_type) == (pytest.approx(48.01666667), 2)
+        np.testing.assert_allclose(fixes[1].position_covariance[[0, 4]], 0.04)
+        assert math.isnan(fixes[0].altitude)
+        places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in poses]
+        np.testing.assert_allclose(places[:2], ((0, 0), (0, 1853.3)), atol=0.5)
+        assert places[2][0] == pytest.approx(74.6, abs=0.1)
+        turns = [2.0 * math.atan2(m.pose.pose.orientation.z, m.pose.pose.orientation.w) for m in poses]
+        np.testing.assert_allclose(turns, (math.pi / 2.0, 0.0, 0.0), atol=1e-9)
+        assert [covariance(m)[2, 2] for m in poses] == pytest.approx([1e-4, 1e-4, 1e6])
+        assert found.left_out["/gnss_pose"] == {"latitude and longitude are 0": 1}
+        assert found.datum is not None
+        assert found.datum[:2] == (pytest.approx(48.0), pytest.approx(11.0))
+
+
+def test_a_latitude_in_another_unit_is_named(tmp_path: Path) -> None:
+    topic = {k: {"column": k[:3], "unit": "deg"} for k in ("latitude", "longitude")}
+    with pytest.raises(InputError, match=r"line 3, column 'lat': 4801\.2 deg is no latitude"):
+        imported(tmp_path, "t,lat,lon\n1,48,11\n2,4801.2,1103.4\n", {"fix": topic})
+
+
+@pytest.mark.parametrize(("origin", "expected"), [(500_000.0, (3.0, 4.0)), ("first", (0.0, 1.0))])
+def test_an_origin_is_subtracted(tmp_path: Path, origin: Any, expected: tuple[float, float]) -> None:
+    easting = {"x": {"column": "x", "unit": "m", "origin": origin}, "y": XY["y"], "stddev": SURE}
+    _, messages = imported(tmp_path, "t,x,y\n1,500003,0\n2,500004,0\n", {"reference_pose": easting})
+    assert tuple(m.pose.pose.position.x for m in messages["reference_pose"]) == expected
+
+
+def test_quaternions_give_the_yaw(tmp_path: Path) -> None:
+    turn = {q: {"column": q} for q in ("qx", "qy", "qz", "qw")}
+    pose = {**XY, **turn, "stddev": {**SURE, "yaw": 0.1}}
+    log = f"t,x,y,qx,qy,qz,qw\n1,0,0,0,0,{math.sin(0.4)},{math.cos(0.4)}\n2,0,0,0,0,0,0\n"
+    _, messages = imported(tmp_path, log, {"reference_pose": pose})
+    assert messages["reference_pose"][0].pose.pose.orientation.z == pytest.approx(math.sin(0.4))
+    assert covariance(messages["reference_pose"][1])[2, 2] == 1e6
+
+
+def test_when_a_row_was_received_is_kept(tmp_path: Path) -> None:
+    """Stamps may then go back; the bag is in the order of arrival."""
+    pose = {**XY, "stddev": SURE, "received": {"column": "rx", "unit": "s"}}
+    log = "t,rx,x,y\n1,1.5,1,0\n3,3.1,2,0\n2,3.2,3,0\n"
+    found, messages = imported(tmp_path, log, {"gnss_pose": pose})
+    assert [m.pose.pose.position.x for m in messages["gnss_pose"]] == [1, 2, 3]
+    assert found.lateness["/gnss_pose"].longest == pytest.approx(1.2)
+
+
+TIMES = {
+    "2026-11-20T14:30:00Z": 1_795_185_000_000_000_000,
+    "2026-11-20 14:30:00.25": 1_795_185_000_250_000_000,
+    "2026-11-20T15:30:00.000000001+01:00": 1_795_185_000_000_000_001,
+    "2026-11-20T14:30": 1_795_185_000_000_000_000,
+    "20261120T143000,5Z": 1_795_185_000_500_000_000,
+}
+
+
+@pytest.mark.parametrize("cell", TIMES)
+def test_dates_are_exact(cell: str) -> None:
+    assert time_ns(cell, TimeColumn("t", "iso8601")) == TIMES[cell]
+
+
+def test_a_date_without_a_zone_has_that_of_the_mapping(tmp_path: Path) -> None:
+    time = {"column": "t", "unit": "iso8601", "zone": "-02:30"}
+    topic = {"time": time, **WHEELS}
+    _, messages = imported(tmp_path, "t,l,r\n2026-11-20T12:00:00,1,2\n", {"sprockets": topic})
+    assert stamp_ns_of(messages["sprockets"][0]) == TIMES["2026-11-20T14:30:00Z"]
+
+
+@given(st.integers(0, 2**31 * 10**9 - 1), st.sampled_from(["s", "ms", "us", "ns"]))
+def test_epochs_of_any_unit_are_exact(stamp_ns: int, unit: str) -> None:
+    digits = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
+    whole, rest = divmod(stamp_ns, 10**digits)
+    cell = f"{whole}.{rest:0{digits}d}" if digits else str(whole)
+    assert time_ns(cell, TimeColumn("t", unit)) == stamp_ns
+
+
+@pytest.mark.parametrize(
+    "cell", ["9" * 30, "1e999999", "1e9999999999999999999", "inf", "NaN5", "9999-01-01T00:00", ""]
+)
+def test_what_is_no_time_is_refused(cell: str) -> None:
+    for unit in ("s", "ns", "iso8601"):
+        with pytest.raises(ValueError, match=r".*"):
+            time_ns(cell, TimeColumn("t", unit))
+
+
+@given(st.text(max_size=30), st.sampled_from([*UNITS["time"], "iso8601"]))
+def test_no_cell_is_worse_than_a_wrong_time(cell: str, unit: str) -> None:
+    try:
+        found = time_ns(cell, TimeColumn("t", unit))
+    except ValueError:
+        return
+    assert abs(found) < 2**63
+
+
+HEADS = {
+    "a mark": "\ufefft,l,r\n1,2,3\n",
+    "comments": "# a log\n#\n\nt,l,r\n# began\n1,2,3\n",
+    "names in a comment": "# made by hand\n# t, l, r\n1, 2, 3\n",
+    "units": "t,l,r\n[s],[rad/s],[rad/s]\n1,2,3\n",
+    "semicolons": "t;l;r\n1;2;3\n",
+    "tabs": "t\tl\tr\n1\t2\t3\n",
+    "quotes": '"t","l","r"\n"1","2","3"\n',
+    "windows": "t,l,r\r\n1,2,3\r\n",
+    "no end": "t,l,r\n1,2,3",
+    "spaces": "t , l, r\n 1 , 2 , 3\n",
+    "blanks behind": "t,l,r,,\n1,2,3,,\n",
+    "cut off": "t,l,r\n1,2,3\n2,2",
+}
+
+
+@pytest.mark.parametrize("habit", HEADS)
+def test_habits_of_those_who_write_logs(tmp_path: Path, habit: str) -> None:
+    found, messages = imported(tmp_path, HEADS[habit], {"sprockets": WHEELS})
+    (only,) = messages["sprockets"]
+    assert (stamp_ns_of(only), list(only.velocity)) == (10**9, [2.0, 3.0])
+    assert bool(found.notes) == (habit in ("units", "cut off"))
+
+
+MISTAKES = {
+    "time.unit: 'seconds' is unknown": {"time": {"column": "t", "unit": "seconds"}},
+    "datum: unknown key 'lattitude', did you mean 'latitude'?": {"datum": {"lattitude": 48.0}},
+    "datum: 95, 11 is out of range": {"datum": {"latitude": 95, "longitude": 11}},
+    "zone: '1h' is not accepted": {"time": {"column": "t", "unit": "iso8601", "zone": "1h"}},
+    "unknown key 'origin'": {"origin": 3},
+}
+
+
+@pytest.mark.parametrize("message", MISTAKES)
+def test_a_mistyped_key_is_named(tmp_path: Path, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        imported(tmp_path, "t,l,r\n1,2,3\n", {"sprockets": WHEELS}, **MISTAKES[message])
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["warthog", "gnss_machine", "four_wheels"])
+def test_the_mappings_of_the_project_are_read(name: str) -> None:
+    mapping = read_mapping(config_file(f"mappings/{name}.yaml"))
+    assert "sprockets" in mapping.topics
+    assert mapping.vehicle is not None

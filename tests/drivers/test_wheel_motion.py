@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sprockets from joints of any number and sense, and from a base controller's speeds."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.config_files import load_parameters
+from trackslip_common.errors import InputError
+from trackslip_drivers.protocols.wheel_motion import JointMotion, Rejection, of_speeds
+from trackslip_drivers.records import SprocketSample
+from trackslip_drivers.wheel_parameters import NODE, WheelParameters
+
+NAMES = ["rear_right_wheel", "arm", "front_left_wheel", "rear_left_wheel", "front_right_wheel"]
+S = 1_000_000_000
+
+
+def parameters(**given_):
+    return load_parameters(WheelParameters, NODE, (f"{NODE}.yaml",), given_)
+
+
+def test_sides_are_means_of_their_joints_by_name():
+    found = JointMotion(parameters()).sample(S, NAMES, [4.0, 9.0, 1.0, 3.0, 6.0], [0.4, 9.0, 0.1, 0.3, 0.6])
+    assert found == SprocketSample(S, *map(pytest.approx, (2.0, 5.0, 0.2, 0.5)))
+
+
+def test_sign_and_ratio():
+    motion = JointMotion(parameters(right_sign=-1, joint_ratio=25.0))
+    found = motion.sample(S, NAMES, [-50.0, 0.0, 25.0, 25.0, -50.0], [-5.0, 0.0, 5.0, 5.0, -5.0])
+    assert found == SprocketSample(S, *map(pytest.approx, (1.0, 2.0, 0.2, 0.2)))
+
+
+def test_positions_alone_are_differenced():
+    motion = JointMotion(parameters())
+    first = motion.sample(S, NAMES, [0.0] * 5, [])
+    second = motion.sample(S + S // 10, NAMES, [0.2] * 5, [])
+    assert (first.left_velocity, first.right_velocity) == (0.0, 0.0)
+    assert second == SprocketSample(S + S // 10, *map(pytest.approx, (0.2, 0.2, 2.0, 2.0)))
+    motion.restart()
+    assert motion.sample(2 * S, NAMES, [7.0] * 5, []).left_velocity == 0.0
+
+
+def test_velocities_alone_leave_positions_unknown():
+    found = JointMotion(parameters()).sample(S, NAMES, [], [1.0] * 5)
+    assert math.isnan(found.left_position)
+    assert math.isnan(found.right_position)
+    assert (found.left_velocity, found.right_velocity) == (1.0, 1.0)
+
+
+def test_what_a_driver_fills_with_nonsense_is_left_out():
+    of_speed = JointMotion(parameters(uses="velocities")).sample(S, NAMES, [math.nan] * 5, [1.0] * 5)
+    of_place = JointMotion(parameters(uses="positions")).sample(S, NAMES, [1.0] * 5, [math.nan] * 5)
+    assert of_speed.left_velocity == of_place.left_position == 1.0
+
+
+@pytest.mark.parametrize(
+    ("names", "positions", "velocities", "reason"),
+    [
+        (NAMES[:3], [0.0] * 3, [0.0] * 3, Rejection.JOINTS),
+        (NAMES, [0.0] * 4, [0.0] * 5, Rejection.LENGTHS),
+        (NAMES, [], [], Rejection.NOTHING),
+        (NAMES, [math.nan] * 5, [0.0] * 5, Rejection.NOT_A_NUMBER),
+        (NAMES, [0.0] * 5, [math.inf] * 5, Rejection.NOT_A_NUMBER),
+    ],
+)
+def test_message_is_refused(names, positions, velocities, reason):
+    assert JointMotion(parameters()).sample(S, names, positions, velocities) is reason
+
+
+@given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.3, 3.0), st.floats(0.05, 0.6))
+def test_speeds_are_those_of_the_tracks(v, rate, separation, radius):
+    p = parameters(wheel_separation=separation, **{"vehicle.kinematics.rolling_radius": radius})
+    found = of_speeds(S, v, rate, p)
+    assert radius * (found.left_velocity + found.right_velocity) / 2.0 == pytest.approx(v)
+    turning = radius * (found.right_velocity - found.left_velocity) / separation
+    assert turning == pytest.approx(rate, abs=1e-9)
+    assert math.isnan(found.left_position)
+
+
+def test_speeds_that_are_no_numbers_are_refused():
+    assert of_speeds(S, math.nan, 0.0, parameters()) is Rejection.NOT_A_NUMBER
+
+
+@pytest.mark.parametrize("names", [[], [""], ["front_right_wheel"], ["a", "a"]])
+def test_joints_that_cannot_be_are_refused(names):
+    with pytest.raises(InputError, match="one or more on each side, each once"):
+        parameters(left_joints=names)
+
+
+@given(st.lists(st.floats(), max_size=5), st.lists(st.floats(), max_size=5), st.lists(st.sampled_from(NAMES)))
+def test_any_message_gives_numbers_or_a_reason(positions, velocities, names):
+    found = JointMotion(parameters()).sample(S, names, positions, velocities)
+    if not isinstance(found, Rejection):
+        assert math.isfinite(found.left_velocity + found.right_velocity)

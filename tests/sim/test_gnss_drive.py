@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Emulated drives of a machine of 20 t with a GNSS receiver and no laser: bag, replay, and their bars."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import config_file, node_parameters, read_yaml
+from trackslip_estimation.slip.conversions import heading_fix
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.slip.records import HEADING
+from trackslip_sim.machine.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.scenarios.scenario import parse_scenario
+from trackslip_sim.truth.simulate import simulate
+from trackslip_tools.cli.main import main
+from trackslip_tools.replay.inputs import read_inputs
+
+OFFSET = 1.2  # rad, of the antenna pair
+SEGMENTS = [
+    (1.0, 0.0, 0.0),
+    (8.0, 1.5, 1.5),
+    (8.0, 0.8, 1.6),
+    (6.0, 1.8, 1.8),
+    (8.0, 1.6, 0.8),
+    (12.0, 1.5, 1.4),
+]
+FLOAT = {"sensor": "gnss", "kind": "rtk_float", "start": 10.0, "duration": 30.0}
+
+
+def record(path: Path, faults: list[dict[str, Any]]) -> Path:
+    segments = [dict(zip(("duration", "left", "right"), row, strict=True)) for row in SEGMENTS]
+    tree = {"name": "gnss", "soil": "sandy_loam", "faults": faults, "segments": segments}
+    file = path.parent / f"{path.name}.yaml"
+    file.write_text(json.dumps(tree), encoding="utf-8")
+    given = {"vehicle": "excavator_20t", "scenario": str(file), "seed": 3, "lead_in": 6.0}
+    p = load_emulator_parameters({**given, "gnss.device.rate": 10.0, "gnss.heading_offset": OFFSET})
+    record_drive(p, simulate(parse_scenario(tree), vehicle=p.vehicle.whole()), path)
+    return path
+
+
+def replayed(bag: Path, **changed: Any) -> dict[str, Any]:
+    """The summary of ``trackslip replay`` with ``config/gnss.yaml``."""
+    options = [f"--set=slip_estimator.{name}={json.dumps(value)}" for name, value in changed.items()]
+    summary, params = bag.parent / "summary.json", str(config_file("gnss.yaml"))
+    command = ["replay", str(bag), "--vehicle", "excavator_20t", "--params", params, *options]
+    assert main([*command, "--json", str(summary)]) == 0
+    found: dict[str, Any] = json.loads(summary.read_text(encoding="utf-8"))
+    return found
+
+
+@pytest.fixture(scope="module")
+def fixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("fixed") / "bag", [])
+
+
+def test_rtk_and_heading_keep_the_bars(fixed: Path) -> None:
+    found = replayed(fixed, **{"sources.heading.offset": OFFSET})
+    assert found["rmse"]["filter"] <= 0.02
+    assert found["rmse"]["heading"]["filter"] <= 0.005
+    assert found["nees"] < 6.0
+    assert "gnss_pose" not in found["rejected"]
+
+
+def test_one_antenna_finds_the_heading(fixed: Path) -> None:
+    found = replayed(fixed, heading_sources=[""], initial_yaw=2.5)
+    assert found["rmse"]["filter"] < 1.5  # of base_link, 1.3 m from the antenna, until the heading is known
+    assert abs(found["final"]["yaw"] - _final_yaw(fixed)) < 0.03
+
+
+def test_thirty_seconds_of_rtk_float_keep_the_bar(tmp_path: Path) -> None:
+    found = replayed(record(tmp_path / "bag", [FLOAT]), **{"sources.heading.offset": OFFSET})
+    assert found["rmse"]["filter"] <= 0.10
+    assert found["rmse"]["heading"]["filter"] <= 0.005
+
+
+@pytest.mark.parametrize("kind", ["imu", "quaternion"])
+def test_replay_reads_headings_as_the_node_does(fixed: Path, tmp_path: Path, kind: str) -> None:
+    p = _parameters()
+    path = fixed if kind == "imu" else _with_quaternions(fixed, tmp_path / "bag")
+    with open_bag(path) as bag:
+        messages = [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["/heading"])]
+        inputs = read_inputs(bag, p, InputFilters(), ())
+    variance = p.compasses()["heading"].stddev ** 2
+    expected = [heading_fix(message, "heading", variance) for message in messages]
+    rows = inputs.measurements({name: k for k, name in enumerate(p.timeouts_ns())})
+    found = rows[rows["kind"] == HEADING]
+    assert len(found) == len(expected) > 300
+    np.testing.assert_array_equal(found["stamp_ns"], [m.stamp_ns for m in expected])
+    np.testing.assert_array_equal(found["value"][:, 0], [m.heading for m in expected])
+    np.testing.assert_array_equal(found["noise"][:, 0, 0], [m.variance for m in expected])
+
+
+def _parameters() -> SlipEstimatorParameters:
+    path = config_file("gnss.yaml")
+    return load_slip_parameters(node_parameters(read_yaml(path), "slip_estimator", str(path)))
+
+
+def _with_quaternions(source: Path, path: Path) -> Path:
+    """The same bag with geometry_msgs/QuaternionStamped for the headings."""
+    with open_bag(source) as bag, BagWriter(path) as copy:
+        for m in bag.messages():
+            type_name, raw = m.type_name, bytes(m.raw)
+            if m.topic == "/heading":
+                imu = bag.deserialize(m.raw, m.type_name)
+                q = imu.orientation
+                type_name = "geometry_msgs/msg/QuaternionStamped"
+                quaternion = make("geometry_msgs/msg/Quaternion", x=q.x, y=q.y, z=q.z, w=q.w)
+                stamp = imu.header.stamp
+                time = make("builtin_interfaces/msg/Time", sec=stamp.sec, nanosec=stamp.nanosec)
+                head = make("std_msgs/msg/Header", stamp=time, frame_id="gnss_antenna")
+                raw = serialize(make(type_name, header=head, quaternion=quaternion))
+            copy.write(m.topic, type_name, raw, m.log_time_ns)
+    return path
+
+
+def _final_yaw(path: Path) -> float:
+    with open_bag(path) as bag:
+        *_, last = bag.messages(["/truth/odometry"])
+        q = bag.deserialize(last.raw, last.type_name).pose.pose.orientation
+    return float(2.0 * np.arctan2(q.z, q.w))

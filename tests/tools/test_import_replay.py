@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of another robot, of both ROS, through import, replay and report: by hand is only a mapping."""
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from fixtures.robot_logs import EPOCH_NS, drive, write_gnss_csv, write_ros1, write_ros2
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import open_bag
+from trackslip_common.config_files import config_file
+from trackslip_common.errors import ExitCode
+from trackslip_common.make import stamp_ns_of
+from trackslip_common.tally import Tally
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_tools.cli.main import main
+from trackslip_tools.replay.no_estimate import Taken, why_no_estimate
+
+TRUTH = drive(40.0)
+
+
+def mapping(**changed: Any) -> dict[str, Any]:
+    """Of the four-wheel robot, its topics changed."""
+    found: dict[str, Any] = yaml.safe_load(
+        config_file("mappings/four_wheels.yaml").read_text(encoding="utf-8")
+    )
+    found["topics"] |= changed
+    return found
+
+
+def imported(folder: Path, log: Path, content: dict[str, Any]) -> Path:
+    """The bag that ``trackslip import`` makes."""
+    (folder / "map.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    arguments = ["--mapping", str(folder / "map.yaml"), "--output", str(folder / "bag")]
+    assert main(["import", str(log), *arguments]) == ExitCode.DONE
+    return folder / "bag"
+
+
+def replayed(bag: Path, *options: str, code: int = ExitCode.DONE) -> dict[str, Any]:
+    out = bag.parent / "out.json"
+    assert main(["replay", str(bag), "--json", str(out), *options]) == code
+    found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+    return found
+
+
+@pytest.fixture(scope="module")
+def ros1_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_ros1(tmp_path_factory.mktemp("ros1") / "robot.bag", TRUTH)
+
+
+@pytest.fixture(scope="module")
+def ros2_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_ros2(tmp_path_factory.mktemp("ros2") / "robot", TRUTH)
+
+
+@pytest.fixture(scope="module")
+def bag(ros2_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return imported(tmp_path_factory.mktemp("bag"), ros2_log, mapping())
+
+
+@pytest.mark.parametrize("name", ["ros1_log", "ros2_log"])
+def test_a_four_wheel_robot_goes_through(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    """Fixes of 3 cm at 5 Hz, 0.12 s late; encoders alone are off by metres, as it turns at 0.8 of them."""
+    made = imported(tmp_path, request.getfixturevalue(name), mapping())
+    found = replayed(made)
+    assert found["rmse"]["dead_reckoning"] > 1.0
+    assert found["rmse"]["filter"] < 0.03
+    assert found["rmse"]["heading"] < 0.01
+    assert found["nees_position"] < 8.0
+    page = tmp_path / "report.html"
+    assert main(["report", str(made), "--output", str(page)]) == ExitCode.DONE
+    assert "of the position" not in page.read_text(encoding="utf-8")
+
+
+def test_a_machine_with_gnss_goes_through(tmp_path: Path) -> None:
+    """Three files, RTK of 2 cm at 5 Hz on the boom's side, and a heading that is blank for two seconds."""
+    truth = drive(40.0, tread=2.38)
+    logs = write_gnss_csv(tmp_path / "logs", truth, (-1.2, 0.6))
+    bag, out = tmp_path / "bag", tmp_path / "estimates"
+    arguments = ["--mapping", "mappings/gnss_machine.yaml", "--output", str(bag)]
+    assert main(["import", str(logs), *arguments]) == ExitCode.DONE
+    replayed(bag, "--output", str(out))
+    c, s = np.cos(truth.pose[0, 2]), np.sin(truth.pose[0, 2])
+    antenna = truth.pose[0, :2] + np.array((-1.2, 0.6)) @ np.array(((c, s), (-s, c)))  # the first fix, nearly
+    errors = []
+    with open_bag(out) as estimates:
+        for m in estimates.messages(["odometry"]):
+            odometry = estimates.deserialize(m.raw, m.type_name)
+            k = round((stamp_ns_of(odometry) - EPOCH_NS) / 20e6)
+            place = odometry.pose.pose.position
+            errors.append(np.hypot(*(truth.pose[k, :2] - antenna - (place.x, place.y))))
+    assert len(errors) > 1900
+    assert np.sqrt(np.mean(np.square(errors))) < 0.06  # with the noise of the fix that is the datum
+
+
+def test_the_order_of_arrival_is_that_of_the_robot(ros2_log: Path, bag: Path, tmp_path: Path) -> None:
+    """The same poses without their delay give another, better estimate at the time it is published."""
+    early = {"role": "pose", "from": "/truth", "stddev": {"x": 0.001, "y": 0.001, "yaw": 0.001}}
+    prompt = replayed(imported(tmp_path, ros2_log, mapping(mocap_pose=early)))
+    assert prompt["rmse"]["filter"] < replayed(bag)["rmse"]["filter"]
+
+
+def test_a_reference_of_positions_gives_no_nonsense(
+    ros2_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    positions = {"from": "/truth", "stddev": {"x": 0.001, "y": 0.001}, "position_only": True}
+    made = imported(tmp_path, ros2_log, mapping(reference_pose=positions))
+    found = replayed(made)
+    assert found["rmse"]["filter"] < 0.03
+    assert (found["rmse"]["heading"], found["nees"], found["rmse"]["dead_reckoning"]) == (None, None, None)
+    assert found["nees_position"] < 8.0
+    shown = capsys.readouterr().out
+    assert "mean NEES of position" in shown
+    assert "nan" not in shown
+    page = tmp_path / "report.html"
+    assert main(["report", str(made), "--output", str(page)]) == ExitCode.DONE
+    assert "NEES of the position" in page.read_text(encoding="utf-8")
+
+
+NO_ESTIMATE = {
+    "no fix came: nothing on box_pose; the bag has mocap_pose, reference_pose "
+    "(--set slip_estimator.pose_sources=[mocap_pose])": ["pose_sources=[box_pose]"],
+    "no fix came: pose_sources names none": ["pose_sources=['']"],
+}
+
+
+@pytest.mark.parametrize("reason", NO_ESTIMATE)
+def test_no_estimate_says_why(bag: Path, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+    options = [word for text in NO_ESTIMATE[reason] for word in ("--set", f"slip_estimator.{text}")]
+    assert replayed(bag, *options, code=ExitCode.FAILED)["final"] is None
+    assert f"no estimate: {reason}" in capsys.readouterr().out
+
+
+REFUSED = {
+    "every sample of the sprockets was refused (sprockets: 9 invalid)": ({"sprockets": 9}, {"sprockets": 9}),
+    "every fix was refused (mocap_pose: 5 invalid)": ({"sprockets": 9, "mocap_pose": 5}, {"mocap_pose": 5}),
+    "no sprockets after the first fix": ({"sprockets": 9, "mocap_pose": 5}, {"mocap_pose": 4}),
+    "no sprockets between --start and --stop": ({"mocap_pose": 5}, {}),
+}
+
+
+@pytest.mark.parametrize("reason", REFUSED)
+def test_what_was_refused_is_counted_in_the_reason(bag: Path, reason: str) -> None:
+    given, invalid = REFUSED[reason]
+    rejected = Tally()
+    for source, count in invalid.items():
+        rejected.add(source, Outcome.INVALID, count)
+    rejected.add("imu/data_raw", Outcome.WAITING, 9)
+    p = load_slip_parameters({"pose_sources": ["mocap_pose"]})
+    with open_bag(bag) as opened:
+        assert why_no_estimate(opened, p, InputFilters(), Taken(Counter(given), rejected)) == reason
+
+
+def test_a_withheld_source_is_named(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    replayed(bag, "--withhold", "mocap_pose", code=ExitCode.FAILED)
+    assert "no estimate: no fix came: mocap_pose is withheld" in capsys.readouterr().out
+
+
+def test_a_heading_that_was_never_found_fails(
+    ros2_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It stands for the first second, and one antenna has no heading."""
+    antenna = {"role": "pose", "from": "/mocap", "stddev": {"x": 0.03, "y": 0.03}, "position_only": True}
+    made = imported(tmp_path, ros2_log, mapping(mocap_pose=antenna))
+    unknown = ("--set", "slip_estimator.initial_yaw_stddev=3.0")
+    replayed(made, *unknown, "--stop", "1.0", code=ExitCode.FAILED)
+    assert "no estimate of the heading: heading unknown" in capsys.readouterr().out
+    assert replayed(made, *unknown)["rmse"]["heading"] < 0.3
+
+
+def test_what_was_refused_is_never_called_used(bag: Path, tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    options = ["--withhold", "mocap_pose", "--output", str(page)]
+    assert main(["report", str(bag), *options]) == ExitCode.FAILED
+    text = page.read_text(encoding="utf-8")
+    assert "very measurement was used" not in text
+    assert "No measurement was used" in text
