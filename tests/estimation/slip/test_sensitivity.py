@@ -53,7 +53,9 @@ def test_the_order_of_sources_at_equal_stamps_does_not_matter(machine: Machine) 
     measurements = drive(machine).measurements
     assert {m.source for m in measurements} == {"sprockets", GYRO, FIX}
     pose = final_pose(measurements)
-    start = measurements[0].stamp_ns  # what has the stamp of the fix that starts it is no part of the estimate
+    start = measurements[
+        0
+    ].stamp_ns  # what has the stamp of the fix that starts it is no part of the estimate
     backwards = sorted(reversed(measurements), key=lambda m: m.stamp_ns)
     assert [m.source for m in backwards] != [m.source for m in measurements]
     backwards = [m for m in measurements if m.stamp_ns == start] + [
