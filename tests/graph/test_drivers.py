@@ -271,6 +271,23 @@ def test_watson_over_range_is_told(programs, observer, device):
     )
 
 
+def test_two_watsons_run_side_by_side(programs, observer, device):
+    """Each its own name, port, frame, topic and hardware id."""
+    healths, messages = observer.healths(), {}
+    for name in ("left_imu", "right_imu"):
+        path = programs.folder / name
+        device(plug_watson, path).plug()
+        messages[name] = observer.subscribe(f"{name}/data_raw", "imu/data_raw")
+        remaps = ("-r", f"__node:={name}", "-r", f"imu/data_raw:={name}/data_raw")
+        programs.node("watson_imu", *remaps, serial_port=str(path), frame_id=f"{name}_link", parity="N")
+    observer.wait(lambda: all(len(received) > 5 for received in messages.values()), "both")
+    for name, received in messages.items():
+        assert {message.header.frame_id for message in received} == {f"{name}_link"}
+        observer.wait(lambda name=name: is_healthy(healths, name), f"good health of {name}")
+        ids = {h.hardware_id for h in healths if h.name == name}
+        assert ids == {str(programs.folder / name)}
+
+
 def test_can(bench, programs, observer):
     hydraulics = observer.subscribe("hydraulics")
     messages = run(bench, programs, observer, "can_driver", 200)

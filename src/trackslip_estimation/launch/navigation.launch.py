@@ -22,12 +22,16 @@ def generate_launch_description() -> LaunchDescription:
         _DEFAULT,
         f"keeps what was learned; '{_DEFAULT}': one a namespace, in $ROS_HOME/trackslip; 'none': nothing",
     )
-    return LaunchDescription([*declared(state_file=state_file), OpaqueFunction(function=_nodes)])
+    record = ("true", "record all topics; false where a recorder of its own runs")
+    arguments = declared(state_file=state_file, record=record)
+    return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
     own = {"slip_estimator": {"state_file": _state_file(context)}}
-    return nodes(context, [Launched(PACKAGE, name, own.get(name, {})) for name in EXECUTABLES])
+    records = LaunchConfiguration("record").perform(context).lower() == "true"
+    wanted = EXECUTABLES if records else EXECUTABLES[:-1]
+    return nodes(context, [Launched(PACKAGE, name, own.get(name, {})) for name in wanted])
 
 
 def _state_file(context: LaunchContext) -> str:

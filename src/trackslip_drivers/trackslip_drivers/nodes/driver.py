@@ -56,7 +56,7 @@ class DriverNode(TrackslipNode[P]):
 
     def hardware(self) -> str:
         """The serial port, where it has one."""
-        return str(getattr(self.settings, "serial_port", self.get_name()))
+        return str(getattr(self.settings, "serial_port", self.full_name))
 
     def open_port(self) -> Port[Any]:
         """Open the port to the sensor, or raise; in the link's thread, as all that follow."""

@@ -41,18 +41,13 @@ class Expectation:
     yaw_variance: float
     headings: Headings
 
-    def innovation(self, fix: Mode) -> FloatArray:
-        """A fix less the pose expected (3,); its heading to within the nearest quarter turn."""
-        innovation = fix.pose - self.pose
-        innovation[2] -= QUARTER_TURN * np.round(innovation[2] / QUARTER_TURN)
-        return innovation
-
     def surprise_variance(self, fix: Mode) -> float:
         """Heading variance, rad², with which a fix that its own track contradicts agrees with it; else 0.
 
         Few beams now and then fit a corner where there is a side, and are sure of it.
         """
-        squared = float(self.innovation(fix)[2] ** 2)
+        turned = float(fix.pose[2] - self.pose[2])
+        squared = (turned - QUARTER_TURN * round(turned / QUARTER_TURN)) ** 2
         contradicts = squared > SURPRISE**2 * (self.yaw_variance + fix.covariance[2, 2])
         return squared / SURPRISE**2 if contradicts else 0.0
 

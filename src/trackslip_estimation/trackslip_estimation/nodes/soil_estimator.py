@@ -36,7 +36,6 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         """Make the estimator, its outputs and its inputs."""
         self._estimator = None if self.settings.vehicle.lacks else SoilEstimator(self.settings)
         self._inputs = self._published = 0
-        self._frame = self.settings.frame_prefix + self.settings.base_frame
         self._heard: float | None = None  # s, steady: when the slip estimator was last heard
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
@@ -77,7 +76,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         self._inputs += 1
         for output in self._estimator.advance(given):
             publisher = self._outputs[conversions.topic_of(output)]
-            publisher.publish(conversions.message_of(make, output, self._frame))
+            publisher.publish(conversions.message_of(make, output, self.settings.frame))
             self._published += 1
 
 

@@ -47,6 +47,11 @@ class SoilEstimatorParameters(WithVehicle):
         read_only=False,
     )
 
+    @property
+    def frame(self) -> str:
+        """Of the messages."""
+        return self.frame_prefix + self.base_frame
+
     def changed(self, values: Mapping[str, Any]) -> "SoilEstimatorParameters":
         """These parameters with other values; dotted names.
 

@@ -19,7 +19,7 @@ def soil_messages(result: SoilReplay) -> Iterator[tuple[str, Any, int]]:
         text = parameters_text(to_flat(result.parameters), NODE)
         yield PARAMETERS, make("std_msgs/msg/String", data=text), outputs[0].stamp_ns
     for output in outputs:
-        message = conversions.message_of(make, output, result.parameters.base_frame)
+        message = conversions.message_of(make, output, result.parameters.frame)
         yield conversions.topic_of(output), message, output.stamp_ns
 
 
