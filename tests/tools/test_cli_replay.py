@@ -140,6 +140,7 @@ def test_a_replay_of_a_recorded_run_matches_it(
             topic: TOPICS[topic].type_name
             for topic in (
                 "odometry",
+                "odometry/local",
                 "track_slip",
                 "measurement_reports",
                 "slip_estimator/parameters",

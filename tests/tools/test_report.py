@@ -99,8 +99,8 @@ def test_the_box_is_drawn_where_and_how_it_stood(run: Run) -> None:
     first = boxes(run)[0]
     np.testing.assert_allclose(first[:-1].mean(axis=0), (0.0, 0.0), atol=0.05)
     sides = np.linalg.norm(np.diff(first, axis=0), axis=1)
-    v = run.parameters.vehicle
-    np.testing.assert_allclose(sides, (v.box_length, v.box_width, v.box_length, v.box_width))
+    box = run.parameters.vehicle.box
+    np.testing.assert_allclose(sides, (box.length, box.width, box.length, box.width))
 
 
 def test_laser_points_lie_on_the_walls_of_the_site(run: Run) -> None:

@@ -29,7 +29,9 @@ from trackslip_bags.mcap_index import (
     messages_in,
     parts_of,
 )
-from trackslip_bags.reader import Bag, absolute
+from trackslip_bags.reader import Bag, absolute, require_one_type
+from trackslip_bags.recovery.salvage import LATEST_NS
+from trackslip_common.errors import InputError
 
 STRETCH_NS = 10_000_000_000  # of log time that is read at once
 _STRETCH_BYTES = 32_000_000  # or so many, if that is less
@@ -59,8 +61,12 @@ def read_stretches(
     """
     first = bag.start_ns if start_ns is None else start_ns
     stop = bag.end_ns + 1 if stop_ns is None else stop_ns
+    if bag.end_ns > LATEST_NS:
+        beyond = "messages are logged after 2262, beyond what is read"
+        raise InputError(f"bag '{bag.path}': {beyond}; trackslip recover leaves them out")
     names = {absolute(topic) for topic in topics}
     types = {topic: info.type_name for topic, info in bag.topics.items() if absolute(topic) in names}
+    require_one_type(bag, types)
     reached_ns = first
     try:
         for stretch in _by_chunk(bag.files, types, first, stop):

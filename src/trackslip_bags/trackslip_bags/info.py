@@ -8,15 +8,19 @@ from trackslip_bags.reader import Bag
 from trackslip_common.errors import printable
 from trackslip_common.vehicle import ASSUMED
 
+_LATEST = 253_402_300_800  # s since 1970, the end of the calendar
 _HEAD = ("topic", "type", "count", "rate (Hz)")
 
 
 def describe(bag: Bag) -> str:
     """A few facts and a table of topics; the rate is the mean over the bag's whole duration."""
-    start = datetime.fromtimestamp(bag.start_ns * 1e-9, tz=timezone.utc)
+    began = bag.start_ns * 1e-9
+    start = (
+        f"{datetime.fromtimestamp(began, tz=timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if began < _LATEST else "?"
+    )
     lines = [
         f"bag       {bag.path}",
-        f"start     {bag.start_ns * 1e-9:.3f} s ({start:%Y-%m-%d %H:%M:%S} UTC)",
+        f"start     {began:.3f} s ({start})",
         f"duration  {bag.duration_s:.3f} s",
         f"messages  {bag.message_count}",
     ]
@@ -25,7 +29,12 @@ def describe(bag: Bag) -> str:
     if bag.damage:
         lines.append(f"damage    {bag.damage} (trackslip recover rewrites what can be read)")
     rows = [
-        (printable(topic), printable(info.type_name), str(info.count), _rate(info.count, bag.duration_s))
+        (
+            printable(topic),
+            printable(", ".join((info.type_name, *sorted(info.other_types)))),
+            str(info.count),
+            _rate(info.count, bag.duration_s),
+        )
         for topic, info in sorted(bag.topics.items())
     ]
     return "\n".join([*lines, "", *_table([_HEAD, *rows])])

@@ -153,6 +153,7 @@ def _open(path: Path | str) -> Bag:
     path = Path(path)
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
+    refuse_pipes(path)
     try:
         whole = WholeBag(path)
         return Bag(path, [whole], files=whole.files)
@@ -164,6 +165,34 @@ def _open(path: Path | str) -> Bag:
     if not sources:
         raise InputError(f"bag '{path}' cannot be read ({reason}); accepted: {ACCEPTED}")
     return Bag(path, sources, "; ".join(note for _, note in parts if note) or reason)
+
+
+def refuse_pipes(path: Path) -> None:
+    """Nothing that a bag is read from may be without an end: a pipe, a device.
+
+    Raises:
+        InputError: it is, or a file in it is.
+    """
+    for file in (path, *(path.iterdir() if path.is_dir() else ())):
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise InputError(
+                f"bag '{path}' cannot be read ('{file}' is no regular file); accepted: {ACCEPTED}"
+            )
+
+
+def require_one_type(bag: Bag, topics: Iterable[str]) -> None:
+    """Check that all messages of a topic are of one type: fields are read by one definition.
+
+    Raises:
+        InputError: a topic has several types; names them.
+    """
+    for topic in topics:
+        info = bag.topics[topic]
+        if info.other_types:
+            types = " and ".join((info.type_name, *sorted(info.other_types)))
+            raise InputError(
+                f"bag '{bag.path}': {topic} has messages of several types ({types}); accepted: one"
+            )
 
 
 def require_topics(bag: Bag, required: Iterable[str]) -> None:

@@ -2,9 +2,9 @@
 """The readable parts of a bag: what rosbags opens, and what can be read of an MCAP file that it refuses."""
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from rosbags.interfaces import MessageDefinition
 from rosbags.rosbag2 import Reader
@@ -33,6 +33,7 @@ class TopicInfo:
     type_name: str
     count: int
     definition: MessageDefinition
+    other_types: frozenset[str] = frozenset()  # that a topic should not have
 
 
 class Source(Protocol):
@@ -68,7 +69,12 @@ class WholeBag:
         self.files = () if self._packed else _mcap_files(self._reader)
 
     def topics(self) -> dict[str, TopicInfo]:
-        return merged({c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in self._reader.connections)
+        stated = merged(
+            {c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in self._reader.connections
+        )
+        of_files = [c for storage in _storages(self._reader) for c in storage.connections]
+        others = merged({c.topic: TopicInfo(c.msgtype, 0, c.msgdef)} for c in of_files)
+        return {topic: _together(info, others.get(topic, info), 0) for topic, info in stated.items()}
 
     def messages(self, wanted: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
         connections = [c for c in self._reader.connections if wanted is None or c.topic in wanted]
@@ -84,10 +90,15 @@ class WholeBag:
 
 def _mcap_files(reader: Reader) -> tuple[Path, ...]:
     """The files of an open bag, as ``Bag.files`` has them."""
-    storage = reader.storage
-    storages = storage.storages if isinstance(storage, DirectoryReader) else [storage]
+    storages = _storages(reader)
     files = [Path(str(s.path)) for s in storages if isinstance(s, McapReader)]
     return tuple(files) if len(files) == len(storages) else ()
+
+
+def _storages(reader: Reader) -> list[Any]:
+    """Of each file of an open bag."""
+    storage = reader.storage
+    return list(storage.storages) if isinstance(storage, DirectoryReader) else [storage]
 
 
 class SalvagedFile:
@@ -146,12 +157,14 @@ def merged(parts: Iterable[dict[str, TopicInfo]]) -> dict[str, TopicInfo]:
     for part in parts:
         for name, info in part.items():
             known = topics.get(name)
-            topics[name] = (
-                info
-                if known is None
-                else TopicInfo(known.type_name, known.count + info.count, known.definition)
-            )
+            topics[name] = info if known is None else _together(known, info, info.count)
     return topics
+
+
+def _together(known: TopicInfo, info: TopicInfo, more: int) -> TopicInfo:
+    """What two parts of a bag say of one topic, of which the second has so many ``more`` messages."""
+    types = {known.type_name, info.type_name, *known.other_types, *info.other_types}
+    return replace(known, count=known.count + more, other_types=frozenset(types - {known.type_name}))
 
 
 def error_line(error: Exception) -> str:

@@ -8,6 +8,7 @@ Each file of a split bag stands for itself: it has all topics and definitions.
 
 import math
 import os
+import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -59,7 +60,11 @@ class BagWriter:
             raise InputError(f"bag '{self.path}' exists already; accepted: a path where nothing is") from None
         except OSError as error:
             raise InputError(f"bag '{self.path}' cannot be created ({error.strerror})") from error
-        self._begin_file()
+        try:
+            self._begin_file()
+        except OSError as error:
+            self._remove()
+            raise InputError(f"bag '{self.path}' cannot be written ({error.strerror})") from error
 
     def add_topic(self, topic: str, type_name: str, qos_yaml: str = "", schema: Schema | None = None) -> None:
         """Make a topic known before its first message; again with the same type does nothing.
@@ -160,7 +165,25 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        """Close it, also after an error; of a bag that the disk does not take nothing stays.
+
+        Raises:
+            InputError: the disk is full or gone.
+        """
+        failed = error if isinstance(error, OSError) else None
+        try:
+            if failed is None:
+                self.close()
+        except OSError as at_the_end:
+            failed = at_the_end
+        if failed is not None:
+            self.abandon()
+            self._remove()
+            raise InputError(f"bag '{self.path}' cannot be written ({failed.strerror})") from failed
+
+    def _remove(self) -> None:
+        """The directory, which was made here, and all in it."""
+        shutil.rmtree(self.path, ignore_errors=True)
 
     def _begin_file(self) -> None:
         name = f"{self.path.resolve().name}_{len(self._extents)}.mcap"

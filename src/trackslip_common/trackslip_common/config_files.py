@@ -50,6 +50,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
     Raises:
         InputError: the file is missing, is not YAML, or holds no mapping.
     """
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: no regular file; accepted: a YAML file")
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(LONGEST + 1)

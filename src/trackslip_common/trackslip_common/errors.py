@@ -3,6 +3,7 @@
 
 from collections.abc import Iterable
 from enum import IntEnum
+from typing import TextIO
 
 _LONGEST_LINE = 900  # characters
 
@@ -13,6 +14,12 @@ def printable(text: str, longest: int = 200) -> str:
         c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: longest + 1]
     )
     return shown if len(text) <= longest else f"{shown[:longest]} …"
+
+
+def show(*texts: object, file: TextIO | None = None) -> None:
+    """Print lines in which names and values may be anybody's: what would steer a terminal is escaped."""
+    for text in texts:
+        print(*(printable(line, len(line)) for line in str(text).split("\n")), sep="\n", file=file)
 
 
 class InputError(ValueError):

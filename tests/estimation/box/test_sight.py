@@ -29,7 +29,7 @@ LOCALIZER = default_parameters(BoxNodeParameters, box.NODE, *box.DEFAULT_FILES)
 def beams_on_box(truth: Truth) -> NDArray[np.int_]:
     """How many beams end on the box, look by look: those that see the same with the site and without."""
     alone = dataclasses.replace(EMULATOR.site, walls=(), posts=())
-    with_site, without = (SiteScanner(site, EMULATOR.vehicle, seed=0) for site in (EMULATOR.site, alone))
+    with_site, without = (SiteScanner(site, EMULATOR.vehicle.box, seed=0) for site in (EMULATOR.site, alone))
 
     def pose_at(times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         x, y, yaw = (np.interp(times, truth.t, column) for column in (truth.x, truth.y, truth.yaw))

@@ -62,6 +62,8 @@ def read_table(path: Path, wanted: Wanted) -> Table:
         InputError: the file cannot be read, lacks a column or has no rows, or a cell in one of these
             columns is not what it should be (names its line and column).
     """
+    if not path.is_file():
+        raise InputError(f"{path}: no regular file; accepted: a CSV file")
     try:
         with path.open(encoding=_ENCODING, newline="") as stream:
             return _Reader(path, stream, wanted).table()

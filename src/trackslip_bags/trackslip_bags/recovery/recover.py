@@ -14,7 +14,7 @@ from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from trackslip_bags.metadata import METADATA, Schema
-from trackslip_bags.reader import ACCEPTED, Bag, open_bag
+from trackslip_bags.reader import ACCEPTED, Bag, open_bag, refuse_pipes
 from trackslip_bags.recovery.salvage import DamagedFile, SalvagedTopic, is_mcap
 from trackslip_bags.sources import TopicInfo, bag_files
 from trackslip_bags.writer import BagWriter, own_schema
@@ -66,16 +66,13 @@ def recover(
     parts = _parts(path, recovery)
     bag = BagWriter(output)
     try:
-        for k, part in enumerate(shown(parts)):
-            if k > 0:
-                bag.split()
-            _copy(part, bag, recovery)
-        bag.close()
-    except BaseException as error:
-        bag.abandon()
+        with bag:
+            for k, part in enumerate(shown(parts)):
+                if k > 0:
+                    bag.split()
+                _copy(part, bag, recovery)
+    except BaseException:
         shutil.rmtree(output, ignore_errors=True)  # half a recovery would look like a whole one
-        if isinstance(error, OSError):
-            raise InputError(f"bag '{output}' cannot be written ({error.strerror})") from error
         raise
     return recovery
 
@@ -88,6 +85,7 @@ def _parts(path: Path, recovery: Recovery) -> list[Part]:
     """
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
+    refuse_pipes(path)
     files = [file for file in bag_files(path) if is_mcap(file)]
     if files:
         return [_from_mcap(file, recovery) for file in files]

@@ -24,7 +24,7 @@ from trackslip_bags.unpacking import plain
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9  # bytes before the content of a record: what it is (1), its length (8)
 _LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
-_LATEST_NS = 2**63 - 1  # rosbag2's times are signed
+LATEST_NS = 2**63 - 1  # rosbag2's times are signed
 _FORMATS = {
     "ros2msg": MessageDefinitionFormat.MSG,
     "ros2idl": MessageDefinitionFormat.IDL,
@@ -155,7 +155,7 @@ class DamagedFile:
                 self.bad_records += 1
 
     def _is_usable(self, message: Message) -> bool:
-        usable = message.channel_id in self.topics and message.log_time <= _LATEST_NS
+        usable = message.channel_id in self.topics and message.log_time <= LATEST_NS
         self.bad_records += not usable
         return usable
 

@@ -118,7 +118,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._process(conversions.pose_fix(message, source))
 
     def _on_heading(self, message: Any, source: str, variance: float) -> None:
-        self._take(conversions.heading_fix(message, source, variance))
+        self._process(conversions.heading_fix(message, source, variance))
 
     def _on_slips(self, message: Any, source: str) -> None:
         self._process(conversions.slip_fix(message, source))

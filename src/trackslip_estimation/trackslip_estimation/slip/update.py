@@ -168,6 +168,8 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     nis = weighted_square(root(predicted + R), innovation)
     if has_velocity_errors(c) and not finds_heading and nis <= update.gate:
         learn_from_fix(state.adaptation, source, innovation, predicted, stated, c)
+        if c.correlation_times[source] > 0.0:  # what follows it so smoothly does not show that it is small
+            state.adaptation.fix_factors[source] = max(state.adaptation.fix_factors[source], 1.0)
         R = state.adaptation.fix_factors[source] * stated
     root_of_S = root(predicted + R)
     nis = weighted_square(root_of_S, innovation)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from trackslip_bags.input_filters import relative
 from trackslip_bags.reader import Bag, open_bag, require_topics
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.calibration.calibrate import calibrate
 from trackslip_tools.calibration.output import summary, text, write_parameters
@@ -60,15 +60,15 @@ def run(args: argparse.Namespace) -> int:
     for path in shown(args.bags, "reading"):
         with open_bag(path, args.namespace) as bag:
             if bag.damage:
-                print(f"note: {bag.damage}", file=sys.stderr)
+                show(f"note: {bag.damage}", file=sys.stderr)
             require_topics(bag, filter(None, (args.gyro, args.poses)))
             recordings.append(read_recording(bag, gyro, poses, p.motion))
     result = calibrate(recordings, p, (gyro, poses), hard_ground=args.hard_ground)
     names = [str(path) for path in args.bags]
-    print(text(result))
+    show(text(result))
     if args.output is not None:
         write_parameters(args.output, result, names)
-        print(f"parameters: {args.output}")
+        show(f"parameters: {args.output}")
     if args.json is not None:
         write_json(args.json, summary(result, names))
     return ExitCode.DONE if any(finding.is_found for finding in result.findings.values()) else ExitCode.FAILED

@@ -10,7 +10,7 @@ from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, show
 from trackslip_common.vehicle import load_vehicle
 from trackslip_tools.cli import machine_options
 
@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
     vehicle = None if args.vehicle is None else load_vehicle(args.vehicle)
     imported = import_log(args.logs, read_mapping(config_file(args.mapping), vehicle), args.output)
     with open_bag(args.output) as bag:
-        print(describe(bag))
+        show(describe(bag))
     for line in _notes(imported):
-        print(line)
+        show(line)
     return ExitCode.DONE
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import machine_options
 
 EXAMPLE = "trackslip info out/demo/bag"
@@ -25,5 +25,5 @@ def run(args: argparse.Namespace) -> int:
         InputError: the bag cannot be read.
     """
     with open_bag(args.bag, args.namespace) as bag:
-        print(describe(bag))
+        show(describe(bag))
     return ExitCode.DONE

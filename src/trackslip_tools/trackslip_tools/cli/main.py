@@ -3,11 +3,13 @@
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, NoReturn
 
-from trackslip_common.errors import ExitCode, InputError, did_you_mean
+from trackslip_common.errors import ExitCode, InputError, did_you_mean, printable
 from trackslip_tools.cli.commands import Command, commands
 
 
@@ -24,6 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
         code: int = args.run(args)
+        sys.stdout.flush()
         return code
     except InputError as error:
         print(error, file=sys.stderr)
@@ -31,8 +34,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
     except BrokenPipeError:  # the reader of our output has left
-        sys.stdout = None
+        _give_up_output()
         return ExitCode.DONE
+    except OSError as error:
+        _give_up_output()
+        name = f" '{error.filename}'" if error.filename else ""
+        print(printable(f"trackslip: cannot read or write{name} ({error.strerror})"), file=sys.stderr)
+        return ExitCode.BAD_INPUT
+
+
+def _give_up_output() -> None:
+    """What stays in the buffer of stdout goes nowhere: at the end, Python would fail on it again."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:

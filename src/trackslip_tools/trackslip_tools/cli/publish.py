@@ -10,7 +10,7 @@ from functools import partial
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.playback import Playback, played, played_topics
 from trackslip_bags.reader import Bag, require_topics
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, show
 from trackslip_tools.cli.keyboard import Keyboard
 from trackslip_tools.cli.nodes import node_module
 
@@ -64,7 +64,7 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     player = node_module("player", "--publish")
     topics = played_topics(bag, filters, args.also)
     for topic in [topic for topic, kind in topics.items() if not player.can_publish(kind)]:
-        print(f"note: {topic} is left out, {topics.pop(topic)} is not installed", file=sys.stderr)
+        show(f"note: {topic} is left out, {topics.pop(topic)} is not installed", file=sys.stderr)
     for edit in filters.withhold:
         if f"/{edit.topic}" not in topics:
             accepted = ", ".join(sorted(topics))
@@ -74,9 +74,9 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
         raise InputError(f"bag '{bag.path}': nothing to publish between --start and --stop")
     with Keyboard() as keyboard, _progress(bag) as show:
         code: int = player.play(playback, topics, keyboard.typed, show)
-    print(f"{sum(playback.counts.values())} messages published")
+    show(f"{sum(playback.counts.values())} messages published")
     for topic, count in sorted(playback.counts.items()):
-        print(f"  {topic:<24}{count:>8}")
+        show(f"  {topic:<24}{count:>8}")
     return code
 
 

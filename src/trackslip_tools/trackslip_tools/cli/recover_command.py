@@ -9,7 +9,7 @@ from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import Recovery, recover
 from trackslip_bags.writer import CHUNK_SPAN_NS
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli.progress import shown
 
 EXAMPLE = "trackslip recover bags/power_cut --output out/recovered"
@@ -32,9 +32,9 @@ def run(args: argparse.Namespace) -> int:
     damaged = args.bag.resolve()
     output = args.output or damaged.with_name(f"{damaged.stem}_recovered")
     for line in _lines(recover(args.bag, output, partial(shown, label="recovering"))):
-        print(line)
+        show(line)
     with open_bag(output) as bag:
-        print(describe(bag))
+        show(describe(bag))
     return ExitCode.DONE
 
 

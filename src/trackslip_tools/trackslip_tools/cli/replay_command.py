@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import publish, replay_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     with open_bag(args.bag, args.namespace) as bag:
         if bag.damage:
-            print(f"note: {bag.damage}", file=sys.stderr)
+            show(f"note: {bag.damage}", file=sys.stderr)
         if args.publish:
             return publish.publish(bag, filters, args)
         publish.refuse_without_publish(args)
@@ -53,9 +53,9 @@ def run(args: argparse.Namespace) -> int:
             result = replay(bag, p, filters, reference, of_soil, watch)
             if writer and result.soil is not None:
                 writer.add_soil(result.soil)
-    print(text(result, waited_s()))
+    show(text(result, waited_s()))
     if args.output is not None:
-        print(f"estimates: {args.output}")
+        show(f"estimates: {args.output}")
     if args.json is not None:
         write_json(args.json, summary(result, waited_s()))
     return ExitCode.FAILED if result.no_estimate else ExitCode.DONE

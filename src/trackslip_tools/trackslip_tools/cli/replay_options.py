@@ -12,7 +12,7 @@ from trackslip_bags.old_parameters import current_names
 from trackslip_bags.parameters import bag_vehicle, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, show
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
 from trackslip_common.vehicle import TOPIC as VEHICLE
@@ -93,11 +93,11 @@ def parameters_of(
     named: dict[str, Any] = {} if vehicle is None else {VEHICLE: vehicle}
     p = load_slip_parameters(vehicle_layer(of_bag) if of_bag is not None else {}, carried, named, *given)
     if any(map(names_vehicle, (named, *given))):
-        print(f"vehicle: {p.vehicle.name}")
+        show(f"vehicle: {p.vehicle.name}")
     elif of_bag is not None:
-        print(f"vehicle: {p.vehicle.name}, the bag's")
+        show(f"vehicle: {p.vehicle.name}, the bag's")
     else:
-        print(f"vehicle: {p.vehicle.name} is assumed: the bag names none (--vehicle does)")
+        show(f"vehicle: {p.vehicle.name} is assumed: the bag names none (--vehicle does)")
     return p
 
 
@@ -114,7 +114,7 @@ def soil_parameters_of(
     if not any(relative(topic) == HYDRAULICS for topic in bag.topics):
         return None
     if p.vehicle.lacks:
-        print(f"soil: {p.vehicle.lacks}: no forces and no soil are estimated")
+        show(f"soil: {p.vehicle.lacks}: no forces and no soil are estimated")
         return None
     carried, *given = _layers(bag, files, settings, SOIL_NODE)
     return load_soil_parameters(carried, *given, vehicle_layer(p.vehicle))
@@ -135,7 +135,7 @@ def _carried(bag: Bag, node: str) -> Mapping[str, Any]:
     if node == NODE and carried.keys() != stated.keys():
         notes.append("those of an earlier version are read by the names of today")
     for note in notes:
-        print(f"note: parameters of {where}: {note}", file=sys.stderr)
+        show(f"note: parameters of {where}: {note}", file=sys.stderr)
     return {name: value for name, value in carried.items() if name in known}
 
 
@@ -151,7 +151,7 @@ def _given(name: str, node: str, carried: Mapping[str, Any]) -> Mapping[str, Any
     others = node_parameters(tree, "", str(path)).keys() - known
     for other in sorted(others) if node == NODE else ():
         if other not in {n for n, _, _ in flat_fields(_KINDS[SOIL_NODE])}:
-            print(f"note: {path}: '{other}', given to many nodes, is none of {NODE}", file=sys.stderr)
+            show(f"note: {path}: '{other}', given to many nodes, is none of {NODE}", file=sys.stderr)
     return {n: v for n, v in given.items() if n not in others}
 
 
@@ -179,6 +179,8 @@ def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, r
     types = {filters.remap.get(relative(t), relative(t)): info.type_name for t, info in bag.topics.items()}
     if reference is not None and reference not in types:
         require_topics(bag, [reference])
+        renamed = f"--remap reads it as {filters.remap[reference]}"
+        raise InputError(f"--reference {reference}: {renamed}; accepted: the name that it has then")
     if reference is not None and types[reference] not in _POSES:
         accepted = " or ".join(_POSES)
         raise InputError(f"--reference {reference}: it is a {types[reference]}; accepted: {accepted}")

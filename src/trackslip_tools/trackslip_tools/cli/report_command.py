@@ -7,7 +7,7 @@ from pathlib import Path
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag, open_bag
-from trackslip_common.errors import ExitCode, InputError
+from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import replay_options
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         runs.append(Run(label, recordings[path], p, filters, result, details, smoothed))
     page = _page(runs)
     _write(args.output, page)
-    print(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
+    show(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
     return ExitCode.DONE if not all(one.replay.no_estimate for one in runs) else ExitCode.FAILED
 
 

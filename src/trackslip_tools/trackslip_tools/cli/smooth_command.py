@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.smoothing.smooth_bag import SmoothedWriter, smooth_bag
@@ -35,15 +35,15 @@ def run(args: argparse.Namespace) -> int:
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     with open_bag(args.bag, args.namespace) as bag:
         if bag.damage:
-            print(f"note: {bag.damage}", file=sys.stderr)
+            show(f"note: {bag.damage}", file=sys.stderr)
         p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
         with SmoothedWriter(args.output, p) if args.output else nullcontext() as writer:
             watch = writer.add if writer else _ignore
             result = smooth_bag(bag, p, filters, reference, watch)
-    print(result)
+    show(result)
     if args.output is not None:
-        print(f"smoothed: {args.output}")
+        show(f"smoothed: {args.output}")
     if args.json is not None:
         write_json(args.json, result.summary())
     return ExitCode.DONE if result.estimates else ExitCode.FAILED

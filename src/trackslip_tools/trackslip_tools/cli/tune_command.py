@@ -8,7 +8,7 @@ from pathlib import Path
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
-from trackslip_common.errors import ExitCode
+from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import counted
@@ -55,15 +55,15 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(args.output / JOURNAL, tasks, plan.bounds))
         if len(journal):
-            print(f"note: {args.output / JOURNAL} holds {len(journal)} scores; going on", file=sys.stderr)
+            show(f"note: {args.output / JOURNAL} holds {len(journal)} scores; going on", file=sys.stderr)
         workers = cluster(tasks, args.scheduler) if args.scheduler else cores(tasks, args.jobs)
         work = stack.enter_context(workers)
         advance = stack.enter_context(counted(sets, "tuning"))
         tuning = Tuner(plan, tasks, work, journal, advance).run(cross_validate)
     write_evidence(args.output, tuning, tasks[0].p)
     write_json(args.output / NUMBERS, numbers(tuning))
-    print(table(tuning))
-    print(f"\nparameters: {args.output / PARAMETERS}")
+    show(table(tuning))
+    show(f"\nparameters: {args.output / PARAMETERS}")
     return ExitCode.DONE if tuning.improves_unseen else ExitCode.FAILED
 
 
@@ -71,7 +71,7 @@ def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Tas
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     with open_bag(path, args.namespace) as bag:
         if bag.damage:
-            print(f"note: {bag.damage}", file=sys.stderr)
+            show(f"note: {bag.damage}", file=sys.stderr)
         p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
         return read_task(bag, p, filters, reference, needs_reference=needs_reference)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.parameters import bag_parameters, read_parameters
-from trackslip_bags.reader import Bag, require_topics
+from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import RECORDS, ReportFields
@@ -270,6 +270,7 @@ def _require_types(
     expected = dict.fromkeys(p.yaw_rate_sources, "imu/data_raw")
     expected |= dict.fromkeys(("reference_pose", *p.pose_sources), "box_pose")
     expected |= dict.fromkeys(p.slip_sources, TRACK_SLIP)
+    require_one_type(bag, names)
     for topic, name in names.items():
         known, found = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name
         accepted = [known.type_name] if known is not None else sorted(RECORDS)

@@ -72,7 +72,9 @@ class NumbersCollector:
         self._waiting.clear()
 
     def _add_classes(self, message: Any) -> None:
-        self._classes.append((tuple(message.class_names), np.asarray(message.class_probabilities)))
+        names, values = tuple(message.class_names), np.asarray(message.class_probabilities)
+        fit = len(names) == len(values)  # else nobody knows whose probability is which
+        self._classes.append((names, values) if fit else ((), values[:0]))
         self._reason = message.reason
 
 

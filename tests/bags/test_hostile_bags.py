@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags, disks and files that mean no good: one line that says what is wrong, and nothing left behind."""
+
+import errno
+import io
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trackslip_bags.importing.csv_table import Wanted, read_table
+from trackslip_bags.info import describe
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.recovery.recover import recover
+from trackslip_bags.tables import read_tables
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import InputError
+
+TEXT, NUMBER = "std_msgs/msg/String", "std_msgs/msg/Float64"
+
+
+class FullDisk(io.FileIO):
+    """A file on a disk that takes 2 kB."""
+
+    def write(self, data: Any, /) -> int:
+        if self.tell() + len(data) > 2000:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(data)
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The files of bags that are written are on a full disk."""
+    real = Path.open
+
+    def opened(path: Path, mode: str = "r", *args: Any, **options: Any) -> Any:
+        if mode == "xb":
+            return io.BufferedWriter(FullDisk(path, mode))
+        return real(path, mode, *args, **options)
+
+    monkeypatch.setattr(Path, "open", opened)
+
+
+def text_bag(path: Path, count: int = 10, topic: str = "/text", first_ns: int = 1) -> Path:
+    with BagWriter(path) as bag:
+        for k in range(count):
+            data = serialize(make(TEXT, data=os.urandom(500).hex()))
+            bag.write(topic, TEXT, data, first_ns + k)
+    return path
+
+
+def two_typed_bag(path: Path) -> Path:
+    """Of two files: text on a topic in the one, numbers in the other."""
+    bag = BagWriter(path)
+    bag.write("/both", TEXT, serialize(make(TEXT, data="a")), 1)
+    del bag.topics["/both"]
+    bag.split()
+    bag.write("/both", NUMBER, serialize(make(NUMBER, data=1.0)), 2)
+    bag.close()
+    return path
+
+
+def read_all(path: Path) -> None:
+    with open_bag(path) as bag:
+        for _ in read_tables(bag, bag.topics):
+            pass
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Callable[[str], Path]:
+    """A function that makes a named pipe, to which nobody ever writes."""
+
+    def made(name: str) -> Path:
+        os.mkfifo(tmp_path / name)
+        return tmp_path / name
+
+    return made
+
+
+def test_two_types_on_one_topic_are_named_as_such(tmp_path: Path) -> None:
+    path = two_typed_bag(tmp_path / "bag")
+    with pytest.raises(InputError, match=f"/both has messages of several types .{NUMBER} and {TEXT}."):
+        read_all(path)
+    with open_bag(path) as bag:
+        assert f"{NUMBER}, {TEXT}" in describe(bag)
+
+
+@pytest.mark.parametrize("first_ns", [2**63 - 5, 2**63, 2**64 - 20])
+def test_log_times_beyond_63_bits(tmp_path: Path, first_ns: int) -> None:
+    path = text_bag(tmp_path / "bag", first_ns=first_ns)
+    with pytest.raises(InputError, match="after 2262"):
+        read_all(path)
+    with open_bag(path) as bag:
+        describe(bag)
+    recover(path, tmp_path / "recovered")
+    read_all(tmp_path / "recovered")
+
+
+def test_log_times_at_zero(tmp_path: Path) -> None:
+    path = text_bag(tmp_path / "bag", first_ns=0)
+    read_all(path)
+    with open_bag(path) as bag:
+        assert "1970-01-01 00:00:00 UTC" in describe(bag)
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_a_full_disk_leaves_no_bag(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="bag '.*bag' cannot be written .No space left"):
+        text_bag(tmp_path / "bag")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_leaves_nothing_of_recover(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    path = text_bag(tmp_path / "bag")
+    request.getfixturevalue("full_disk")
+    with pytest.raises(InputError, match="cannot be written"):
+        recover(path, tmp_path / "recovered")
+    assert [file.name for file in tmp_path.iterdir()] == ["bag"]
+
+
+@pytest.mark.parametrize("name", ["bag.mcap", "bag.db3", "bag"])
+def test_a_pipe_as_a_bag_is_refused_and_not_waited_for(pipe: Callable[[str], Path], name: str) -> None:
+    path = pipe(name)
+    for read in (open_bag, lambda path: recover(path, path.with_name("out"))):
+        with pytest.raises(InputError, match="no regular file"):
+            read(path)
+
+
+def test_a_pipe_inside_a_bag_is_refused_and_not_waited_for(
+    tmp_path: Path, pipe: Callable[[str], Path]
+) -> None:
+    pipe("bag_0.mcap")
+    for read in (open_bag, lambda path: recover(path, path.with_name("out"))):
+        with pytest.raises(InputError, match="no regular file"):
+            read(tmp_path)
+
+
+def test_a_pipe_as_a_csv_log_is_refused_and_not_waited_for(pipe: Callable[[str], Path]) -> None:
+    with pytest.raises(InputError, match="no regular file"):
+        read_table(pipe("log.csv"), Wanted((), (), ()))
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ('a,b\n1,2\n"3,4\n5,6\n', "quotes that close"),
+        (f"a,b\n1,{'7' * 200_000}\n", "less than 128 kB"),
+        (f"a,b\n1,{'7' * 5000}\n", "accepted: a finite number"),
+        (f'"{"a" * 200_000}",b\n1,2\n', "not a table"),
+        ("a,b\n1,\0\n", "zero bytes"),
+    ],
+)
+def test_unclosed_quotes_and_huge_fields_of_a_csv_log(tmp_path: Path, content: str, expected: str) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=expected) as refused:
+        read_table(file, Wanted(("a", "b"), (), ()))
+    assert len(str(refused.value)) < 1000

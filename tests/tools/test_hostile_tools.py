@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags, disks and options that mean no good, given to ``trackslip``: one line, and nothing left behind."""
+
+import errno
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_bags.messages import make
+from trackslip_common.errors import ExitCode
+from trackslip_common.message_fields import SoilFields
+from trackslip_tools.cli.main import main
+from trackslip_tools.report.numbers import numbers_of
+
+Refuse = Callable[..., str]
+WriteBag = Callable[..., Path]
+TEXT = "std_msgs/msg/String"
+SOIL = "trackslip_msgs/msg/SoilEstimate"
+ESCAPE = "\x1b]0;title\x07"
+
+
+class FullDisk(io.FileIO):
+    """A file on a disk that takes 2 kB."""
+
+    def write(self, data: Any, /) -> int:
+        if self.tell() + len(data) > 2000:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(data)
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The files of bags that are written are on a full disk."""
+    real = Path.open
+
+    def opened(path: Path, mode: str = "r", *args: Any, **options: Any) -> Any:
+        return io.BufferedWriter(FullDisk(path, mode)) if mode == "xb" else real(path, mode, *args, **options)
+
+    monkeypatch.setattr(Path, "open", opened)
+
+
+@pytest.mark.parametrize("topic", ["hydraulics", "soil", "track_forces", "truth/soil"])
+def test_wrong_types_of_the_soils_topics(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, refuse: Refuse, topic: str
+) -> None:
+    hydraulics = make("trackslip_msgs/msg/TrackHydraulics")
+    right = lines[0]._replace(topic="hydraulics", type_name=hydraulics.__msgtype__, message=hydraulics)
+    wrong = lines[0]._replace(topic=topic, type_name=TEXT, message=make(TEXT, data="hello"))
+    path = write_bag(tmp_path / "bag", [*lines, wrong, *([right] if topic != "hydraulics" else [])])
+    assert f"/{topic} is a {TEXT}" in refuse("replay", path)
+    assert f"/{topic} is a {TEXT}" in refuse("report", path, "--output", tmp_path / "report.html")
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_class_names_that_change_in_a_bag() -> None:
+    classes = [(["a"], [0.5]), ([], []), (["b", "a"], [0.25, 0.75]), (["a", "b"], [1.0]), (["a"], [1.0, 2.0])]
+    messages = [make(SOIL, class_names=names, class_probabilities=p) for names, p in classes]
+    found = numbers_of(messages, SoilFields, 0).classes
+    nan = float("nan")
+    np.testing.assert_array_equal(found["a"], [0.5, nan, 0.75, nan, nan])
+    np.testing.assert_array_equal(found["b"], [nan, nan, 0.25, nan, nan])
+
+
+@pytest.mark.parametrize("command", ["replay", "report"])
+def test_a_reference_that_remap_took_away(bag: Path, tmp_path: Path, refuse: Refuse, command: str) -> None:
+    options = ["--remap", "reference_pose:=other", "--reference", "reference_pose"]
+    if command == "report":
+        options += ["--output", str(tmp_path / "report.html")]
+    assert "--remap reads it as other; accepted: the name that it has then" in refuse(command, bag, *options)
+
+
+def test_escapes_in_names_do_not_reach_the_terminal(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, capsys: pytest.CaptureFixture[str]
+) -> None:
+    odd = lines[0]._replace(topic=ESCAPE, type_name=TEXT, message=make(TEXT, data=ESCAPE))
+    content = f'slip_estimator: {{ros__parameters: {{"{ESCAPE.encode("unicode_escape").decode()}": 1}}}}'
+    parameters = odd._replace(topic="slip_estimator/parameters", message=make(TEXT, data=content))
+    path = write_bag(tmp_path / "bag", [parameters, odd, *lines])
+    main(["info", str(path)])
+    main(["recover", str(path), "--output", str(tmp_path / "recovered")])
+    main(["replay", str(path), "--start", "9"])
+    main(["replay", str(path), "--withhold", "bocks"])
+    main(["replay", str(path), "--reference", ESCAPE])
+    shown = capsys.readouterr()
+    assert "\\x1b]0;title\\x07" in shown.out
+    assert "is not one of this version" in shown.err
+    assert all(c.isprintable() or c == "\n" for c in shown.out + shown.err)
+
+
+def test_a_full_disk_leaves_nothing_of_a_replay(
+    bag: Path, tmp_path: Path, refuse: Refuse, request: pytest.FixtureRequest
+) -> None:
+    request.getfixturevalue("full_disk")
+    error = refuse("replay", bag, "--stop", "3", "--output", tmp_path / "estimates")
+    assert "cannot be written (No space left on device)" in error
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_leaves_nothing_of_an_import(
+    tmp_path: Path, refuse: Refuse, request: pytest.FixtureRequest
+) -> None:
+    log, mapping = tmp_path / "log.csv", tmp_path / "mapping.yaml"
+    log.write_text("t,l,r\n" + "".join(f"{k},{np.pi * k},2\n" for k in range(2000)), encoding="utf-8")
+    mapping.write_text(
+        "topics: {sprockets: {time: {column: t, unit: s}, left_velocity: {column: l, unit: rad/s}, "
+        "right_velocity: {column: r, unit: rad/s}}}\nparameters: {vehicle: {kinematics: {rolling_radius: 0.5, tread: 2.0}}}\n",
+        encoding="utf-8",
+    )
+    request.getfixturevalue("full_disk")
+    error = refuse("import", log, "--mapping", mapping, "--output", tmp_path / "bag")
+    assert "cannot be written (No space left on device)" in error
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "mapping.yaml"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_info_into_a_full_disk_ends_with_one_line(bag: Path) -> None:
+    command = [sys.executable, "-m", "trackslip_tools.cli.main", "info", str(bag)]
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == ExitCode.BAD_INPUT
+    assert done.stderr == "trackslip: cannot read or write (No space left on device)\n"
