@@ -108,7 +108,7 @@ def test_log_times_at_zero(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("full_disk")
 def test_a_full_disk_leaves_no_bag(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="bag '.*bag' cannot be written .No space left"):
+    with pytest.raises(InputError, match=r"bag '.*bag' cannot be written .No space left"):
         text_bag(tmp_path / "bag")
     assert not list(tmp_path.iterdir())
 

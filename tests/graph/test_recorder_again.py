@@ -3,6 +3,7 @@
 
 from collections.abc import Iterator
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,3 +78,25 @@ def test_publishers_of_one_bag_are_none_of_the_next(recorder: RecordNode) -> Non
     received(recorder, 1, publisher_gid=None)
     received(recorder, 1000, publisher_gid=None)
     assert recorder._losses.total.total() == 0
+
+
+def test_a_recorder_that_is_started_again_goes_on_in_another_bag(
+    recorder: RecordNode, tmp_path: Path
+) -> None:
+    """Respawned with the same ``output``, and two machines that record into one directory at once."""
+    other = RecordNode()
+    other.start()
+    other.end()
+    other.destroy_node()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_2"]
+
+
+def test_the_oldest_files_go_where_the_disk_is_to_take_no_more(recorder: RecordNode, tmp_path: Path) -> None:
+    for number in (1, 2, 3):
+        received(recorder, number)
+        recorder._bag.split()
+    (tmp_path / "mine.mcap").write_bytes(bytes(10_000))
+    recorder.settings = replace(recorder.settings, max_disk=1)
+    recorder._save()
+    assert recorder._disk_error == ""
+    assert sorted(path.name for path in tmp_path.rglob("*.mcap")) == ["bag_3.mcap", "mine.mcap"]

@@ -110,7 +110,7 @@ def test_a_full_disk_leaves_nothing_of_an_import(
     log.write_text("t,l,r\n" + "".join(f"{k},{np.pi * k},2\n" for k in range(2000)), encoding="utf-8")
     mapping.write_text(
         "topics: {sprockets: {time: {column: t, unit: s}, left_velocity: {column: l, unit: rad/s}, "
-        "right_velocity: {column: r, unit: rad/s}}}\nparameters: {vehicle: {kinematics: {rolling_radius: 0.5, tread: 2.0}}}\n",
+        "right_velocity: {column: r, unit: rad/s}}}\n",
         encoding="utf-8",
     )
     request.getfixturevalue("full_disk")

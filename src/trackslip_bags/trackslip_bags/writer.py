@@ -9,8 +9,10 @@ Each file of a split bag stands for itself: it has all topics and definitions.
 import math
 import os
 import shutil
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -34,6 +36,7 @@ class BagWriter:
         distro: ROS distribution to name in the metadata; by default the one in use.
         split_size: bytes of a file from which on another one is begun.
         split_duration: s of log time that a file spans at most.
+        library: who writes, as each file says.
 
     Raises:
         InputError: ``path`` exists already or cannot be created.
@@ -46,12 +49,16 @@ class BagWriter:
         distro: str | None = None,
         split_size: float = math.inf,
         split_duration: float = math.inf,
+        library: str = "trackslip",
     ) -> None:
         self.path = Path(path)
         self.distro = distro or ros_distro()
         self._split_size, self._split_ns = split_size, split_duration * 1e9
+        self._library = library
         self.topics: dict[str, Topic] = {}
         self._extents: dict[str, Extent] = {}  # by file name
+        self._counts_before: list[dict[str, int]] = []  # messages per topic, when each file was begun
+        self._removed: Counter[str] = Counter()  # messages per topic that were in files removed since
         self._chunk_start_ns: int | None = None
         self._saved: dict[str, int] = {}  # counts at the last flush
         try:
@@ -127,6 +134,18 @@ class BagWriter:
         self._file.close()
         self._begin_file()
 
+    def remove_file(self, name: str) -> None:
+        """Delete one of the files that are finished; the metadata will not name it.
+
+        Raises:
+            OSError: it cannot be deleted.
+        """
+        number = int(Path(name).stem.rpartition("_")[2])
+        before, after = self._counts_before[number : number + 2]
+        (self.path / name).unlink()
+        self._removed.update({topic: count - before.get(topic, 0) for topic, count in after.items()})
+        del self._extents[name]
+
     @property
     def file(self) -> Path:
         """The file that is being written."""
@@ -148,7 +167,8 @@ class BagWriter:
             return
         self._file.close()
         unfinished = self.path / f"{METADATA}.tmp"
-        text = metadata_text(self.topics, self._extents, self.distro)
+        left = {n: replace(t, count=t.count - self._removed[n]) for n, t in self.topics.items()}
+        text = metadata_text(left, self._extents, self.distro)
         unfinished.write_text(text, encoding="utf-8")
         unfinished.replace(self.path / METADATA)
 
@@ -186,9 +206,10 @@ class BagWriter:
         shutil.rmtree(self.path, ignore_errors=True)
 
     def _begin_file(self) -> None:
-        name = f"{self.path.resolve().name}_{len(self._extents)}.mcap"
+        name = f"{self.path.resolve().name}_{len(self._counts_before)}.mcap"
+        self._counts_before.append(self.counts)
         self._extents[name] = Extent()
-        self._file = _File(self.path / name, self._extents[name], self.topics)
+        self._file = _File(self.path / name, self._extents[name], self.topics, self._library)
 
     def _is_full(self, log_time_ns: int) -> bool:
         extent = self._file.extent
@@ -201,14 +222,14 @@ class BagWriter:
 class _File:
     """One MCAP file, and what is in it."""
 
-    def __init__(self, path: Path, extent: Extent, topics: Mapping[str, Topic]) -> None:
+    def __init__(self, path: Path, extent: Extent, topics: Mapping[str, Topic], library: str) -> None:
         self.path = path
         self.extent = extent
         self._channels: dict[str, int] = {}
         self._schemas: dict[tuple[str, Schema], int] = {}
         self._stream = path.open("xb")
         self._mcap = Writer(self._stream, compression=CompressionType.ZSTD)
-        self._mcap.start(profile="ros2", library="trackslip")
+        self._mcap.start(profile="ros2", library=library)
         self._stream.flush()
         for name, topic in topics.items():
             self.add_topic(name, topic)

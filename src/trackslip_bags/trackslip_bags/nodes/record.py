@@ -4,13 +4,13 @@
 import math
 import os
 import re
+import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,14 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from trackslip_bags.delivery import DeliveryOrder
+from trackslip_bags.disk import (
+    LIBRARY,
+    DiskWatch,
+    is_recording,
+    recorded_files,
+    remove_recorded,
+    too_many,
+)
 from trackslip_bags.losses import Losses
 from trackslip_bags.qos import offered_qos
 from trackslip_bags.writer import BagWriter
@@ -32,6 +40,8 @@ from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.topics import TOPICS, Flow
 
 _SAVE_PERIOD = 0.5  # s
+_TRIM_PERIOD = 5.0  # s
+_SHORT_MINUTES = 60.0  # until the disk is full: time for somebody to come
 _GATHER = 0.02  # s from a message until all that came meanwhile are taken
 _BURST = 100  # messages of one topic, before the others have their turn
 _LATCHED_DEPTH = 100  # several publishers of one topic keep one message each, such as /tf_static has
@@ -47,6 +57,11 @@ class RecordParameters(Parameters):
     more_topics: str = parameter("regular expression over further topics; empty: none")
     split_size: int = parameter("size of a file from which on the next is begun; 0: any", unit="B", ge=0)
     split_duration: float = parameter("time after which the next file is begun; 0: never", unit="s", ge=0.0)
+    max_disk: int = parameter(
+        "that the files of all recordings beside the bag may take; the oldest go first; 0: any",
+        unit="B",
+        ge=0,
+    )
 
 
 class RecordNode(TrackslipNode[RecordParameters]):
@@ -56,7 +71,6 @@ class RecordNode(TrackslipNode[RecordParameters]):
         super().__init__("record", RecordParameters, "record.yaml")
         self._disk = ThreadPoolExecutor(1)
         self._saving: Future[None] | None = None
-        self._used: set[Path] = set()  # names of bags, numbers left out
 
     def configure(self) -> None:
         """Compile the expression, so that a bad one is refused at the start.
@@ -81,11 +95,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
 
     def activate(self) -> None:
         """Open the bag and subscribe."""
-        self._bag = BagWriter(
-            self._next_path(),
-            split_size=self.settings.split_size or math.inf,
-            split_duration=self.settings.split_duration or math.inf,
-        )
+        self._bag, self._space, self._trimmed_s = self._next_bag(), DiskWatch(), 0.0
         for name, topic in TOPICS.items():
             full = f"/{name}" if name in ("tf", "diagnostics") else self.resolve_topic_name(name)
             self._record(full, topic.type_name, topic.flow is Flow.LATCHED)
@@ -105,14 +115,38 @@ class RecordNode(TrackslipNode[RecordParameters]):
         self._bag, self._saving, self._disk_error = None, None, ""
         self._losses, self._order = Losses(), DeliveryOrder()
 
-    def _next_path(self) -> Path:
-        """Of the bag to begin: the one asked for; with _2, _3, … where this node has used that name."""
+    def _next_bag(self) -> BagWriter:
+        """The bag asked for; with _2, _3, … where a recorder, this one or one before it, has used that name.
+
+        Raises:
+            InputError: something else has the name that was asked for.
+        """
         path = Path(self.settings.output or time.strftime("trackslip_%Y%m%d_%H%M%S"))
-        if path not in self._used:
-            self._used.add(path)
-            return path
-        numbered = (path.with_name(f"{path.name}_{number}") for number in count(2))
-        return next(candidate for candidate in numbered if not candidate.exists())
+        number, candidate = 1, path
+        while True:
+            try:
+                return BagWriter(
+                    candidate,
+                    split_size=self.settings.split_size or math.inf,
+                    split_duration=self.settings.split_duration or math.inf,
+                    library=LIBRARY,
+                )
+            except InputError:
+                asked_for = candidate == path and self.settings.output
+                if not candidate.exists() or (asked_for and not is_recording(candidate)):
+                    raise
+            number += 1
+            candidate = path.with_name(f"{path.name}_{number}")
+
+    def _keep_to_budget(self) -> None:
+        """Remove the oldest files of recordings beside the bag where they take more than ``max_disk``."""
+        bag, most, now_s = self._bag, self.settings.max_disk, time.monotonic()
+        if bag is None or not most or now_s - self._trimmed_s < _TRIM_PERIOD:
+            return
+        self._trimmed_s = now_s
+        for file in too_many(list(recorded_files(bag.path.parent)), most, bag.path, bag.file, time.time()):
+            self.get_logger().warning(f"max_disk: {file} is removed")
+            bag.remove_file(file.name) if file.parent == bag.path else remove_recorded(file)
 
     def drain(self, spin_once: Callable[[], None]) -> None:
         """What was received is written, also what came just before the end."""
@@ -131,13 +165,17 @@ class RecordNode(TrackslipNode[RecordParameters]):
             level, word = WARN, "some topics cannot be recorded"
         if self._losses.total:
             level, word = ERROR, "messages were lost"
+        minutes = self._space.minutes_left
+        if minutes is not None and minutes < _SHORT_MINUTES and level == OK:
+            level, word = WARN, f"the disk is full in {minutes:.0f} min"
         if self._disk_error:
             level, word = ERROR, self._disk_error
         counts: dict[str, Any] = dict(self._bag.counts)
         lost = {f"{topic} lost": n for topic, n in self._losses.total.items()}
+        space = {} if minutes is None else {"disk full in (min)": round(minutes)}
         matched: dict[str, Any] = {topic: tap.get_publisher_count() for topic, tap in self._taps.items()}
         return [
-            Health(level, f"{word}: {self._bag.path}", counts | lost | self._not_recorded),
+            Health(level, f"{word}: {self._bag.path}", counts | lost | self._not_recorded | space),
             Health(OK, f"{sum(matched.values())} publishers found", matched, part="publishers"),
         ]
 
@@ -197,6 +235,9 @@ class RecordNode(TrackslipNode[RecordParameters]):
             if self._saving is not None:
                 self._try_on_disk(self._saving.result)
             self._saving = self._disk.submit(_sync, self._bag.file)
+        if not self._disk_error:
+            self._try_on_disk(self._keep_to_budget)
+            self._space.add(shutil.disk_usage(self._bag.path).free)
         lost = self._losses.news()
         if lost:
             self.get_logger().error(f"lost {lost}")

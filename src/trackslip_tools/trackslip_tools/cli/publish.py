@@ -72,8 +72,8 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     playback = Playback(partial(played, bag, filters, topics), args.rate or 1.0, args.paused, args.loop)
     if playback.finished:
         raise InputError(f"bag '{bag.path}': nothing to publish between --start and --stop")
-    with Keyboard() as keyboard, _progress(bag) as show:
-        code: int = player.play(playback, topics, keyboard.typed, show)
+    with Keyboard() as keyboard, _progress(bag) as progress:
+        code: int = player.play(playback, topics, keyboard.typed, progress)
     show(f"{sum(playback.counts.values())} messages published")
     for topic, count in sorted(playback.counts.items()):
         show(f"  {topic:<24}{count:>8}")

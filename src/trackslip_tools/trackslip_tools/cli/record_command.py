@@ -16,6 +16,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--more-topics", metavar="REGEX", help="record topics whose whole name matches, too")
     add("--split-size", metavar="B", type=int, help="begin another file at this size; 0: never")
     add("--split-duration", metavar="S", type=float, help="begin another file after this time; 0: never")
+    add(
+        "--max-disk",
+        metavar="B",
+        type=int,
+        help="remove the oldest recordings beside it beyond this; 0: never",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: ROS is not there.
     """
-    names = ("output", "more_topics", "split_size", "split_duration")
+    names = ("output", "more_topics", "split_size", "split_duration", "max_disk")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
     code: int = node_module("record", "record").record(["--ros-args", *options])

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The disk of a recorder: which files are recordings, which go beyond a budget, how long it lasts."""
+
+import re
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from mcap.stream_reader import StreamReader
+
+from trackslip_bags.metadata import METADATA
+
+LIBRARY = "trackslip record"  # by which each file of a recording names its writer
+_RESTING = 60.0  # s since it was written to, after which a file belongs to no recorder that runs
+_OBSERVED = 60.0  # s over which the rate is taken
+_SHORTEST = 10.0  # s, for a rate
+
+
+class Recorded(NamedTuple):
+    """One file of a recording."""
+
+    path: Path
+    size: int  # B
+    changed_s: float  # time of day
+
+
+def is_recording(folder: Path) -> bool:
+    """Whether a directory is a bag that a recorder wrote, and nothing else: then it is ours."""
+    own = re.compile(rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?")
+    try:
+        files = list(folder.iterdir()) if folder.is_dir() and not folder.is_symlink() else []
+    except OSError:
+        return False
+    named = all(own.fullmatch(file.name) and file.is_file() and not file.is_symlink() for file in files)
+    of_data = [file for file in files if file.suffix == ".mcap"]
+    return named and bool(of_data) and all(map(_is_recorded, of_data))
+
+
+def _is_recorded(file: Path) -> bool:
+    """Whether a file says that a recorder wrote it."""
+    try:
+        with file.open("rb") as stream:
+            first = next(iter(StreamReader(stream).records), None)
+    except Exception:  # noqa: BLE001 (foreign bytes can raise anything in the parser)
+        return False
+    return getattr(first, "library", "") == LIBRARY
+
+
+def recorded_files(folder: Path) -> Iterator[Recorded]:
+    """The files of all recordings in a directory."""
+    for bag in folder.iterdir():
+        if is_recording(bag):
+            for file in bag.glob("*.mcap"):
+                with suppress(OSError):  # somebody else removed it
+                    about = file.stat()
+                    yield Recorded(file, about.st_size, about.st_mtime)
+
+
+def too_many(files: list[Recorded], most: int, bag: Path, writing: Path, now_s: float) -> list[Path]:
+    """The oldest ones, which must go for no more than ``most`` bytes to stay.
+
+    Never ``writing``; nor one of another bag than ``bag`` that somebody may be writing yet.
+    """
+    surplus = sum(file.size for file in files) - most
+    gone: list[Path] = []
+    for file in sorted(files, key=lambda file: (file.changed_s, file.path)):
+        rests = file.path.parent == bag or now_s - file.changed_s > _RESTING
+        if surplus > 0 and file.path != writing and rests:
+            gone.append(file.path)
+            surplus -= file.size
+    return gone
+
+
+def remove_recorded(file: Path) -> None:
+    """A file of a finished bag; its metadata, which no longer holds, and with the last file the directory.
+
+    Raises:
+        OSError: it cannot be removed.
+    """
+    (file.parent / METADATA).unlink(missing_ok=True)
+    file.unlink(missing_ok=True)
+    with suppress(OSError):  # there are others
+        file.parent.rmdir()
+
+
+class DiskWatch:
+    """How long the free space lasts at the rate at which it went in the last minute."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, int]] = deque()
+
+    def add(self, free: int, now_s: float | None = None) -> None:
+        """Bytes that are free now; ``now_s``: of a steady clock."""
+        now_s = time.monotonic() if now_s is None else now_s
+        self._seen.append((now_s, free))
+        while now_s - self._seen[0][0] > _OBSERVED:
+            self._seen.popleft()
+
+    @property
+    def minutes_left(self) -> float | None:
+        """None where nothing is being used up, or nobody knows yet."""
+        if not self._seen or (passed_s := self._seen[-1][0] - self._seen[0][0]) < _SHORTEST:
+            return None
+        used = self._seen[0][1] - self._seen[-1][1]
+        return self._seen[-1][1] / (used / passed_s) / 60.0 if used > 0 else None

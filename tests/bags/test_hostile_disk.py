@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorder's disk: what it may remove, what it never does, and how long the space lasts."""
+
+from pathlib import Path
+
+import pytest
+
+from trackslip_bags.disk import (
+    LIBRARY,
+    DiskWatch,
+    Recorded,
+    is_recording,
+    recorded_files,
+    remove_recorded,
+    too_many,
+)
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+
+TEXT = "std_msgs/msg/String"
+DATA = serialize(make(TEXT, data="a"))
+
+
+def recording(path: Path, files: int = 1, library: str = LIBRARY) -> Path:
+    with BagWriter(path, library=library) as bag:
+        for k in range(files):
+            if k:
+                bag.split()
+            bag.write("/text", TEXT, DATA, k)
+    return path
+
+
+def test_a_recording_is_known_by_what_its_files_say(tmp_path: Path) -> None:
+    assert is_recording(recording(tmp_path / "bag", 2))
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "other_0.mcap", "bag_x.mcap", "bag_7.mcap"])
+def test_a_directory_with_anything_else_in_it_is_no_recording(tmp_path: Path, name: str) -> None:
+    path = recording(tmp_path / "bag")
+    (path / name).write_text("mine", encoding="utf-8")
+    assert not is_recording(path)
+    assert not list(recorded_files(tmp_path))
+
+
+def test_bags_of_others_links_and_files_are_no_recordings(tmp_path: Path) -> None:
+    recording(tmp_path / "imported", library="trackslip")
+    (tmp_path / "file").write_text("mine", encoding="utf-8")
+    (tmp_path / "empty").mkdir()
+    real = recording(tmp_path / "bag")
+    (tmp_path / "link").symlink_to(real)
+    assert {file.path.parent for file in recorded_files(tmp_path)} == {real}
+    assert not is_recording(tmp_path / "nowhere")
+
+
+def test_the_oldest_go_first_and_never_one_that_is_written() -> None:
+    bag, other, busy = Path("bag"), Path("other"), Path("busy")
+    writing = bag / "bag_1.mcap"
+    files = [
+        Recorded(writing, 100, 1.0),
+        Recorded(bag / "bag_0.mcap", 100, 990.0),
+        Recorded(other / "other_0.mcap", 100, 20.0),
+        Recorded(other / "other_1.mcap", 100, 30.0),
+        Recorded(busy / "busy_0.mcap", 100, 980.0),
+    ]
+
+    def gone(most: int) -> list[str]:
+        return [file.name for file in too_many(files, most, bag, writing, now_s=1000.0)]
+
+    assert gone(500) == []
+    assert gone(499) == ["other_0.mcap"]
+    assert gone(300) == ["other_0.mcap", "other_1.mcap"]
+    assert gone(0) == ["other_0.mcap", "other_1.mcap", "bag_0.mcap"]
+
+
+def test_what_is_left_of_a_bag_is_read(tmp_path: Path) -> None:
+    path = recording(tmp_path / "bag", 3)
+    remove_recorded(path / "bag_0.mcap")
+    with open_bag(path) as bag:
+        assert [message.log_time_ns for message in bag.messages()] == [1, 2]
+    remove_recorded(path / "bag_1.mcap")
+    remove_recorded(path / "bag_2.mcap")
+    assert not path.exists()
+
+
+def test_the_metadata_names_no_file_that_was_removed(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "bag")
+    for k in range(4):
+        bag.write("/text", TEXT, DATA, k)
+        if k < 3:
+            bag.split()
+    bag.remove_file("bag_2.mcap")
+    bag.remove_file("bag_1.mcap")
+    bag.close()
+    with open_bag(tmp_path / "bag") as opened:
+        assert opened.damage == ""
+        assert opened.message_count == 2
+        assert [message.log_time_ns for message in opened.messages()] == [0, 3]
+
+
+def test_minutes_left_follow_the_rate_of_the_last_minute() -> None:
+    watch = DiskWatch()
+    assert watch.minutes_left is None
+    for second in range(200):
+        watch.add(10_000_000 - 1000 * min(second, 100), float(second))
+        if second == 5:
+            assert watch.minutes_left is None
+        if second == 90:
+            assert watch.minutes_left == pytest.approx((10_000_000 - 90_000) / 60_000)
+    assert watch.minutes_left is None
