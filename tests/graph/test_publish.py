@@ -57,7 +57,7 @@ def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
     observer.wait(lambda: len(clock) > 100, "the clock")
     with open_bag(path) as bag:
         begin, end = bag.start_ns * 1e-9, bag.end_ns * 1e-9
-        sent = {topic: info.count for topic, info in bag.topics.items()}
+        sent = {topic: info.count for topic, info in bag.topics.items() if topic != "/vehicle"}
     assert not odometry  # it is paused
     assert {seconds(message.clock) for message in clock} == {begin}
 
