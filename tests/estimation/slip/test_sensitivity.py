@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What cannot matter does not: a stamp that is 1 µs off, and the order of sources at equal stamps."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fixtures.drawn_machine import FIX, GYRO, Machine, drive, parameters
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+
+SHIFT_NS = 1000
+MACHINES = (
+    Machine(duration=40.0),
+    Machine(duration=40.0, gyro_scale=0.98, gyro_noise=0.02, track_error=0.08, fix_noise=0.04, seed=1),
+)
+
+
+def final_pose(measurements: Sequence[Measurement]) -> NDArray[np.float64]:
+    """(3,) where the estimate ends."""
+    estimator = SlipEstimator(parameters())
+    estimator.process_all(measurements)
+    return estimator.estimate().pose
+
+
+def shifted(measurements: Sequence[Measurement], k: int, by_ns: int) -> list[Measurement]:
+    """The same with one stamp moved; it arrives when it did."""
+    found = list(measurements)
+    found[k] = replace(found[k], stamp_ns=found[k].stamp_ns + by_ns)
+    return found
+
+
+@pytest.mark.parametrize("machine", MACHINES, ids=("nominal", "real"))
+@pytest.mark.parametrize("kind", [Sprockets, YawRate, PoseFix])
+def test_a_stamp_that_is_a_microsecond_off_moves_the_final_pose_by_less_than_a_millimetre(
+    machine: Machine, kind: type[Measurement]
+) -> None:
+    measurements = drive(machine).measurements
+    pose = final_pose(measurements)
+    of_kind = [k for k, m in enumerate(measurements) if isinstance(m, kind)]
+    for k in (of_kind[len(of_kind) // 4], of_kind[len(of_kind) // 2]):
+        for by_ns in (-SHIFT_NS, SHIFT_NS):
+            moved = final_pose(shifted(measurements, k, by_ns)) - pose
+            assert np.hypot(*moved[:2]) < 1e-3
+            assert abs(moved[2]) < 1e-3
+
+
+@pytest.mark.parametrize("machine", MACHINES, ids=("nominal", "real"))
+def test_the_order_of_sources_at_equal_stamps_does_not_matter(machine: Machine) -> None:
+    measurements = drive(machine).measurements
+    assert {m.source for m in measurements} == {"sprockets", GYRO, FIX}
+    pose = final_pose(measurements)
+    start = measurements[
+        0
+    ].stamp_ns  # what has the stamp of the fix that starts it is no part of the estimate
+    backwards = sorted(reversed(measurements), key=lambda m: m.stamp_ns)
+    assert [m.source for m in backwards] != [m.source for m in measurements]
+    backwards = [m for m in measurements if m.stamp_ns == start] + [
+        m for m in backwards if m.stamp_ns > start
+    ]
+    assert np.array_equal(final_pose(backwards), pose)
