@@ -129,12 +129,13 @@ def test_info_into_a_full_disk_ends_with_one_line(bag: Path) -> None:
 
 
 def test_poses_of_another_frame_are_refused_by_name(
-    bag: Path, summary: Callable[..., dict[str, Any]]
+    bag: Path, summary: Callable[..., dict[str, Any]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Fixes of the bag state no frame; one that must be in a frame is refused as live, and counted."""
-    setting = ("--set", "slip_estimator.sources.box_pose.frame_id=")
+    setting = "slip_estimator.sources.box_pose.frame_id="
     every = summary(bag)
     assert every["messages"]["box_pose"] > 0
-    assert summary(bag, *setting[:1], f"{setting[1]}''")["rejected"] == every["rejected"]
-    refused = summary(bag, *setting[:1], f"{setting[1]}map", code=ExitCode.FAILED)
+    assert summary(bag, "--set", f"{setting}''")["rejected"] == every["rejected"]
+    refused = summary(bag, "--set", f"{setting}map", code=ExitCode.FAILED)
     assert refused["rejected"]["box_pose"] == {"of another frame": every["messages"]["box_pose"]}
+    assert "every fix was refused (box_pose: " in capsys.readouterr().out

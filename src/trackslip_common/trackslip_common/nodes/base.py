@@ -48,7 +48,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.has_run = False  # whether it was active since it was configured
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.tally = Tally()
-        self._inputs: set[str] = set()  # topics
+        self._listened_to: set[str] = set()  # topics
         self._status = self.tolerate_failures(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._lasting_timers.append(self.create_timer(1.0, self.publish_health, clock=steady))
@@ -93,7 +93,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
 
         self.create_subscription(message_type, topic, when_active, subscriber_qos(topic))
         if topic not in COMMANDS:
-            self._inputs.add(topic)
+            self._listened_to.add(topic)
 
     def advertise(self, message_type: type, topic: str) -> Any:
         """A lifecycle publisher with the topic's own quality of service, whose failures the node survives."""
@@ -115,13 +115,13 @@ class TrackslipNode(GuardedNode, Generic[P]):
 
     def _rivals(self) -> list[Health]:
         """An error where an input has several publishers, whose messages are taken for one sensor's."""
-        counts = {topic: self.count_publishers(topic) for topic in sorted(self._inputs)}
+        counts = {topic: self.count_publishers(topic) for topic in sorted(self._listened_to)}
         several = {topic: count for topic, count in counts.items() if count > 1}
         text = f"several publishers of {', '.join(several)}"
         return [Health(ERROR, text, several, part="inputs")] if several else []
 
     def _configure(self) -> None:
-        self._inputs.clear()
+        self._listened_to.clear()
         self._settings_in_use = self.settings
         self.has_run = False
         if self.parameters_topic:
