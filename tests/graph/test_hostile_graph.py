@@ -14,6 +14,7 @@ from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.qos import publisher_qos
 from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
+from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 
 pytestmark = pytest.mark.xdist_group("graph")
 
@@ -72,3 +73,18 @@ def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimator
         listening.callback(pose)
     assert estimator.tally.total["box_pose", "of another frame"] == 2
     assert "box_pose of another frame" in estimator.health()[0].values
+
+
+def test_a_nodes_own_counters_do_not_hide_its_inputs(domain: int) -> None:
+    """The soil estimator had a counter of the name that the base has for the topics."""
+    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = SoilEstimatorNode()
+    try:
+        node.start()
+        node.publish_health()
+        assert node._rivals() == []
+        assert node.callback_failures.last == ""
+    finally:
+        node.end()
+        node.destroy_node()
+        rclpy.try_shutdown()
