@@ -144,6 +144,13 @@ def test_node_that_dies_ends_the_demo(programs, observer):
 
 def test_demo_starts_as_many_nodes_as_these_tests_expect(tmp_path):
     options = DemoOptions(
-        devices=tmp_path, bag=tmp_path, can_port=1, duration=1.0, soil="", scenario="", autostart=False
+        devices=tmp_path,
+        bag=tmp_path,
+        can_port=1,
+        duration=1.0,
+        soil="",
+        scenario="",
+        vehicle="pc05",
+        autostart=False,
     )
     assert len(demo_nodes(options)) == NODES

@@ -45,7 +45,7 @@ def test_box_ahead_and_nothing_else(box):
 
 
 def test_box_offset_and_laser_pose(box):
-    ahead = dataclasses.replace(box, box_x=0.5, box_y=0.2)
+    ahead = dataclasses.replace(box, x=0.5, y=0.2)
     scanner = SiteScanner(site(laser_x=2.0, laser_y=-7.0, laser_yaw=np.pi / 2.0), ahead, seed=0)
     ranges = scanner.scan(0.0, standing(2.2, 0.0, np.pi / 2.0))
     assert ranges[180] == pytest.approx(7.0 + 0.5 - 0.35)

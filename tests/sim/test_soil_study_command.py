@@ -66,7 +66,7 @@ def test_it_writes_rows_and_tables(
     assert (rows[0]["F_max_inside"], rows[0]["seeds"]) == (2, 2)
     assert rows[4]["recognised_after"] is None  # never: JSON knows no infinity
     shown, error = capsys.readouterr()
-    assert shown == (tmp_path / "soil_table.md").read_text()
+    assert shown == "vehicle: pc05\n\n" + (tmp_path / "soil_table.md").read_text()
     assert error == ""
     lines = [line for line in shown.splitlines() if line.startswith("|")]
     assert len(lines) == 2 + 4 + 2 + 2

@@ -57,7 +57,7 @@ def test_it_writes_rows_table_and_figures(
     assert all(row.keys() >= KEYS and row["soil"] == "sand" and row["seeds"] == 2 for row in rows)
     assert all(0.0 < row["position_rmse"] < 10.0 * row["position_bound"] for row in rows)
     shown, error = capsys.readouterr()
-    assert shown == (tmp_path / "study_table.md").read_text()
+    assert shown == "vehicle: pc05\n\n" + (tmp_path / "study_table.md").read_text()
     assert error == ""  # no progress bar in a pipe
     drawn = {path.name for path in (tmp_path / "figures").iterdir()}
     assert drawn == {

@@ -34,7 +34,10 @@ def replayed(folder: Path, *arguments: str | Path) -> dict[str, Any]:
 
 def test_each_machine_replays_alone(emulated_bag: Path, two_machines: Path, tmp_path: Path) -> None:
     alone = replayed(tmp_path, emulated_bag)
-    assert replayed(tmp_path, two_machines, "--namespace", "/site/one") == alone
+    of_one = replayed(tmp_path, two_machines, "--namespace", "/site/one")
+    # Errors of encoders are summed over parts of the bag, which are not cut at the same places.
+    assert of_one.pop("rmse") == pytest.approx(alone.pop("rmse"), rel=1e-12)
+    assert of_one == alone
     start = "slip_estimator.start=initial_pose"
     other = replayed(tmp_path, two_machines, "--namespace", "two", "--set", start)
     assert "box_pose" not in other["messages"]

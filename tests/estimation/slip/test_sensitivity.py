@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.drawn_machine import FIX, GYRO, Machine, drive, parameters
 from numpy.typing import NDArray
 
-from fixtures.drawn_machine import FIX, GYRO, Machine, drive, parameters
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 
@@ -53,12 +53,8 @@ def test_the_order_of_sources_at_equal_stamps_does_not_matter(machine: Machine) 
     measurements = drive(machine).measurements
     assert {m.source for m in measurements} == {"sprockets", GYRO, FIX}
     pose = final_pose(measurements)
-    start = measurements[
-        0
-    ].stamp_ns  # what has the stamp of the fix that starts it is no part of the estimate
-    backwards = sorted(reversed(measurements), key=lambda m: m.stamp_ns)
+    start = measurements[0].stamp_ns  # a fix begins the estimate: what has its stamp comes before or after it
+    order = {source: -k for k, source in enumerate(("sprockets", GYRO, FIX))}
+    backwards = sorted(measurements, key=lambda m: (m.stamp_ns, order[m.source] * (m.stamp_ns > start)))
     assert [m.source for m in backwards] != [m.source for m in measurements]
-    backwards = [m for m in measurements if m.stamp_ns == start] + [
-        m for m in backwards if m.stamp_ns > start
-    ]
     assert np.array_equal(final_pose(backwards), pose)

@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     _prepare(args)
     running = study.run(args.cache, args.jobs, fresh=args.fresh)
     rows = study.rows(list(shown(running, study.UNIT, total=len(study))))
-    print(study.markdown(rows), end="")
+    print(f"vehicle: {load_vehicle(args.vehicle or ASSUMED).name}\n\n{study.markdown(rows)}", end="")
     if args.json is not None:
         write_json(args.json, [asdict(row) for row in rows])
     if args.output is not None:
@@ -84,8 +84,6 @@ def _study(args: argparse.Namespace) -> Study[Any, Any]:
     given = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}
     for option in given.keys() - kind.PARAMETERS.keys():
         raise InputError(f"--{option.replace('_', '-')}: does not go with --estimator {args.estimator}")
-    vehicle = load_vehicle(args.vehicle or ASSUMED)
-    print(f"vehicle: {vehicle.name}\n")
     named = [f"{NODE}.vehicle={args.vehicle}"] if args.vehicle else []
     return kind({kind.PARAMETERS[option]: value for option, value in given.items()}, [*named, *args.set])
 
