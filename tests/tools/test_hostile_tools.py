@@ -126,3 +126,16 @@ def test_info_into_a_full_disk_ends_with_one_line(bag: Path) -> None:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == ExitCode.BAD_INPUT
     assert done.stderr == "trackslip: cannot read or write (No space left on device)\n"
+
+
+def test_poses_of_another_frame_are_refused_by_name(
+    bag: Path, summary: Callable[..., dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Fixes of the bag state no frame; one that must be in a frame is refused as live, and counted."""
+    setting = "slip_estimator.sources.box_pose.frame_id="
+    every = summary(bag)
+    assert every["messages"]["box_pose"] > 0
+    assert summary(bag, "--set", f"{setting}''")["rejected"] == every["rejected"]
+    refused = summary(bag, "--set", f"{setting}map", code=ExitCode.FAILED)
+    assert refused["rejected"]["box_pose"] == {"of another frame": every["messages"]["box_pose"]}
+    assert "every fix was refused (box_pose: " in capsys.readouterr().out

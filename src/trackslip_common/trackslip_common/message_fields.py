@@ -72,6 +72,12 @@ StampNs = Annotated[int, Stamp()]
 Plane = Annotated[FloatArray, At("pose.covariance", _PLANE_IN_36, (3, 3))]
 
 
+class FrameFields(NamedTuple):
+    """Of any message with a header."""
+
+    frame: Annotated[str, Text("header.frame_id")]
+
+
 class SprocketFields(NamedTuple):
     """Of sensor_msgs/JointState."""
 

@@ -53,6 +53,7 @@ TOPICS = {
     "tf": Topic("tf2_msgs/msg/TFMessage", Flow.RELIABLE),
 }
 
+COMMANDS = ("slip_estimator/set_pose", "emulator/fault")  # that anybody may give; else one publisher a topic
 SENSOR_TOPICS = tuple(name for name, topic in TOPICS.items() if topic.flow is Flow.SENSOR)
 LEFT_SPROCKET, RIGHT_SPROCKET = "left_sprocket", "right_sprocket"
 SWING_JOINT = "swing"  # of the upper structure against the undercarriage

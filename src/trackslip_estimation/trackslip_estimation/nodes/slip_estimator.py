@@ -3,6 +3,7 @@
 
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -33,7 +34,7 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
-from trackslip_estimation.slip.sources import HEADING_MESSAGES, named
+from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal, named
 
 LOCAL = "odometry/local"
 
@@ -69,16 +70,17 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._tf = self._advertise_tf() if p.publish_tf else None
         self.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
         self.subscribe(topic_class(SET_POSE), SET_POSE, partial(self._on_pose, source=SET_POSE))
+        self._frames_of_sources = p.frames_of_sources()
         for source, gyro in p.gyros().items():
             on_imu = partial(self._on_imu, source=source, variance=gyro.stddev**2)
-            self.subscribe(topic_class("imu/data_raw"), source, on_imu)
+            self._listen(topic_class("imu/data_raw"), source, on_imu)
         for source in named(p.pose_sources):
-            self.subscribe(topic_class("box_pose"), source, partial(self._on_pose, source=source))
+            self._listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source, compass in p.compasses().items():
             on_heading = partial(self._on_heading, source=source, variance=compass.stddev**2)
-            self.subscribe(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
+            self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
         for source in named(p.slip_sources):
-            self.subscribe(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
+            self._listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
     def activate(self) -> None:
         """State which vehicle the estimates are of."""
@@ -106,6 +108,17 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         counts = {"measurements": self._taken, "estimates": self._estimates, **refused}
         silent = None if self._heard is None else time.monotonic() - self._heard
         return [estimator_health(self._estimator, self._watch, silent, counts), *self._kept.health()]
+
+    def _listen(self, kind: type, source: str, callback: Callable[[Any], None]) -> None:
+        """Subscribe to a source; what is in another frame than it may be in is refused."""
+
+        def when_in_frame(message: Any) -> None:
+            if self._frames_of_sources.get(source) in (None, message.header.frame_id):
+                callback(message)
+            else:
+                self.tally.add(source, Refusal.OTHER_FRAME)
+
+        self.subscribe(kind, source, when_in_frame)
 
     def _on_sprockets(self, message: Any) -> None:
         self._heard = time.monotonic()

@@ -160,8 +160,14 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
     def timeouts_ns(self) -> dict[str, int]:
         """Of each source but the sprockets, by topic."""
-        sources = {topic: source for kind in KINDS for topic, source in self.of_kind(kind).items()}
-        return {topic: source.timeout_ns for topic, source in sources.items()}
+        return {topic: source.timeout_ns for topic, source in self._by_topic().items()}
+
+    def frames_of_sources(self) -> dict[str, str]:
+        """The only frame that messages of a source may be in, by topic, of those that have one."""
+        return {topic: source.frame_id for topic, source in self._by_topic().items() if source.frame_id}
+
+    def _by_topic(self) -> dict[str, Source]:
+        return {topic: source for kind in KINDS for topic, source in self.of_kind(kind).items()}
 
     def changed(self, values: Mapping[str, Any]) -> "SlipEstimatorParameters":
         """These parameters with other values; dotted names.

@@ -8,6 +8,7 @@ says of the kind. Another kind: its list and dataclass in ``KINDS``, its block i
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from functools import cache
 from typing import Any
 
@@ -23,6 +24,7 @@ class Source(Parameters):
     """What all kinds have."""
 
     timeout: float = parameter(_TIMEOUT, unit="s", ge=0.01, le=86400.0, read_only=False)
+    frame_id: str = parameter("the only frame its messages may be in; empty: any")
 
     @property
     def timeout_ns(self) -> int:
@@ -81,6 +83,12 @@ class YawRateSource(Source):
 @dataclass(frozen=True, kw_only=True)
 class SlipSource(Source):
     """Slips that were estimated elsewhere; its gate widens with each further timeout."""
+
+
+class Refusal(Enum):
+    """Why a message of a source never becomes a measurement."""
+
+    OTHER_FRAME = "of another frame"
 
 
 HEADING_MESSAGES = {"imu": "sensor_msgs/msg/Imu", "quaternion": "geometry_msgs/msg/QuaternionStamped"}

@@ -24,8 +24,9 @@ from trackslip_bags.parameters import bag_parameters, read_parameters
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
-from trackslip_common.message_fields import RECORDS, ReportFields
+from trackslip_common.message_fields import RECORDS, FrameFields, ReportFields
 from trackslip_common.parameters import reloadable
+from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.measurements import (
     FORGET,
@@ -37,7 +38,7 @@ from trackslip_estimation.slip.measurements import (
     Reload,
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.sources import HEADING_MESSAGES
+from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal
 from trackslip_tools.replay.arrivals import (
     ARRIVAL,
     IS_COMMAND,
@@ -103,6 +104,7 @@ class InputStream:
         self.reloads: list[Reload] = []
         self.messages: Counter[str] = Counter()  # by topic, all that was read
         self.counts = JournalCounts()
+        self.refused, self._frames = Tally(), p.frames_of_sources()
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
 
     @property
@@ -171,15 +173,26 @@ class InputStream:
             if reader is not None:
                 rows = reader.rows(table.rows(reader.fields))
                 rows["source"], rows["log_time_ns"] = self.sources.index(name), table.log_times_ns
-                self._extend(rows["stamp_ns"], name)
-                parts.append(rows)
-                places.append(table.order)
+                usable = self._in_frame(name, table)
+                self._extend(rows["stamp_ns"][usable], name)
+                parts.append(rows[usable])
+                places.append(table.order[usable])
         rows = np.concatenate(parts)[np.argsort(np.concatenate(places), kind="stable")]
         rows = np.concatenate((rows, *changes))
         return rows[np.argsort(rows["log_time_ns"], kind="stable")]
 
+    def _in_frame(self, name: str, table: TopicTable) -> NDArray[np.bool_]:
+        """(n,) which messages are in the frame that a source may send, as the live node has it."""
+        wanted = self._frames.get(name)
+        if wanted is None:
+            return np.ones(len(table), np.bool_)
+        numbers = table.rows(FrameFields)["frame"]
+        usable = np.array([text == wanted for text in table.texts])[numbers]
+        self.refused.add(name, Refusal.OTHER_FRAME, int((~usable).sum()))
+        return np.asarray(usable)
+
     def _extend(self, stamps_ns: NDArray[np.int64], name: str) -> None:
-        if name != SET_POSE:  # it may have none
+        if len(stamps_ns) and name != SET_POSE:  # it may have none
             self._first_ns = min(self._first_ns, int(stamps_ns.min()))
             self._last_ns = max(self._last_ns, int(stamps_ns.max()))
 

@@ -46,7 +46,8 @@ def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters,
     if p.start != "first_fix":
         return "no sprocket sample could start it"
     sources = named(p.pose_sources)
-    came = [source for source in (*sources, SET_POSE) if taken.given[source]]
+    refused = taken.rejected.by_source()  # what is of another frame is not given to it
+    came = [source for source in (*sources, SET_POSE) if taken.given[source] or source in refused]
     if not sources:
         return f"no fix came: pose_sources names none{_elsewhere(bag, filters, sources)}"
     if not came:

@@ -170,7 +170,7 @@ class _Collector:
         self._stream, self._reference = stream, reference
         self._scored = _scored(reference)
         self._estimates, self._series = GrowingRows(KEPT, MOST_DRAWN), SeriesCollector(most=MOST_DRAWN)
-        self._last, self._rejected = np.empty(0, KEPT), Tally()
+        self._last, self._rejected = np.empty(0, KEPT), stream.refused
         self._errors, self._slips = PathErrors(), SlipErrors(vehicle.tread)
         self._reckonings = {
             name: Reckoning(vehicle, with_gyro=name == "encoder_gyro")

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Publishers that mean no good: a second one of an input, and messages of another frame, are named."""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from trackslip_common.nodes.health import ERROR
+from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.qos import publisher_qos
+from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
+from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+DEADLINE = 30.0  # s
+
+
+@pytest.fixture
+def estimator(domain: int) -> Iterator[SlipEstimatorNode]:
+    arguments = ["--ros-args", "-p", "sources.box_pose.frame_id:=map"]
+    rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = SlipEstimatorNode()
+    node.start()
+    yield node
+    node.end()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def other(estimator: SlipEstimatorNode) -> Iterator[Node]:
+    node = rclpy.create_node("other", use_global_arguments=False)
+    yield node
+    node.destroy_node()
+
+
+def wait(condition: Any) -> None:
+    give_up = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < give_up
+        time.sleep(0.02)
+
+
+def test_a_second_publisher_of_an_input_is_an_error(estimator: SlipEstimatorNode, other: Node) -> None:
+    def publisher(topic: str) -> Any:
+        return other.create_publisher(topic_class(topic), topic, publisher_qos(topic))
+
+    kept = [publisher(topic) for topic in ("sprockets", "slip_estimator/set_pose", "slip_estimator/set_pose")]
+    wait(lambda: estimator.count_publishers("slip_estimator/set_pose") == 2)
+    wait(lambda: estimator.count_publishers("sprockets") == 1)
+    assert estimator._rivals() == []
+    second = publisher("sprockets")
+    wait(estimator._rivals)
+    (health,) = estimator._rivals()
+    assert (health.level, health.message) == (ERROR, "several publishers of sprockets")
+    assert health.values == {"sprockets": 2}
+    other.destroy_publisher(second)
+    wait(lambda: not estimator._rivals())
+    assert len(kept) == 3
+
+
+def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimatorNode) -> None:
+    (listening,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")
+    pose = make("geometry_msgs/msg/PoseWithCovarianceStamped")
+    for frame in ("laser", "", "map"):
+        pose.header.frame_id = frame
+        listening.callback(pose)
+    assert estimator.tally.total["box_pose", "of another frame"] == 2
+    assert "box_pose of another frame" in estimator.health()[0].values
+
+
+def test_a_nodes_own_counters_do_not_hide_its_inputs(domain: int) -> None:
+    """The soil estimator had a counter of the name that the base has for the topics."""
+    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = SoilEstimatorNode()
+    try:
+        node.start()
+        node.publish_health()
+        assert node._rivals() == []
+        assert node.callback_failures.last == ""
+    finally:
+        node.end()
+        node.destroy_node()
+        rclpy.try_shutdown()
