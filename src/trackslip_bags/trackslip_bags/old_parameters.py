@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters in bags of earlier versions, by the names of today: the one place that knows those of before."""
+"""Parameters of earlier versions, in bags and files, by the names of today: the one place that knows them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -9,7 +9,7 @@ from trackslip_common.vehicle import Hydraulics
 from trackslip_estimation.slip.sources import group_name, named
 
 # Until November 2026 each number of the sources was a list: a value for each source, or one for all.
-_LISTS = {
+SOURCE_LISTS = {
     "pose_sources": {
         "pose_lever_arms_x": "lever_arm_x",
         "pose_lever_arms_y": "lever_arm_y",
@@ -39,7 +39,7 @@ _DEFAULTS = {"pose_sources": ["box_pose"], "yaw_rate_sources": ["imu/data_raw"]}
 def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
     """The same parameters by the names of today."""
     values = dict(stated)
-    for kind, keys in _LISTS.items():
+    for kind, keys in SOURCE_LISTS.items():
         topics = named(stated.get(kind, _DEFAULTS.get(kind, ())))
         for old, key in keys.items():
             if old in values:

@@ -37,6 +37,7 @@ from trackslip_bags.importing.tree import (
     text,
     texts,
 )
+from trackslip_bags.old_parameters import current_names
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError, did_you_mean
 from trackslip_common.parameters import flatten, from_flat
@@ -132,10 +133,12 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     if not topics:
         raise InputError(f"{where}: topics is empty; accepted: {', '.join(ROLE_OF_TOPIC)}")
     parameters = section(f"{where}: parameters", tree.get("parameters", {}))
-    if "vehicle" in parameters:
-        raise InputError(f"{where}: parameters.vehicle: accepted: vehicle, beside parameters")
-    if vehicle is None and "vehicle" in tree:
-        vehicle = _vehicle(path, tree["vehicle"])
+    if "vehicle" in tree and "vehicle" in parameters:
+        raise InputError(f"{where}: vehicle and parameters.vehicle; accepted: vehicle alone")
+    stated = tree.get("vehicle", _vehicle_among(parameters))
+    parameters = {name: value for name, value in parameters.items() if name != "vehicle"}
+    if vehicle is None and stated is not None:
+        vehicle = _vehicle(path, stated)
     geometry = None if vehicle is None else _geometry(vehicle)
     common: dict[str, Any] = {name: tree[name] for name in ("time", "received") if name in tree}
     found = {name: _topic(where, name, topic, common, geometry) for name, topic in topics.items()}
@@ -278,6 +281,15 @@ def _vehicle(path: Path, value: Any) -> VehicleParameters:
         return load_vehicle(str(beside) if beside.is_file() else name)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _vehicle_among(parameters: Mapping[str, Any]) -> Any:
+    """The vehicle where mappings of earlier versions have it, by the names of today; None where it is not."""
+    stated = parameters.get("vehicle")
+    if not isinstance(stated, Mapping):
+        return stated
+    numbers = current_names({f"vehicle.{name}": value for name, value in stated.items()})
+    return {name.removeprefix("vehicle."): value for name, value in numbers.items()}
 
 
 def _geometry(vehicle: VehicleParameters) -> Geometry:

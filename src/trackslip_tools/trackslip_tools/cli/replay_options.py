@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative
-from trackslip_bags.old_parameters import current_names
+from trackslip_bags.old_parameters import SOURCE_LISTS, current_names
 from trackslip_bags.parameters import bag_vehicle, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
@@ -123,7 +123,18 @@ def soil_parameters_of(
 def _layers(bag: Bag, files: Iterable[str], settings: Iterable[str], node: str) -> list[Mapping[str, Any]]:
     """What the bag carries for a node, then each file, then ``--set``."""
     carried = _carried(bag, node)
-    return [carried, *(_given(name, node, carried) for name in files), parse_settings(settings, node)]
+    given = [_given(name, node, carried) for name in files]
+    return [carried, *given, _of_today(parse_settings(settings, node), carried, "--set")]
+
+
+def _of_today(given: Mapping[str, Any], carried: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Parameters by the names of today; lists of earlier versions are of the bag's sources."""
+    sources = {kind: carried[kind] for kind in SOURCE_LISTS if kind in carried}
+    renamed = current_names({**sources, **given})
+    values = {name: value for name, value in renamed.items() if name in given or name not in sources}
+    if values.keys() != given.keys():
+        show(f"note: {where}: names of an earlier version are read by those of today", file=sys.stderr)
+    return values
 
 
 def _carried(bag: Bag, node: str) -> Mapping[str, Any]:
@@ -147,8 +158,9 @@ def _given(name: str, node: str, carried: Mapping[str, Any]) -> Mapping[str, Any
     if not any(by_node.values()):
         accepted = f"{NODE}: {{ros__parameters: {{...}}}}, or /** for {NODE}"
         raise InputError(f"--params {path}: nothing for {NODE} in it; accepted: {accepted}")
-    given, known = by_node[node], _known(node, {**carried, **by_node[node]}, str(path))
-    others = node_parameters(tree, "", str(path)).keys() - known
+    given = _of_today(by_node[node], carried, str(path))
+    known = _known(node, {**carried, **given}, str(path))
+    others = current_names(node_parameters(tree, "", str(path))).keys() - known
     for other in sorted(others) if node == NODE else ():
         if other not in {n for n, _, _ in flat_fields(_KINDS[SOIL_NODE])}:
             show(f"note: {path}: '{other}', given to many nodes, is none of {NODE}", file=sys.stderr)
