@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags, disks and files that mean no good: one line that says what is wrong, and nothing left behind."""
 
-import errno
-import io
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,28 +17,6 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 
 TEXT, NUMBER = "std_msgs/msg/String", "std_msgs/msg/Float64"
-
-
-class FullDisk(io.FileIO):
-    """A file on a disk that takes 2 kB."""
-
-    def write(self, data: Any, /) -> int:
-        if self.tell() + len(data) > 2000:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return super().write(data)
-
-
-@pytest.fixture
-def full_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The files of bags that are written are on a full disk."""
-    real = Path.open
-
-    def opened(path: Path, mode: str = "r", *args: Any, **options: Any) -> Any:
-        if mode == "xb":
-            return io.BufferedWriter(FullDisk(path, mode))
-        return real(path, mode, *args, **options)
-
-    monkeypatch.setattr(Path, "open", opened)
 
 
 def text_bag(path: Path, count: int = 10, topic: str = "/text", first_ns: int = 1) -> Path:

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags, disks and options that mean no good, given to ``trackslip``: one line, and nothing left behind."""
 
-import errno
-import io
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,26 +21,6 @@ WriteBag = Callable[..., Path]
 TEXT = "std_msgs/msg/String"
 SOIL = "trackslip_msgs/msg/SoilEstimate"
 ESCAPE = "\x1b]0;title\x07"
-
-
-class FullDisk(io.FileIO):
-    """A file on a disk that takes 2 kB."""
-
-    def write(self, data: Any, /) -> int:
-        if self.tell() + len(data) > 2000:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return super().write(data)
-
-
-@pytest.fixture
-def full_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The files of bags that are written are on a full disk."""
-    real = Path.open
-
-    def opened(path: Path, mode: str = "r", *args: Any, **options: Any) -> Any:
-        return io.BufferedWriter(FullDisk(path, mode)) if mode == "xb" else real(path, mode, *args, **options)
-
-    monkeypatch.setattr(Path, "open", opened)
 
 
 @pytest.mark.parametrize("topic", ["hydraulics", "soil", "track_forces", "truth/soil"])
