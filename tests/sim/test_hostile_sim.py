@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Texts and disks that mean no good, given to the emulator and to ``trackslip simulate``."""
 
-import errno
-import io
-import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -32,19 +28,8 @@ def test_a_hostile_fault_is_refused_in_one_line(defect: str) -> None:
     assert str(refused.value).isprintable()
 
 
-def test_a_full_disk_leaves_nothing_of_simulate(
-    tmp_path: Path, refuse: Callable[..., str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = Path.open
-
-    class FullDisk(io.FileIO):
-        def write(self, data: Any, /) -> int:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    def opened(path: Path, mode: str = "r", *args: Any, **options: Any) -> Any:
-        return io.BufferedWriter(FullDisk(path, mode)) if mode == "xb" else real(path, mode, *args, **options)
-
-    monkeypatch.setattr(Path, "open", opened)
+@pytest.mark.usefixtures("full_disk")
+def test_a_full_disk_leaves_nothing_of_simulate(tmp_path: Path, refuse: Callable[..., str]) -> None:
     options = ("--scenario", "straight", "--duration", "2", "--output", tmp_path / "bag")
     assert "cannot be written (No space left on device)" in refuse("simulate", *options)
     assert not list(tmp_path.iterdir())
