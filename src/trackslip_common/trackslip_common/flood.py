@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many messages of a topic a node has time for: what a publisher run wild sends beyond that is dropped."""
+"""How many messages of a topic a node has time for; what a publisher run wild sends beyond is dropped."""
 
 import time
 from collections import Counter

@@ -28,7 +28,7 @@ class Inputs:
         return self._flood.lets_pass(topic)
 
     def health(self) -> list[Health]:
-        """An error where an input has several publishers, whose messages are taken for one sensor's, or floods."""
+        """An error where an input floods, or has several publishers: their messages pass for one sensor's."""
         counts = {topic: self._node.count_publishers(topic) for topic in sorted(self._topics)}
         several = {topic: count for topic, count in counts.items() if count > 1}
         floods = self._flood.news()

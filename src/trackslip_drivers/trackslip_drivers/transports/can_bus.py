@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A CAN bus behind python-can: SocketCAN on the vehicle, UDP multicast inside this host, virtual in one process."""
+"""A CAN bus by python-can: SocketCAN on the vehicle, UDP multicast in one host, virtual in one process."""
 
 import os
 import socket
