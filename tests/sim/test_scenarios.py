@@ -20,6 +20,7 @@ from trackslip_sim.truth.simulate import simulate
 NAMES = {
     *("thesis", "straight", "turn_left", "turn_right", "slalom"),
     *("start_stop", "spot_turn", "field_trial", "patches", "soil_change"),
+    *("hill", "ramp_up", "ramp_down", "side_slope"),
 }
 SEGMENT = {"duration": 2.0, "left": 1, "right": 2.5}
 PATCH = {"soil": "sand", "from_x": 0, "to_x": 1, "from_y": 0, "to_y": 1}
@@ -118,7 +119,9 @@ def test_bad_scenarios_are_refused_in_one_line(change: dict[str, Any], message: 
 def test_missing_soil_and_unknown_names() -> None:
     with pytest.raises(InputError, match=r"soil is missing; accepted"):
         parse_scenario({"name": "a", "segments": [SEGMENT]})
-    with pytest.raises(InputError, match=r"scenario: 'moon' is unknown; accepted: field_trial, patches"):
+    with pytest.raises(
+        InputError, match=r"scenario: 'moon' is unknown; accepted: field_trial, hill, patches"
+    ):
         load_scenario("moon")
     with pytest.raises(InputError, match=r"soil: 'cheese' is unknown; accepted: sand"):
         simulate(load_scenario("straight"), soil="cheese")
