@@ -39,6 +39,6 @@ class Placement(NamedTuple):
         return self.x + east, self.y + north, self.z + up
 
     def azimuth(self, direction: float) -> float:
-        """Of a direction in the plane of the tracks, rad from x, as seen from above; rad, within ±π of ``yaw``."""
+        """Seen from above, of a direction in the plane of the tracks, rad from x; within ±π of ``yaw``."""
         east, north, _ = (self.rotation() @ (math.cos(direction), math.sin(direction), 0.0)).tolist()
         return self.yaw + math.remainder(math.atan2(north, east) - self.yaw, 2.0 * math.pi)

@@ -3,7 +3,7 @@
 
 Commanded sprocket speeds are limited by the pumps' flow, lag in the valves, and yield at relief pressure;
 shear displacement integrates along each track's contact (Wong & Chiang 2001). On a terrain the weight pulls
-along the ground, and loads the contacts by where the centre of gravity is. See ``contact``, ``load``, ``motion``.
+along the ground, and loads the contacts by where it acts. See ``contact``, ``load``, ``motion``.
 """
 
 import math
@@ -155,8 +155,8 @@ class ShearDrive:
     """A machine at rest at the origin, to be driven on piece by piece.
 
     Raises:
-        InputError: the load leaves a track, or its front or rear, without ground pressure; or the ground is not
-            smooth enough, or too steep, to lie on it.
+        InputError: the load leaves a track, or its front or rear, without ground pressure; or the ground bends
+            too sharply, or is too steep, to lie on it.
     """
 
     def __init__(
