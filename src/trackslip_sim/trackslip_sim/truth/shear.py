@@ -155,8 +155,8 @@ class ShearDrive:
     """A machine at rest at the origin, to be driven on piece by piece.
 
     Raises:
-        InputError: the load leaves a track, or its front or rear, without ground pressure; or the ground bends
-            too sharply, or is too steep, to lie on it.
+        InputError: the load leaves a track, or its front or rear, without ground pressure; or the ground
+            bends too sharply, or is too steep, to lie on it.
     """
 
     def __init__(
