@@ -3,8 +3,8 @@ PYTHON ?= python3
 ROS ?=
 DURATION ?=
 SOIL ?=
-VEHICLE ?=
 SCENARIO ?=
+VEHICLE ?=
 OUTPUT ?=
 RUNS ?=
 SEEDS ?=
@@ -24,7 +24,7 @@ setup: ## make .venv and build ros2_ws; nothing where nothing changed (ROS=jazzy
 checks: # setup, with what lint and tests take
 	@$(PYTHON) scripts/setup_workspace.py --ros '$(ROS)' --checks
 
-demo: setup ## drive the emulated excavator, record, replay, score; results in out/demo (DURATION=40 SOIL=sand VEHICLE=pc05 SCENARIO=thesis)
+demo: setup ## drive the emulated excavator, record, replay, score; results in out/demo (DURATION=40 SOIL=sand SCENARIO=thesis VEHICLE=pc05)
 	@$(ENTER) exec $(VENV)/python -m trackslip_sim.demo.main $(if $(DURATION),--duration '$(DURATION)') $(if $(SOIL),--soil '$(SOIL)') $(if $(VEHICLE),--vehicle '$(VEHICLE)') \
 		$(if $(SCENARIO),--scenario '$(SCENARIO)') $(if $(OUTPUT),--output '$(OUTPUT)')
 

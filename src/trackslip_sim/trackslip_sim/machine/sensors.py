@@ -6,9 +6,11 @@ a       specific force at C, acceleration less gravity in the body frame:
 v, ω    (v_x, v_y, 0), (p, q, r), body frame                   m/s, rad/s
 θ, ϕ    pitch (nose down > 0), roll (left side up > 0)         rad
 b_g     constant bias of the gyro                              rad/s
+σ       angle of the upper structure; an inertial unit on it feels a and B in its own axes, rates ψ̇ + σ̇
 B       earth's field, horizontal (to the north, +y of the site) and downward   T
 """
 
+import math
 from bisect import bisect_right
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -17,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import GRAVITY
-from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
+from trackslip_common.vehicle import GRAVITY, UNDERCARRIAGE, UPPER, VehicleParameters
+from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_sim.machine.placement import Placement
 from trackslip_sim.truth.window import TruthWindow
 
@@ -64,9 +66,36 @@ class Measurable(NamedTuple):
     roll_rate: float
     pitch_rate: float
     yaw_rate: float
+    swing: float
+    swing_rate: float
     a_x: float
     a_y: float
     a_z: float
+
+
+class Mounting(NamedTuple):
+    """What of the sensors sits on the upper structure, and where that swings."""
+
+    axis: tuple[float, float] = (0.0, 0.0)  # in base_link, m
+    imu_above: bool = False
+    encoder_stddev: float = 0.0  # rad, of the swing encoder; 0: there is none
+
+
+BELOW = Mounting()
+
+
+def mounting_of(vehicle: VehicleParameters) -> Mounting:
+    """As the vehicle's file says."""
+    encoder = vehicle.sensors.swing_encoder if vehicle.sensors is not None else None
+    stddev = encoder.stddev if encoder is not None else 0.0
+    return Mounting(vehicle.swing_axis, vehicle.mount_of("imu") == UPPER, stddev)
+
+
+def swing_topics(vehicle: VehicleParameters) -> tuple[str, ...]:
+    """On which angles of the upper structure appear: of an encoder, and the truth."""
+    if vehicle.upper_structure is None:
+        return ()
+    return ("swing", "truth/swing") if mounting_of(vehicle).encoder_stddev > 0.0 else ("truth/swing",)
 
 
 class MachineSensors:
@@ -75,9 +104,18 @@ class MachineSensors:
     Stamps may go back by as much as the window keeps.
     """
 
-    def __init__(self, window: TruthWindow, noise: SensorNoise, drive_start_ns: int, seed: int) -> None:
+    def __init__(
+        self,
+        window: TruthWindow,
+        noise: SensorNoise,
+        drive_start_ns: int,
+        seed: int,
+        mounting: Mounting = BELOW,
+    ) -> None:
         self._window = window
         self._noise = noise
+        self._mounting = mounting
+        self._of_encoder = np.random.default_rng((seed, 1))
         self._start_ns = drive_start_ns
         self._random = np.random.default_rng(seed)
         self._looked_ns: int | None = None
@@ -94,10 +132,32 @@ class MachineSensors:
         x, y, yaw = (np.interp(times, truth.t, column) for column in (truth.x, truth.y, truth.yaw))
         return x, y, yaw
 
-    def placement(self, stamp_ns: int) -> Placement:
-        """True pose and attitude."""
+    def placement(self, stamp_ns: int, mount: str = UNDERCARRIAGE) -> Placement:
+        """True pose and attitude of base_link; or of the upper structure's frame."""
         at = self._at(stamp_ns)
-        return Placement(x=at.x, y=at.y, z=at.z, roll=at.roll, pitch=at.pitch, yaw=at.yaw)
+        below = Placement(x=at.x, y=at.y, z=at.z, roll=at.roll, pitch=at.pitch, yaw=at.yaw)
+        return below.swung(at.swing, self._mounting.axis) if mount == UPPER else below
+
+    def upper_pose_at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """``pose_at`` of the upper structure's frame, as seen from above on level ground."""
+        x, y, yaw = self.pose_at(times)
+        swing = np.interp(times, self._window.truth.t, self._window.truth.swing)
+        axis_x, axis_y = self._mounting.axis
+        cos, sin, above = np.cos(yaw), np.sin(yaw), yaw + swing
+        x = x + (cos - np.cos(above)) * axis_x - (sin - np.sin(above)) * axis_y
+        y = y + (sin - np.sin(above)) * axis_x + (cos - np.cos(above)) * axis_y
+        return x, y, above
+
+    def swing(self, stamp_ns: int) -> SwingSample:
+        """Of the encoder."""
+        true = self.true_swing(stamp_ns)
+        angle = true.position + self._mounting.encoder_stddev * self._of_encoder.standard_normal()
+        return true._replace(position=math.remainder(angle, 2.0 * math.pi))
+
+    def true_swing(self, stamp_ns: int) -> SwingSample:
+        """What it would read without error."""
+        at = self._at(stamp_ns)
+        return SwingSample(stamp_ns, math.remainder(at.swing, 2.0 * math.pi), at.swing_rate)
 
     def sprockets(self, stamp_ns: int) -> SprocketSample:
         """Without noise: the encoder's rounding is the device's."""
@@ -121,13 +181,23 @@ class MachineSensors:
         """At C, in base_link's axes; standing before and after the drive."""
         at, noise = self._at(stamp_ns), self._noise
         driving = 0.0 <= self.time(stamp_ns) <= self._window.duration
-        to_body = self.placement(stamp_ns).rotation().T
+        mount = UPPER if self._mounting.imu_above else UNDERCARRIAGE
+        to_body = self.placement(stamp_ns, mount).rotation().T
         acceleration = to_body @ (0.0, 0.0, GRAVITY)
         acceleration += (noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z)
         rates = np.array((noise.gyro_bias_x, noise.gyro_bias_y, noise.gyro_bias))
         if driving:
-            acceleration += (at.a_x, at.a_y, at.a_z)
-            rates += (at.roll_rate, at.pitch_rate, at.yaw_rate)
+            swing = at.swing if mount == UPPER else 0.0
+            above = np.array(
+                (
+                    (math.cos(swing), math.sin(swing), 0.0),
+                    (-math.sin(swing), math.cos(swing), 0.0),
+                    (0.0, 0.0, 1.0),
+                )
+            )
+            acceleration += above @ (at.a_x, at.a_y, at.a_z)
+            turning = at.yaw_rate + (at.swing_rate if mount == UPPER else 0.0)
+            rates += above @ (at.roll_rate, at.pitch_rate, turning)
         acceleration += noise.acceleration_stddev * self._normal()
         rates += noise.gyro_stddev * self._normal()
         field = to_body @ (0.0, noise.field_horizontal, -noise.field_down)
