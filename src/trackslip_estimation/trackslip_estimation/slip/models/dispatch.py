@@ -83,9 +83,7 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArr
 
 
 @compiled
-def body_twist(
-    x: FloatArray, left: float, right: float, drive: Any, c: Any
-) -> tuple[float, float, float]:
+def body_twist(x: FloatArray, left: float, right: float, drive: Any, c: Any) -> tuple[float, float, float]:
     """``twist`` on the ground as it lies, in the machine's axes."""
     return slope.slide(x, twist(x, left, right, c), (left, right), drive.attitude.level, c)
 
