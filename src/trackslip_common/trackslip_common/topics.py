@@ -45,6 +45,7 @@ TOPICS = {
     "soil_estimator/parameters": Topic("std_msgs/msg/String", Flow.LATCHED),
     "vehicle": Topic("std_msgs/msg/String", Flow.LATCHED),
     "truth/odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
+    "truth/attitude": Topic("sensor_msgs/msg/Imu", Flow.RELIABLE),
     "truth/track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "truth/track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),
     "truth/swing": Topic("sensor_msgs/msg/JointState", Flow.RELIABLE),

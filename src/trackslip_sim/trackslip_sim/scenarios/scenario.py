@@ -18,10 +18,12 @@ from trackslip_common.errors import InputError
 from trackslip_common.vehicle import ASSUMED
 from trackslip_sim.machine.faults import Fault, read_fault
 from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
+from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import FloatArray
+from trackslip_sim.truth.terrain import FLAT, Terrain
 
-_KEYS = ("name", "soil", "patches", "segments", "relief_pressure", "faults", "vehicle")
+_KEYS = ("name", "soil", "patches", "terrain", "segments", "relief_pressure", "faults", "vehicle")
 
 
 @dataclass(frozen=True)
@@ -49,12 +51,13 @@ class Segment:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """One run: segments in order, from rest at the site's origin, on ``soil`` with patches over it."""
+    """One run: segments in order, from rest at the origin of a terrain, on ``soil`` with patches over it."""
 
     name: str
     soil: str
     segments: tuple[Segment, ...]
     patches: tuple[Patch, ...] = ()
+    terrain: Terrain = FLAT
     relief_pressure: float | None = None  # Pa; None: the vehicle's
     faults: tuple[Fault, ...] = ()  # of the sensors, while the emulator drives it
     vehicle: str = ASSUMED  # that it is meant for, where no other is named
@@ -176,6 +179,7 @@ def parse_scenario(tree: Mapping[str, Any]) -> Scenario:
         soil=text(tree, "soil") if "soil" in tree else patches[0].soil,
         segments=segments,
         patches=patches,
+        terrain=load_terrain(text(tree, "terrain")) if "terrain" in tree else FLAT,
         relief_pressure=number(tree, "relief_pressure") if "relief_pressure" in tree else None,
         faults=tuple(each(tree, "faults", read_fault)),
         vehicle=text(tree, "vehicle") if "vehicle" in tree else ASSUMED,

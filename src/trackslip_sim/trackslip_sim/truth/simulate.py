@@ -87,7 +87,7 @@ def simulate_in_pieces(
     name = soil if soil is not None else scenario.soil
     if name not in soils:
         raise InputError(f"soil: '{name}' is unknown; accepted: {', '.join(soils)}")
-    ground = build_ground(soils[name], scenario.patches, soils)
+    ground = build_ground(soils[name], scenario.patches, soils, scenario.terrain)
     vehicle, settings = vehicle or load_vehicle().whole(), settings or load_settings()
     relief = scenario.relief_pressure or vehicle.relief_pressure
     machine = MODES[mode](ground, vehicle, settings, relief)
