@@ -45,7 +45,7 @@ class Launched(NamedTuple):
 
 
 def declared(**own: tuple[str, str]) -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
-    """The arguments of every launch file, and its ``own``: name=(default, description); and who may look in."""
+    """Arguments of every launch file, its ``own``: name=(default, description), and who may look in."""
     arguments = {**_COMMON, **own}
     return [
         *(
