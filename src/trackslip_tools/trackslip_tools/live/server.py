@@ -73,8 +73,7 @@ class PageServer:
     def push(self, frame: dict[str, Any]) -> None:
         """Send a frame to all pages; returns at once."""
         if self._pages:
-            text = json.dumps(frame, separators=(",", ":"))
-            self._loop.call_soon_threadsafe(self._send, text)
+            self._loop.call_soon_threadsafe(self._send, _encoded(frame))
 
     def _send(self, text: str) -> None:
         for page in list(self._pages):
@@ -99,6 +98,10 @@ class PageServer:
                 page.close()
             self._loop.run_until_complete(server.close_all_connections())
             self._loop.close()
+
+
+def _encoded(frame: dict[str, Any]) -> str:
+    return json.dumps(frame, separators=(",", ":"), allow_nan=False)
 
 
 class _Handler(RequestHandler):
@@ -171,8 +174,10 @@ class _Stream(_Handler, WebSocketHandler):
             self._missed = True
             return
         if self._missed:
-            text = json.dumps(self.server._whole(), separators=(",", ":"))
-            self._missed = False
+            whole = self.server._whole()
+            if not whole:
+                return
+            text, self._missed = _encoded(whole), False
         self._sending = asyncio.ensure_future(self._write(text))
 
     async def _write(self, text: str) -> None:

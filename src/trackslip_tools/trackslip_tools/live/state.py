@@ -5,10 +5,13 @@ A frame is what has changed since the one before it, as values that JSON knows; 
 needs which has just come. Memory is bounded, whatever comes for however long.
 """
 
+import math
 import threading
 import uuid
 from collections import deque
 from typing import Any
+
+import numpy as np
 
 from trackslip_common.errors import InputError, printable
 from trackslip_common.vehicle import VehicleParameters, vehicle_of_text
@@ -63,7 +66,7 @@ class LiveState:
 
     def tick(self, now_s: float, time_ms: float) -> dict[str, Any]:
         """The next frame; ``time_ms`` is on the clock that is shown."""
-        with self._lock:
+        with self._lock, np.errstate(invalid="ignore", over="ignore"):  # numbers that others sent
             self._clock, self._number = (now_s, time_ms), self._number + 1
             lights = self._lights.at(now_s)
             self._see_events(lights, now_s, time_ms)
@@ -80,8 +83,10 @@ class LiveState:
             return frame
 
     def whole(self) -> dict[str, Any]:
-        """The newest frame, and all that came before it as far as it is kept."""
+        """The newest frame, and all that came before it as far as it is kept; empty before the first one."""
         with self._lock:
+            if not self._frame:
+                return {}
             times, values = self._strips.whole()
             kept = {
                 "run": self._run,
@@ -89,7 +94,7 @@ class LiveState:
                 "times": finite(times),
                 "rows": finite(values),
                 "views": finite(self._views),
-                "trail": self._trail.points,
+                "trail": list(self._trail.points),
                 "fixes": list(self._fixes),
                 "events": [_line(event) for event in self._events.kept],
             }
@@ -132,13 +137,17 @@ class LiveState:
         if odometry is not None and self._trail.add(odometry.x, odometry.y):
             gained["path"] = self._trail.points[-1]
             if self._trail.thinned != thinned:
-                gained["trail"] = self._trail.points
+                gained["trail"] = list(self._trail.points)
         count = sum(self._now.counts[topic] for topic in inputs.FIXES)
         if count != self._fix_counts:
             self._fix_counts = count
             places = [self._now.get(topic, now_s) for topic in inputs.FIXES]
-            news = finite([(fix.x, fix.y) for fix in places if fix is not None])
-            self._fixes += [tuple(place) for place in news if None not in place]
+            news = [
+                (round(fix.x, 3), round(fix.y, 3))
+                for fix in places
+                if fix is not None and math.isfinite(fix.x + fix.y)
+            ]
+            self._fixes += news
             gained["new_fixes"] = news
         return gained
 
