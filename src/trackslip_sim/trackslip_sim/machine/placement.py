@@ -42,14 +42,3 @@ class Placement(NamedTuple):
         """Seen from above, of a direction in the plane of the tracks, rad from x; within ±π of ``yaw``."""
         east, north, _ = (self.rotation() @ (math.cos(direction), math.sin(direction), 0.0)).tolist()
         return self.yaw + math.remainder(math.atan2(north, east) - self.yaw, 2.0 * math.pi)
-
-    def swung(self, angle: float, axis: tuple[float, float]) -> "Placement":
-        """Of a frame that is base_link turned about a vertical axis of it at (x, y), m, by an angle, rad."""
-        cos, sin = math.cos(angle), math.sin(angle)
-        turned = self.rotation() @ ((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0))
-        left = axis[0] - cos * axis[0] + sin * axis[1], axis[1] - sin * axis[0] - cos * axis[1], 0.0
-        x, y, z = self.point(*left)
-        around = self.yaw + angle
-        yaw = around + math.remainder(math.atan2(turned[1, 0], turned[0, 0]) - around, 2.0 * math.pi)
-        pitch, roll = -math.asin(turned[2, 0]), math.atan2(turned[2, 1], turned[2, 2])
-        return Placement(x=x, y=y, z=z, yaw=yaw, pitch=pitch, roll=roll)
