@@ -24,7 +24,7 @@ from trackslip_sim.truth.rows import Column
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.shear import ShearDrive
 from trackslip_sim.truth.simulate import simulate
-from trackslip_sim.truth.terrain import Hill, Plane, Ramp, Terrain, heights, shape_at
+from trackslip_sim.truth.terrain import FLAT, Hill, Plane, Ramp, Terrain, heights, shape_at
 
 VEHICLE = load_vehicle().whole()
 SETTINGS = load_settings()
@@ -186,7 +186,7 @@ def test_halving_the_step_moves_the_end_by_less_than_a_millimetre(name: str, soi
 def test_pressed_elements_carry_the_weight_where_it_is(x: float, y: float) -> None:
     length, tread, n = 1.264, 0.73, 400
     tracks = Tracks(element_positions(length, n), np.zeros((2, n)), length * 0.23 / n, 0.5 * tread, length)
-    load = Load(np.zeros(3), np.zeros(2), np.zeros(3), np.array((1e4, x, y)), np.zeros(2), np.zeros(1))
+    load = Load(np.zeros(4), np.zeros(2), np.zeros(3), np.array((1e4, x, y)), np.zeros(2), np.zeros(1))
     press(load, tracks)
     assert not load.tipped[0]
     assert tracks.load.min() >= 0.0
@@ -278,3 +278,41 @@ def test_the_record_lies_on_the_ground_and_its_rates_are_its_attitudes() -> None
     roll_rate = np.gradient(truth.roll, truth.t) - np.gradient(truth.yaw, truth.t) * np.sin(truth.pitch)
     calm = slice(1, -1)
     assert truth.roll_rate[calm] == pytest.approx(roll_rate[calm], abs=2e-3)
+
+
+def test_a_load_in_the_bucket_weighs_ahead() -> None:
+    segments = (
+        Segment(2.0, 0.0, 0.0),
+        Segment(10.0, FAST, FAST, load=100.0),
+        Segment(4.0, FAST, FAST, load=0.0),
+    )
+    scenario = Scenario(name="test", soil="sand", segments=segments)
+    truth = simulate(scenario)
+    empty, loaded, emptied = (truth.at(t) for t in (1.0, 11.0, 15.0))
+    assert empty.left_load == emptied.left_load == pytest.approx(0.5 * VEHICLE.weight)
+    assert loaded.left_load == pytest.approx(0.5 * VEHICLE.weight * (1.0 + 100.0 / VEHICLE.mass))
+    assert loaded.left_resistance == pytest.approx(0.2 * loaded.left_load, rel=1e-3)
+    unloaded = simulate(drive(FLAT, (2.0, 0.0, 0.0), (10.0, FAST, FAST))).at(11.0)
+    share = loaded.left_thrust / unloaded.left_thrust * unloaded.left_slip / loaded.left_slip
+    assert share < 1.0  # where the soil has hardly sheared yet it bears most: more slip for the thrust
+
+
+def test_a_cab_that_swings_shifts_the_weight() -> None:
+    machine = load_vehicle("pc05_cab")
+    whole, upper = machine.whole(), machine.upper_structure
+    assert upper is not None
+    segments = Segment(1.0, 0.0, 0.0), Segment(9.0, 0.0, 0.0, swing_to=0.5 * math.pi)
+    scenario = Scenario(name="test", soil="sand", segments=segments)
+    truth = simulate(scenario, vehicle=whole, upper=upper)
+    shift = upper.mass * upper.centre_x / whole.mass
+    assert truth.left_load[0] == truth.right_load[0]
+    expected = 0.5 * whole.weight * (1.0 + 2.0 * shift / whole.tread)
+    assert truth.left_load[-1] == pytest.approx(expected, rel=1e-3)
+    assert truth.left_load + truth.right_load == pytest.approx(whole.weight)
+
+
+def test_a_load_without_a_bucket_is_refused() -> None:
+    bare = dataclasses.replace(VEHICLE, bucket=None)
+    scenario = Scenario(name="test", soil="sand", segments=(Segment(1.0, 0.0, 0.0, load=10.0),))
+    with pytest.raises(InputError, match=r"'test' loads the bucket; accepted: a vehicle with mass\.bucket"):
+        simulate(scenario, vehicle=bare)

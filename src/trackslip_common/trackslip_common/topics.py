@@ -42,6 +42,7 @@ TOPICS = {
     "slip_seed": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "measurement_reports": Topic("trackslip_msgs/msg/MeasurementReport", Flow.RELIABLE),
     "slip_estimator/set_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
+    "slip_estimator/pose_set": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
     "slip_estimator/parameters": Topic("std_msgs/msg/String", Flow.LATCHED),
     "soil_estimator/parameters": Topic("std_msgs/msg/String", Flow.LATCHED),
     "vehicle": Topic("std_msgs/msg/String", Flow.LATCHED),

@@ -48,6 +48,14 @@ class CentreOfGravity(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Bucket(Parameters):
+    """Where a load is carried while driving, the upper structure straight ahead."""
+
+    x: float = parameter("ahead of base_link", unit="m", ge=-50.0, le=50.0)
+    z: float = parameter("above the ground", unit="m", ge=0.0, le=50.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Mass(Parameters):
     """What presses on the ground, and where."""
 
@@ -55,6 +63,7 @@ class Mass(Parameters):
     yaw_inertia: float = parameter("moment of inertia I_z about the vertical", unit="kg m²", gt=0.0)
     track_width: float = parameter("width b of one track", unit="m", gt=0.0, le=10.0)
     centre_of_gravity: CentreOfGravity | None
+    bucket: Bucket | None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ import math
 from typing import NamedTuple
 
 from trackslip_common.compiled import compiled
+from trackslip_common.vehicle import GRAVITY
 from trackslip_sim.truth.contact import Tracks
 from trackslip_sim.truth.record import FloatArray
 
@@ -25,7 +26,7 @@ _LAST = 0.499  # of l and of B: how far the centre of pressure goes before the m
 class Load(NamedTuple):
     """What presses on the ground, step by step."""
 
-    centre: FloatArray  # (3,) r_g; may change with time
+    burden: FloatArray  # (4,) m g, r_g: may change from step to step
     felt: FloatArray  # (2,) a
     gravity: FloatArray  # (3,) G_x, G_y, and their moment about the normal at C
     pressed: FloatArray  # (3,) N, x_N, y_N
@@ -34,16 +35,17 @@ class Load(NamedTuple):
 
 
 @compiled
-def weigh(load: Load, weight: float, gravity: float, pitch: float, roll: float) -> None:
-    """Fill ``gravity`` and ``pressed``; ``weight`` is m g, ``gravity`` is g."""
+def weigh(load: Load, pitch: float, roll: float) -> None:
+    """Fill ``gravity``, ``pressed`` and ``resting``."""
+    weight, centre = load.burden[0], load.burden[1:]
     along, across = math.sin(pitch), -math.cos(pitch) * math.sin(roll)
     normal = math.cos(pitch) * math.cos(roll)
     load.gravity[0], load.gravity[1] = weight * along, weight * across
-    load.gravity[2] = load.centre[0] * load.gravity[1] - load.centre[1] * load.gravity[0]
+    load.gravity[2] = centre[0] * load.gravity[1] - centre[1] * load.gravity[0]
     load.pressed[0] = weight * normal
     for i, share in ((0, along), (1, across)):
-        load.pressed[1 + i] = load.centre[i] - load.centre[2] * (load.felt[i] / gravity - share) / normal
-        load.resting[i] = load.centre[i] + load.centre[2] * share / normal
+        load.pressed[1 + i] = centre[i] - centre[2] * (load.felt[i] / GRAVITY - share) / normal
+        load.resting[i] = centre[i] + centre[2] * share / normal
 
 
 @compiled

@@ -13,8 +13,9 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
-from trackslip_common.vehicle import GRAVITY, Vehicle
+from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
+from trackslip_sim.truth.burden import resting_centre
 from trackslip_sim.truth.contact import (
     Shear,
     Tracks,
@@ -107,7 +108,7 @@ def lie(model: Model, state: State) -> None:
     x, y, yaw = pose_rates(state.shape, pose[2], half * q[0], half * q[1], half * q[2])
     shape_at(pose[0] + x, pose[1] + y, model.terrain, state.shape)
     pitch, roll = attitude_of(state.shape, pose[2] + 2.0 * yaw)
-    weigh(state.load, model.machine.mass * GRAVITY, GRAVITY, pitch, roll)
+    weigh(state.load, pitch, roll)
     press(state.load, model.tracks)
 
 
@@ -119,13 +120,18 @@ def feel(model: Model, state: State) -> None:
 
 
 @compiled
-def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
-    """Drive on under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps."""
+def integrate(spool: FloatArray, burden: FloatArray, model: Model, state: State) -> FloatArray:
+    """Drive on under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps.
+
+    ``burden`` (steps, 4), or (1, 4) if it does not change, as in ``Load``.
+    """
     tracks, newton, q = model.tracks, state.newton, state.q
     step, radius = model.machine.step, model.valves.radius
     rows = np.zeros(((len(spool) - 1) // model.every, WIDTH))
     worst = 0
     for i in range(len(spool) - 1):
+        for n in range(4):
+            state.load.burden[n] = burden[min(i, len(burden) - 1), n]
         lie(model, state)
         find_soils(state.pose, tracks, model.ground, state.shear)
         mobilise(state.shear, tracks, model.ground)
@@ -162,8 +168,10 @@ class ShearDrive:
     def __init__(
         self, ground: Ground, vehicle: Vehicle, settings: TruthSettings, relief_pressure: float
     ) -> None:
-        centre = _centre(vehicle, settings, ground.terrain)
+        centre = resting_centre(vehicle, settings)
         _check_load(centre, vehicle)
+        self._high = float(ground.terrain != FLAT)  # flat ground never knew how high it is
+        burden = self._burden(np.array(((vehicle.weight, *centre),)))
         self.relief_pressure = relief_pressure
         self._terrain = ground.terrain
         _check_terrain(self._terrain, vehicle)
@@ -176,7 +184,7 @@ class ShearDrive:
             settings.steps_per_sample,
         )
         still = (np.zeros(3), np.zeros(SIZE), np.zeros(SIZE), np.zeros(2), np.zeros(2))
-        load = Load(centre, np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1))
+        load = Load(burden[0], np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1))
         step = new_step(load.gravity)
         self._state = State(*still, unsheared(settings.elements), load, np.zeros(6), step)
         lie(self._model, self._state)
@@ -186,7 +194,7 @@ class ShearDrive:
     def _settle(self, steps: int) -> None:
         """Stand until the soil has sheared as far as it must to hold, and call that place the origin."""
         state = self._state
-        integrate(np.zeros((steps + 1, 2)), self._model, state)
+        integrate(np.zeros((steps + 1, 2)), state.load.burden[None].copy(), self._model, state)
         for start in (state.pose, state.q, state.before, state.angle, state.load.felt):
             start[:] = 0.0
         lie(self._model, state)
@@ -198,8 +206,12 @@ class ShearDrive:
         write_row(row[0], self._model, self._state, 0)
         return row
 
-    def drive(self, commands: FloatArray) -> FloatArray:
-        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s.
+    def _burden(self, rows: FloatArray) -> FloatArray:
+        """Rows (n, 4) of ``Load`` with the height that counts."""
+        return np.ascontiguousarray(rows * (1.0, 1.0, 1.0, self._high))
+
+    def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; burden as in ``Mode``.
 
         Raises:
             InputError: the machine tips over.
@@ -207,7 +219,8 @@ class ShearDrive:
         """
         commands = np.ascontiguousarray(commands, dtype=np.float64)
         spool = spools(commands, self._model.valves, self._state.spool)
-        rows: FloatArray = integrate(spool, self._model, self._state)
+        lasting = self._state.load.burden[None].copy() if burden is None else self._burden(burden)
+        rows: FloatArray = integrate(spool, lasting, self._model, self._state)
         refuse_unsolved(rows, MAX_ITERATIONS)
         self._check_upright()
         return rows
@@ -219,13 +232,6 @@ class ShearDrive:
                 f"terrain '{self._terrain.name}': the machine tips over before ({x:.1f}, {y:.1f}) m;"
                 " accepted: gentler ground, or a centre of gravity that is lower"
             )
-
-
-def _centre(vehicle: Vehicle, settings: TruthSettings, terrain: Terrain) -> FloatArray:
-    """r_g (3,). Flat ground never knew how high it is, and its truth stays as it was."""
-    centre = vehicle.centre_of_gravity
-    x, y, height = (centre.x, centre.y, centre.z) if centre is not None else (0.0, 0.0, 0.0)
-    return np.array((settings.load_x + x, settings.load_y + y, height if terrain != FLAT else 0.0))
 
 
 def _check_terrain(terrain: Terrain, vehicle: Vehicle) -> None:

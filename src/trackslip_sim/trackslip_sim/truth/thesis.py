@@ -222,12 +222,13 @@ class ThesisDrive:
         """The row (1, WIDTH) at the start."""
         return start_row(self._model.ground, self._weight)
 
-    def drive(self, commands: FloatArray) -> FloatArray:
-        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s.
+    def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; no burden changes them.
 
         Raises:
             UnsolvedStepError: see there.
         """
+        del burden
         spool = spools(commands, self._model.valves, self._state.spool)
         rows: FloatArray = integrate(spool, self._model, self._state)
         refuse_unsolved(rows, MAX_ITERATIONS)
