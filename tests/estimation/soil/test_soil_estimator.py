@@ -10,7 +10,7 @@ import pytest
 
 from trackslip_common.parameters import reloadable
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.soil.pressure_watch import PressureFault
+from trackslip_estimation.soil.pressure_watch import Doubt, PressureFault
 from trackslip_estimation.soil.records import SOIL_INPUT, Hydraulics, SoilInput, TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
@@ -48,6 +48,12 @@ def corrupted(corrupt: Corrupt) -> list[SoilInput]:
         spoilt = corrupt(one) if isinstance(one, Hydraulics) and BEFORE <= t < FAULT_ENDS else one
         inputs += [] if spoilt is None else [spoilt]
     return inputs
+
+
+def accused(estimator: SoilEstimator) -> set[str]:
+    """Of what the pressures were accused; the first moment has none, for readings come after the slips."""
+    before = {Doubt.BRIEF.value, PressureFault.DROPPED.value}
+    return {reason for _, reason in estimator.tally.total} - before
 
 
 FAULTS: dict[PressureFault, Corrupt] = {
@@ -154,6 +160,53 @@ def test_a_track_that_spins_at_the_limit_is_getting_stuck_and_an_ordinary_turn_i
     spinning.use(patient)
     assert spinning.struggling == (False, False)
     assert reloadable(SoilEstimatorParameters) == {"low_reserve", "high_slip", "stuck_time"}
+
+
+def test_tracks_that_are_commanded_and_do_not_turn_are_stalled_within_a_second() -> None:
+    """The relief valve is set too low for a turn on the spot; straights, a turn and stops are no stall."""
+    segments = (
+        (1.0, 0, 0),
+        (4.0, 2, 2),
+        (2.0, 0, 0),
+        (4.0, -2, 2),
+        (2.0, 0, 0),
+        (3.0, 1.5, 2),
+        (2.0, 0.0, 0.0),
+    )
+    begins, ends = 7.0, 11.0  # s
+    truth = simulate(
+        Scenario(
+            name="stall", soil="sand", relief_pressure=8e6, segments=tuple(Segment(*row) for row in segments)
+        )
+    )
+    inputs = list(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, Sensing()))
+    estimator, stalled = SoilEstimator(P), {}
+    for one in inputs:
+        estimator.advance(one)
+        stalled[(one.stamp_ns - START_NS) * 1e-9] = estimator.stalled
+    by_time = [(t, both) for t, both in stalled.items() if any(both)]
+    assert {both for t, both in by_time if begins + 1.0 <= t < ends} == {(True, True)}
+    assert begins < by_time[0][0] < begins + 1.0
+    assert ends < by_time[-1][0] < ends + 1.0
+    assert len([t for t in stalled if by_time[0][0] <= t <= by_time[-1][0]]) == len(by_time)  # all the while
+    assert accused(estimator) == set()
+
+
+@pytest.mark.parametrize("soil", ["sandy_loam", "dry_clay"])
+def test_healthy_pressures_are_never_called_swapped_or_of_another_unit(soil: str) -> None:
+    """As turns begin and end, and as the machine brakes, pressures are not those of steady driving."""
+    turns = (
+        (2.0, 0.1, 2.0),
+        (1.0, 0, 0),
+        (2.0, 2.0, 0.5),
+        (2.0, 0.5, 2.0),
+        (2.0, 2.0, 2.0),
+        (1.0, -1.5, -2.2),
+    )
+    estimator = SoilEstimator(P)
+    run(given(soil, ((1.0, 0.0, 0.0), (2.0, 2.2, 2.2), *turns, (1.0, 0.0, 0.0))), estimator)
+    assert accused(estimator) == set()
+    assert estimator.stalled == (False, False)
 
 
 def test_a_clock_set_back_begins_anew() -> None:

@@ -37,6 +37,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         self._estimator = None if self.settings.vehicle.lacks else SoilEstimator(self.settings)
         self._inputs = self._published = 0
         self._heard: float | None = None  # s, steady: when the slip estimator was last heard
+        self._reported: Any = None
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
         if self._estimator is None:
@@ -74,10 +75,20 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
     def _process(self, given: SoilInput) -> None:
         assert self._estimator is not None
         self._inputs += 1
-        for output in self._estimator.advance(given):
+        outputs = self._estimator.advance(given)
+        for output in outputs:
             publisher = self._outputs[conversions.topic_of(output)]
             publisher.publish(conversions.message_of(make, output, self.settings.frame))
             self._published += 1
+        if outputs:
+            self._report_changes(self._estimator)
+
+    def _report_changes(self, estimator: SoilEstimator) -> None:
+        """A fault or a stall is reported at once, not with the next second."""
+        condition = (estimator.faults, estimator.stalled, estimator.struggling)
+        if condition != self._reported:
+            self._reported = condition
+            self.publish_health()
 
 
 def main() -> None:

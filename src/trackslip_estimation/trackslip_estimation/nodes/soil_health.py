@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator's state for /diagnostics: waiting, running, what is wrong, or that a track digs in."""
+"""The soil estimator's state for /diagnostics: waiting, running, what is wrong, or a track in trouble."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -20,10 +20,17 @@ def soil_health(estimator: SoilEstimator, silent: float | None, counts: Mapping[
     if estimator.faults:
         names = ", ".join(fault.value for fault in estimator.faults)
         return Health(ERROR, f"{names}: the estimates are held", values)
-    stuck = [side for side, is_so in zip(("left", "right"), estimator.struggling, strict=True) if is_so]
-    if stuck:
-        return Health(WARN, f"getting stuck: {' and '.join(stuck)} at the limit of the soil", values)
+    if any(estimator.stalled):
+        text = f"stalled: {_sides(estimator.stalled)} commanded and under pressure, but not turning"
+        return Health(WARN, text, values)
+    if any(estimator.struggling):
+        return Health(WARN, f"getting stuck: {_sides(estimator.struggling)} at the limit of the soil", values)
     return Health(OK, "running", values)
+
+
+def _sides(are_so: tuple[bool, bool]) -> str:
+    """Those of which something is so."""
+    return " and ".join(side for side, is_so in zip(("left", "right"), are_so, strict=True) if is_so)
 
 
 def _findings(estimator: SoilEstimator) -> dict[str, Any]:

@@ -23,6 +23,12 @@ _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _TYPICAL = 5e6  # Pa over a travel motor of a machine that drives: 20 to 80 bar on the four soils
 
 
+class Doubt(Enum):
+    """Why pressures are not used before a fault is named."""
+
+    BRIEF = "pressures in doubt for a moment"
+
+
 class PressureFault(Enum):
     """What is wrong, as diagnostics say it."""
 
@@ -40,7 +46,7 @@ class PressureFault(Enum):
 
 # Of compiled code: the place of each in ``PressureFault``
 (
-    _DROPPED,
+    DROPPED,
     _LEFT_STUCK,
     _RIGHT_STUCK,
     _BEYOND_RELIEF,
@@ -91,10 +97,10 @@ def evaluate(watch: Any, sample: Any, p: Any, relief_pressure: float) -> int:
     """Place of the fault for which the pressures of a sample are not to be used; NO_FAULT where they are."""
     found, likely_unit = NO_FAULT, _likely_unit(sample, p)
     for fault in range(_SWAPPED + 1):
-        if fault == _DROPPED:
+        if fault == DROPPED:
             evidence = _AGAINST if sample.has_pressures else _FOR
         elif not sample.has_pressures:
-            return _DROPPED
+            return DROPPED
         elif fault <= _RIGHT_STUCK:
             evidence = _stuck(watch, fault, sample, p)
         elif fault == _BEYOND_RELIEF:
@@ -171,8 +177,12 @@ def _distance(reading: float, unit: int) -> float:
 
 @compiled
 def _crossed(sample: Any, p: Any) -> int:
-    """The faster track of a turn slips more and pulls more, forwards and in reverse."""
-    difference = sample.pressures[1] - sample.pressures[0]
-    if sample.motion != _TURNING or abs(difference) < p.telling_difference:
+    """The faster track of a turn slips more and pulls more, forwards and in reverse.
+
+    As a turn begins or ends, speeds are next to equal, and pressures are those of the change.
+    """
+    difference, faster = sample.pressures[1] - sample.pressures[0], sample.tracks[1] - sample.tracks[0]
+    turns = sample.motion == _TURNING and abs(faster) > p.least_speed
+    if not turns or abs(difference) < p.telling_difference:
         return _OPEN
-    return _FOR if difference * (sample.tracks[1] - sample.tracks[0]) < 0.0 else _AGAINST
+    return _FOR if difference * faster < 0.0 else _AGAINST

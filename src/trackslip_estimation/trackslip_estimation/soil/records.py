@@ -195,6 +195,7 @@ FORCES = np.dtype(
         ("resistance", "f8", 2),
         ("resistance_variance", "f8", 2),
         ("reserve", "f8", 2),
+        ("trouble", "i8", 2),  # place in ``Trouble``; not published
     ]
 )
 

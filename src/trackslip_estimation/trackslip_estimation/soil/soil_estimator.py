@@ -19,7 +19,7 @@ from trackslip_common.tally import Tally
 from trackslip_estimation.soil import step
 from trackslip_estimation.soil.classes import SoilClasses
 from trackslip_estimation.soil.parameter_record import record_of
-from trackslip_estimation.soil.pressure_watch import PressureFault, named_faults
+from trackslip_estimation.soil.pressure_watch import Doubt, PressureFault, named_faults
 from trackslip_estimation.soil.records import HYDRAULICS, SOIL_INPUT, SlipSeed, SoilInput, TrackForces
 from trackslip_estimation.soil.slip_seed import seed_of, set_strength
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
@@ -82,7 +82,7 @@ class SoilEstimator:
     def tally(self) -> Tally:
         """What was not used, by source and reason."""
         tally = Tally()
-        faults = zip(PressureFault, self._state.faults.tolist(), strict=True)
+        faults = zip((*PressureFault, *Doubt), self._state.faults.tolist(), strict=True)
         found = [(HYDRAULICS, fault, count) for fault, count in faults]
         for source, reason, count in (*self._state.synchronizer.rejected(), *found):
             if count:
@@ -109,6 +109,12 @@ class SoilEstimator:
     def struggling(self) -> tuple[bool, bool]:
         """Whether the left and the right track are getting stuck: spinning at the limit of the soil."""
         left, right = self._known["spinning"] >= self.parameters.stuck_time
+        return bool(left), bool(right)
+
+    @property
+    def stalled(self) -> tuple[bool, bool]:
+        """Whether the left and the right track are commanded, pushed, and do not turn."""
+        left, right = self._known["stalled"] >= self.parameters.stall.time
         return bool(left), bool(right)
 
     @property

@@ -12,6 +12,7 @@ from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
 from trackslip_estimation.soil.pressure_watch import WatchParameters
 from trackslip_estimation.soil.slip_seed import SeedParameters
+from trackslip_estimation.soil.stall import StallParameters
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.thrust import ThrustParameters
 from trackslip_estimation.soil.time_synchronizer import SynchronizerParameters
@@ -28,6 +29,7 @@ class SoilEstimatorParameters(WithVehicle):
     moments: SynchronizerParameters
     thrust: ThrustParameters
     watch: WatchParameters
+    stall: StallParameters
     dynamics: DynamicsParameters
     strength: StrengthParameters
     classes: ClassesParameters

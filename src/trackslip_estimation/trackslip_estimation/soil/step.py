@@ -17,11 +17,12 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil import dynamics, pressure_watch, time_synchronizer
 from trackslip_estimation.soil.dynamics import DYNAMICS, MU_R, new_dynamics
 from trackslip_estimation.soil.flow_check import volumetric_efficiency
-from trackslip_estimation.soil.pressure_watch import NO_FAULT, WATCH, PressureFault
+from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, WATCH, PressureFault
 from trackslip_estimation.soil.records import FORCES, RESTARTED
 from trackslip_estimation.soil.reserve import Reserve, thrust_reserve
 from trackslip_estimation.soil.slip_seed import SEEDER, is_seed_due
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_estimation.soil.stall import evidence_time, stall_time, trouble_of
 from trackslip_estimation.soil.strength_average import AVERAGE, GATHERING, gather
 from trackslip_estimation.soil.thrust import (
     MOTOR,
@@ -42,6 +43,7 @@ FloatArray = NDArray[np.float64]
 _STANDING, _STRAIGHT = int(Motion.STANDING), int(Motion.STRAIGHT)
 _LIKELY = 0.5  # probability
 _ROOM = 256  # forces that are kept until they are fetched
+_BRIEF = len(PressureFault)  # a doubt that has not lasted; it names nothing
 
 # Why the loop stopped
 PROCESSED, FULL, RESTART, OPEN = range(4)  # no input left; no more room; the clock went back; see ``OPEN``
@@ -62,6 +64,7 @@ KNOWN = np.dtype(
         ("seeder", SEEDER),
         ("effective_samples", "f8"),  # of the strength posterior
         ("spinning", "f8", 2),  # s for which each track has spun at the limit of the soil
+        ("stalled", "f8", 2),  # s for which it was commanded, and did not turn
         ("forces", "i8"),  # how many are there to be published
         # Of the sample in hand
         ("sample", SAMPLE),
@@ -78,7 +81,7 @@ class State(NamedTuple):
     """All that the loop works on; it never grows."""
 
     known: NDArray[Any]  # (1,) KNOWN
-    faults: NDArray[np.int64]  # (n,) samples whose pressures were not used, by PressureFault
+    faults: NDArray[np.int64]  # (n + 1,) samples whose pressures were not used, by PressureFault; then _BRIEF
     synchronizer: TimeSynchronizer
     limits: FloatArray  # (l,) F_max of the cells, N
     limit_probabilities: FloatArray  # (l,) of the newest state
@@ -95,7 +98,7 @@ class Stop(NamedTuple):
 
 def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
     """At the start."""
-    faults = np.zeros(len(PressureFault), np.int64)
+    faults = np.zeros(_BRIEF + 1, np.int64)
     forces = np.zeros(_ROOM, FORCES)
     return State(initial(p), faults, new_synchronizer(), limits, np.zeros_like(limits), forces)
 
@@ -156,8 +159,10 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
     if fault == NO_FAULT:
         _measure(known, sample, p)
     else:
-        faults[fault] += 1
+        faults[fault if known.watch.is_named[fault] or fault == DROPPED else _BRIEF] += 1
         hold_thrust(known.thrust, sample.dt, p.thrust, known.motor)
+    for k in range(2):
+        known.stalled[k] = stall_time(known.stalled[k], sample, k, p.stall, p.vehicle.relief_pressure)
     dynamics.step(known.dynamics, sample, known.thrust, p)
     for k in range(2):
         mean, variance = known.dynamics.mean[MU_R + k], known.dynamics.covariance[MU_R + k, MU_R + k]
@@ -206,7 +211,8 @@ def _publish_forces(state: State, p: Any) -> None:
         reserve = _reserve(state, force, forces.thrust_variance[k], p)
         forces.reserve[k] = reserve.share
         spins = abs(sample.slips[k]) > p.high_slip and reserve.exhausted > _LIKELY
-        known.spinning[k] = known.spinning[k] + p.forces_period if spins else 0.0
+        known.spinning[k] = evidence_time(known.spinning[k], spins, p.forces_period, p.stuck_time)
+        forces.trouble[k] = trouble_of(known.stalled[k], known.spinning[k], p)
 
 
 @compiled

@@ -43,11 +43,15 @@ from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_sim.machine.bag_messages import Recording, Serialize, like, sensor_serializers
 from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
 from trackslip_sim.machine.message_columns import Columns, stamp_columns
+from trackslip_sim.machine.sensors import swing_topics
 from trackslip_sim.machine.truth_messages import (
+    attitude_columns,
+    certain_attitude,
     certain_odometry,
     odometry_columns,
     soil_message,
     stamped,
+    swing_columns,
     track_forces_columns,
     track_slip_columns,
 )
@@ -58,6 +62,7 @@ from trackslip_sim.truth.window import KEPT, TruthWindow
 START_NS = 1_000_000_000  # of the counted clock
 _TICK_NS = 2_000_000
 _TRUTH_NS = 10_000_000
+_SWING_NS = 20_000_000  # of the encoder, and of its truth
 _FORCES_NS = 100_000_000
 _SOIL_NS = 1_000_000_000
 _WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes, while the window still has the truth
@@ -111,6 +116,7 @@ class _Host:
         text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
         self.recording.add(VEHICLE, text, START_NS)
         self._written_ns = START_NS
+        self._swings = swing_topics(p.vehicle)
 
     def step(self, now_ns: int) -> None:
         """All that arrives by now."""
@@ -130,6 +136,8 @@ class _Host:
         since_ns = now_ns - START_NS
         if since_ns % _TRUTH_NS == 0 and now_ns <= self.excavator.end_ns:
             self._record_truth(now_ns, since_ns)
+        if since_ns % _SWING_NS == 0 and now_ns <= self.excavator.end_ns and self._swings:
+            self._record_swing(now_ns)
         if now_ns - self._written_ns >= _WRITE_NS:
             self.recording.write()
             self._written_ns = now_ns
@@ -183,10 +191,18 @@ class _Host:
         self.recording.add("truth/track_slip", now_ns, now_ns)
         if since_ns % _FORCES_NS == 0:
             self.recording.add("truth/track_forces", now_ns, now_ns)
+            self.recording.add("truth/attitude", now_ns, now_ns)
         if since_ns % _SOIL_NS == 0:
             at = self._window.truth.at(self.excavator.sensors.time(now_ns))
             soil = soil_message(make, at, now_ns, self._vehicle, _BODY_FRAME)
             self.recording.add("truth/soil", soil, now_ns)
+
+    def _record_swing(self, now_ns: int) -> None:
+        """The encoder's reading, of now, and the truth."""
+        self._window.advance(self.excavator.sensors.time(now_ns))
+        for topic in self._swings:
+            sample = self.excavator.sensors.swing(now_ns) if topic == "swing" else now_ns
+            self.recording.add(topic, sample, now_ns)
 
     def _truth_serializers(self) -> dict[str, Serialize]:
         def at(columns: Callable[[Truth], Columns]) -> Callable[[Sequence[int]], Columns]:
@@ -201,6 +217,8 @@ class _Host:
         )
         return {
             "truth/odometry": like(certain_odometry(make, _SITE_FRAME, _BODY_FRAME), at(odometry_columns)),
+            "truth/attitude": like(certain_attitude(make, _BODY_FRAME), at(attitude_columns)),
             "truth/track_slip": like(slip, at(track_slip_columns)),
+            "truth/swing": like(of_sensors.blank_swing(make, _BODY_FRAME), at(swing_columns)),
             "truth/track_forces": like(forces, at(lambda truth: track_forces_columns(truth, self._vehicle))),
         }

@@ -33,15 +33,23 @@ class Column(IntEnum):
     LOSS = 19  # of shear and rolling, W
     ITERATIONS = 20  # of the solver, the most since the row before
     DRIVE = 21  # thrust of the motors, N: of the soil, and what speeds the track itself up
+    Z = 23
+    ROLL = 24
+    PITCH = 25
+    ROLL_RATE = 26  # p
+    PITCH_RATE = 27  # q
+    LOAD = 28  # on each track, N
+    SIDE = 30  # force of lateral shear on the hull, N
 
 
-WIDTH = 23
+WIDTH = 31
 
 
-def start_row(ground: SoilMap) -> FloatArray:
-    """The row (1, WIDTH) of a machine at rest at the origin."""
+def start_row(ground: SoilMap, weight: float) -> FloatArray:
+    """The row (1, WIDTH) of a machine of this weight, N, at rest at the origin of flat ground."""
     row = np.zeros((1, WIDTH))
     row[0, Column.SOIL] = soil_at(0.0, 0.0, ground)
+    row[0, Column.LOAD : Column.LOAD + 2] = 0.5 * weight
     return row
 
 
@@ -71,8 +79,10 @@ class Recorder:
     relief_pressure: float  # Pa
     soil_names: tuple[str, ...]
 
-    def truth(self, rows: FloatArray, first: int = 0) -> Truth:
+    def truth(self, rows: FloatArray, first: int = 0, swing: FloatArray | None = None) -> Truth:
         """The record of rows (n, WIDTH), ``settings.sample_period`` apart, of which ``first`` is the number.
+
+        ``swing`` (n, 2): angle and rate of the upper structure; None: it looks forward.
 
         Pressures are those of the motors' thrust, with the efficiency against the flow of power; the supply
         stands by above the higher of them, as far as the relief valve lets it.
@@ -84,6 +94,7 @@ class Recorder:
         v_x, yaw_rate = rows[:, c.V_X], rows[:, c.YAW_RATE]
         left, right = rows[:, c.TRACK_SPEED], rows[:, c.TRACK_SPEED + 1]
         floor, half = settings.slip_floor, 0.5 * vehicle.tread
+        swing = np.zeros((len(rows), 2)) if swing is None else swing
         # The clip acts only in a step in which a track reverses: its limit is that of the step's start.
         left_pressure, right_pressure = (
             np.clip(pressure_of_thrust(rows[:, c.DRIVE + k], track, vehicle), -relief, relief)
@@ -94,9 +105,14 @@ class Recorder:
             t=np.arange(first, first + len(rows), dtype=np.float64) * settings.sample_period,
             x=rows[:, c.X],
             y=rows[:, c.Y],
+            z=rows[:, c.Z],
             yaw=rows[:, c.YAW],
+            pitch=rows[:, c.PITCH],
+            roll=rows[:, c.ROLL],
             v_x=v_x,
             v_y=rows[:, c.V_Y],
+            roll_rate=rows[:, c.ROLL_RATE],
+            pitch_rate=rows[:, c.PITCH_RATE],
             yaw_rate=yaw_rate,
             left_angle=rows[:, c.ANGLE],
             right_angle=rows[:, c.ANGLE + 1],
@@ -109,12 +125,16 @@ class Recorder:
             right_thrust=rows[:, c.THRUST + 1],
             left_resistance=rows[:, c.RESISTANCE],
             right_resistance=rows[:, c.RESISTANCE + 1],
+            left_load=rows[:, c.LOAD],
+            right_load=rows[:, c.LOAD + 1],
             turning_moment=rows[:, c.MOMENT] * np.sign(yaw_rate),
             left_pressure=left_pressure,
             right_pressure=right_pressure,
             left_spool=rows[:, c.SPOOL],
             right_spool=rows[:, c.SPOOL + 1],
             supply_pressure=np.minimum(higher + settings.standby_pressure, relief),
+            swing=swing[:, 0],
+            swing_rate=swing[:, 1],
             soil_index=rows[:, c.SOIL].astype(np.int64),
             soil_names=self.soil_names,
         )

@@ -2,6 +2,7 @@
 """Draws plots over time with Bokeh: one x axis for all of them."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from bokeh.models import (
@@ -23,7 +24,9 @@ from numpy.typing import NDArray
 
 from trackslip_tools.report.decimate import extremes
 from trackslip_tools.report.panel import BLUE, GRID, INK, ORANGE, PAPER, Curve, Form, Panel
-from trackslip_tools.report.recording import Recording
+
+if TYPE_CHECKING:
+    from trackslip_tools.report.recording import Recording
 
 FloatArray = NDArray[np.float64]
 
@@ -34,7 +37,7 @@ _LEGEND_WIDTH, _LEGEND_ROW = 90, 22  # characters, pixels
 _ROOM = 0.2  # about the values, share of their span
 
 
-def time_range(recordings: Sequence[Recording]) -> Range1d:
+def time_range(recordings: Sequence["Recording"]) -> Range1d:
     """What all plots over time show at first."""
     start, stop = (min(r.start_s for r in recordings), max(r.stop_s for r in recordings))
     return Range1d(start, max(stop, start + 1e-3))
@@ -50,13 +53,13 @@ def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
     alpha = 0.25 / max(bands, 1) ** 0.5
     drawn = {curve: _draw(plot, curve, samples, alpha) for curve in panel.curves}
     _add_hover(plot, drawn)
-    low, high = _visible(panel)
+    low, high = visible(panel)
     plot.y_range = Range1d(low, high)
     dress(plot)
     return plot
 
 
-def messages_plot(recording: Recording, title: str, x_range: Range1d, samples: int) -> figure:
+def messages_plot(recording: "Recording", title: str, x_range: Range1d, samples: int) -> figure:
     """A row for each topic: where messages are, where they are missing."""
     timings = {name: timing for name, timing in recording.timings.items() if len(timing.times)}
     names = list(timings)[::-1]
@@ -151,7 +154,7 @@ def _add_hover(plot: figure, drawn: dict[Curve, GlyphRenderer]) -> None:
         plot.add_tools(HoverTool(renderers=shown, tooltips=tips, mode=mode, visible=False))
 
 
-def _visible(panel: Panel) -> tuple[float, float]:
+def visible(panel: Panel) -> tuple[float, float]:
     """Bounds of the y axis that single spikes and the first moments' wide bands do not stretch."""
     lows, highs = list(panel.limits), list(panel.limits)
     for curve in panel.curves:
