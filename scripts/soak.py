@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -142,20 +142,20 @@ def _soak(duration_s: float, speed: float) -> int:
             playing = subprocess.Popen([*_TRACKSLIP, *player], env=environment, stdout=log, stderr=log)
         try:
             pids = {**fast.pids(), **slow.pids(), "player": playing.pid}
-            ended = lambda: {**fast.ended(), **slow.ended()}  # noqa: E731
-            samples = list(_samples(monitor, pids, duration_s, ended))
+            samples = list(_samples(monitor, pids, duration_s, (fast, slow)))
         finally:
             playing.send_signal(signal.SIGINT)
             playing.wait()
             monitor.close()
-        return _conclude(samples, monitor, f"{duration_s:.0f} s at {speed:g} times real time", ended())
+        what = f"{duration_s:.0f} s at {speed:g} times real time"
+        return _conclude(samples, monitor, what, {**fast.ended(), **slow.ended()})
 
 
 _TRACKSLIP = (sys.executable, "-m", "trackslip_tools.cli.main")
 
 
 def _samples(
-    monitor: Monitor, pids: Mapping[str, int], duration_s: float, ended: Callable[[], Mapping[str, int]]
+    monitor: Monitor, pids: Mapping[str, int], duration_s: float, all_of: tuple[Processes, ...]
 ) -> Iterator[Sample]:
     """From when the graph has settled; until the time is over, or a node has ended."""
     period_s = min(max(duration_s / _SAMPLES, _PERIODS[0]), _PERIODS[1])
@@ -165,7 +165,7 @@ def _samples(
     cpu = {name: _cpu_s(pid) for name, pid in pids.items()}
     for k in range(2, round(duration_s / period_s) + 1):
         monitor.spin_until(began_s + k * period_s)
-        if ended():
+        if any(processes.ended() for processes in all_of):
             return
         values = monitor.latency()
         for name, pid in pids.items():
