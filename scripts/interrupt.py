@@ -21,12 +21,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 TRACKSLIP = str(ROOT / ".venv" / "bin" / "trackslip")
+_PYTEST = ".venv/bin/python -m pytest -q -n 2"
 PATIENCE_S, LONGEST_S = 20.0, 1800.0
 # What is run, and until when the interruption comes at the latest, s.
 COMMANDS: dict[str, tuple[Sequence[str], float]] = {
     "setup": (("make", "setup"), 120.0),
     "demo": (("make", "demo", "DURATION=5"), 30.0),
-    "test": ((".venv/bin/python", "-m", "pytest", "-q", "-n", "2", "tests/common"), 20.0),
+    "test": (("sh", "-c", f"make checks && exec {_PYTEST} tests/common"), 40.0),
     "tune": (
         (
             TRACKSLIP,
