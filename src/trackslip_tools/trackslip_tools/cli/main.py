@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.metadata import version
 from typing import Any, NoReturn
 
 from trackslip_common.errors import ExitCode, InputError, did_you_mean, printable
@@ -66,10 +67,21 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         description="The workbench around bags.",
         epilog="example: trackslip info out/demo/bag; 'trackslip COMMAND --help' has one for each",
     )
+    parser.add_argument("--version", action="version", version=f"trackslip {version('trackslip_tools')}")
     added = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, command in known.items():
         _add(added, name, command, whole=name == asked)
-    return parser.parse_args(argv)
+    args, unknown = parser.parse_known_args(argv)
+    if unknown and asked is not None:
+        _refuse(unknown, added.choices[asked])
+    return args
+
+
+def _refuse(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn:
+    """What no command knows: an option that was mistyped, or a word too many."""
+    options = [option for action in parser._actions for option in action.option_strings]
+    like = did_you_mean(unknown[0], options) if unknown[0].startswith("-") else ""
+    raise InputError(f"{parser.prog}: {unknown[0]} is not accepted{like} (see {parser.prog} --help)")
 
 
 def _add(added: Any, name: str, command: Command, *, whole: bool) -> None:
