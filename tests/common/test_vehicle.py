@@ -95,3 +95,19 @@ def test_an_unknown_vehicle_is_told_with_those_there_are() -> None:
         load_vehicle("x")
     with pytest.raises(InputError, match=r"did you mean 'pc05'\?$"):
         load_slip_parameters({"vehicle": "pc5"})
+
+
+def test_a_vehicle_takes_from_its_base_what_it_does_not_say() -> None:
+    cab, base = load_vehicle("pc05_cab"), load_vehicle("pc05")
+    assert (cab.kinematics, cab.hydraulics) == (base.kinematics, base.hydraulics)
+    assert cab.name == "pc05_cab"
+    assert cab.mount_of("imu") == "upper"
+    assert base.mount_of("imu") == "undercarriage"
+    assert vehicle_of_text(vehicle_text(cab), "vehicle") == cab
+
+
+def test_a_base_with_a_base_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "third.yaml"
+    path.write_text("base: pc05_cab\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"third\.yaml: base: 'pc05_cab' has one too; accepted"):
+        load_vehicle(str(path))

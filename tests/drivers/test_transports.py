@@ -259,6 +259,25 @@ def test_frames_over_udp_multicast(received, start_link):
     stranger.close()
 
 
+def test_frames_from_the_network_are_not_the_machines(received, start_link):
+    """Whoever reached the port of the emulated bus, by multicast or directly, could speak as the machine."""
+    try:
+        stranger = can.Bus(GROUP, interface="udp_multicast", port=UDP_PORT)
+    except can.CanError:
+        pytest.skip("no network here")
+    with stranger, socket.socket(fileno=os.dup(stranger.fileno())) as sending:
+        outward = sending.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)
+        start_link(partial(CanBus, "udp_multicast", GROUP, {"port": UDP_PORT}))
+        own = CanBus("udp_multicast", GROUP, {"port": UDP_PORT})
+        assert outward == socket.inet_aton("0.0.0.0")  # as the route says
+        for n in range(100):
+            stranger.send(can.Message(arbitration_id=7, data=[n]))
+            own.write((0x0CFF1080, bytes([n])))
+        wait_for(lambda: len(received.data) >= 100)
+        assert received.data == [(0x0CFF1080, bytes([n])) for n in range(100)]
+        own.close()
+
+
 def test_a_port_that_never_falls_silent_does_not_hold_up_the_end(received, start_link):
     class Flood(BrokenPort):
         def read(self):

@@ -10,6 +10,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from trackslip_common.flood import BURST
 from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.qos import publisher_qos
@@ -54,14 +55,14 @@ def test_a_second_publisher_of_an_input_is_an_error(estimator: SlipEstimatorNode
     kept = [publisher(topic) for topic in ("sprockets", "slip_estimator/set_pose", "slip_estimator/set_pose")]
     wait(lambda: estimator.count_publishers("slip_estimator/set_pose") == 2)
     wait(lambda: estimator.count_publishers("sprockets") == 1)
-    assert estimator._rivals() == []
+    assert estimator.inputs.health() == []
     second = publisher("sprockets")
-    wait(estimator._rivals)
-    (health,) = estimator._rivals()
+    wait(estimator.inputs.health)
+    (health,) = estimator.inputs.health()
     assert (health.level, health.message) == (ERROR, "several publishers of sprockets")
-    assert health.values == {"sprockets": 2}
+    assert health.values == {"sprockets": 2, "publishers of sprockets": "/other, /other"}
     other.destroy_publisher(second)
-    wait(lambda: not estimator._rivals())
+    wait(lambda: not estimator.inputs.health())
     assert len(kept) == 3
 
 
@@ -75,6 +76,27 @@ def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimator
     assert "box_pose of another frame" in estimator.health()[0].values
 
 
+def test_a_flood_of_messages_is_dropped_and_its_publisher_named(
+    estimator: SlipEstimatorNode, other: Node
+) -> None:
+    """At 10 kHz the executor had no time for timers: no diagnostics for 6 s, and a queue that grew."""
+    publisher = other.create_publisher(topic_class("box_pose"), "box_pose", publisher_qos("box_pose"))
+    wait(lambda: estimator.count_publishers("box_pose") == 1)
+    (listening,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")
+    pose = make("geometry_msgs/msg/PoseWithCovarianceStamped")
+    sent = 2 * round(BURST)
+    for _ in range(sent):
+        listening.callback(pose)
+    (health,) = estimator.inputs.health()
+    taken = estimator.tally.total["box_pose", "of another frame"]
+    assert health.level == ERROR
+    assert health.message == f"{sent - taken} messages of box_pose were too many"
+    assert health.values == {"box_pose dropped": sent - taken, "publishers of box_pose": "/other"}
+    assert taken >= BURST
+    assert estimator.inputs.health() == []
+    other.destroy_publisher(publisher)
+
+
 def test_a_nodes_own_counters_do_not_hide_its_inputs(domain: int) -> None:
     """The soil estimator had a counter of the name that the base has for the topics."""
     rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
@@ -82,7 +104,7 @@ def test_a_nodes_own_counters_do_not_hide_its_inputs(domain: int) -> None:
     try:
         node.start()
         node.publish_health()
-        assert node._rivals() == []
+        assert node.inputs.health() == []
         assert node.callback_failures.last == ""
     finally:
         node.end()

@@ -10,7 +10,7 @@ from trackslip_bags.messages import deserialize, make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_common.topics import TOPICS
 from trackslip_drivers import conversions
-from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
+from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_sim.devices.line import NEVER_NS, BaudLine
 from trackslip_sim.machine import offline
@@ -115,17 +115,25 @@ def test_columns_make_the_messages_of_the_drivers_own_conversions() -> None:
     vectors = [tuple(tuple(part) for part in row.reshape(3, 3).tolist()) for row in numbers]
     sprockets = [SprocketSample(s, *row[:4]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
     pressures = [HydraulicsSample(s, *row[:5]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
+    swings = [SwingSample(s, *row[:2]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
     lines = [ImuSample(s, *parts, over_range=False) for s, parts in zip(stamps, vectors, strict=True)]
     stddevs = (WATSON.linear_acceleration_stddev, WATSON.angular_velocity_stddev)
     expected = {
         "sprockets": [conversions.joint_state(make, s, "base_link") for s in sprockets],
+        "swing": [conversions.fill_swing(conversions.blank_swing(make, "base_link"), s) for s in swings],
         "hydraulics": [conversions.track_hydraulics(make, s, "base_link") for s in pressures],
         "imu/data_raw": [conversions.imu(make, s, WATSON.frame_id, *stddevs) for s in lines],
         "imu/mag": [
             conversions.magnetic_field(make, s, WATSON.frame_id, WATSON.magnetic_field_stddev) for s in lines
         ],
     }
-    records = {"sprockets": sprockets, "hydraulics": pressures, "imu/data_raw": lines, "imu/mag": lines}
+    records = {
+        "swing": swings,
+        "sprockets": sprockets,
+        "hydraulics": pressures,
+        "imu/data_raw": lines,
+        "imu/mag": lines,
+    }
     for topic, serializer in sensor_serializers(WATSON, "base_link").items():
         assert list(serializer(records[topic])) == [serialize(message) for message in expected[topic]]
 

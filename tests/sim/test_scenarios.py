@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from trackslip_common.errors import InputError
+from trackslip_common.vehicle import load_vehicle
 from trackslip_sim.scenarios.scenario import (
     Scenario,
     Segment,
@@ -19,7 +20,7 @@ from trackslip_sim.truth.simulate import simulate
 
 NAMES = {
     *("thesis", "straight", "turn_left", "turn_right", "slalom"),
-    *("start_stop", "spot_turn", "field_trial", "patches", "soil_change"),
+    *("start_stop", "spot_turn", "field_trial", "patches", "soil_change", "dig_cycles"),
 }
 SEGMENT = {"duration": 2.0, "left": 1, "right": 2.5}
 PATCH = {"soil": "sand", "from_x": 0, "to_x": 1, "from_y": 0, "to_y": 1}
@@ -34,7 +35,7 @@ def test_the_promised_scenarios_are_there() -> None:
 def test_each_drives_somewhere(name: str) -> None:
     scenario = load_scenario(name)
     assert scenario.name == name
-    truth = simulate(scenario)
+    truth = simulate(scenario, upper=load_vehicle(scenario.vehicle).upper_structure)
     assert truth.duration == pytest.approx(scenario.duration, abs=0.01)
     assert np.hypot(truth.x, truth.y).max() > 1.0
 
@@ -118,7 +119,7 @@ def test_bad_scenarios_are_refused_in_one_line(change: dict[str, Any], message: 
 def test_missing_soil_and_unknown_names() -> None:
     with pytest.raises(InputError, match=r"soil is missing; accepted"):
         parse_scenario({"name": "a", "segments": [SEGMENT]})
-    with pytest.raises(InputError, match=r"scenario: 'moon' is unknown; accepted: field_trial, patches"):
+    with pytest.raises(InputError, match=r"scenario: 'moon' is unknown; accepted: dig_cycles, field_trial"):
         load_scenario("moon")
     with pytest.raises(InputError, match=r"soil: 'cheese' is unknown; accepted: sand"):
         simulate(load_scenario("straight"), soil="cheese")

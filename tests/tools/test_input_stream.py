@@ -77,7 +77,7 @@ def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path
             elif source == "box_pose":
                 expected.append(conversions.pose_fix(content, source))
             else:
-                expected.append(conversions.yaw_rate(content, source, P.gyros()[source].stddev ** 2))
+                expected.append(conversions.yaw_rate(content, source, P.gyros()[source]))
         found = measurements_of(read_inputs(bag, P, InputFilters(), ()))
     assert list(map(repr, found)) == list(map(repr, expected))
     assert {type(m) for m in found} == {Sprockets, YawRate, PoseFix}

@@ -30,6 +30,7 @@ RecordClass = Any  # a NamedTuple class of this module; mypy takes no type[Any] 
 PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
 _PLANE_IN_36 = tuple(np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel().tolist())
 _SLIPS_IN_9 = (0, 1, 3, 4)  # left and right among left, right, slip angle
+ABSENT = -1.0  # first element of a covariance in sensor_msgs/Imu: there is no such vector (REP-145)
 _NS_PER_S = 1_000_000_000
 _NAMES = "name"  # of joints
 
@@ -96,7 +97,15 @@ class ImuFields(NamedTuple):
     rate_x: Annotated[float, At("angular_velocity.x")]  # rad/s
     rate_y: Annotated[float, At("angular_velocity.y")]
     rate_z: Annotated[float, At("angular_velocity.z")]
-    variance_z: Annotated[float, At("angular_velocity_covariance", (8,))]  # (rad/s)², 0 where unknown
+    variance_x: Annotated[float, At("angular_velocity_covariance", (0,))]  # (rad/s)²; 0 unknown, −1 none
+    variance_y: Annotated[float, At("angular_velocity_covariance", (4,))]
+    variance_z: Annotated[float, At("angular_velocity_covariance", (8,))]
+    acceleration_x: Annotated[float, At("linear_acceleration.x")]  # m/s², upward at rest
+    acceleration_y: Annotated[float, At("linear_acceleration.y")]
+    acceleration_z: Annotated[float, At("linear_acceleration.z")]
+    acceleration_variance_x: Annotated[float, At("linear_acceleration_covariance", (0,))]  # −1: none
+    acceleration_variance_y: Annotated[float, At("linear_acceleration_covariance", (4,))]  # (m/s²)²
+    acceleration_variance_z: Annotated[float, At("linear_acceleration_covariance", (8,))]
 
 
 class OrientationFields(NamedTuple):

@@ -47,6 +47,7 @@ TOPICS = {
     "truth/odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "truth/track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "truth/track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),
+    "truth/swing": Topic("sensor_msgs/msg/JointState", Flow.RELIABLE),
     "truth/soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),
     "emulator/fault": Topic("std_msgs/msg/String", Flow.RELIABLE),
     "diagnostics": Topic("diagnostic_msgs/msg/DiagnosticArray", Flow.RELIABLE),

@@ -26,6 +26,7 @@ GRAVITY = 9.80665  # m/s²
 ASSUMED = "pc05"  # where no vehicle is named
 TOPIC = "vehicle"  # carries the text of a vehicle, latched; also the name of the parameter that names one
 _GROUP = f"{TOPIC}."
+_BASE = "base"  # of a vehicle file: another one, whose numbers it takes where it has none of its own
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +60,15 @@ class Hydraulics(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SwingDrive(Parameters):
+    """The motor that swings it."""
+
+    rate: float = parameter("fastest that it swings", unit="rad/s", gt=0.0, le=10.0)
+    acceleration: float = parameter("at which it starts and brakes", unit="rad/s²", gt=0.0, le=100.0)
+    backlash: float = parameter("play of pinion and ring gear, as an angle of the cab", unit="rad", ge=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class UpperStructure(Parameters):
     """What swings: cab, engine and arm."""
 
@@ -66,6 +76,7 @@ class UpperStructure(Parameters):
     swing_axis_x: float = parameter("swing axis ahead of base_link", unit="m", ge=-50.0, le=50.0)
     swing_axis_y: float = parameter("swing axis left of base_link", unit="m", ge=-50.0, le=50.0)
     centre_x: float = parameter("its centre of gravity ahead of the axis", unit="m", ge=-50.0, le=50.0)
+    drive: SwingDrive | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,12 +98,34 @@ class Antenna(Parameters):
     z: float = parameter("above the ground", unit="m", ge=-50.0, le=50.0)
 
 
+UNDERCARRIAGE, UPPER = MOUNTS = ("undercarriage", "upper")
+_MOUNT = "what it sits on; upper: its place is that in base_link with the cab looking forward"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mounts(Parameters):
+    """On which part of the machine each sensor sits; where this is not said, on the undercarriage."""
+
+    box: str = parameter(_MOUNT, choices=MOUNTS)
+    antenna: str = parameter(_MOUNT, choices=MOUNTS)
+    imu: str = parameter(_MOUNT, choices=MOUNTS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingEncoder(Parameters):
+    """What measures the angle of the upper structure."""
+
+    stddev: float = parameter("of one reading", unit="rad", gt=0.0, le=1.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sensors(Parameters):
     """Where what is mounted on the machine sits."""
 
     box: Box | None
     antenna: Antenna | None
+    mounts: Mounts | None
+    swing_encoder: SwingEncoder | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,6 +159,17 @@ class VehicleParameters(Parameters):
         if self.sensors is None or self.sensors.box is None:
             raise InputError(f"vehicle '{self.name}' has no sensors.box for the laser; accepted: one with it")
         return self.sensors.box
+
+    def mount_of(self, sensor: str) -> str:
+        """Of a field of ``Mounts``, one of ``MOUNTS``."""
+        mounts = self.sensors.mounts if self.sensors is not None else None
+        return UNDERCARRIAGE if mounts is None else str(getattr(mounts, sensor))
+
+    @property
+    def swing_axis(self) -> tuple[float, float]:
+        """In base_link, m; its origin where the vehicle does not say."""
+        upper = self.upper_structure
+        return (0.0, 0.0) if upper is None else (upper.swing_axis_x, upper.swing_axis_y)
 
     @property
     def lacks(self) -> str:
@@ -185,7 +229,7 @@ def load_vehicle(name: str = ASSUMED) -> VehicleParameters:
         InputError: there is no such vehicle, or a value in its file is refused.
     """
     path = _file(name)
-    return _vehicle(read_yaml(path), path.stem, str(path))
+    return from_flat(VehicleParameters, {"name": path.stem, **_numbers_of(path)}, str(path))
 
 
 def vehicle_of_text(text: str, where: str) -> VehicleParameters:
@@ -197,7 +241,7 @@ def vehicle_of_text(text: str, where: str) -> VehicleParameters:
     tree = parse_yaml(text, where)
     if not isinstance(tree, Mapping):
         raise InputError(f"{where}: expected names and values (a YAML mapping)")
-    return _vehicle(tree, "unnamed", where)
+    return from_flat(VehicleParameters, {"name": "unnamed", **flatten(tree)}, where)
 
 
 def vehicle_text(vehicle: VehicleParameters) -> str:
@@ -218,8 +262,16 @@ def vehicle_layer(vehicle: VehicleParameters) -> dict[str, Any]:
     return to_flat(vehicle, _GROUP)
 
 
-def _vehicle(tree: Mapping[str, Any], name: str, where: str) -> VehicleParameters:
-    return from_flat(VehicleParameters, {"name": name, **flatten(tree)}, where)
+def _numbers_of(path: Path) -> dict[str, Any]:
+    """By dotted name, over those of the file that it names as its base."""
+    values = flatten(read_yaml(path))
+    base = values.pop(_BASE, None)
+    if base is None:
+        return values
+    below = flatten(read_yaml(_file(str(base))))
+    if _BASE in below:
+        raise InputError(f"{path}: {_BASE}: '{base}' has one too; accepted: a vehicle without")
+    return {**below, **values}
 
 
 def _with_numbers(values: Mapping[str, Any]) -> dict[str, Any]:

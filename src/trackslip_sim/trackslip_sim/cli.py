@@ -62,10 +62,11 @@ def run(arguments: argparse.Namespace) -> int:
             )
         scenario = scenario.stretched(arguments.duration)
     given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
-    if arguments.vehicle is not None:
-        given["vehicle"] = arguments.vehicle
-    p = load_emulator_parameters(given)
-    pieces = simulate_in_pieces(scenario, soil=arguments.soil, mode=arguments.mode, vehicle=p.vehicle.whole())
+    p = load_emulator_parameters({**given, "vehicle": arguments.vehicle or scenario.vehicle})
+    whole, upper = p.vehicle.whole(), p.vehicle.upper_structure
+    pieces = simulate_in_pieces(
+        scenario, soil=arguments.soil, mode=arguments.mode, vehicle=whole, upper=upper
+    )
     duration = duration_of(scenario, load_settings())
     refuse_existing(arguments.output)
     require_writable(json=arguments.json)

@@ -96,6 +96,24 @@ def test_box_before_a_wall_is_found():
     assert sum(isinstance(outcome, BoxFix) for outcome in outcomes) >= 19
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_post_that_touches_the_box_is_not_taken_for_a_part_of_it(side):
+    def past(times):
+        return times * 0.1 - 1.5, np.zeros_like(times), np.zeros_like(times)
+
+    site = dataclasses.replace(BARE, posts=(0.0, side * 0.42, 0.15))
+    parameters = dataclasses.replace(PARAMETERS, initial_x=-1.4)
+    found = drive(BoxLocalizer(parameters, BOX), SiteScanner(site, BOX, seed=9), past, 120)
+    fixes = [fix for fix in found if isinstance(fix, BoxFix)]
+    assert len(fixes) >= 110
+    errors = np.array([error(fix, past) for fix in fixes])
+    squared = [
+        e[:2] @ np.linalg.solve(f.covariance[:2, :2], e[:2]) for e, f in zip(errors, fixes, strict=True)
+    ]
+    assert np.mean(squared) < 3.0
+    assert np.max(squared) < 25.0
+
+
 def test_jump_of_the_box_is_gated():
     localizer = BoxLocalizer(PARAMETERS, BOX)
     scanner = SiteScanner(BARE, BOX, seed=8)

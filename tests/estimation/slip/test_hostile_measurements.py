@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, YawRate
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 S = 1_000_000_000
@@ -28,7 +28,7 @@ def with_rogue(
             yield replace(own, stamp_ns=own.stamp_ns + apart_ns), True
 
 
-@pytest.mark.parametrize("kind", [PoseFix, YawRate])
+@pytest.mark.parametrize("kind", [PoseFix, YawRate, Sprockets])
 @pytest.mark.parametrize(("hours", "outcome"), [(1, Outcome.AHEAD), (-1, Outcome.TOO_LATE)])
 def test_stamps_an_hour_off_are_refused_and_change_nothing(
     drive: Callable[..., Any], kind: type, hours: int, outcome: Outcome

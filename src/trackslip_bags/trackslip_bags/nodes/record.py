@@ -42,7 +42,7 @@ from trackslip_common.topics import TOPICS, Flow
 _SAVE_PERIOD = 0.5  # s
 _TRIM_PERIOD = 5.0  # s
 _SHORT_MINUTES = 60.0  # until the disk is full: time for somebody to come
-_GATHER = 0.02  # s from a message until all that came meanwhile are taken
+_GATHER = 0.05  # s from a message until all that came meanwhile are taken
 _BURST = 100  # messages of one topic, before the others have their turn
 _LATCHED_DEPTH = 100  # several publishers of one topic keep one message each, such as /tf_static has
 _LONGEST_DRAIN = 1.0  # s

@@ -13,7 +13,8 @@ from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes import parameters as node_parameters
 from trackslip_common.nodes.guarded import GuardedNode
-from trackslip_common.nodes.health import ERROR, OK, Health, diagnostics
+from trackslip_common.nodes.health import OK, Health, diagnostics
+from trackslip_common.nodes.inputs import Inputs
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 from trackslip_common.parameters import Parameters, reloadable, to_flat
@@ -48,7 +49,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.has_run = False  # whether it was active since it was configured
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.tally = Tally()
-        self._listened_to: set[str] = set()  # topics
+        self.inputs = Inputs(self)
         self._status = self.tolerate_failures(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._lasting_timers.append(self.create_timer(1.0, self.publish_health, clock=steady))
@@ -85,15 +86,15 @@ class TrackslipNode(GuardedNode, Generic[P]):
             super().start()
 
     def subscribe(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
-        """Subscribe; messages that come while the node is inactive are not for it."""
+        """Subscribe; messages that come while the node is inactive, or flood it, are not for it."""
 
         def when_active(message: Any) -> None:
-            if self.active:
+            if self.active and self.inputs.lets_pass(topic):
                 callback(message)
 
         self.create_subscription(message_type, topic, when_active, subscriber_qos(topic))
         if topic not in COMMANDS:
-            self._listened_to.add(topic)
+            self.inputs.add(topic)
 
     def advertise(self, message_type: type, topic: str) -> Any:
         """A lifecycle publisher with the topic's own quality of service, whose failures the node survives."""
@@ -109,19 +110,12 @@ class TrackslipNode(GuardedNode, Generic[P]):
         except Exception as error:  # noqa: BLE001 (what failed is reported all the same)
             self.callback_failures.add("health", error)
             entries = []
-        entries += [*self._rivals(), *self.callback_failures.health(), *self.send_failures.health()]
+        entries += [*self.inputs.health(), *self.callback_failures.health(), *self.send_failures.health()]
         stamp = self.get_clock().now().to_msg()
         self._status.publish(diagnostics(self.full_name, stamp, entries, self.hardware()))
 
-    def _rivals(self) -> list[Health]:
-        """An error where an input has several publishers, whose messages are taken for one sensor's."""
-        counts = {topic: self.count_publishers(topic) for topic in sorted(self._listened_to)}
-        several = {topic: count for topic, count in counts.items() if count > 1}
-        text = f"several publishers of {', '.join(several)}"
-        return [Health(ERROR, text, several, part="inputs")] if several else []
-
     def _configure(self) -> None:
-        self._listened_to.clear()
+        self.inputs.clear()
         self._settings_in_use = self.settings
         self.has_run = False
         if self.parameters_topic:

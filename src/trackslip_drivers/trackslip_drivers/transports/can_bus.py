@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A CAN bus behind python-can: SocketCAN on the vehicle, UDP multicast between processes, virtual in one."""
+"""A CAN bus by python-can: SocketCAN on the vehicle, UDP multicast in one host, virtual in one process."""
 
+import os
+import socket
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
@@ -37,6 +39,12 @@ class CanBus:
         self.note = f"{channel}: ip link sets the bitrate, not python-can" if is_system else ""
         self._is_off = False
         self._bus = can.Bus(channel=channel, interface=interface, **options)
+        if interface == "udp_multicast":
+            try:
+                _keep_on_host(self._bus.fileno(), channel)
+            except BaseException:
+                self._bus.shutdown()
+                raise
 
     def read(self) -> Iterable[tuple[CanFrame, int]]:
         """The frames that are there, once there is one, each with its time of reception.
@@ -77,6 +85,19 @@ class CanBus:
     def close(self) -> None:
         """Release the bus."""
         self._bus.shutdown()
+
+
+def _keep_on_host(descriptor: int, group: str) -> None:
+    """Send and receive on the loopback device alone: nobody on the network can speak as the machine.
+
+    Raises:
+        OSError: the group is no multicast address of IPv4, or the system forbids it.
+    """
+    with socket.socket(fileno=os.dup(descriptor)) as shared:
+        home = socket.inet_aton("127.0.0.1")
+        shared.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo")
+        shared.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, home)
+        shared.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + home)
 
 
 def _flagged_id(message: can.Message) -> int:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from trackslip_estimation.box.clusters import Beams
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 BESIDE = 2  # beams next to the box that may still be on it
 
@@ -25,9 +26,10 @@ class Background:
         known[max(0, box.indices[0] - BESIDE) : box.indices[-1] + BESIDE + 1] = False
         self._ranges[known] = ranges[known]
 
-    def holds(self, ranges: FloatArray, beams: Beams, margin: float) -> bool:
-        """Whether most of an object's beams measure what they did before, within ``margin``, m."""
+    def holds(self, ranges: FloatArray, margin: float) -> BoolArray:
+        """(N,) which beams of a scan measure what they did before, within ``margin``, m."""
         if self._ranges.shape != ranges.shape:
-            return False
-        same = np.abs(self._ranges[beams.indices] - beams.ranges) < margin
-        return bool(same.mean() > 0.5)
+            return np.zeros(ranges.shape, np.bool_)
+        with np.errstate(invalid="ignore"):  # ∞ - ∞
+            same: BoolArray = np.abs(self._ranges - ranges) < margin
+        return same

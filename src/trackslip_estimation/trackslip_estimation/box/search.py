@@ -41,8 +41,8 @@ class Reason(Enum):
     TOO_NEAR = "too_near_the_laser"
     SIZE = "larger_than_the_box"
     SHAPE = "not_the_shape_of_the_box"
-    BACKGROUND = "was_there_before"
     GATE = "too_far_from_the_prediction"
+    BACKGROUND = "was_there_before"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +70,17 @@ class BoxSearch:
         self.background = Background()
 
     def find(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> Candidate | Reason:
-        """The object most like the box near the expected pose, or how far the best of the others came."""
+        """The object most like the box near the expected pose, or how far the best of the others came.
+
+        What was there before is cut off: a post beside the box would lengthen or turn it.
+        """
         reach = self.box.diagonal + 3.0 * self.range_stddev
-        parts = clusters(ranges, angles, self.range_stddev, self._parameters.grazing_angle)
+        known = self.background.holds(ranges, 3.0 * np.sqrt(2.0) * self.range_stddev)
+        parts = [
+            part
+            for cluster in clusters(ranges, angles, self.range_stddev, self._parameters.grazing_angle)
+            for part in np.split(cluster, np.flatnonzero(np.diff(known[cluster])) + 1)
+        ]
         near = self._near(ranges, angles, expected)
         found: list[Candidate] = []
         reasons = [Reason.NOTHING_NEAR]
@@ -81,6 +89,8 @@ class BoxSearch:
                 continue
             beams = beams_on(indices, ranges, angles, self.box.diagonal, 3.0 * self.range_stddev)
             outcome = self._evaluate(beams, expected, ranges, angles)
+            if isinstance(outcome, Candidate) and known[indices].mean() > 0.5:
+                outcome = Reason.BACKGROUND
             if isinstance(outcome, Candidate):
                 found.append(outcome)
             else:
@@ -107,8 +117,6 @@ class BoxSearch:
         is_explained = self._is_explained(best, self._parameters.fit_probability)
         if not is_explained or through > SEEN_THROUGH * len(beams.ranges):
             return Reason.SHAPE
-        if self.background.holds(ranges, beams, 3.0 * np.sqrt(2.0) * self.range_stddev):
-            return Reason.BACKGROUND
         difference = self._frames.odom_from_laser(best.pose) - expected.pose
         distance = float(np.hypot(difference[0], difference[1]))
         turned = abs(difference[2] - QUARTER_TURN * np.round(difference[2] / QUARTER_TURN))

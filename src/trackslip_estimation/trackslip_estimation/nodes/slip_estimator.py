@@ -29,12 +29,13 @@ from trackslip_estimation.slip.measurements import (
     UNFREEZE,
     Command,
     Input,
+    Measurement,
     Outcome,
     Reload,
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
-from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal, named
+from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal, YawRateSource, named
 
 LOCAL = "odometry/local"
 
@@ -71,8 +72,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
         self.subscribe(topic_class(SET_POSE), SET_POSE, partial(self._on_pose, source=SET_POSE))
         self._frames_of_sources = p.frames_of_sources()
-        for source, gyro in p.gyros().items():
-            on_imu = partial(self._on_imu, source=source, variance=gyro.stddev**2)
+        for source, imu in p.gyros().items():
+            on_imu = partial(self._on_imu, source=source, imu=imu)
             self._listen(topic_class("imu/data_raw"), source, on_imu)
         for source in named(p.pose_sources):
             self._listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
@@ -124,14 +125,14 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._heard = time.monotonic()
         self._process(conversions.sprockets(message, "sprockets"))
 
-    def _on_imu(self, message: Any, source: str, variance: float) -> None:
-        self._process(conversions.yaw_rate(message, source, variance))
+    def _on_imu(self, message: Any, source: str, imu: YawRateSource) -> None:
+        self._use(source, conversions.yaw_rate(message, source, imu))
 
     def _on_pose(self, message: Any, source: str) -> None:
         self._process(conversions.pose_fix(message, source))
 
     def _on_heading(self, message: Any, source: str, variance: float) -> None:
-        self._process(conversions.heading_fix(message, source, variance))
+        self._use(source, conversions.heading_fix(message, source, variance))
 
     def _on_slips(self, message: Any, source: str) -> None:
         self._process(conversions.slip_fix(message, source))
@@ -161,6 +162,12 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         except ModuleNotFoundError:
             self.get_logger().info("tf2_msgs is not installed: no tf")
             return None
+
+    def _use(self, source: str, given: Measurement | Refusal) -> None:
+        if isinstance(given, Refusal):
+            self.tally.add(source, given)
+        else:
+            self._process(given)
 
     def _process(self, given: Input) -> None:
         report, estimate = self._estimator.process(given)

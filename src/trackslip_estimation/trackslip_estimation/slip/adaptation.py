@@ -39,6 +39,7 @@ _FIX_STEP = 0.35  # of ln f
 _FIX_BELOW = 2  # point masses of f below 1
 _FIX_PRIOR = 0.5  # standard deviation of ln f
 _HEAVY = 8.0  # degrees of freedom of Student's t
+_OF_GAUSSIAN = (1.232, 1.210, 1.192)  # by which d² of m = 1, 2, 3 counts, so that Gaussian fixes show f = 1
 _OUTLIER = 25.0  # NIS under the largest s and a, beyond which a yaw rate shows nothing more
 _SHORTEST = 1e-3  # s between fixes of a source
 _NEGLIGIBLE = -20.0  # w below the best
@@ -205,11 +206,12 @@ def repeats(elapsed_ns: int, correlation_time: float) -> float:
 def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any) -> None:
     """Weighs f of a source by a fix that was predicted with P (m, m), and states R (m, m)."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
+    scale = _OF_GAUSSIAN[m - 1] / _HEAVY
     best = -math.inf
     for j in range(FIX_FACTORS):
         L = root(P + n.fix_factors[j] * R)
         nis = weighted_square(L, innovation)
-        likelihood = -(log_determinant(L) + (_HEAVY + m) * math.log(1.0 + nis / _HEAVY)) / 2.0
+        likelihood = -(log_determinant(L) + (_HEAVY + m) * math.log(1.0 + scale * nis)) / 2.0
         w[j] = n.fix_memory * w[j] + (1.0 - n.fix_memory) * n.fix_prior[j] + likelihood
         best = max(best, w[j])
     total = factor = 0.0

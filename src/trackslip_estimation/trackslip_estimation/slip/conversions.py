@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header, set_stamp
 from trackslip_common.message_fields import (
+    ABSENT,
     PLANE_IN_6,
     ImuFields,
     OrientationFields,
@@ -26,6 +27,8 @@ from trackslip_common.message_fields import (
 )
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.measurements import HeadingFix, PoseFix, Report, SlipFix, Sprockets, YawRate
+from trackslip_estimation.slip.mounting import turned, turned_variances
+from trackslip_estimation.slip.sources import Refusal, YawRateSource
 
 FloatArray = NDArray[np.float64]
 
@@ -50,10 +53,25 @@ def sprockets(message: Any, source: str) -> Sprockets:
     return Sprockets(source, m.stamp_ns, m.left_speed, m.right_speed, positions)
 
 
-def yaw_rate(message: Any, source: str, default_variance: float) -> YawRate:
-    """From sensor_msgs/Imu; a variance of zero means unknown (REP-145)."""
+def yaw_rate(message: Any, source: str, imu: YawRateSource) -> YawRate | Refusal:
+    """From sensor_msgs/Imu, turned as ``imu`` is mounted.
+
+    A variance of zero means unknown, a first element of −1 that there is no such vector (REP-145).
+    """
     m = read(ImuFields, message)
-    return YawRate(source, m.stamp_ns, m.rate_z, m.variance_z if m.variance_z != 0.0 else default_variance)
+    if m.variance_x == ABSENT:
+        return Refusal.NO_RATE
+    R, unknown = imu.mounting, imu.stddev**2
+    stated = (m.variance_x, m.variance_y, m.variance_z)
+    p, q, r = turned(R, (m.rate_x, m.rate_y, m.rate_z))
+    of_p, of_q, of_r = turned_variances(R, [v if v != 0.0 else unknown for v in stated])
+    a, of_a = (math.nan,) * 3, math.nan
+    if m.acceleration_variance_x != ABSENT:
+        x, y, z = turned(R, (m.acceleration_x, m.acceleration_y, m.acceleration_z))
+        a = (x, y, z)
+        mean = (m.acceleration_variance_x + m.acceleration_variance_y + m.acceleration_variance_z) / 3.0
+        of_a = mean if mean != 0.0 else imu.acceleration_stddev**2
+    return YawRate(source, m.stamp_ns, r, of_r, (p, q), (of_p, of_q), a, of_a)
 
 
 def pose_fix(message: Any, source: str) -> PoseFix:
@@ -68,17 +86,19 @@ def slip_fix(message: Any, source: str) -> SlipFix:
     return SlipFix(source, m.stamp_ns, np.array((m.left_slip, m.right_slip)), m.slips_covariance)
 
 
-def heading_fix(message: Any, source: str, default_variance: float) -> HeadingFix:
+def heading_fix(message: Any, source: str, default_variance: float) -> HeadingFix | Refusal:
     """From sensor_msgs/Imu, or geometry_msgs/QuaternionStamped, which has no variance.
 
-    A variance of zero means unknown, a first element of −1 that there is no orientation (REP-145): nan.
+    A variance of zero means unknown, a first element of −1 that there is no orientation (REP-145).
     """
     if hasattr(message, "quaternion"):
         q = read(QuaternionFields, message)
         return HeadingFix(source, q.stamp_ns, heading_of(q), default_variance)
     m = read(OrientationFields, message)
-    heading = math.nan if m.absent == -1.0 else heading_of(m)
-    return HeadingFix(source, m.stamp_ns, heading, m.variance_z if m.variance_z != 0.0 else default_variance)
+    if m.absent == ABSENT:
+        return Refusal.NO_ORIENTATION
+    variance = m.variance_z if m.variance_z != 0.0 else default_variance
+    return HeadingFix(source, m.stamp_ns, heading_of(m), variance)
 
 
 def odometry(make: Make, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:

@@ -99,7 +99,10 @@ def _machine_digest(p: SlipEstimatorParameters) -> str:
         "vehicle": to_flat(p.vehicle),
         "model": p.model,
         "poses": {name: (source.lever, source.stamp_error) for name, source in p.poses().items()},
-        "gyros": {name: (source.sign, source.scale) for name, source in p.gyros().items()},
+        "gyros": {
+            name: (imu.sign, imu.scale, *((imu.mounting,) if imu.mounting else ()))
+            for name, imu in p.gyros().items()
+        },
         "least_track_error": p.adaptation.least_track_error,
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -33,14 +33,24 @@ class Sprockets:
     positions: tuple[float, float] | None = None  # rad, left and right
 
 
+_NONE = float("nan")
+
+
 @dataclass(frozen=True)
 class YawRate:
-    """Rate of turn of the machine about the vertical."""
+    """Rate of turn of the machine about its z axis, and what else the IMU shows, along the machine's axes.
+
+    What an IMU does not have is nan.
+    """
 
     source: str
     stamp_ns: int
     rate: float  # rad/s
     variance: float  # (rad/s)²
+    tilt_rates: tuple[float, float] = (_NONE, _NONE)  # about x and y, rad/s
+    tilt_variances: tuple[float, float] = (_NONE, _NONE)  # (rad/s)²
+    acceleration: tuple[float, float, float] = (_NONE, _NONE, _NONE)  # specific force: upward at rest, m/s²
+    acceleration_variance: float = _NONE  # of each axis, (m/s²)²
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,8 +36,14 @@ MEASUREMENT = np.dtype(
         ("right_speed", np.float64),
         ("left_angle", np.float64),  # rad, continuous; nan where there is none
         ("right_angle", np.float64),
-        ("value", np.float64, (3,)),  # z of all others: rad/s; m, m, rad; left and right slip; rad
+        (
+            "value",
+            np.float64,
+            (3,),
+        ),  # z of all others: rad/s about z, x, y; m, m, rad; left and right slip; rad
         ("noise", np.float64, (3, 3)),  # R, as its source states it
+        ("acceleration", np.float64, (3,)),  # of an IMU: specific force, m/s²; nan where it has none
+        ("acceleration_variance", np.float64),  # (m/s²)²
     ],
     align=True,
 )
@@ -156,7 +162,10 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
             record["left_angle"], record["right_angle"] = m.positions or (np.nan, np.nan)
         elif isinstance(m, YawRate):
             record["kind"], record["source"] = YAW_RATE, sources[m.source]
-            record["value"][0], record["noise"][0, 0] = m.rate, m.variance
+            record["value"] = (m.rate, *m.tilt_rates)
+            record["noise"] = np.diag((m.variance, *m.tilt_variances))
+            record["acceleration"] = m.acceleration
+            record["acceleration_variance"] = m.acceleration_variance
         elif isinstance(m, PoseFix):
             record["kind"] = POSE
             record["source"] = MANUAL if m.source == SET_POSE else sources[m.source]

@@ -15,6 +15,7 @@ from typing import Any
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, Parameters, parameter
+from trackslip_estimation.slip.mounting import Rotation, rotation
 
 _TIMEOUT = "with nothing accepted for so long it counts as lost"
 
@@ -75,9 +76,25 @@ class PoseSource(Source):
 class YawRateSource(Source):
     """A gyro; its gate widens with each further timeout."""
 
-    sign: int = parameter("1, or -1 for a gyro that is upside down", choices=(1, -1))
+    mounting_roll: float = parameter(
+        "how its axes are turned against those of base_link: about x last",
+        unit="rad",
+        ge=-6.2832,
+        le=6.2832,
+    )
+    mounting_pitch: float = parameter("about y, nose down positive", unit="rad", ge=-6.2832, le=6.2832)
+    mounting_yaw: float = parameter("about z first, counter-clockwise", unit="rad", ge=-6.2832, le=6.2832)
+    sign: int = parameter(
+        "1, or -1 for a gyro whose yaw rate, so mounted, is the wrong way round", choices=(1, -1)
+    )
     scale: float = parameter("what it shows of 1 rad/s: its scale times the cosine of its tilt", gt=0.0)
     stddev: float = parameter("where its message gives no variance", unit="rad/s", gt=0.0)
+    acceleration_stddev: float = parameter("where its message gives no variance", unit="m/s²", gt=0.0)
+
+    @property
+    def mounting(self) -> Rotation | None:
+        """Turns vectors of its frame into base_link; None where they are alike."""
+        return rotation(self.mounting_roll, self.mounting_pitch, self.mounting_yaw)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +106,8 @@ class Refusal(Enum):
     """Why a message of a source never becomes a measurement."""
 
     OTHER_FRAME = "of another frame"
+    NO_RATE = "without angular velocity"
+    NO_ORIENTATION = "without orientation"
 
 
 HEADING_MESSAGES = {"imu": "sensor_msgs/msg/Imu", "quaternion": "geometry_msgs/msg/QuaternionStamped"}

@@ -16,7 +16,7 @@ from rich.console import Console
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, InputError, suggestion
 from trackslip_common.soils import load_soils
-from trackslip_common.vehicle import ASSUMED, load_vehicle
+from trackslip_common.vehicle import load_vehicle
 from trackslip_sim.demo.graph import DemoOptions, demo_nodes
 from trackslip_sim.demo.output import claim
 from trackslip_sim.demo.picture import draw
@@ -53,14 +53,14 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--duration", default="40", help="seconds of driving")
     parser.add_argument("--soil", default="sand", help="a name of config/soils.yaml")
     parser.add_argument("--scenario", default="thesis", help="a name of config/scenarios, or a file")
-    parser.add_argument("--vehicle", default=ASSUMED, help="a name of config/vehicles, or a file")
+    parser.add_argument("--vehicle", help="a name of config/vehicles, or a file; default: the scenario's")
     parser.add_argument("--output", type=Path, default=Path("out/demo"), help="directory of the results")
     options = parser.parse_args(argv)
     options.duration = _duration(options.duration)
     soils = load_soils()
     if options.soil not in soils:
         raise InputError(f"SOIL: '{options.soil}' is unknown{suggestion(options.soil, soils)}")
-    load_scenario(options.scenario)
+    options.vehicle = options.vehicle or load_scenario(options.scenario).vehicle
     load_vehicle(options.vehicle).whole()
     return options
 

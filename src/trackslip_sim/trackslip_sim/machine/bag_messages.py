@@ -12,7 +12,7 @@ from trackslip_bags.reader import absolute
 from trackslip_bags.writer import BagWriter
 from trackslip_common.topics import TOPICS
 from trackslip_drivers import conversions
-from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
+from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_sim.machine.message_columns import Columns, MessageColumns, stamp_columns
 
@@ -68,6 +68,7 @@ def sensor_serializers(watson: WatsonParameters, base_frame: str) -> dict[str, S
     field = conversions.magnetic_field(make, still, watson.frame_id, watson.magnetic_field_stddev)
     return {
         "sprockets": like(joint_state, _sprockets),
+        "swing": like(conversions.blank_swing(make, base_frame), _swings),
         "hydraulics": like(hydraulics, _hydraulics),
         "imu/data_raw": like(imu, _imu),
         "imu/mag": like(field, _field),
@@ -79,6 +80,14 @@ def _sprockets(samples: Sequence[SprocketSample]) -> Columns:
         **stamp_columns([s.stamp_ns for s in samples]),
         "position": np.array([(s.left_position, s.right_position) for s in samples]),
         "velocity": np.array([(s.left_velocity, s.right_velocity) for s in samples]),
+    }
+
+
+def _swings(samples: Sequence[SwingSample]) -> Columns:
+    return {
+        **stamp_columns([s.stamp_ns for s in samples]),
+        "position": np.array([[s.position] for s in samples]),
+        "velocity": np.array([[s.velocity] for s in samples]),
     }
 
 

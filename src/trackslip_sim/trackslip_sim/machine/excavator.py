@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import Parameters
+from trackslip_common.vehicle import UNDERCARRIAGE, UPPER
 from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.nmea_parameters import NmeaParameters
@@ -27,7 +28,7 @@ from trackslip_sim.machine.faulty_line import FaultyBus, FaultySerial
 from trackslip_sim.machine.faulty_readings import FaultyReadings, FullScales
 from trackslip_sim.machine.gnss_model import GnssModel
 from trackslip_sim.machine.scan_model import SiteScanner
-from trackslip_sim.machine.sensors import MachineSensors
+from trackslip_sim.machine.sensors import MachineSensors, mounting_of
 from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.record import Truth
@@ -47,7 +48,8 @@ def drive(p: EmulatorParameters) -> Truth:
     scenario = load_scenario(p.scenario)
     if p.duration > 0.0:
         scenario = scenario.stretched(p.duration)
-    return simulate(scenario, soil=p.soil or None, mode=p.mode, vehicle=p.vehicle.whole())
+    whole, upper = p.vehicle.whole(), p.vehicle.upper_structure
+    return simulate(scenario, soil=p.soil or None, mode=p.mode, vehicle=whole, upper=upper)
 
 
 class EmulatedExcavator:
@@ -60,7 +62,10 @@ class EmulatedExcavator:
         window = truth if isinstance(truth, TruthWindow) else TruthWindow((truth,), truth.duration)
         self.drive_start_ns = start_ns + round(p.lead_in * 1e9)
         self.end_ns = self.drive_start_ns + round(window.duration * 1e9)
-        self.sensors = MachineSensors(window, p.noise, self.drive_start_ns, p.seed)
+        mounting = mounting_of(p.vehicle)
+        self.sensors = MachineSensors(window, p.noise, self.drive_start_ns, p.seed, mounting)
+        self._poses_of = {UNDERCARRIAGE: self.sensors.pose_at, UPPER: self.sensors.upper_pose_at}
+        self._vehicle = p.vehicle
         self.faults = Faults(load_scenario(p.scenario).faults, self.drive_start_ns)
         can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
         watson = default_parameters(WatsonParameters, "watson_imu")
@@ -78,7 +83,7 @@ class EmulatedExcavator:
         self.watson = WatsonDevice(layout, self._watson_line, readings.imu, True, start_ns)
         self.sick = SickDevice(sick, p.sick_start, readings.ranges, start_ns)
         self._gnss_line = BaudLine(default_parameters(NmeaParameters, "nmea_gnss").serial_baud, BITS_PER_CHAR)
-        antenna = GnssModel(p.mounted_gnss(), self._pose_at, self.faults, p.seed)
+        antenna = GnssModel(p.mounted_gnss(), self._antenna_frame_at, self.faults, p.seed)
         self.gnss = NmeaDevice(p.gnss.device, self._gnss_line, antenna.measure, start_ns, p.seed)
         self._power_on: dict[str, Callable[[int], None]] = {
             CAN: lambda now_ns: self.can.start(now_ns + boot_ns),
@@ -155,10 +160,12 @@ class EmulatedExcavator:
         }
 
     def _scan(self, stamp_ns: int) -> FloatArray:
-        return self._scanner.scan(self.sensors.time(stamp_ns), self.sensors.pose_at)
+        poses = self._poses_of[self._vehicle.mount_of("box")]
+        return self._scanner.scan(self.sensors.time(stamp_ns), poses)
 
-    def _pose_at(self, stamp_ns: int) -> tuple[float, float, float]:
-        x, y, yaw = self.sensors.pose_at(np.array([self.sensors.time(stamp_ns)]))
+    def _antenna_frame_at(self, stamp_ns: int) -> tuple[float, float, float]:
+        poses = self._poses_of[self._vehicle.mount_of("antenna")]
+        x, y, yaw = poses(np.array([self.sensors.time(stamp_ns)]))
         return float(x[0]), float(y[0]), float(yaw[0])
 
     def _powered(self, sensor: str, now_ns: int) -> bool:

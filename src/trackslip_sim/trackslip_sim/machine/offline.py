@@ -43,11 +43,13 @@ from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_sim.machine.bag_messages import Recording, Serialize, like, sensor_serializers
 from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
 from trackslip_sim.machine.message_columns import Columns, stamp_columns
+from trackslip_sim.machine.sensors import swing_topics
 from trackslip_sim.machine.truth_messages import (
     certain_odometry,
     odometry_columns,
     soil_message,
     stamped,
+    swing_columns,
     track_forces_columns,
     track_slip_columns,
 )
@@ -58,6 +60,7 @@ from trackslip_sim.truth.window import KEPT, TruthWindow
 START_NS = 1_000_000_000  # of the counted clock
 _TICK_NS = 2_000_000
 _TRUTH_NS = 10_000_000
+_SWING_NS = 20_000_000  # of the encoder, and of its truth
 _FORCES_NS = 100_000_000
 _SOIL_NS = 1_000_000_000
 _WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes, while the window still has the truth
@@ -111,6 +114,7 @@ class _Host:
         text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
         self.recording.add(VEHICLE, text, START_NS)
         self._written_ns = START_NS
+        self._swings = swing_topics(p.vehicle)
 
     def step(self, now_ns: int) -> None:
         """All that arrives by now."""
@@ -130,6 +134,8 @@ class _Host:
         since_ns = now_ns - START_NS
         if since_ns % _TRUTH_NS == 0 and now_ns <= self.excavator.end_ns:
             self._record_truth(now_ns, since_ns)
+        if since_ns % _SWING_NS == 0 and now_ns <= self.excavator.end_ns and self._swings:
+            self._record_swing(now_ns)
         if now_ns - self._written_ns >= _WRITE_NS:
             self.recording.write()
             self._written_ns = now_ns
@@ -188,6 +194,13 @@ class _Host:
             soil = soil_message(make, at, now_ns, self._vehicle, _BODY_FRAME)
             self.recording.add("truth/soil", soil, now_ns)
 
+    def _record_swing(self, now_ns: int) -> None:
+        """The encoder's reading, of now, and the truth."""
+        self._window.advance(self.excavator.sensors.time(now_ns))
+        for topic in self._swings:
+            sample = self.excavator.sensors.swing(now_ns) if topic == "swing" else now_ns
+            self.recording.add(topic, sample, now_ns)
+
     def _truth_serializers(self) -> dict[str, Serialize]:
         def at(columns: Callable[[Truth], Columns]) -> Callable[[Sequence[int]], Columns]:
             def of_stamps(stamps_ns: Sequence[int]) -> Columns:
@@ -202,5 +215,6 @@ class _Host:
         return {
             "truth/odometry": like(certain_odometry(make, _SITE_FRAME, _BODY_FRAME), at(odometry_columns)),
             "truth/track_slip": like(slip, at(track_slip_columns)),
+            "truth/swing": like(of_sensors.blank_swing(make, _BODY_FRAME), at(swing_columns)),
             "truth/track_forces": like(forces, at(lambda truth: track_forces_columns(truth, self._vehicle))),
         }

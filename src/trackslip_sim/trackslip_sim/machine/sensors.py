@@ -3,9 +3,11 @@
 
 a       specific force at C: v̇_x − v_y φ̇, v̇_y + v_x φ̇, g     m/s²
 b_g     constant bias of the gyro                              rad/s
+σ       angle of the upper structure; an inertial unit on it feels a and B in its own axes, rates ψ̇ + σ̇
 B       earth's field, horizontal (to the north, +y of the site) and downward   T
 """
 
+import math
 from bisect import bisect_right
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import GRAVITY
-from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
+from trackslip_common.vehicle import GRAVITY, UPPER, VehicleParameters
+from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_sim.truth.window import TruthWindow
 
 FloatArray = NDArray[np.float64]
@@ -48,8 +50,35 @@ class Measurable(NamedTuple):
     supply_pressure: float
     yaw: float
     yaw_rate: float
+    swing: float
+    swing_rate: float
     a_x: float
     a_y: float
+
+
+class Mounting(NamedTuple):
+    """What of the sensors sits on the upper structure, and where that swings."""
+
+    axis: tuple[float, float] = (0.0, 0.0)  # in base_link, m
+    imu_above: bool = False
+    encoder_stddev: float = 0.0  # rad, of the swing encoder; 0: there is none
+
+
+BELOW = Mounting()
+
+
+def mounting_of(vehicle: VehicleParameters) -> Mounting:
+    """As the vehicle's file says."""
+    encoder = vehicle.sensors.swing_encoder if vehicle.sensors is not None else None
+    stddev = encoder.stddev if encoder is not None else 0.0
+    return Mounting(vehicle.swing_axis, vehicle.mount_of("imu") == UPPER, stddev)
+
+
+def swing_topics(vehicle: VehicleParameters) -> tuple[str, ...]:
+    """On which angles of the upper structure appear: of an encoder, and the truth."""
+    if vehicle.upper_structure is None:
+        return ()
+    return ("swing", "truth/swing") if mounting_of(vehicle).encoder_stddev > 0.0 else ("truth/swing",)
 
 
 class MachineSensors:
@@ -58,9 +87,18 @@ class MachineSensors:
     Stamps may go back by as much as the window keeps.
     """
 
-    def __init__(self, window: TruthWindow, noise: SensorNoise, drive_start_ns: int, seed: int) -> None:
+    def __init__(
+        self,
+        window: TruthWindow,
+        noise: SensorNoise,
+        drive_start_ns: int,
+        seed: int,
+        mounting: Mounting = BELOW,
+    ) -> None:
         self._window = window
         self._noise = noise
+        self._mounting = mounting
+        self._of_encoder = np.random.default_rng((seed, 1))
         self._start_ns = drive_start_ns
         self._random = np.random.default_rng(seed)
         self._looked_ns: int | None = None
@@ -76,6 +114,27 @@ class MachineSensors:
         truth = self._window.truth
         x, y, yaw = (np.interp(times, truth.t, column) for column in (truth.x, truth.y, truth.yaw))
         return x, y, yaw
+
+    def upper_pose_at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The same of the upper structure's frame, which is base_link while it looks forward."""
+        x, y, yaw = self.pose_at(times)
+        swing = np.interp(times, self._window.truth.t, self._window.truth.swing)
+        axis_x, axis_y = self._mounting.axis
+        cos, sin, above = np.cos(yaw), np.sin(yaw), yaw + swing
+        x = x + (cos - np.cos(above)) * axis_x - (sin - np.sin(above)) * axis_y
+        y = y + (sin - np.sin(above)) * axis_x + (cos - np.cos(above)) * axis_y
+        return x, y, above
+
+    def swing(self, stamp_ns: int) -> SwingSample:
+        """Of the encoder."""
+        true = self.true_swing(stamp_ns)
+        angle = true.position + self._mounting.encoder_stddev * self._of_encoder.standard_normal()
+        return true._replace(position=math.remainder(angle, 2.0 * math.pi))
+
+    def true_swing(self, stamp_ns: int) -> SwingSample:
+        """What it would read without error."""
+        at = self._at(stamp_ns)
+        return SwingSample(stamp_ns, math.remainder(at.swing, 2.0 * math.pi), at.swing_rate)
 
     def sprockets(self, stamp_ns: int) -> SprocketSample:
         """Without noise: the encoder's rounding is the device's."""
@@ -100,10 +159,16 @@ class MachineSensors:
         at, noise = self._at(stamp_ns), self._noise
         driving = 0.0 <= self.time(stamp_ns) <= self._window.duration
         a_x, a_y, rate = (at.a_x, at.a_y, at.yaw_rate) if driving else (0.0, 0.0, 0.0)
+        yaw = at.yaw
+        if self._mounting.imu_above:
+            cos, sin = math.cos(at.swing), math.sin(at.swing)
+            a_x, a_y = cos * a_x + sin * a_y, cos * a_y - sin * a_x
+            rate += at.swing_rate if driving else 0.0
+            yaw += at.swing
         acceleration = np.array((a_x, a_y, GRAVITY)) + noise.acceleration_stddev * self._normal()
         rates = np.array((0.0, 0.0, rate + noise.gyro_bias)) + noise.gyro_stddev * self._normal()
         north = noise.field_horizontal
-        field = np.array((north * np.sin(at.yaw), north * np.cos(at.yaw), -noise.field_down))
+        field = np.array((north * np.sin(yaw), north * np.cos(yaw), -noise.field_down))
         field += noise.field_stddev * self._normal()
         return ImuSample(stamp_ns, _vector(acceleration), _vector(rates), _vector(field), over_range=False)
 

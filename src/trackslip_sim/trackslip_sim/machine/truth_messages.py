@@ -59,6 +59,12 @@ def track_slip_columns(truth: Truth) -> Columns:
     }
 
 
+def swing_columns(truth: Truth) -> Columns:
+    """Of sensor_msgs/JointState with the one joint."""
+    wrapped = np.array([[math.remainder(angle, 2.0 * math.pi)] for angle in truth.swing.tolist()])
+    return {"position": wrapped, "velocity": truth.swing_rate[:, np.newaxis]}
+
+
 def track_forces_columns(truth: Truth, vehicle: Vehicle) -> Columns:
     """Of trackslip_msgs/TrackForces."""
     limits = np.array([limit_of(soil(name), vehicle) for name in truth.soil_names])[truth.soil_index]

@@ -15,10 +15,12 @@ from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
+from trackslip_drivers.conversions import blank_swing, fill_swing
 from trackslip_sim.machine.cables import Cables
 from trackslip_sim.machine.excavator import EmulatedExcavator, drive
 from trackslip_sim.machine.faults import Fault, parse_fault
 from trackslip_sim.machine.message_columns import set_fields, stamp_columns
+from trackslip_sim.machine.sensors import swing_topics
 from trackslip_sim.machine.truth_messages import (
     certain_odometry,
     odometry_columns,
@@ -31,6 +33,7 @@ from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
 
 _TICK_NS = 2_000_000  # how finely the serial lines are dripped
 _TRUTH_PERIOD_NS = 10_000_000
+_SWING_PERIOD_NS = 20_000_000
 _FORCES_PERIOD_NS = 100_000_000
 _SOIL_PERIOD_NS = 1_000_000_000
 _DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
@@ -54,6 +57,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         self._track_slip = self.advertise(topic_class("truth/track_slip"), "truth/track_slip")
         self._track_forces = self.advertise(topic_class("truth/track_forces"), "truth/track_forces")
         self._soil = self.advertise(topic_class("truth/soil"), "truth/soil")
+        self._swings = {name: self.advertise(topic_class(name), name) for name in swing_topics(p.vehicle)}
         self._cables = Cables(p)
         self._ordered: queue.SimpleQueue[Fault] = queue.SimpleQueue()
         self._faults_refused = 0
@@ -147,12 +151,20 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         set_fields(track_slip, {**stamp, **track_slip_columns(at)})
         self._track_slip.publish(track_slip)
         since_ns = stamp_ns - excavator.drive_start_ns
+        if since_ns % _SWING_PERIOD_NS < _TRUTH_PERIOD_NS:
+            self._publish_swing(excavator, stamp_ns)
         if since_ns % _FORCES_PERIOD_NS < _TRUTH_PERIOD_NS:
             forces = stamped(make, "trackslip_msgs/msg/TrackForces", _FRAMES[1])
             set_fields(forces, {**stamp, **track_forces_columns(at, vehicle)})
             self._track_forces.publish(forces)
         if since_ns % _SOIL_PERIOD_NS < _TRUTH_PERIOD_NS:
             self._soil.publish(soil_message(make, at, stamp_ns, vehicle, _FRAMES[1]))
+
+    def _publish_swing(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
+        """The encoder has a computer of its own, which publishes what it reads."""
+        samples = {"swing": excavator.sensors.swing, "truth/swing": excavator.sensors.true_swing}
+        for topic, publisher in self._swings.items():
+            publisher.publish(fill_swing(blank_swing(make, _FRAMES[1]), samples[topic](stamp_ns)))
 
 
 def main() -> None:

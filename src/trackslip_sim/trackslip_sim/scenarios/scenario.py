@@ -11,20 +11,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.config_files import config_directory, read_yaml
 from trackslip_common.errors import InputError, suggestion
+from trackslip_common.vehicle import ASSUMED
 from trackslip_sim.machine.faults import Fault, read_fault
 from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import FloatArray
 
-_KEYS = ("name", "soil", "patches", "segments", "relief_pressure", "faults")
+_KEYS = ("name", "soil", "patches", "segments", "relief_pressure", "faults", "vehicle")
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Commanded sprocket speeds, held for a while.
+    """Commanded sprocket speeds, held for a while, and where the upper structure is to swing meanwhile.
 
     Raises:
         InputError: the duration is not above 0, or a number is not finite.
@@ -33,14 +35,15 @@ class Segment:
     duration: float  # s
     left: float  # rad/s
     right: float  # rad/s
+    swing_to: float | None = None  # rad, angle of the upper structure; None: as before
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.duration) and self.duration > 0.0):
             raise InputError(f"segment: duration = {self.duration!r} is refused; accepted: > 0 s")
-        for name in ("left", "right"):
-            if not math.isfinite(getattr(self, name)):
+        for name, unit in (("left", "rad/s"), ("right", "rad/s"), ("swing_to", "rad")):
+            if not math.isfinite(getattr(self, name) or 0.0):
                 raise InputError(
-                    f"segment: {name} = {getattr(self, name)!r} is refused; accepted: finite rad/s"
+                    f"segment: {name} = {getattr(self, name)!r} is refused; accepted: finite {unit}"
                 )
 
 
@@ -54,6 +57,7 @@ class Scenario:
     patches: tuple[Patch, ...] = ()
     relief_pressure: float | None = None  # Pa; None: the vehicle's
     faults: tuple[Fault, ...] = ()  # of the sensors, while the emulator drives it
+    vehicle: str = ASSUMED  # that it is meant for, where no other is named
 
     def __post_init__(self) -> None:
         if not self.segments:
@@ -108,12 +112,29 @@ class Scenario:
             InputError: the scenario is shorter than one step.
         """
         count = self.steps(step)
-        ends = np.cumsum([segment.duration for segment in self.segments])
-        middles = (np.arange(begin, count if end is None else end) + 0.5) * step
-        index = np.minimum(np.searchsorted(ends, middles), len(ends) - 1)
+        index = self._segment_at(step, begin, count if end is None else end)
         speeds = np.array([[segment.left, segment.right] for segment in self.segments], dtype=np.float64)
         chosen: FloatArray = speeds[index]
         return chosen
+
+    @property
+    def swings(self) -> bool:
+        """Whether the upper structure ever does."""
+        return any(segment.swing_to is not None for segment in self.segments)
+
+    def swing_targets(self, step: float, begin: int, end: int) -> FloatArray:
+        """(n,) where the upper structure is to swing to in each step, rad; at first it looks forward."""
+        targets = [0.0]
+        for segment in self.segments:
+            targets.append(targets[-1] if segment.swing_to is None else segment.swing_to)
+        wanted: FloatArray = np.array(targets[1:])[self._segment_at(step, begin, end)]
+        return wanted
+
+    def _segment_at(self, step: float, begin: int, end: int) -> NDArray[np.int64]:
+        """(n,) number of the segment of each step."""
+        ends = np.cumsum([segment.duration for segment in self.segments])
+        middles = (np.arange(begin, end) + 0.5) * step
+        return np.minimum(np.searchsorted(ends, middles), len(ends) - 1)
 
 
 def scenario_names() -> list[str]:
@@ -158,6 +179,7 @@ def parse_scenario(tree: Mapping[str, Any]) -> Scenario:
         patches=patches,
         relief_pressure=number(tree, "relief_pressure") if "relief_pressure" in tree else None,
         faults=tuple(each(tree, "faults", read_fault)),
+        vehicle=text(tree, "vehicle") if "vehicle" in tree else ASSUMED,
     )
 
 
@@ -169,5 +191,6 @@ def _patch(entry: Mapping[str, Any]) -> Patch:
 
 def _segment(entry: Mapping[str, Any]) -> Segment:
     keys = ("duration", "left", "right")
-    refuse_unknown(entry, keys)
-    return Segment(**{key: number(entry, key) for key in keys})
+    refuse_unknown(entry, (*keys, "swing_to"))
+    optional = {"swing_to"} & entry.keys()
+    return Segment(**{key: number(entry, key) for key in (*keys, *optional)})

@@ -46,6 +46,8 @@ class Truth:
     left_spool: FloatArray  # -1 … 1
     right_spool: FloatArray
     supply_pressure: FloatArray  # Pa
+    swing: FloatArray  # rad, upper structure against undercarriage, counter-clockwise, continuous
+    swing_rate: FloatArray  # rad/s
     soil_index: IntArray  # of the soil under C, into ``soil_names``
     soil_names: tuple[str, ...]
 

@@ -71,8 +71,10 @@ class Recorder:
     relief_pressure: float  # Pa
     soil_names: tuple[str, ...]
 
-    def truth(self, rows: FloatArray, first: int = 0) -> Truth:
+    def truth(self, rows: FloatArray, first: int = 0, swing: FloatArray | None = None) -> Truth:
         """The record of rows (n, WIDTH), ``settings.sample_period`` apart, of which ``first`` is the number.
+
+        ``swing`` (n, 2): angle and rate of the upper structure; None: it looks forward.
 
         Pressures are those of the motors' thrust, with the efficiency against the flow of power; the supply
         stands by above the higher of them, as far as the relief valve lets it.
@@ -84,6 +86,7 @@ class Recorder:
         v_x, yaw_rate = rows[:, c.V_X], rows[:, c.YAW_RATE]
         left, right = rows[:, c.TRACK_SPEED], rows[:, c.TRACK_SPEED + 1]
         floor, half = settings.slip_floor, 0.5 * vehicle.tread
+        swing = np.zeros((len(rows), 2)) if swing is None else swing
         # The clip acts only in a step in which a track reverses: its limit is that of the step's start.
         left_pressure, right_pressure = (
             np.clip(pressure_of_thrust(rows[:, c.DRIVE + k], track, vehicle), -relief, relief)
@@ -115,6 +118,8 @@ class Recorder:
             left_spool=rows[:, c.SPOOL],
             right_spool=rows[:, c.SPOOL + 1],
             supply_pressure=np.minimum(higher + settings.standby_pressure, relief),
+            swing=swing[:, 0],
+            swing_rate=swing[:, 1],
             soil_index=rows[:, c.SOIL].astype(np.int64),
             soil_names=self.soil_names,
         )

@@ -11,13 +11,14 @@ from typing import Protocol
 
 from trackslip_common.errors import InputError, suggestion
 from trackslip_common.soils import load_soils
-from trackslip_common.vehicle import Vehicle, load_vehicle
+from trackslip_common.vehicle import UpperStructure, Vehicle, load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth.ground import Ground, build_ground
 from trackslip_sim.truth.record import FloatArray, Truth, joined
 from trackslip_sim.truth.rows import Recorder
 from trackslip_sim.truth.settings import TruthSettings, load_settings
 from trackslip_sim.truth.shear import ShearDrive
+from trackslip_sim.truth.swing import Swing
 from trackslip_sim.truth.thesis import ThesisDrive
 
 PIECE = 60.0  # s
@@ -50,18 +51,20 @@ def simulate(
     mode: str = "shear",
     vehicle: Vehicle | None = None,
     settings: TruthSettings | None = None,
+    upper: UpperStructure | None = None,
 ) -> Truth:
     """Drive ``scenario`` from rest at the origin; deterministic.
 
     ``soil`` replaces the scenario's own; its patches stay. ``vehicle`` and ``settings`` default to
-    ``config/vehicles/pc05.yaml`` and ``config/truth.yaml``.
+    ``config/vehicles/pc05.yaml`` and ``config/truth.yaml``; ``upper`` is what the scenario may swing.
 
     Raises:
         InputError: mode or soil is unknown, a soil lacks a value, or the load leaves the contact.
     """
-    return joined(
-        list(simulate_in_pieces(scenario, soil=soil, mode=mode, vehicle=vehicle, settings=settings))
+    pieces = simulate_in_pieces(
+        scenario, soil=soil, mode=mode, vehicle=vehicle, settings=settings, upper=upper
     )
+    return joined(list(pieces))
 
 
 def simulate_in_pieces(
@@ -71,6 +74,7 @@ def simulate_in_pieces(
     mode: str = "shear",
     vehicle: Vehicle | None = None,
     settings: TruthSettings | None = None,
+    upper: UpperStructure | None = None,
 ) -> Iterator[Truth]:
     """``simulate``, at most ``PIECE`` s at a time, one behind the other: memory does not grow with the drive.
 
@@ -88,18 +92,19 @@ def simulate_in_pieces(
     relief = scenario.relief_pressure or vehicle.relief_pressure
     machine = MODES[mode](ground, vehicle, settings, relief)
     recorder = Recorder(vehicle, settings, machine.relief_pressure, ground.names)
-    return _drive(scenario, machine, recorder)
+    return _drive(scenario, machine, recorder, Swing(scenario, upper, settings))
 
 
-def _drive(scenario: Scenario, machine: Mode, recorder: Recorder) -> Iterator[Truth]:
+def _drive(scenario: Scenario, machine: Mode, recorder: Recorder, swing: Swing) -> Iterator[Truth]:
     settings = recorder.settings
     steps = scenario.steps(settings.step)
     piece = max(1, round(PIECE / settings.sample_period)) * settings.steps_per_sample
     done = 1
     start = recorder.truth(machine.first())
     for begin in range(0, steps, piece):
-        rows = machine.drive(scenario.commands(settings.step, begin, min(begin + piece, steps)))
-        truth = recorder.truth(rows, done)
+        end = min(begin + piece, steps)
+        rows = machine.drive(scenario.commands(settings.step, begin, end))
+        truth = recorder.truth(rows, done, swing.drive(begin, end))
         yield joined([start, truth]) if begin == 0 else truth
         done += len(rows)
 

@@ -11,12 +11,13 @@
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_fields import (
+    ABSENT,
     ImuFields,
     OrientationFields,
     PoseFields,
@@ -28,8 +29,9 @@ from trackslip_common.message_fields import (
     poses_of,
 )
 from trackslip_estimation.slip.measurements import SET_POSE
+from trackslip_estimation.slip.mounting import turned, turned_variances
 from trackslip_estimation.slip.records import HEADING, MANUAL, MEASUREMENT, POSE, SLIPS, SPROCKETS, YAW_RATE
-from trackslip_estimation.slip.sources import HEADING_MESSAGES
+from trackslip_estimation.slip.sources import HEADING_MESSAGES, HeadingSource, Refusal, YawRateSource
 
 Rows = NDArray[np.void]
 
@@ -46,13 +48,14 @@ class SourceReader(NamedTuple):
 
     kind: int
     fields: RecordClass  # record class that is read
-    default_variance: float = 0.0  # of a yaw rate or a heading that states none
+    stated: Any = None  # group of parameters of an IMU or a heading source
+    absent: tuple[str, Refusal] | None = None  # field whose ABSENT refuses a message, and the name of that
 
     def rows(self, read: Rows) -> Rows:
         """(n,) ARRIVAL, without source and log time, of (n,) records of ``fields``."""
         rows = np.zeros(len(read), ARRIVAL)
         rows["kind"], rows["stamp_ns"] = self.kind, read["stamp_ns"]
-        _FILL[self.kind](rows, read, self.default_variance)
+        _FILL[self.kind](rows, read, self.stated)
         return rows
 
 
@@ -61,15 +64,16 @@ POSE_READER = SourceReader(POSE, PoseFields)
 SLIP_READER = SourceReader(SLIPS, SlipFields)
 
 
-def yaw_rate_reader(default_variance: float) -> SourceReader:
-    """Of a source of yaw rates, (rad/s)² where a message states no variance (REP-145)."""
-    return SourceReader(YAW_RATE, ImuFields, default_variance)
+def yaw_rate_reader(imu: YawRateSource) -> SourceReader:
+    """Of an IMU that is a source of yaw rates."""
+    return SourceReader(YAW_RATE, ImuFields, imu, ("variance_x", Refusal.NO_RATE))
 
 
-def heading_reader(type_name: str, default_variance: float) -> SourceReader:
-    """Of a source of headings, whose messages are of this type; rad² where one states no variance."""
-    is_imu = type_name == HEADING_MESSAGES["imu"]
-    return SourceReader(HEADING, OrientationFields if is_imu else QuaternionFields, default_variance)
+def heading_reader(type_name: str, compass: HeadingSource) -> SourceReader:
+    """Of a source of headings, whose messages are of this type."""
+    if type_name == HEADING_MESSAGES["imu"]:
+        return SourceReader(HEADING, OrientationFields, compass, ("absent", Refusal.NO_ORIENTATION))
+    return SourceReader(HEADING, QuaternionFields, compass)
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:
@@ -82,35 +86,46 @@ def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, in
     return found
 
 
-def _fill_sprockets(rows: Rows, read: Rows, _: float) -> None:
+def _fill_sprockets(rows: Rows, read: Rows, _: Any) -> None:
     for side in ("left", "right"):
         rows[f"{side}_speed"] = read[f"{side}_speed"]
         rows[f"{side}_angle"] = np.where(read["has_positions"], read[f"{side}_position"], np.nan)
 
 
-def _fill_yaw_rates(rows: Rows, read: Rows, default_variance: float) -> None:
-    rows["value"][:, 0] = read["rate_z"]
-    rows["noise"][:, 0, 0] = np.where(read["variance_z"] == 0.0, default_variance, read["variance_z"])
+def _fill_yaw_rates(rows: Rows, read: Rows, imu: YawRateSource) -> None:
+    """As ``conversions.yaw_rate`` does, to the last bit."""
+    R, unknown = imu.mounting, imu.stddev**2
+    stated = [read[f"variance_{axis}"] for axis in "xyz"]
+    p, q, r = turned(R, [read[f"rate_{axis}"] for axis in "xyz"])
+    variances = turned_variances(R, [np.where(v != 0.0, v, unknown) for v in stated])
+    rows["value"] = np.column_stack((r, p, q))
+    for k, variance in enumerate((variances[2], *variances[:2])):
+        rows["noise"][:, k, k] = variance
+    x, y, z = (read[f"acceleration_variance_{axis}"] for axis in "xyz")
+    present, mean = x != ABSENT, (x + y + z) / 3.0
+    a = np.column_stack(turned(R, [read[f"acceleration_{axis}"] for axis in "xyz"]))
+    rows["acceleration"] = np.where(present[:, None], a, np.nan)
+    mean = np.where(mean != 0.0, mean, imu.acceleration_stddev**2)
+    rows["acceleration_variance"] = np.where(present, mean, np.nan)
 
 
-def _fill_poses(rows: Rows, read: Rows, _: float) -> None:
+def _fill_poses(rows: Rows, read: Rows, _: Any) -> None:
     rows["value"], rows["noise"] = poses_of(read), read["covariance"]
 
 
-def _fill_slips(rows: Rows, read: Rows, _: float) -> None:
+def _fill_slips(rows: Rows, read: Rows, _: Any) -> None:
     rows["value"][:, :2] = np.column_stack((read["left_slip"], read["right_slip"]))
     rows["noise"][:, :2, :2] = read["slips_covariance"]
 
 
-def _fill_headings(rows: Rows, read: Rows, default_variance: float) -> None:
-    rows["value"][:, 0], rows["noise"][:, 0, 0] = headings_of(read), default_variance
+def _fill_headings(rows: Rows, read: Rows, compass: HeadingSource) -> None:
+    rows["value"][:, 0], rows["noise"][:, 0, 0] = headings_of(read), compass.stddev**2
     if "absent" in (read.dtype.names or ()):
-        rows["value"][read["absent"] == -1.0, 0] = np.nan
         stated = read["variance_z"] != 0.0
         rows["noise"][stated, 0, 0] = read["variance_z"][stated]
 
 
-_FILL: dict[int, Callable[[Rows, Rows, float], None]] = {
+_FILL: dict[int, Callable[[Rows, Rows, Any], None]] = {
     SPROCKETS: _fill_sprockets,
     YAW_RATE: _fill_yaw_rates,
     POSE: _fill_poses,

@@ -24,7 +24,7 @@ from trackslip_bags.parameters import bag_parameters, read_parameters
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
-from trackslip_common.message_fields import RECORDS, FrameFields, ReportFields
+from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields
 from trackslip_common.parameters import reloadable
 from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
@@ -173,9 +173,11 @@ class InputStream:
             self.messages[name] += len(table)
             reader = self._readers.get(name)
             if reader is not None:
-                rows = reader.rows(table.rows(reader.fields))
+                read = table.rows(reader.fields)
+                rows = reader.rows(read)
                 rows["source"], rows["log_time_ns"] = self.sources.index(name), table.log_times_ns
                 usable = self._in_frame(name, table)
+                usable &= self._present(name, reader, read, usable)
                 self._extend(rows["stamp_ns"][usable], name)
                 parts.append(rows[usable])
                 places.append(table.order[usable])
@@ -192,6 +194,17 @@ class InputStream:
         usable = np.array([text == wanted for text in table.texts])[numbers]
         self.refused.add(name, Refusal.OTHER_FRAME, int((~usable).sum()))
         return np.asarray(usable)
+
+    def _present(
+        self, name: str, reader: SourceReader, read: Rows, usable: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """(n,) which messages have what the source is for, as the live node has it."""
+        if reader.absent is None:
+            return usable
+        field_, reason = reader.absent
+        lacks = usable & (read[field_] == ABSENT)
+        self.refused.add(name, reason, int(lacks.sum()))
+        return np.asarray(~lacks)
 
     def _extend(self, stamps_ns: NDArray[np.int64], name: str) -> None:
         if len(stamps_ns) and name != SET_POSE:  # it may have none
@@ -271,9 +284,9 @@ def read_inputs(
 def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:
     """Of each source; ``types``: topic → type of its messages in the bag."""
     readers = {SPROCKETS: SPROCKET_READER}
-    readers |= {topic: yaw_rate_reader(gyro.stddev**2) for topic, gyro in p.gyros().items()}
+    readers |= {topic: yaw_rate_reader(imu) for topic, imu in p.gyros().items()}
     for topic, compass in p.compasses().items():
-        readers[topic] = heading_reader(types.get(topic, ""), compass.stddev**2)
+        readers[topic] = heading_reader(types.get(topic, ""), compass)
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
 

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_tools.replay.scoring import moving_slips
 from trackslip_tools.replay.series import Series
 from trackslip_tools.report.panel import (
@@ -22,32 +21,12 @@ from trackslip_tools.report.panel import (
     shown_of,
     within,
 )
+from trackslip_tools.report.quantities import QUANTITIES, TRUE_ODOMETRY, TRUE_SLIP, Quantity
 from trackslip_tools.report.run import Run, States, recordings
 
 FloatArray = NDArray[np.float64]
 
-
-class _Quantity(NamedTuple):
-    """A column of the estimates, and the same one of the truth."""
-
-    title: str
-    axis: str
-    estimate: str  # fields of ``States``
-    covariance: str
-    column: int
-    truth: str  # topic
-    true_column: str
-    scale: float = 1.0
-
-
 _DEGREES = 180.0 / np.pi
-_QUANTITIES = (
-    _Quantity("Slip of the left track", "slip, 1", "slips", "slip_covariances", 0, TRUE_SLIP, "left_slip"),
-    _Quantity("Slip of the right track", "slip, 1", "slips", "slip_covariances", 1, TRUE_SLIP, "right_slip"),
-    _Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, "slip_angle", _DEGREES),
-    _Quantity("Speed", "v_x, m/s", "twists", "twist_covariances", 0, TRUE_ODOMETRY, "v_x"),
-    _Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, "yaw_rate", _DEGREES),
-)
 
 
 def error_panels(runs: Sequence[Run]) -> list[Panel]:
@@ -79,7 +58,7 @@ def error_panels(runs: Sequence[Run]) -> list[Panel]:
 def motion_panels(runs: Sequence[Run]) -> list[Panel]:
     """Slips, slip angle, speed and yaw rate, each with ±2σ, and the truth where a bag has it."""
     panels = []
-    for quantity in _QUANTITIES:
+    for quantity in QUANTITIES:
         curves = [*_truths(runs, quantity), *_estimates(runs, quantity)]
         if curves:
             panels.append(Panel(quantity.title, quantity.axis, curves, limits=(0.0,)))
@@ -117,7 +96,7 @@ def true_slips(run: Run) -> Series | None:
     return moving_slips(odometry, slips, run.parameters.vehicle.kinematics.tread)
 
 
-def _truths(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:
+def _truths(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
     """One curve for each bag that has the truth."""
     bags = recordings(runs)
     for run in bags:
@@ -133,17 +112,15 @@ def _truths(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:
             yield Curve(label, colour, run.recording.seconds(series.stamps_ns), values, form)
 
 
-def _estimates(runs: Sequence[Run], quantity: _Quantity) -> Iterator[Curve]:
+def _estimates(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
     for run, shown in _shown(runs):
         states = shown.states
-        columns, covariances = getattr(states, quantity.estimate), getattr(states, quantity.covariance)
-        values = quantity.scale * columns[:, quantity.column]
-        sigmas = quantity.scale * np.sqrt(covariances[:, quantity.column, quantity.column])
+        values, (lower, upper) = quantity.of(vars(states))
         if quantity.estimate == "slips":
-            values, sigmas = (np.where(states.moving, column, np.nan) for column in (values, sigmas))
+            values, lower, upper = (np.where(states.moving, each, np.nan) for each in (values, lower, upper))
         label, colour = name_in(runs, run, shown.name), colour_in(runs, run, shown.colour)
         times = run.recording.seconds(states.path.stamps_ns)
-        yield Curve(label, colour, times, values, shown.form, within(values, sigmas))
+        yield Curve(label, colour, times, values, shown.form, (lower, upper))
 
 
 def _shown(runs: Sequence[Run]) -> Iterator[tuple[Run, Shown]]:

@@ -7,12 +7,13 @@ The colours are those of Okabe and Ito, which people with any kind of colour bli
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_tools.report.run import Run, States
+if TYPE_CHECKING:  # the live page uses these panels without a replay
+    from trackslip_tools.report.run import Run, States
 
 FloatArray = NDArray[np.float64]
 
@@ -77,12 +78,12 @@ class Shown(NamedTuple):
     """States to draw, and how where there is one run."""
 
     name: str
-    states: States
+    states: "States"
     colour: str
     form: Form
 
 
-def shown_of(run: Run) -> Iterator[Shown]:
+def shown_of(run: "Run") -> Iterator[Shown]:
     """The estimate and, where it is known, the smoothed one."""
     if run.states is not None:
         yield Shown("estimate", run.states, BLUE, Form.LINE)
@@ -90,13 +91,13 @@ def shown_of(run: Run) -> Iterator[Shown]:
         yield Shown("smoothed", run.smoothed_states, PURPLE, Form.DASHED)
 
 
-def name_in(runs: Sequence[Run], run: Run, what: str) -> str:
+def name_in(runs: Sequence["Run"], run: "Run", what: str) -> str:
     """A curve's label: what it is; whose it is where there are several runs."""
     if len(runs) == 1:
         return what
     return run.label if what == "estimate" else f"{run.label}, {what}"
 
 
-def colour_in(runs: Sequence[Run], run: Run, own: str) -> str:
+def colour_in(runs: Sequence["Run"], run: "Run", own: str) -> str:
     """The run's colour where there are several, else the curve's own."""
     return own if len(runs) == 1 else COLOURS[runs.index(run)]

@@ -2,6 +2,7 @@
 """Draws plots over time with Bokeh: one x axis for all of them."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from bokeh.models import (
@@ -23,7 +24,9 @@ from numpy.typing import NDArray
 
 from trackslip_tools.report.decimate import extremes
 from trackslip_tools.report.panel import BLUE, GRID, INK, ORANGE, PAPER, Curve, Form, Panel
-from trackslip_tools.report.recording import Recording
+
+if TYPE_CHECKING:
+    from trackslip_tools.report.recording import Recording
 
 FloatArray = NDArray[np.float64]
 
@@ -34,7 +37,7 @@ _LEGEND_WIDTH, _LEGEND_ROW = 90, 22  # characters, pixels
 _ROOM = 0.2  # about the values, share of their span
 
 
-def time_range(recordings: Sequence[Recording]) -> Range1d:
+def time_range(recordings: Sequence["Recording"]) -> Range1d:
     """What all plots over time show at first."""
     start, stop = (min(r.start_s for r in recordings), max(r.stop_s for r in recordings))
     return Range1d(start, max(stop, start + 1e-3))
@@ -56,7 +59,7 @@ def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
     return plot
 
 
-def messages_plot(recording: Recording, title: str, x_range: Range1d, samples: int) -> figure:
+def messages_plot(recording: "Recording", title: str, x_range: Range1d, samples: int) -> figure:
     """A row for each topic: where messages are, where they are missing."""
     timings = {name: timing for name, timing in recording.timings.items() if len(timing.times)}
     names = list(timings)[::-1]

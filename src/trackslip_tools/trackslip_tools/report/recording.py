@@ -16,10 +16,11 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
+from trackslip_tools.report.quantities import FORCES, SOIL, TRUE_SOIL
 
 FloatArray = NDArray[np.float64]
 
-FORCES, SOIL, TRUE_SOIL, SCAN = "track_forces", "soil", "truth/soil", "scan"
+SCAN = "scan"
 _NUMBERS = {FORCES: ForceFields, SOIL: SoilFields, TRUE_SOIL: SoilFields}
 _SCANS = 60  # of a bag, evenly spread: enough to see walls and the way of the box
 _CELL = 0.04  # m; of points closer together one is shown

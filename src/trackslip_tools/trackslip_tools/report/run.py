@@ -19,7 +19,8 @@ from trackslip_tools.replay.scoring import in_order, path_of
 from trackslip_tools.replay.soil_output import soil_messages
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
-from trackslip_tools.report.recording import FORCES, SOIL, Recording
+from trackslip_tools.report.quantities import FORCES, SOIL
+from trackslip_tools.report.recording import Recording
 
 FloatArray = NDArray[np.float64]
 

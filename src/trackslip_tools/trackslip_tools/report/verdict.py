@@ -11,7 +11,7 @@ from trackslip_common.topics import SENSOR_TOPICS
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.report.innovations import innovations_of
-from trackslip_tools.report.recording import SOIL
+from trackslip_tools.report.quantities import SOIL
 from trackslip_tools.report.run import Run
 
 _POSITION = 0.15  # m, RMSE

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who sends a node its inputs, and whether it is more than there should be."""
+
+from typing import Any
+
+from trackslip_common.flood import FloodGuard
+from trackslip_common.nodes.health import ERROR, Health
+
+
+class Inputs:
+    """The topics that a node listens to; each should have one publisher, which sends as a sensor does."""
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._topics: set[str] = set()  # that one publisher should have
+        self._flood = FloodGuard()
+
+    def add(self, topic: str) -> None:
+        """One that no second publisher may send on."""
+        self._topics.add(topic)
+
+    def clear(self) -> None:
+        """Nothing is listened to."""
+        self._topics.clear()
+
+    def lets_pass(self, topic: str) -> bool:
+        """Whether there is time for one more message of the topic."""
+        return self._flood.lets_pass(topic)
+
+    def health(self) -> list[Health]:
+        """An error where an input floods, or has several publishers: their messages pass for one sensor's."""
+        counts = {topic: self._node.count_publishers(topic) for topic in sorted(self._topics)}
+        several = {topic: count for topic, count in counts.items() if count > 1}
+        floods = self._flood.news()
+        findings = [f"several publishers of {', '.join(several)}"] if several else []
+        findings += [f"{count} messages of {topic} were too many" for topic, count in floods.items()]
+        if not findings:
+            return []
+        values: dict[str, Any] = dict(several)
+        values |= {f"{topic} dropped": count for topic, count in self._flood.dropped.items()}
+        values |= {f"publishers of {topic}": self._publishers(topic) for topic in {**several, **floods}}
+        return [Health(ERROR, "; ".join(findings), values, part="inputs")]
+
+    def _publishers(self, topic: str) -> str:
+        """Their names, with namespaces."""
+        infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(topic))
+        return ", ".join(sorted(f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos))

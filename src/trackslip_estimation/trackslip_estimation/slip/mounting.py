@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How an IMU is mounted: its frame against base_link.
+
+    v_base = R v_imu,  R = R_z(yaw) R_y(pitch) R_x(roll)
+
+Numbers of one message and columns of a bag go through the same sums, so that a replay repeats every bit. What
+an axis does not share is left out of its sum: nan of an axis that a unit lacks stays where it belongs.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Rotation: TypeAlias = tuple[
+    tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+]
+Number = TypeVar("Number", float, NDArray[np.float64])
+
+_ROUNDING = 1e-12  # of the cosine of a right angle
+
+
+@cache
+def rotation(roll: float, pitch: float, yaw: float) -> Rotation | None:
+    """R; None where it is the identity. Angles in rad."""
+    if roll == pitch == yaw == 0.0:
+        return None
+    cr, cp, cy = (_snapped(math.cos(angle)) for angle in (roll, pitch, yaw))
+    sr, sp, sy = (_snapped(math.sin(angle)) for angle in (roll, pitch, yaw))
+    return (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+
+
+def turned(R: Rotation | None, vector: Sequence[Number]) -> list[Number]:
+    """R times a vector: numbers, or columns (n,)."""
+    return list(vector) if R is None else [_sum(row, vector) for row in R]
+
+
+def turned_variances(R: Rotation | None, variances: Sequence[Number]) -> list[Number]:
+    """Diagonal of R diag(variances) Rᵀ."""
+    if R is None:
+        return list(variances)
+    return [_sum([share * share for share in row], variances) for row in R]
+
+
+def _sum(shares: Sequence[float], vector: Sequence[Number]) -> Number:
+    first, *rest = [share * value for share, value in zip(shares, vector, strict=True) if share != 0.0]
+    for value in rest:
+        first = first + value
+    return first
+
+
+def _snapped(value: float) -> float:
+    return round(value) + 0.0 if abs(value - round(value)) < _ROUNDING else value

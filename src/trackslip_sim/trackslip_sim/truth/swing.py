@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The upper structure swings: its motor goes where the scenario wants it, as fast as it can; compiled.
+
+σ, σ_m    angle of the upper structure, of the motor over the gear ratio    rad
+w, a      fastest rate, acceleration                                        rad/s, rad/s²
+b         backlash: |σ − σ_m| ≤ b/2; the motor moves the cab at its ends    rad
+
+The rate goes to ±min(w, √(2 a |target − σ_m|)) with at most a: it brakes to stand at the target. The tracks
+hold against it: that its start turns the undercarriage is left out.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_common.errors import InputError
+from trackslip_common.vehicle import UpperStructure
+from trackslip_sim.scenarios.scenario import Scenario
+from trackslip_sim.truth.settings import TruthSettings
+
+FloatArray = NDArray[np.float64]
+
+
+class Swing:
+    """From rest, looking forward; driven on piece by piece.
+
+    Raises:
+        InputError: the scenario swings what the vehicle does not have.
+    """
+
+    def __init__(self, scenario: Scenario, upper: UpperStructure | None, settings: TruthSettings) -> None:
+        self._scenario, self._settings = scenario, settings
+        self._still = not scenario.swings
+        self._drive = (0.0, 0.0, 0.0)
+        self._state = np.zeros(3)
+        if self._still:
+            return
+        if upper is None or upper.drive is None:
+            raise InputError(
+                f"scenario '{scenario.name}' swings the upper structure; accepted: a vehicle with"
+                " upper_structure.drive"
+            )
+        self._drive = upper.drive.rate, upper.drive.acceleration, upper.drive.backlash
+
+    def drive(self, begin: int, end: int) -> FloatArray:
+        """(n, 2) σ and its rate at the samples after the steps from ``begin`` up to ``end``."""
+        every = self._settings.steps_per_sample
+        if self._still:
+            return np.zeros(((end - begin) // every, 2))
+        targets = self._scenario.swing_targets(self._settings.step, begin, end)
+        swung = swing_to(targets, self._drive, self._settings.step, self._state)
+        return np.asarray(swung[every - 1 :: every])
+
+
+@compiled
+def swing_to(
+    targets: FloatArray, drive: tuple[float, float, float], step: float, state: FloatArray
+) -> FloatArray:
+    """(n, 2) σ and its rate after each step, as ``targets`` (n,) want it; ``drive`` is w, a, b.
+
+    ``state`` (3,), in place: σ, σ_m and the motor's rate.
+    """
+    fastest, acceleration, backlash = drive
+    swung = np.empty((targets.size, 2))
+    angle, motor, rate = state
+    change = acceleration * step
+    for k in range(targets.size):
+        before = rate
+        left = targets[k] - motor - rate * step
+        wanted = math.copysign(min(fastest, math.sqrt(2.0 * acceleration * abs(left))), left)
+        rate += min(max(wanted - rate, -change), change)
+        motor += (before + rate) / 2.0 * step
+        if abs(targets[k] - motor) <= 2.0 * change * step and abs(rate) <= 2.0 * change:
+            motor, rate = targets[k], 0.0
+        moved = min(max(angle, motor - backlash / 2.0), motor + backlash / 2.0)
+        swung[k, 0], swung[k, 1] = moved, rate if moved != angle else 0.0
+        angle = moved
+    state[0], state[1], state[2] = angle, motor, rate
+    return swung

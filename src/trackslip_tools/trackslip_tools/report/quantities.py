@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the panels of reports and of the live page show: titles, units, values and bands from columns.
+
+One description for both: columns of a whole run give curves of a report, those of one moment a point of the
+live page. Imports nothing that reads bags or estimates.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_tools.report.panel import BLUE, ORANGE, Form, within
+
+FloatArray = NDArray[np.float64]
+Columns = Mapping[str, Any]  # name → (…) or (…, k) or (…, k, k), of one moment or of many
+Band = tuple[FloatArray, FloatArray]  # (…) each, lower and upper
+
+TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
+FORCES, SOIL, TRUE_SOIL = "track_forces", "soil", "truth/soil"
+_DEGREES = 180.0 / np.pi
+
+
+class Quantity(NamedTuple):
+    """A panel of one column of the estimates, and the same one of the truth."""
+
+    title: str
+    axis: str
+    estimate: str  # columns of the estimates, (…, k)
+    covariance: str  # (…, k, k)
+    column: int
+    truth: str  # topic
+    true_column: str
+    scale: float = 1.0
+
+    def of(self, columns: Columns) -> tuple[FloatArray, Band]:
+        """Values (…) and ±2σ."""
+        values = self.scale * np.asarray(columns[self.estimate])[..., self.column]
+        variances = np.asarray(columns[self.covariance])[..., self.column, self.column]
+        return values, within(values, self.scale * np.sqrt(variances))
+
+
+QUANTITIES = (
+    Quantity("Slip of the left track", "slip, 1", "slips", "slip_covariances", 0, TRUE_SLIP, "left_slip"),
+    Quantity("Slip of the right track", "slip, 1", "slips", "slip_covariances", 1, TRUE_SLIP, "right_slip"),
+    Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, "slip_angle", _DEGREES),
+    Quantity("Speed", "v_x, m/s", "twists", "twist_covariances", 0, TRUE_ODOMETRY, "v_x"),
+    Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, "yaw_rate", _DEGREES),
+)
+
+
+class Shown(NamedTuple):
+    """A field of a message as a curve."""
+
+    field: str
+    label: str
+    colour: str = BLUE  # in a report of one run
+    form: Form = Form.LINE  # where the colour stands for the run
+    interval: bool = False  # bounds are fields of their own: _lower, _upper; else a variance, if any
+
+    def of(self, columns: Columns, scale: float) -> tuple[FloatArray, Band | None]:
+        """Values (…), and their interval where the message has one."""
+        values = scale * np.asarray(columns[self.field])
+        if self.interval:
+            lower, upper = (scale * np.asarray(columns[f"{self.field}_{end}"]) for end in ("lower", "upper"))
+            return values, (lower, upper)
+        variance = columns.get(f"{self.field}_variance")
+        return values, None if variance is None else within(values, scale * np.sqrt(variance))
+
+
+class Shape(NamedTuple):
+    """A panel made of fields of one topic."""
+
+    title: str
+    axis: str
+    topic: str
+    fields: tuple[Shown, ...]
+    truth: str = ""  # topic
+    scale: float = 1.0
+
+
+def _sided(side: str) -> tuple[Shown, ...]:
+    return (
+        Shown(f"{side}_thrust", "thrust"),
+        Shown(f"{side}_resistance", "resistance", ORANGE, Form.DASHED),
+    )
+
+
+_RESERVES = (
+    Shown("left_thrust_reserve", "left"),
+    Shown("right_thrust_reserve", "right", ORANGE, Form.DASHED),
+)
+_RESISTANCES = (Shown("mu_r", "μ_r rolling"), Shown("mu_l", "μ_l lateral", ORANGE, Form.DASHED))
+_SHEAR = (Shown("shear_modulus", "K", interval=True),)
+_EFFORT = (Shown("max_tractive_effort", "F_max", interval=True),)
+SHAPES = (
+    Shape("Forces on the left track", "force, kN", FORCES, _sided("left"), scale=1e-3),
+    Shape("Forces on the right track", "force, kN", FORCES, _sided("right"), scale=1e-3),
+    Shape("Thrust reserve: 1 unloaded, 0 at the limit of the soil", "reserve, 1", FORCES, _RESERVES),
+    Shape("Resistance coefficients, ±2σ", "μ, 1", SOIL, _RESISTANCES, TRUE_SOIL),
+    Shape("Shear deformation modulus, 5–95 %", "K, cm", SOIL, _SHEAR, TRUE_SOIL, 100.0),
+    Shape("Largest tractive effort of one track, 5–95 %", "F_max, kN", SOIL, _EFFORT, TRUE_SOIL, 1e-3),
+)

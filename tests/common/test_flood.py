@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A publisher run wild takes no more of a node's time than the guard leaves it, and no other topic's."""
+
+import itertools
+
+import pytest
+
+from trackslip_common.flood import BURST, MOST, FloodGuard
+
+
+@pytest.mark.parametrize("rate", [2000.0, 10_000.0, 1e6])
+def test_a_flood_passes_at_the_rate_that_there_is_time_for(rate: float) -> None:
+    guard = FloodGuard(clock=(k / rate for k in itertools.count()).__next__)
+    passed = sum(guard.lets_pass("scan") for _ in range(round(20 * rate)))
+    assert passed == pytest.approx(min(BURST + 20 * MOST, 20 * rate), abs=2)
+    assert guard.dropped["scan"] == round(20 * rate) - passed
+
+
+@pytest.mark.parametrize("rate", [0.5, 100.0, 1000.0])
+def test_a_sensor_never_floods_not_even_after_a_stall(rate: float) -> None:
+    times = iter([*(k / rate for k in range(3000)), *(3000 / rate + 1.0 for _ in range(1000))])
+    guard = FloodGuard(clock=times.__next__)
+    assert all(guard.lets_pass("sprockets") for _ in range(4000))
+    assert guard.news() == {}
+
+
+def test_a_flooded_topic_takes_no_other_ones_place() -> None:
+    guard = FloodGuard(clock=lambda: 0.0)
+    for _ in range(round(BURST)):
+        assert guard.lets_pass("fix")
+    assert not guard.lets_pass("fix")
+    assert guard.lets_pass("heading")
+    assert guard.news() == {"fix": 1}
+    assert guard.news() == {}
+    assert not guard.lets_pass("fix")
+    assert guard.news() == {"fix": 1}

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The swinging cab of the truth, and what is mounted on it."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackslip_common.errors import InputError
+from trackslip_common.vehicle import load_vehicle
+from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.sensors import MachineSensors, mounting_of
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
+from trackslip_sim.truth.settings import load_settings
+from trackslip_sim.truth.simulate import simulate
+from trackslip_sim.truth.swing import swing_to
+from trackslip_sim.truth.window import TruthWindow
+
+STEP = 1e-3
+CAB = load_vehicle("pc05_cab")
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    targets=st.lists(st.floats(-6.0, 6.0), min_size=1, max_size=3),
+    rate=st.floats(0.2, 2.0),
+    acceleration=st.floats(0.2, 3.0),
+    backlash=st.floats(0.0, 0.02),
+)
+def test_it_reaches_its_target_within_its_limits(
+    targets: list[float], rate: float, acceleration: float, backlash: float
+) -> None:
+    """Each target has the time that the longest way there takes."""
+    wait = 12.0 / rate + 2.0 * rate / acceleration + 1.0
+    state = np.zeros(3)
+    for target in targets:
+        count = round(wait / STEP)
+        swung = swing_to(np.full(count, target), (rate, acceleration, backlash), STEP, state)
+        assert np.abs(swung[:, 1]).max() <= rate + 1e-9
+        assert np.abs(np.diff(swung[:, 0])).max() <= rate * STEP + 1e-9
+        assert swung[-1, 0] == pytest.approx(target, abs=backlash / 2.0 + 1e-4)
+        assert swung[-1, 1] == 0.0
+
+
+def test_backlash_moves_the_cab_late_when_it_turns_back() -> None:
+    state = np.zeros(3)
+    there = swing_to(np.full(3000, 0.5), (1.0, 1.0, 0.01), STEP, state)
+    back = swing_to(np.full(200, 0.0), (1.0, 1.0, 0.01), STEP, state)
+    assert there[-1, 0] == pytest.approx(0.495, abs=1e-4)
+    assert np.all(back[:140, 0] == there[-1, 0])  # 0.01 rad at 1 rad/s² take 0.14 s
+    assert back[-1, 0] < there[-1, 0]
+
+
+def test_pieces_of_a_swing_are_the_whole() -> None:
+    targets = np.repeat([1.0, -2.0], 4000)
+    limits, state = (0.9, 0.8, 0.004), np.zeros(3)
+    whole = swing_to(targets, limits, STEP, np.zeros(3))
+    pieces = [swing_to(part, limits, STEP, state) for part in np.split(targets, 5)]
+    np.testing.assert_array_equal(np.concatenate(pieces), whole)
+
+
+def test_a_cab_that_looks_forward_is_todays_truth() -> None:
+    scenario = load_scenario("thesis").stretched(3.0)
+    upper = CAB.upper_structure
+    with_cab, without = simulate(scenario, upper=upper), simulate(scenario)
+    np.testing.assert_array_equal(with_cab.x, without.x)
+    assert not with_cab.swing.any()
+    assert not with_cab.swing_rate.any()
+
+
+def test_a_vehicle_without_a_cab_cannot_swing_it() -> None:
+    scenario = Scenario(name="s", soil="sand", segments=(Segment(1.0, 0.0, 0.0, 1.0),))
+    with pytest.raises(InputError, match=r"'s' swings .* accepted: a vehicle with upper_structure\.drive"):
+        simulate(scenario, upper=None)
+
+
+def test_what_is_on_the_cab_turns_about_the_swing_axis() -> None:
+    """The axis stays where it is while the cab turns; its gyro shows both turns."""
+    p = load_emulator_parameters({"scenario": "dig_cycles", "vehicle": "pc05_cab"})
+    truth = drive(p)
+    sensors = MachineSensors(TruthWindow((truth,), truth.duration), p.noise, 0, 1, mounting_of(p.vehicle))
+    times = truth.t[::50]
+    x, y, yaw = sensors.pose_at(times)
+    upper_x, upper_y, upper_yaw = sensors.upper_pose_at(times)
+    axis_x, axis_y = p.vehicle.swing_axis
+    for ahead, beside, above, below in (
+        (upper_x, x, np.cos, np.cos),
+        (upper_y, y, np.sin, np.sin),
+    ):
+        np.testing.assert_allclose(ahead + axis_x * above(upper_yaw), beside + axis_x * below(yaw), atol=1e-9)
+    assert axis_y == 0.0
+    np.testing.assert_allclose(upper_yaw - yaw, np.interp(times, truth.t, truth.swing), atol=1e-9)
+    assert truth.swing.max() == pytest.approx(math.pi, abs=0.01)
+    assert truth.swing.min() == pytest.approx(-math.pi, abs=0.01)
+    fastest = int(np.argmax(truth.swing_rate))
+    shown = sensors.imu(round(truth.t[fastest] * 1e9)).angular_velocity[2]
+    assert shown == pytest.approx(0.94 + p.noise.gyro_bias, abs=5.0 * p.noise.gyro_stddev)
+    reading = sensors.swing(round(truth.t[fastest] * 1e9))
+    assert reading.position == pytest.approx(truth.swing[fastest], abs=0.01)
+
+
+def test_the_encoder_reads_within_half_a_turn() -> None:
+    p = load_emulator_parameters({"scenario": "dig_cycles", "vehicle": "pc05_cab", "duration": 50.0})
+    truth = drive(p)
+    sensors = MachineSensors(TruthWindow((truth,), truth.duration), p.noise, 0, 1, mounting_of(p.vehicle))
+    positions = [sensors.swing(round(t * 1e9)).position for t in truth.t[::200]]
+    assert np.abs(positions).max() <= math.pi
+
+
+def test_dig_cycles_end_near_where_they_began() -> None:
+    scenario = load_scenario("dig_cycles")
+    truth = simulate(scenario, settings=load_settings(), upper=CAB.upper_structure)
+    assert scenario.vehicle == "pc05_cab"
+    assert math.hypot(truth.x[-1], truth.y[-1]) < 1.5
+    assert truth.swing[-1] == pytest.approx(0.0, abs=0.005)
