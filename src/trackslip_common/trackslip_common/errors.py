@@ -6,6 +6,7 @@ from enum import IntEnum
 from typing import TextIO
 
 _LONGEST_LINE = 900  # characters
+_LIKE = 0.75  # of 1: how near a word must be to one that was mistyped
 _MOST_NAMES = 12  # that are listed
 
 
@@ -49,7 +50,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """What to add to "'word' is unknown": the known word that is nearest to it; empty where none is near."""
     from difflib import get_close_matches  # only for the one who mistyped
 
-    found = get_close_matches(word, list(known), n=1)
+    found = get_close_matches(word, list(known), n=1, cutoff=_LIKE)
     return f", did you mean '{found[0]}'?" if found else ""
 
 

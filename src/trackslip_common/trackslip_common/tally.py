@@ -19,10 +19,12 @@ class Tally:
         self._lock = Lock()
 
     def add(self, source: str, reason: Enum, count: int = 1, detail: str = "") -> None:
-        """Count one or more occurrences; a reason reads as its text, or as its name where it is a number.
+        """Count occurrences; a reason reads as its text, or as its name where it is a number.
 
         ``detail``: of the latest one, such as "10 fields, 9 expected".
         """
+        if not count:
+            return
         text = reason.value if isinstance(reason.value, str) else reason.name.lower()
         with self._lock:
             self._total[source, text] += count

@@ -13,7 +13,7 @@ from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes import parameters as node_parameters
 from trackslip_common.nodes.guarded import GuardedNode
-from trackslip_common.nodes.health import OK, Health, diagnostics
+from trackslip_common.nodes.health import OK, WARN, Health, StateLog, diagnostics
 from trackslip_common.nodes.inputs import Inputs
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
@@ -49,6 +49,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.has_run = False  # whether it was active since it was configured
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.tally = Tally()
+        self._states = StateLog(self._log_state)
         self.inputs = Inputs(self)
         self._status = self.tolerate_failures(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -111,8 +112,18 @@ class TrackslipNode(GuardedNode, Generic[P]):
             self.callback_failures.add("health", error)
             entries = []
         entries += [*self.inputs.health(), *self.callback_failures.health(), *self.send_failures.health()]
+        self._states.see(entries)
         stamp = self.get_clock().now().to_msg()
         self._status.publish(diagnostics(self.full_name, stamp, entries, self.hardware()))
+
+    def _log_state(self, level: bytes, text: str) -> None:
+        log = self.get_logger()
+        if level == OK:
+            log.info(text)
+        elif level == WARN:
+            log.warning(text)
+        else:
+            log.error(text)
 
     def _configure(self) -> None:
         self.inputs.clear()

@@ -38,7 +38,9 @@ class StateLog:
     Other numbers in a message are no change. A state that comes and goes is logged once in ``_PAUSE_S``.
     """
 
-    def __init__(self, log: Callable[[bytes, str], None], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, log: Callable[[bytes, str], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._log, self._clock = log, clock
         self._logged: dict[str, tuple[bytes, str]] = {}  # part → what was logged last
         self._logged_s: dict[str, float] = {}

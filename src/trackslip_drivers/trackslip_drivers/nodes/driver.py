@@ -168,7 +168,10 @@ class DriverNode(TrackslipNode[P]):
         if state.silent_s > 0.5 * limit_s:
             return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"
         reason = self.tally.latest or "nothing whole yet"
-        return ERROR, f"{where}: {self.carries} come, but nothing of use: {reason}{talk}; check rate and format"
+        return (
+            ERROR,
+            f"{where}: {self.carries} come, but nothing of use: {reason}{talk}; check rate and format",
+        )
 
     def _look(self) -> None:
         """What has changed is reported at once."""

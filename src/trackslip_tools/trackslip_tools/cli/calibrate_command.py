@@ -70,9 +70,11 @@ def run(args: argparse.Namespace) -> int:
         result = calibrate(recordings, p, (gyro, poses), hard_ground=args.hard_ground, everything=args.all)
     names = [str(path) for path in args.bags]
     show(text(result))
-    if args.output is not None:
+    if args.output is not None and result.parameters:
         write_parameters(args.output, result, names)
         show(f"parameters: {args.output}")
+    elif args.output is not None:
+        show(f"nothing new: {args.output} is not written")
     if args.json is not None:
         write_json(args.json, summary(result, names))
     return ExitCode.DONE if any(finding.is_found for finding in result.findings.values()) else ExitCode.FAILED

@@ -7,7 +7,6 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib.metadata import version
 from typing import Any, NoReturn
 
 from trackslip_common.errors import ExitCode, InputError, did_you_mean, printable
@@ -20,6 +19,16 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Refuse the command line."""
         raise InputError(f"{self.prog}: {message} (see {self.prog} --help)")
+
+
+class _Version(argparse.Action):
+    """Looked up only where it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"trackslip {version('trackslip_tools')}")
+        parser.exit()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -67,7 +76,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         description="The workbench around bags.",
         epilog="example: trackslip info out/demo/bag; 'trackslip COMMAND --help' has one for each",
     )
-    parser.add_argument("--version", action="version", version=f"trackslip {version('trackslip_tools')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and exit")
     added = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, command in known.items():
         _add(added, name, command, whole=name == asked)
@@ -81,7 +90,8 @@ def _refuse(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn
     """What no command knows: an option that was mistyped, or a word too many."""
     options = [option for action in parser._actions for option in action.option_strings]
     like = did_you_mean(unknown[0], options) if unknown[0].startswith("-") else ""
-    raise InputError(f"{parser.prog}: {unknown[0]} is not accepted{like} (see {parser.prog} --help)")
+    words = " ".join(unknown)
+    raise InputError(f"{parser.prog}: unrecognized arguments: {words}{like} (see {parser.prog} --help)")
 
 
 def _add(added: Any, name: str, command: Command, *, whole: bool) -> None:
