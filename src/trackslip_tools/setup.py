@@ -7,7 +7,7 @@ setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(),
-    package_data={f"{NAME}.report": ["templates/*"]},
+    package_data={f"{NAME}.{room}": ["templates/*"] for room in ("report", "live")},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -18,5 +18,10 @@ setup(
     maintainer_email="maintainers@trackslip.invalid",
     description="Replay, smoothing, tuning, calibration and reports of bags; the command trackslip",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["trackslip = trackslip_tools.cli.main:main"]},
+    entry_points={
+        "console_scripts": [
+            "trackslip = trackslip_tools.cli.main:main",
+            "live = trackslip_tools.executables:live",
+        ]
+    },
 )

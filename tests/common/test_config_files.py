@@ -24,6 +24,7 @@ from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_estimation.box import parameters as box_parameters
 from trackslip_estimation.slip import parameters as slip_parameters
 from trackslip_sim import parameters as emulator_parameters
+from trackslip_tools.live import parameters as live_parameters
 
 ROOT = Path(__file__).parents[2]
 NODES: dict[str, tuple[type[Parameters], tuple[str, ...]]] = {
@@ -33,6 +34,7 @@ NODES: dict[str, tuple[type[Parameters], tuple[str, ...]]] = {
     "can_driver": (can_parameters.CanDriverParameters, can_parameters.DEFAULT_FILES),
     "watson_imu": (WatsonParameters, ("watson_imu.yaml",)),
     "sick_pls": (SickParameters, ("sick_pls.yaml",)),
+    "live": (live_parameters.LiveParameters, live_parameters.DEFAULT_FILES),
     "emulator": (emulator_parameters.EmulatorParameters, emulator_parameters.DEFAULT_FILES),
 }
 

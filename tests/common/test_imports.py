@@ -31,6 +31,7 @@ ROSDEP_KEYS = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "serial": "python3-serial",
+    "tornado": "python3-tornado",
     "yaml": "python3-yaml",
 }
 # rosdep has no key of theirs: from pip, as the README says; lz4 and zstandard come with mcap.

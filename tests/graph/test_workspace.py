@@ -22,7 +22,7 @@ EXECUTABLES = {
     "trackslip_bags": {"record"},
     "trackslip_drivers": {"can_driver", "watson_imu", "sick_pls", "nmea_gnss", "wheel_adapter"},
     "trackslip_estimation": {"box_localizer", "gnss_localizer", "slip_estimator", "soil_estimator", "record"},
-    "trackslip_tools": {"trackslip"},
+    "trackslip_tools": {"trackslip", "live"},
     "trackslip_sim": {"emulator", "demo"},
 }
 MESSAGES = ["MeasurementReport", "SoilEstimate", "TrackForces", "TrackHydraulics", "TrackSlip"]

@@ -24,6 +24,10 @@ _ALL = {
     "info": Command(
         "trackslip_tools.cli.info_command", "List a bag's topics, types, counts, rates and duration."
     ),
+    "live": Command(
+        "trackslip_tools.cli.live_command",
+        "Show the machine on a page in a browser while it drives (needs ROS), or a bag of it.",
+    ),
     "record": Command(
         "trackslip_tools.cli.record_command",
         "Record all topics of the project, and more if wanted, until Ctrl-C; the node 'record' (needs ROS).",

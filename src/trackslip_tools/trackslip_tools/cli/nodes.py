@@ -8,13 +8,13 @@ from trackslip_common.errors import InputError
 
 
 def node_module(name: str, asked_by: str) -> Any:
-    """The module of a node.
+    """The module of a node, by its whole name.
 
     Raises:
         InputError: ROS is not there; ``asked_by`` opens the message.
     """
     try:
-        return importlib.import_module(f"trackslip_bags.nodes.{name}")
+        return importlib.import_module(name)
     except ModuleNotFoundError as error:
         text = (
             f"{asked_by}: ROS is not there (no module {error.name}); accepted: a shell that sourced its setup"

@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("driving a live graph (needs ROS)")
     add = group.add_argument
     add("--publish", action="store_true", help="publish the bag and /clock instead; the space bar pauses")
-    add("--rate", metavar="R", type=_rate, help="times real time (default: 1)")
+    add("--rate", metavar="R", type=rate, help="times real time (default: 1)")
     add("--paused", action="store_true", help="begin paused: the space bar or /replay/pause starts it")
     add("--loop", action="store_true", help="begin again at the end")
     add(
@@ -61,7 +61,7 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     """
     _refuse(args, _OFFLINE, "not together with --publish")
     require_topics(bag, [*filters.remap, *args.also])
-    player = node_module("player", "--publish")
+    player = node_module("trackslip_bags.nodes.player", "--publish")
     topics = played_topics(bag, filters, args.also)
     for topic in [topic for topic, kind in topics.items() if not player.can_publish(kind)]:
         show(f"note: {topic} is left out, {topics.pop(topic)} is not installed", file=sys.stderr)
@@ -80,7 +80,8 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     return code
 
 
-def _rate(text: str) -> float:
+def rate(text: str) -> float:
+    """A number of times real time, of the command line."""
     with suppress(ValueError):
         if _RATES[0] <= float(text) <= _RATES[1]:
             return float(text)

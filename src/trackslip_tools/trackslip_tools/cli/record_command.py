@@ -33,5 +33,5 @@ def run(args: argparse.Namespace) -> int:
     names = ("output", "more_topics", "split_size", "split_duration", "max_disk")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
-    code: int = node_module("record", "record").record(["--ros-args", *options])
+    code: int = node_module("trackslip_bags.nodes.record", "record").record(["--ros-args", *options])
     return code

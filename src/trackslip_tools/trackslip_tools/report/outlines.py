@@ -6,24 +6,19 @@ from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Box
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_tools.report.panel import SIGMAS
+from trackslip_tools.report import plan_shapes
 from trackslip_tools.report.run import Run, States
 
 FloatArray = NDArray[np.float64]
 
 BOX_SOURCE = "box_pose"
 _ELLIPSES, _BOXES = 90, 30  # over the whole run
-_TURN = np.linspace(0.0, 2.0 * np.pi, 33)
-_CIRCLE = np.stack((np.cos(_TURN), np.sin(_TURN)))  # (2, 33)
-_CORNERS = np.array(((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (1.0, 1.0))).T  # (2, 5)
 
 
 def ellipses(states: States) -> FloatArray:
     """(k, 33, 2) closed outlines of 2σ of the position, evenly spread over the time."""
     chosen = _spread(len(states.path.stamps_ns), _ELLIPSES)
-    roots = np.linalg.cholesky(states.pose_covariances[chosen, :2, :2])
-    outlines = np.swapaxes(SIGMAS * roots @ _CIRCLE, 1, 2)
-    return np.asarray(states.path.poses[chosen, np.newaxis, :2] + outlines, dtype=np.float64)
+    return plan_shapes.ellipses(states.path.poses[chosen, :2], states.pose_covariances[chosen, :2, :2])
 
 
 def boxes(run: Run) -> FloatArray:
@@ -46,11 +41,7 @@ def fixes_of(run: Run) -> dict[str, FloatArray]:
 
 
 def _outline(box: Box, pose: FloatArray) -> FloatArray:
-    half = 0.5 * np.array((box.length, box.width))
-    centre = np.array((box.x, box.y))
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    turn = np.array(((c, -s), (s, c)))
-    return np.asarray(pose[:2] + (_CORNERS.T * half + centre) @ turn.T, dtype=np.float64)
+    return plan_shapes.rectangle(pose, (box.length, box.width), (box.x, box.y))
 
 
 def _spread(size: int, wanted: int) -> NDArray[np.intp]:

@@ -53,7 +53,7 @@ def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
     alpha = 0.25 / max(bands, 1) ** 0.5
     drawn = {curve: _draw(plot, curve, samples, alpha) for curve in panel.curves}
     _add_hover(plot, drawn)
-    low, high = _visible(panel)
+    low, high = visible(panel)
     plot.y_range = Range1d(low, high)
     dress(plot)
     return plot
@@ -154,7 +154,7 @@ def _add_hover(plot: figure, drawn: dict[Curve, GlyphRenderer]) -> None:
         plot.add_tools(HoverTool(renderers=shown, tooltips=tips, mode=mode, visible=False))
 
 
-def _visible(panel: Panel) -> tuple[float, float]:
+def visible(panel: Panel) -> tuple[float, float]:
     """Bounds of the y axis that single spikes and the first moments' wide bands do not stretch."""
     lows, highs = list(panel.limits), list(panel.limits)
     for curve in panel.curves:

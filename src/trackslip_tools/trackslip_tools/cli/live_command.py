@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip live``: a page that shows the machine, of the graph that runs or of a bag."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import Bag, open_bag
+from trackslip_common.config_files import load_parameters
+from trackslip_common.errors import InputError, show
+from trackslip_tools.cli import machine_options, publish
+from trackslip_tools.cli.nodes import node_module
+from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
+
+EXAMPLE = "trackslip live out/demo/bag --rate 5"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments; what is not given is as in ``live.yaml``."""
+    add = parser.add_argument
+    add("bag", metavar="BAG", type=Path, nargs="?", help="show this bag instead of the graph that runs")
+    add("--host", metavar="H", help="address to listen on (default: this computer alone)")
+    add("--port", metavar="P", type=int, help="port to listen on; 0: any that is free")
+    add(
+        "--origin",
+        metavar="HOST[:PORT]",
+        action="append",
+        help="what browsers may ask for, beside the address itself",
+    )
+    machine_options.add_namespace(parser)
+    of_bag = parser.add_argument_group("over a bag")
+    of_bag.add_argument("--rate", metavar="R", type=publish.rate, help="times real time (default: 1)")
+    of_bag.add_argument("--start", metavar="S", type=float, help="seconds from the bag's first message")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until Ctrl-C; over the graph this is the node ``live``.
+
+    Raises:
+        InputError: the bag, or an option, cannot be used, or ROS is not there.
+    """
+    given = {"host": args.host, "port": args.port, "origins": args.origin and tuple(args.origin)}
+    given = {name: value for name, value in given.items() if value is not None}
+    if args.bag is not None:
+        p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
+        with open_bag(args.bag, args.namespace) as bag, _with_estimates(bag) as whole:
+            return _serve(whole, p, InputFilters(start_s=args.start or 0.0), args.rate or 1.0)
+    if args.rate is not None or args.start is not None:
+        raise InputError("--rate, --start: accepted only together with a BAG")
+    options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
+    options += ["-r", f"__ns:=/{args.namespace.strip('/')}"] if args.namespace else []
+    code: int = node_module("trackslip_tools.nodes.live", "live").live(["--ros-args", *options])
+    return code
+
+
+def _serve(bag: Bag, p: LiveParameters, filters: InputFilters, rate: float) -> int:
+    from trackslip_bags.parameters import bag_vehicle
+    from trackslip_common.vehicle import load_vehicle
+    from trackslip_tools.live.bag import BagFeed
+    from trackslip_tools.live.page import files
+    from trackslip_tools.live.server import PageServer
+    from trackslip_tools.live.state import PERIOD, LiveState
+
+    name = f"bag {bag.path.resolve().name}"
+    state = LiveState(f"{name} at {rate:g} × real time", bag_vehicle(bag) or load_vehicle())
+    feed = BagFeed(bag, state, rate, filters)
+    server = PageServer(files(f"Trackslip: {name}"), state.whole, p)
+    server.start()
+    try:
+        show(f"{server.address} shows {bag.path}; Ctrl-C ends it")
+        sys.stdout.flush()
+        while not feed.finished:
+            server.push(feed.advance(time.monotonic()))
+            time.sleep(PERIOD)
+        show("the bag is over; the page stays", file=sys.stderr)
+        while True:
+            server.push(feed.advance(time.monotonic()))
+            time.sleep(PERIOD)
+    finally:
+        server.stop()
+
+
+@contextmanager
+def _with_estimates(bag: Bag) -> Iterator[Bag]:
+    """The bag and, where it holds none, the estimates that a replay of it gives."""
+    if any(topic.removeprefix("/") == "odometry" for topic in bag.topics):
+        yield bag
+        return
+    from trackslip_tools.cli import replay_options
+    from trackslip_tools.replay.output import EstimateWriter
+    from trackslip_tools.replay.run import replay
+
+    show("the bag has no estimates: replaying it first", file=sys.stderr)
+    p = replay_options.parameters_of(bag, [], [])
+    of_soil = replay_options.soil_parameters_of(bag, p, [], [])
+    with TemporaryDirectory(prefix="trackslip_live_") as folder:
+        path = Path(folder) / "estimates"
+        with EstimateWriter(path, p) as writer:
+            result = replay(bag, p, InputFilters(), None, of_soil, writer.add)
+            if result.soil is not None:
+                writer.add_soil(result.soil)
+        with open_bag(path) as made:
+            yield Bag(bag.path, [*bag.sources, *made.sources], bag.damage)

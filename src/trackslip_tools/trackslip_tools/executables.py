@@ -1,0 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Entry point of the live page's node: it loads its module only when called (see ``start``)."""
+
+from trackslip_common.start import start
+
+
+def live() -> None:
+    """See ``trackslip_tools.nodes.live``."""
+    start("trackslip_tools.nodes.live")

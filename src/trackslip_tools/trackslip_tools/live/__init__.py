@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live page: what the machine does now, for a phone, a tablet or a desk, from a bag or from the graph."""

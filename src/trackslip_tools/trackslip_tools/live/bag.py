@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live page over a bag: its messages as they came, at so many times real time."""
+
+from functools import partial
+from typing import Any
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.playback import Playback, Played, played
+from trackslip_bags.reader import Bag, absolute
+from trackslip_tools.live import inputs
+from trackslip_tools.live.clock import shown_ms
+from trackslip_tools.live.state import LiveState
+
+
+def shown_topics(bag: Bag) -> dict[str, str]:
+    """Topic as published → type, of what the page looks at and the bag has in that type."""
+    return {
+        absolute(topic): info.type_name
+        for topic, info in bag.topics.items()
+        if inputs.TYPES.get(topic.removeprefix("/")) == info.type_name
+    }
+
+
+class BagFeed:
+    """Gives the state what the bag holds; time is that of the bag."""
+
+    def __init__(self, bag: Bag, state: LiveState, rate: float, filters: InputFilters) -> None:
+        self._bag, self._state = bag, state
+        self._topics = shown_topics(bag)
+        self._playback = Playback(partial(played, bag, filters, self._topics), rate)
+
+    @property
+    def finished(self) -> bool:
+        """Whether all was shown."""
+        return self._playback.finished
+
+    def advance(self, wall_s: float) -> dict[str, Any]:
+        """Play until now; the frame. After the end the time stands still."""
+        if self.finished:
+            return self._state.tick(self._now_s, shown_ms(self._playback.bag_ns))
+        newest: dict[str, Played] = {}
+        for message in self._playback.due(wall_s):
+            name = message.topic.removeprefix("/")
+            if name in inputs.EVERY_MESSAGE:
+                self._take(message)
+            else:
+                newest[message.topic] = message
+        for message in newest.values():
+            self._take(message)
+        return self._state.tick(self._now_s, shown_ms(self._playback.bag_ns))
+
+    @property
+    def _now_s(self) -> float:
+        return (self._playback.bag_ns - self._bag.start_ns) * 1e-9
+
+    def _take(self, message: Played) -> None:
+        found = self._bag.deserialize(message.raw, self._topics[message.topic])
+        self._state.take(
+            message.topic.removeprefix("/"), found, (message.log_time_ns - self._bag.start_ns) * 1e-9
+        )

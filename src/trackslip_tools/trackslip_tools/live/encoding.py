@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers as JSON takes them: what is not finite is null."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def finite(values: Any) -> Any:
+    """Nested lists of the same shape."""
+    if isinstance(values, np.ndarray):
+        values = values.tolist()
+    if isinstance(values, (list, tuple)):
+        return [finite(value) for value in values]
+    return values if math.isfinite(values) else None
+
+
+def outline(points: NDArray[np.float64]) -> tuple[list[float], list[float]]:
+    """x and y of (n, 2) points, to the millimetre; none of them where one is not finite."""
+    whole = points if np.isfinite(points).all() else points[:0]
+    x, y = np.round(whole, 3).T.tolist() if len(whole) else ([], [])
+    return x, y

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happened: changes of lights, of the gate, of the soil and of what is learned, each said once."""
+
+import re
+from collections import deque
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from typing import NamedTuple
+
+from trackslip_common.errors import printable
+from trackslip_tools.live.lights import Level, Light
+
+MOST = 200  # events that are kept
+_MOST_VALUES = 500  # of one light, and of what is remembered of them
+_REPEAT_S = 10.0  # s in which the same is not said again
+_CLEAR_S = 5.0  # s without a refusal, after which the gate has calmed down
+_SURE = 0.6  # probability from which on a soil counts as found
+_NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
+_DURATIONS = re.compile(r" for \d+(\.\d+)? s")
+_LOST = "nothing accepted of "
+_GATED = " gated"  # key of a count: ``source gated``
+_NOT_YET = "not observed yet"  # what is learned, before it is
+
+
+class Event(NamedTuple):
+    """One line of the list."""
+
+    number: int  # counts all
+    time_ms: float  # on the clock that is shown
+    level: Level
+    text: str
+
+
+class Events:
+    """Finds them; times are seconds of one clock that goes forward."""
+
+    def __init__(self) -> None:
+        self.kept: deque[Event] = deque(maxlen=MOST)
+        self.count = 0  # all that ever were
+        self._conditions: dict[str, tuple[Level, str]] = {}  # of lights
+        self._shown_s: dict[tuple[Level, str], float] = {}
+        self._gated: dict[str, int] = {}
+        self._refused_s: dict[str, float] = {}
+        self._unknown: set[str] = set()  # what is not learned yet
+        self._soil = ""
+
+    def add(self, level: Level, text: str, now_s: float, time_ms: float) -> None:
+        """One, unless the same was said a moment ago."""
+        key = (level, _NUMBERS.sub("#", text))
+        if now_s - self._shown_s.get(key, -_REPEAT_S) >= _REPEAT_S:
+            self.count += 1
+            self.kept.append(Event(self.count, time_ms, level, printable(text)))
+        self._shown_s = {k: s for k, s in self._shown_s.items() if now_s - s < _REPEAT_S} | {key: now_s}
+
+    def see_lights(self, lights: Iterable[Light], now_s: float, time_ms: float) -> None:
+        """Say which have changed, whatever numbers their texts hold."""
+        conditions = {light.name: (light.level, light.message) for light in lights}
+        for name, (level, message) in conditions.items():
+            before = self._conditions.get(name, (Level.OK, ""))
+            if level == before[0] and (level is Level.OK or _same(message, before[1])):
+                continue
+            self.add(level, _said(name, level, message, before[1]), now_s, time_ms)
+        for name, (level, _) in self._conditions.items():
+            if name not in conditions and level is not Level.OK:
+                self.add(Level.OK, f"{name}: well again", now_s, time_ms)
+        self._conditions = conditions
+
+    def see_values(self, values: Mapping[str, str], now_s: float, time_ms: float) -> None:
+        """What the values of one light tell: counts of the gate, and what was learned."""
+        for key, text in list(values.items())[:_MOST_VALUES]:
+            if key.endswith(_GATED):
+                self._see_gate(key.removesuffix(_GATED), text, now_s, time_ms)
+            elif text == _NOT_YET and len(self._unknown) < _MOST_VALUES:
+                self._unknown.add(key)
+            elif key in self._unknown:
+                self._unknown.discard(key)
+                self.add(Level.OK, f"learned: {text}", now_s, time_ms)
+
+    def see_soil(self, classes: Mapping[str, float], now_s: float, time_ms: float) -> None:
+        """The likeliest soil, where it is likely enough to be called one."""
+        name, chance = max(classes.items(), key=lambda item: item[1], default=("", 0.0))
+        if chance >= _SURE and name != self._soil:
+            what = "soil changed to" if self._soil else "soil found:"
+            self._soil = name
+            self.add(Level.OK, f"{what} {name}, {100 * chance:.0f} %", now_s, time_ms)
+
+    def _see_gate(self, source: str, text: str, now_s: float, time_ms: float) -> None:
+        with suppress(ValueError):
+            count = int(text)
+            if source not in self._gated and len(self._gated) >= _MOST_VALUES:
+                return
+            news = count - self._gated.get(source, count)
+            self._gated[source] = count
+            if news > 0:
+                if now_s - self._refused_s.get(source, -_CLEAR_S) >= _CLEAR_S:
+                    self.add(Level.WARN, f"gate refuses {source}", now_s, time_ms)
+                self._refused_s[source] = now_s
+
+
+def _same(message: str, other: str) -> bool:
+    return _NUMBERS.sub("#", message) == _NUMBERS.sub("#", other)
+
+
+def _said(name: str, level: Level, message: str, before: str) -> str:
+    if message.startswith(_LOST):
+        return f"fix lost: {_DURATIONS.sub('', message.removeprefix(_LOST))}"
+    if level is Level.OK and before.startswith(_LOST):
+        return f"fix back: {_DURATIONS.sub('', before.removeprefix(_LOST))}"
+    return f"{name}: {message}"

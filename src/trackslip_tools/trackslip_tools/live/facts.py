@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page's texts: where the machine is and what it does, attitude, swing, and why a soil is not known."""
+
+import math
+
+import numpy as np
+
+from trackslip_common.errors import printable
+from trackslip_tools.live import inputs
+from trackslip_tools.live.snapshot import Snapshot
+from trackslip_tools.report.panel import SIGMAS
+
+_MOTION = ("no motion known", "standing", "straight", "turning")  # by motion_state
+_NONE = "–"
+NAMES = ("position", "heading", "motion", "speed", "roll", "pitch", "swing", "soil_reason")
+
+
+def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
+    """Text of each of ``NAMES``; what is not known is a dash."""
+    facts = dict.fromkeys(NAMES, _NONE)
+    facts["soil_reason"] = printable(now.reason)
+    odometry, slip = now.get(inputs.ODOMETRY, now_s), now.get(inputs.TRACK_SLIP, now_s)
+    if odometry is not None:
+        x, y, heading = inputs.pose_of(odometry)
+        apart = SIGMAS * math.sqrt(max(float(np.max(_eigenvalues(odometry.covariance[:2, :2]))), 0.0))
+        turned = SIGMAS * math.sqrt(max(odometry.covariance[2, 2], 0.0))
+        facts["position"] = f"{x:.2f}, {y:.2f} m ± {apart:.2f}"
+        facts["heading"] = _degrees(heading, turned)
+        facts["speed"] = f"{odometry.v_x:.2f} m/s"
+    if slip is not None:
+        facts["motion"] = _MOTION[slip.motion_state] if slip.motion_state < len(_MOTION) else _MOTION[0]
+    attitude = now.get(inputs.ATTITUDE, now_s)
+    if attitude is not None and attitude.covariance[0] >= 0.0:
+        sigmas = SIGMAS * np.sqrt(attitude.covariance)
+        for name, angle, sigma in zip(("roll", "pitch"), inputs.tilt_of(attitude), sigmas, strict=True):
+            facts[name] = _degrees(angle, float(sigma))
+    swing = now.get(inputs.SWING, now_s)
+    if swing is not None and math.isfinite(swing.angle):
+        facts["swing"] = f"{math.degrees(math.remainder(swing.angle, 2.0 * math.pi)):.1f}°"
+    return facts
+
+
+def _degrees(angle: float, interval: float) -> str:
+    return f"{math.degrees(angle):.1f}° ± {math.degrees(interval):.1f}"
+
+
+def _eigenvalues(covariance: np.ndarray) -> np.ndarray:
+    with np.errstate(all="ignore"):
+        found = np.linalg.eigvalsh(covariance) if np.isfinite(covariance).all() else np.zeros(1)
+    return np.asarray(found)

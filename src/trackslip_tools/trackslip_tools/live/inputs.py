@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which topics the live page looks at, and what it reads of their messages."""
+
+import math
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.message_fields import (
+    At,
+    ForceFields,
+    Joint,
+    OdometryFields,
+    PoseFields,
+    RecordClass,
+    SlipFields,
+    SoilFields,
+    heading_of,
+)
+from trackslip_common.topics import SWING_JOINT, TOPICS
+
+FloatArray = NDArray[np.float64]
+
+ODOMETRY, TRACK_SLIP, FORCES, SOIL = "odometry", "track_slip", "track_forces", "soil"
+ATTITUDE, SWING, VEHICLE, DIAGNOSTICS = "attitude", "swing", "vehicle", "diagnostics"
+FIXES = ("box_pose", "gnss_pose")
+_IMU = "sensor_msgs/msg/Imu"
+
+
+class AttitudeFields(NamedTuple):
+    """Of sensor_msgs/Imu, its orientation with covariance."""
+
+    qx: Annotated[float, At("orientation.x")]
+    qy: Annotated[float, At("orientation.y")]
+    qz: Annotated[float, At("orientation.z")]
+    qw: Annotated[float, At("orientation.w")]
+    covariance: Annotated[FloatArray, At("orientation_covariance", (0, 4), (2,))]  # of roll, pitch, rad²
+
+
+class SwingFields(NamedTuple):
+    """Of sensor_msgs/JointState."""
+
+    angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
+
+
+RECORDS: dict[str, RecordClass] = {
+    ODOMETRY: OdometryFields,
+    TRACK_SLIP: SlipFields,
+    FORCES: ForceFields,
+    SOIL: SoilFields,
+    ATTITUDE: AttitudeFields,
+    SWING: SwingFields,
+    **dict.fromkeys(FIXES, PoseFields),
+}
+"""What is read of each topic; of the others, the text or the lines that they carry."""
+
+TYPES = {
+    topic: TOPICS[topic].type_name if topic in TOPICS else _IMU for topic in (*RECORDS, VEHICLE, DIAGNOSTICS)
+}
+"""Message type of each topic."""
+
+EVERY_MESSAGE = (DIAGNOSTICS, VEHICLE)  # of the others the newest does
+
+
+def pose_of(record: PoseFields | OdometryFields) -> FloatArray:
+    """(3,) x, y, heading."""
+    return np.array((record.x, record.y, heading_of(record)))
+
+
+def tilt_of(record: AttitudeFields) -> tuple[float, float]:
+    """Roll and pitch, rad: x forward, y left, z up, turned about z, then y, then x."""
+    w, x, y, z = record.qw, record.qx, record.qy, record.qz
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(min(1.0, max(-1.0, 2.0 * (w * y - z * x))))
+    return roll, pitch
+
+
+def classes_of(message: Any) -> dict[str, float]:
+    """Soil → probability of a SoilEstimate; empty where nobody knows whose probability is which."""
+    names, chances = list(message.class_names), [float(p) for p in message.class_probabilities]
+    return dict(zip(names, chances, strict=True)) if len(names) == len(chances) else {}

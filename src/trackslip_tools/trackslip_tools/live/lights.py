@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lights of the live page: what each node last said of itself on /diagnostics, and how long ago that was.
+
+Names and texts are anybody's: they are cut, what is not printable is escaped, and their number is bounded.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+from trackslip_common.errors import printable
+
+SILENT_S = 1.6  # s without a word, which nodes give once a second: the node has ended, or hangs
+MOST = 60  # lights
+_LONGEST = 160  # characters of a text
+_RATE, _AGE = "rate (Hz)", "age (s)"  # values of drivers
+
+
+class Level(IntEnum):
+    """As on /diagnostics, and one more."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+    SILENT = 4
+
+
+class Status(NamedTuple):
+    """One line of /diagnostics."""
+
+    name: str  # of the node; of a part of it ``node: part``
+    level: Level
+    message: str
+    values: Mapping[str, str]
+
+    @property
+    def node(self) -> str:
+        """Whose line it is."""
+        return self.name.partition(": ")[0]
+
+
+class Light(NamedTuple):
+    """What is shown of one line."""
+
+    name: str
+    level: Level
+    message: str
+    rate: float  # Hz, nan where it is not stated
+    age: float  # s since the last reading where that is stated, else since the node last spoke
+
+
+def statuses_of(message: Any, namespace: str = "") -> list[Status]:
+    """The lines of a DiagnosticArray, rclpy's or a bag's, of the nodes in a namespace; named without it."""
+    prefix = f"{namespace.strip('/')}/" if namespace.strip("/") else ""
+    return [_status(one, prefix) for one in message.status if one.name.startswith(prefix)]
+
+
+def _status(one: Any, prefix: str) -> Status:
+    level = one.level[0] if isinstance(one.level, bytes) else int(one.level)
+    known = Level(level) if level in (Level.OK, Level.WARN, Level.ERROR, Level.STALE) else Level.ERROR
+    values = {pair.key: pair.value for pair in one.values}
+    return Status(_text(one.name.removeprefix(prefix)), known, _text(one.message), values)
+
+
+def _text(text: str) -> str:
+    return printable(text, _LONGEST)
+
+
+@dataclass
+class _Heard:
+    status: Status
+    at_s: float
+
+
+class Lights:
+    """The last line of each name; times are seconds of one clock that goes forward."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, _Heard] = {}
+        self._news: dict[str, Mapping[str, str]] = {}
+        self.left_out = 0  # lines that found no room
+
+    def update(self, statuses: Iterable[Status], now_s: float) -> None:
+        """One DiagnosticArray: parts of a node that it no longer mentions are well again, and go."""
+        found = {status.name: status for status in statuses}
+        nodes = {status.node for status in found.values()}
+        for name, heard in list(self._heard.items()):
+            if heard.status.node in nodes and name not in found:
+                del self._heard[name]
+        for name, status in found.items():
+            if name in self._heard or len(self._heard) < MOST:
+                self._heard[name] = _Heard(status, now_s)
+                self._news[name] = status.values
+            else:
+                self.left_out += 1
+
+    def news(self) -> list[Mapping[str, str]]:
+        """Values of the lines that came since this was last asked."""
+        news, self._news = list(self._news.values()), {}
+        return news
+
+    def at(self, now_s: float) -> list[Light]:
+        """All, by name."""
+        return [_light(self._heard[name], now_s) for name in sorted(self._heard)]
+
+
+def _light(heard: _Heard, now_s: float) -> Light:
+    status, quiet_s = heard.status, now_s - heard.at_s
+    rate, age = (_number(status.values.get(key, "")) for key in (_RATE, _AGE))
+    age = quiet_s if math.isnan(age) else age + quiet_s
+    if quiet_s > SILENT_S:
+        return Light(status.name, Level.SILENT, "silent: the node has ended, or hangs", math.nan, age)
+    return Light(status.name, status.level, status.message, rate, age)
+
+
+def _number(text: str) -> float:
+    with suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
+    return math.nan

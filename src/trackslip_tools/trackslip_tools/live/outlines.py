@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is drawn about the machine: ellipse, tracks, where it looks, upper structure, the laser's box."""
+
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_tools.live import inputs
+from trackslip_tools.live.snapshot import Snapshot
+from trackslip_tools.report.plan_shapes import ellipses, placed, rectangle
+
+FloatArray = NDArray[np.float64]
+
+NAMES = ("ellipse", "machine", "nose", "upper", "box")
+
+
+def outlines_of(now: Snapshot, now_s: float, vehicle: VehicleParameters) -> dict[str, FloatArray]:
+    """(n, 2) of each of ``NAMES``; without points where nothing is known of it."""
+    found = dict.fromkeys(NAMES, np.empty((0, 2)))
+    odometry = now.get(inputs.ODOMETRY, now_s)
+    if odometry is not None:
+        pose = inputs.pose_of(odometry)
+        found |= _machine(pose, vehicle)
+        with suppress(np.linalg.LinAlgError):  # no covariance
+            found["ellipse"] = ellipses(pose[np.newaxis, :2], odometry.covariance[np.newaxis, :2, :2])[0]
+        swing = now.get(inputs.SWING, now_s)
+        if swing is not None:
+            found["upper"] = _upper(pose, swing.angle, vehicle)
+    fix, sensors = now.get(inputs.FIXES[0], now_s), vehicle.sensors
+    if fix is not None and sensors is not None and sensors.box is not None:
+        box = sensors.box
+        found["box"] = rectangle(inputs.pose_of(fix), (box.length, box.width), (box.x, box.y))
+    return found
+
+
+def _machine(pose: FloatArray, vehicle: VehicleParameters) -> dict[str, FloatArray]:
+    length, width = vehicle.kinematics.contact_length, vehicle.kinematics.tread
+    width += vehicle.mass.track_width if vehicle.mass else 0.0
+    nose = np.array(((0.0, 0.0), (0.9 * length, 0.0)))
+    return {"machine": rectangle(pose, (length, width), (0.0, 0.0)), "nose": placed(pose, nose)}
+
+
+def _upper(pose: FloatArray, angle: float, vehicle: VehicleParameters) -> FloatArray:
+    """From the swing axis the way the upper structure looks."""
+    upper: Any = vehicle.upper_structure
+    axis = np.array((upper.swing_axis_x, upper.swing_axis_y)) if upper is not None else np.zeros(2)
+    reach = vehicle.kinematics.contact_length * np.array((np.cos(angle), np.sin(angle)))
+    return placed(pose, np.array((axis, axis + reach)))

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live page as files: HTML, styles, scripts, Bokeh's library, and the plots to draw."""
+
+import json
+from importlib import resources
+from typing import NamedTuple
+
+from bokeh.document import Document
+from bokeh.models import DatetimeTicker, DatetimeTickFormatter, Range1d
+from bokeh.plotting import figure
+from bokeh.resources import Resources
+from jinja2 import Environment, PackageLoader
+
+from trackslip_tools.live.path_figure import path_figure
+from trackslip_tools.live.strips import LINES, SHOWN, Line, Strips
+from trackslip_tools.report.panel import DARK, Panel
+from trackslip_tools.report.plots import time_plot
+from trackslip_tools.report.quantities import Quantity, Shown
+
+_STRIP_HEIGHT = 190
+_CLOCK = dict.fromkeys(("seconds", "minsec", "minutes", "hourmin", "hours"), "%H:%M:%S")
+_SLIPS, _RESERVES = (-0.2, 1.0), (0.0, 1.0)  # ranges of gauges
+
+
+class File(NamedTuple):
+    """What is served under one name."""
+
+    kind: str
+    content: bytes
+
+
+class Gauge(NamedTuple):
+    """The newest point of a curve as a bar."""
+
+    group: str
+    label: str
+    line: int  # in ``LINES``
+    panel: int
+    unit: str
+    low: float | None  # of its range; None: that of its panel
+    high: float | None
+
+
+def files(title: str) -> dict[str, File]:
+    """Name → file; the page itself is ``''``."""
+    document, plots = _document()
+    described = {
+        "document": document.to_json(deferred=False),
+        "plots": plots,
+        "lines": [{"panel": line.panel} for line in LINES],
+        "panels": len(SHOWN),
+    }
+    environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
+    gauges = [gauge for k, line in enumerate(LINES) if (gauge := _gauge(k, line)) is not None]
+    groups = {name: [g for g in gauges if g.group == name] for name in ("Slip", "Thrust", "Reserve", "Soil")}
+    page = environment.get_template("live.html").render(
+        title=title, groups=groups, strips=[f"strip-{k}" for k in range(len(SHOWN))]
+    )
+    theme = f"const DARK = {json.dumps(DARK)}\n{_text('report', 'page.js')}"
+    styles = _text("report", "page.css") + _text("live", "live.css")
+    return {
+        "": File("text/html; charset=utf-8", page.encode()),
+        "live.css": File("text/css; charset=utf-8", styles.encode()),
+        "live.js": File("text/javascript; charset=utf-8", _text("live", "live.js").encode()),
+        "theme.js": File("text/javascript; charset=utf-8", theme.encode()),
+        "page.json": File("application/json", json.dumps(described).encode()),
+        "bokeh.js": File("text/javascript; charset=utf-8", _library().encode()),
+    }
+
+
+def _library() -> str:
+    """Bokeh's own script, without widgets and tables."""
+    return "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
+
+
+def _document() -> tuple[Document, dict[str, str]]:
+    """The plots without data, and the ids of their models by the names of the page's elements."""
+    document = Document()
+    plots = {"path": path_figure()}
+    x_range = Range1d(0.0, 1.0, name="time")
+    panels = Strips().panels()
+    first = 0
+    for k, panel in enumerate(panels):
+        plots[f"strip-{k}"] = _strip(panel, x_range, k, first)
+        first += len(panel.curves)
+    for plot in plots.values():
+        document.add_root(plot)
+    return document, {name: plot.id for name, plot in plots.items()}
+
+
+def _strip(panel: Panel, x_range: Range1d, number: int, first: int) -> figure:
+    """A panel of the report, with clock times below it and without tools: one finger scrolls the page."""
+    plot = time_plot(panel, x_range, 1)
+    still(plot)
+    plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
+    plot.xaxis.ticker, plot.xaxis.formatter = DatetimeTicker(), DatetimeTickFormatter(**_CLOCK)
+    sources = {renderer.name: renderer.data_source for renderer in plot.renderers}
+    for k, curve in enumerate(panel.curves):
+        sources[curve.label].name = f"line-{first + k}"
+    return plot
+
+
+def still(plot: figure) -> None:
+    """Without tools."""
+    plot.toolbar_location, plot.toolbar.tools = None, []
+    plot.toolbar.active_drag = plot.toolbar.active_scroll = None
+    plot.js_event_callbacks = {}
+
+
+def _gauge(number: int, line: Line) -> Gauge | None:
+    """None where a curve has none."""
+    of, panel = line.of, SHOWN[line.panel]
+    unit = panel.axis.rpartition(", ")[2]
+    if isinstance(of, Quantity):
+        side = of.true_column.partition("_")[0]
+        low, high = (of.scale * end for end in _SLIPS)
+        is_slip = of.true_column.endswith("_slip")
+        return Gauge("Slip", side, number, line.panel, unit, low, high) if is_slip else None
+    return _gauge_of(of, line, number, unit)
+
+
+def _gauge_of(of: Shown, line: Line, number: int, unit: str) -> Gauge | None:
+    side = of.field.partition("_")[0]
+    if of.field.endswith("_thrust_reserve"):
+        low, high = (line.scale * end for end in _RESERVES)
+        return Gauge("Reserve", side, number, line.panel, unit, low, high)
+    if of.field.endswith("_thrust"):
+        return Gauge("Thrust", side, number, line.panel, unit, None, None)
+    return Gauge("Soil", of.label, number, line.panel, unit, None, None) if of.interval else None
+
+
+def _text(room: str, name: str) -> str:
+    folder = resources.files(f"trackslip_tools.{room}").joinpath("templates")
+    return folder.joinpath(name).read_text(encoding="utf-8")

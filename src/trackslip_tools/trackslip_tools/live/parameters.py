@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the live page is served, and to whom."""
+
+import ipaddress
+import socket
+from dataclasses import dataclass
+
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, parameter
+
+NODE = "live"
+DEFAULT_FILES = ("live.yaml",)
+_LOCAL = ("127.0.0.1", "localhost", "[::1]")
+_ACCEPTED = "accepted: what a browser has between // and the next /, such as 192.168.4.1:5006"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveParameters(Parameters):
+    """See ``config/live.yaml``."""
+
+    host: str = parameter("address to listen on")
+    port: int = parameter("to listen on; 0: any that is free", ge=0, le=65535)
+    origins: tuple[str, ...] = parameter("HOST:PORT by which browsers may ask, beside the address itself")
+
+    def allowed(self, port: int) -> frozenset[str]:
+        """HOST:PORT by which browsers may ask for the page, served at this port.
+
+        Raises:
+            InputError: it listens on all addresses, and none is named.
+        """
+        named = [_with_port(origin, port) for origin in self.origins if origin]
+        if _is_any(self.host):
+            if not named:
+                raise InputError(
+                    f"host {self.host} is every address of this computer: name the one that browsers "
+                    f"will ask for as origin; {_ACCEPTED}"
+                )
+            return frozenset(named)
+        own = _LOCAL if self.host in _LOCAL else (_bracketed(self.host),)
+        return frozenset([*named, *(f"{name}:{port}" for name in own)])
+
+
+def bound(host: str, port: int) -> list[socket.socket]:
+    """Listening sockets.
+
+    Raises:
+        InputError: the address is none of ours, or the port is taken.
+    """
+    from tornado.netutil import bind_sockets
+
+    try:
+        return bind_sockets(port, address=host, reuse_port=False)
+    except OSError as error:
+        raise InputError(
+            f"the live page cannot be served at {host}, port {port} ({error.strerror}); "
+            "accepted: an address of this computer and a free port (0: any)"
+        ) from error
+
+
+def _is_any(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_unspecified
+    except ValueError:
+        return host == ""
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host and not host.startswith("[") else host
+
+
+def _with_port(origin: str, port: int) -> str:
+    """Lower case, as browsers write it.
+
+    Raises:
+        InputError: it is no HOST or HOST:PORT.
+    """
+    name = origin.strip().lower()
+    if not name or any(c in name for c in "/*@ ?#"):
+        raise InputError(f"origin '{origin}' is refused; {_ACCEPTED}")
+    has_port = ":" in name.rpartition("]")[2]
+    return name if has_port else f"{name}:{port}"

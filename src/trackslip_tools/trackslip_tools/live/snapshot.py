@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The newest record of each topic, as long as it is fresh, and the columns that panels take from it."""
+
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.message_fields import read
+from trackslip_tools.live import inputs
+from trackslip_tools.live.strips import MOTION
+from trackslip_tools.report.quantities import Columns
+
+STANDING = 1  # motion_state of TrackSlip
+_FRESH_S = 1.0
+_FRESH_OF = {inputs.SOIL: 5.0, inputs.FORCES: 1.5, **dict.fromkeys(inputs.FIXES, 1.5)}  # of slower topics
+
+
+class Snapshot:
+    """Times are seconds of one clock that goes forward."""
+
+    def __init__(self) -> None:
+        self._records: dict[str, tuple[Any, float]] = {}
+        self.classes: dict[str, float] = {}  # soil → probability
+        self.reason = ""  # why the soil cannot be identified
+        self.counts = dict.fromkeys(inputs.RECORDS, 0)  # of records taken
+
+    def take(self, topic: str, message: Any, now_s: float) -> None:
+        """A message of one of ``inputs.RECORDS``.
+
+        Raises:
+            Exception: it is not of the topic's type.
+        """
+        self._records[topic] = (read(inputs.RECORDS[topic], message), now_s)
+        self.counts[topic] += 1
+        if topic == inputs.SOIL:
+            self.classes, self.reason = inputs.classes_of(message), str(message.reason)
+
+    def get(self, topic: str, now_s: float) -> Any | None:
+        """The record of a topic; None where there is none, or an old one."""
+        record, at_s = self._records.get(topic, (None, -np.inf))
+        return record if now_s - at_s <= _FRESH_OF.get(topic, _FRESH_S) else None
+
+    def columns(self, now_s: float) -> dict[str, Columns]:
+        """What the panels take, of what is fresh."""
+        found: dict[str, Columns] = {
+            topic: record._asdict()
+            for topic in (inputs.FORCES, inputs.SOIL)
+            if (record := self.get(topic, now_s)) is not None
+        }
+        motion = self._motion(now_s)
+        return found | ({MOTION: motion} if motion is not None else {})
+
+    def _motion(self, now_s: float) -> Columns | None:
+        """As the report has them of a run; at rest slips mean nothing."""
+        odometry, slip = self.get(inputs.ODOMETRY, now_s), self.get(inputs.TRACK_SLIP, now_s)
+        if odometry is None:
+            return None
+        columns = {
+            "twists": np.array((odometry.v_x, odometry.v_y, odometry.yaw_rate)),
+            "twist_covariances": odometry.twist_covariance,
+            "slips": np.full(3, np.nan),
+            "slip_covariances": np.full((3, 3), np.nan),
+        }
+        if slip is not None and slip.motion_state != STANDING:
+            columns["slips"] = np.array((slip.left_slip, slip.right_slip, slip.slip_angle))
+            columns["slip_covariances"] = slip.covariance
+        return columns

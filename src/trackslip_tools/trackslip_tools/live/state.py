@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the live page shows, in one buffer for all who look: messages in, frames out.
+
+A frame is what has changed since the one before it, as values that JSON knows; ``whole`` is all that a page
+needs which has just come. Memory is bounded, whatever comes for however long.
+"""
+
+import math
+import threading
+import uuid
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.errors import InputError, printable
+from trackslip_common.vehicle import VehicleParameters, vehicle_of_text
+from trackslip_tools.live import inputs
+from trackslip_tools.live.encoding import finite, outline
+from trackslip_tools.live.events import Event, Events
+from trackslip_tools.live.facts import facts_of
+from trackslip_tools.live.lights import Level, Light, Lights, statuses_of
+from trackslip_tools.live.outlines import outlines_of
+from trackslip_tools.live.snapshot import Snapshot
+from trackslip_tools.live.strips import Strips
+from trackslip_tools.live.trail import Trail
+from trackslip_tools.report.plots import visible
+
+PERIOD = 0.15  # s between frames
+_FIXES = 400  # that are shown
+_CLASSES = 3  # of soil that are shown
+_VIEW_PERIOD_S = 1.0  # between looks at what range of values the panels should show
+
+
+class LiveState:
+    """Takes messages and gives frames, from any thread; times are seconds of one clock that goes forward."""
+
+    def __init__(self, source: str, vehicle: VehicleParameters, namespace: str = "") -> None:
+        """``source``: where the messages come from, in words; ``vehicle``: until a message names another."""
+        self._source, self._vehicle, self._namespace = source, vehicle, namespace
+        self._run = uuid.uuid4().hex  # tells a page that it talks to another run
+        self._lock = threading.Lock()
+        self._now, self._lights, self._events = Snapshot(), Lights(), Events()
+        self._strips, self._trail = Strips(), Trail()
+        self._fixes: deque[tuple[float, float]] = deque(maxlen=_FIXES)
+        self._fix_counts = 0
+        self._number, self._told = 0, 0  # frames, events
+        self._views: list[tuple[float, float]] = []
+        self._viewed_s = -_VIEW_PERIOD_S
+        self._frame: dict[str, Any] = {}
+        self._clock = (0.0, 0.0)  # now_s, time_ms
+
+    def take(self, topic: str, message: Any, now_s: float) -> None:
+        """A message of one of ``inputs.TYPES``.
+
+        Raises:
+            Exception: it is not of the topic's type.
+        """
+        with self._lock:
+            if topic == inputs.DIAGNOSTICS:
+                self._lights.update(statuses_of(message, self._namespace), now_s)
+            elif topic == inputs.VEHICLE:
+                self._take_vehicle(message.data)
+            else:
+                self._now.take(topic, message, now_s)
+
+    def tick(self, now_s: float, time_ms: float) -> dict[str, Any]:
+        """The next frame; ``time_ms`` is on the clock that is shown."""
+        with self._lock, np.errstate(invalid="ignore", over="ignore"):  # numbers that others sent
+            self._clock, self._number = (now_s, time_ms), self._number + 1
+            lights = self._lights.at(now_s)
+            self._see_events(lights, now_s, time_ms)
+            frame = self._momentary(lights, now_s, time_ms)
+            frame["row"] = finite(self._strips.add(time_ms, self._now.columns(now_s)))
+            frame |= self._places(now_s)
+            frame["events"] = [_line(event) for event in self._events.kept if event.number > self._told]
+            self._told = self._events.count
+            if now_s - self._viewed_s >= _VIEW_PERIOD_S:
+                self._viewed_s = now_s
+                self._views = [visible(panel) for panel in self._strips.panels()]
+                frame["views"] = finite(self._views)
+            self._frame = frame
+            return frame
+
+    def whole(self) -> dict[str, Any]:
+        """The newest frame, and all that came before it as far as it is kept; empty before the first one."""
+        with self._lock:
+            if not self._frame:
+                return {}
+            times, values = self._strips.whole()
+            kept = {
+                "run": self._run,
+                "source": printable(self._source),
+                "times": finite(times),
+                "rows": finite(values),
+                "views": finite(self._views),
+                "trail": list(self._trail.points),
+                "fixes": list(self._fixes),
+                "events": [_line(event) for event in self._events.kept],
+            }
+            return self._frame | kept
+
+    def _take_vehicle(self, text: str) -> None:
+        try:
+            self._vehicle = vehicle_of_text(text, inputs.VEHICLE)
+        except InputError as error:
+            self._events.add(Level.WARN, str(error), *self._clock)
+
+    def _see_events(self, lights: list[Light], now_s: float, time_ms: float) -> None:
+        self._events.see_lights(lights, now_s, time_ms)
+        for values in self._lights.news():
+            self._events.see_values(values, now_s, time_ms)
+        if self._now.get(inputs.SOIL, now_s) is not None:
+            self._events.see_soil(self._now.classes, now_s, time_ms)
+
+    def _momentary(self, lights: list[Light], now_s: float, time_ms: float) -> dict[str, Any]:
+        """What every frame has whole."""
+        drawn = outlines_of(self._now, now_s, self._vehicle)
+        likely = sorted(self._now.classes.items(), key=lambda item: -item[1])[:_CLASSES]
+        has_soil = self._now.get(inputs.SOIL, now_s) is not None
+        return {
+            "number": self._number,
+            "time": round(time_ms),
+            "facts": {**facts_of(self._now, now_s), "vehicle": printable(self._vehicle.name)},
+            "outlines": {name: outline(points) for name, points in drawn.items()},
+            "lights": [
+                [one.name, int(one.level), one.message, *finite((one.rate, one.age))] for one in lights
+            ],
+            "left_out": self._lights.left_out,
+            "classes": [[printable(name), *finite((p,))] for name, p in likely] if has_soil else [],
+        }
+
+    def _places(self, now_s: float) -> dict[str, Any]:
+        """What the path and the fixes have gained."""
+        gained: dict[str, Any] = {}
+        odometry, thinned = self._now.get(inputs.ODOMETRY, now_s), self._trail.thinned
+        if odometry is not None and self._trail.add(odometry.x, odometry.y):
+            gained["path"] = self._trail.points[-1]
+            if self._trail.thinned != thinned:
+                gained["trail"] = list(self._trail.points)
+        count = sum(self._now.counts[topic] for topic in inputs.FIXES)
+        if count != self._fix_counts:
+            self._fix_counts = count
+            places = [self._now.get(topic, now_s) for topic in inputs.FIXES]
+            news = [
+                (round(fix.x, 3), round(fix.y, 3))
+                for fix in places
+                if fix is not None and math.isfinite(fix.x + fix.y)
+            ]
+            self._fixes += news
+            gained["new_fixes"] = news
+        return gained
+
+
+def _line(event: Event) -> tuple[int, float, int, str]:
+    return (event.number, round(event.time_ms), int(event.level), event.text)

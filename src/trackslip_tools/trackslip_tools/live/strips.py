@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The last minutes of all curves: the panels of the report, moment by moment, in bounded memory."""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_tools.report.panel import BLUE, Curve, Form, Panel
+from trackslip_tools.report.quantities import QUANTITIES, SHAPES, Columns, Quantity, Shape, Shown
+
+FloatArray = NDArray[np.float64]
+
+MOTION = "motion"  # name of the columns from odometry and slips; other columns have that of their topic
+ROWS = 1600  # moments that are kept: four minutes
+_PARTS = 3  # value, lower, upper
+_DIGITS = 5
+
+
+class Line(NamedTuple):
+    """One curve of one panel."""
+
+    panel: int
+    of: Quantity | Shown
+    scale: float
+    topic: str  # whose columns it takes
+
+
+def lines_of() -> list[Line]:
+    """Of all panels, in their order."""
+    lines = [Line(k, quantity, 1.0, MOTION) for k, quantity in enumerate(QUANTITIES)]
+    first = len(QUANTITIES)
+    return lines + [
+        Line(first + k, shown, shape.scale, shape.topic)
+        for k, shape in enumerate(SHAPES)
+        for shown in shape.fields
+    ]
+
+
+LINES = lines_of()
+SHOWN: tuple[Quantity | Shape, ...] = (*QUANTITIES, *SHAPES)  # panel by panel
+
+
+class Strips:
+    """A ring of rows; each holds value, lower and upper of every line, nan where there is none."""
+
+    def __init__(self, rows: int = ROWS) -> None:
+        self._times = np.full(rows, np.nan)
+        self._values = np.full((rows, len(LINES), _PARTS), np.nan)
+        self._count = 0
+
+    def add(self, time_ms: float, columns: Mapping[str, Columns]) -> FloatArray:
+        """One moment, of the topics that are there; its row (lines, 3)."""
+        at = self._count % len(self._times)
+        self._times[at], self._values[at] = time_ms, np.nan
+        for k, line in enumerate(LINES):
+            if line.topic in columns:
+                self._values[at, k] = _point(line, columns[line.topic])
+        self._count += 1
+        row: FloatArray = self._values[at]
+        return row
+
+    def whole(self) -> tuple[FloatArray, FloatArray]:
+        """Times (n,) in ms and values (n, lines, 3), oldest first."""
+        filled = min(self._count, len(self._times))
+        order = (np.arange(filled) + self._count - filled) % len(self._times)
+        return self._times[order], self._values[order]
+
+    def panels(self) -> list[Panel]:
+        """As a report draws them."""
+        times, values = self.whole()
+        curves: list[list[Curve]] = [[] for _ in SHOWN]
+        for k, line in enumerate(LINES):
+            own = values[:, k]
+            label, colour, form = _look(line.of)
+            has_band = isinstance(line.of, Quantity) or np.isfinite(own[:, 1]).any() or not len(own)
+            band = (own[:, 1], own[:, 2]) if has_band else None
+            curves[line.panel].append(Curve(label, colour, times, own[:, 0], form, band))
+        return [
+            Panel(of.title, of.axis, found, limits=(0.0,)) for of, found in zip(SHOWN, curves, strict=True)
+        ]
+
+
+def _look(of: Quantity | Shown) -> tuple[str, str, Form]:
+    return ("estimate", BLUE, Form.LINE) if isinstance(of, Quantity) else (of.label, of.colour, Form.LINE)
+
+
+def _point(line: Line, columns: Columns) -> tuple[float, float, float]:
+    values, band = line.of.of(columns) if isinstance(line.of, Quantity) else line.of.of(columns, line.scale)
+    lower, upper = band if band is not None else (math.nan, math.nan)
+    return _rounded(values), _rounded(lower), _rounded(upper)
+
+
+def _rounded(value: FloatArray | float) -> float:
+    return float(f"{float(value):.{_DIGITS}g}")

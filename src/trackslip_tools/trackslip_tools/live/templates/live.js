@@ -1,0 +1,263 @@
+// SPDX-License-Identifier: Apache-2.0
+// Shows the frames that the server sends. Whatever they hold is put on the page as text or number, never as
+// HTML, and nothing is ever sent.
+
+const PATIENCE = 2500 // ms without a frame, after which the page says so
+const GIVEN_UP = 5000 // ms after which it connects anew
+const RETRY = 500 // ms between attempts
+const KEPT = 1600 // rows of the strips
+const LEVELS = ["ok", "warn", "error", "stale", "silent"]
+const WORDS = ["✓ ok", "▲ warning", "✖ error", "◌ no data", "✖ silent"]
+const MARGIN = 1.5 // m about the path
+const CLOSEST = 2, WIDEST = 2000 // m across
+const EVENTS = 200
+
+const by_id = id => document.getElementById(id)
+let models = null // function: name -> Bokeh model
+let run = null, number = 0, heard = performance.now(), event_number = 0
+let window_ms = 60000, across = null // across: m shown about the machine; null: the whole path
+let bounds = [Infinity, Infinity, -Infinity, -Infinity], place = null, views = []
+let lines = []
+
+async function begin() {
+  const page = await (await fetch("page.json")).json()
+  const id = "live"
+  const roots = Object.fromEntries(Object.entries(page.plots).map(([element, model]) => [model, element]))
+  await Bokeh.embed.embed_items({[id]: page.document}, [{docid: id, roots, root_ids: Object.keys(roots)}])
+  const drawn = Bokeh.documents[0]
+  models = name => drawn.get_model_by_name(name)
+  lines = page.lines.map((_, k) => models(`line-${k}`))
+  connect()
+  setInterval(watch, 500)
+}
+
+let socket = null
+
+function connect() {
+  const secure = location.protocol === "https:"
+  const mine = socket = new WebSocket(`${secure ? "wss" : "ws"}://${location.host}/stream`)
+  mine.onmessage = ({data}) => { if (mine === socket) show(JSON.parse(data)) }
+  mine.onclose = () => { if (mine === socket) setTimeout(connect, RETRY) }
+}
+
+function watch() {
+  const quiet = performance.now() - heard
+  if (quiet > PATIENCE) tell_link(4, `no data for ${Math.round(quiet / 1000)} s`)
+  if (quiet > GIVEN_UP && socket.readyState === WebSocket.OPEN) socket.close()
+}
+
+function tell_link(level, text) {
+  const link = by_id("link")
+  link.className = `light ${LEVELS[level]}`
+  link.textContent = text
+}
+
+function show(frame) {
+  heard = performance.now()
+  if (frame.run !== undefined) show_whole(frame)
+  else if (frame.number <= number || run === null) return
+  else show_news(frame)
+  number = frame.number
+  show_now(frame)
+  document.documentElement.dataset.frames = String(Number(document.documentElement.dataset.frames ?? 0) + 1)
+}
+
+// What has a source of its own
+
+const numbers = values => Float64Array.from(values, value => value ?? NaN)
+
+function fill(name, [x, y]) {
+  models(name).data = {x, y}
+}
+
+function show_whole(frame) {
+  if (frame.run !== run) by_id("events").replaceChildren()
+  if (frame.run !== run) event_number = 0
+  run = frame.run
+  by_id("source").textContent = frame.source
+  const t = numbers(frame.times)
+  lines.forEach((line, k) => {
+    const [value, low, high] = [0, 1, 2].map(part => numbers(frame.rows.map(row => row[k][part])))
+    line.data = has_band(line) ? {t, value, low, high} : {t, value}
+  })
+  show_trail(frame.trail)
+  fill("fixes", [frame.fixes.map(([x]) => x), frame.fixes.map(([, y]) => y)])
+}
+
+const has_band = line => "low" in line.data
+
+function show_trail(points) {
+  bounds = [Infinity, Infinity, -Infinity, -Infinity]
+  points.forEach(widen)
+  fill("trail", [points.map(([x]) => x), points.map(([, y]) => y)])
+}
+
+function widen([x, y]) {
+  bounds = [Math.min(bounds[0], x), Math.min(bounds[1], y), Math.max(bounds[2], x), Math.max(bounds[3], y)]
+}
+
+function show_news(frame) {
+  lines.forEach((line, k) => {
+    const [value, low, high] = numbers(frame.row[k])
+    const row = has_band(line) ? {t: [frame.time], value: [value], low: [low], high: [high]} : {t: [frame.time], value: [value]}
+    line.stream(row, KEPT)
+  })
+  if (frame.trail !== undefined) show_trail(frame.trail)
+  else if (frame.path !== undefined) {
+    widen(frame.path)
+    models("trail").stream({x: [frame.path[0]], y: [frame.path[1]]})
+  }
+  if (frame.new_fixes !== undefined) {
+    const [x, y] = [0, 1].map(axis => frame.new_fixes.map(fix => fix[axis]))
+    models("fixes").stream({x, y}, 400)
+  }
+}
+
+// What every frame has whole
+
+function show_now(frame) {
+  tell_link(0, "live")
+  by_id("clock").textContent = clock(frame.time)
+  for (const [name, text] of Object.entries(frame.facts)) {
+    const element = document.querySelector(`[data-fact="${name}"]`)
+    if (element !== null && element.textContent !== text) element.textContent = text
+  }
+  for (const [name, outline] of Object.entries(frame.outlines)) fill(name, outline)
+  if (frame.views !== undefined) show_views(frame.views)
+  models("time").setv({start: frame.time - window_ms, end: frame.time})
+  place = middle(frame.outlines.machine) ?? place
+  look()
+  show_lights(frame.lights)
+  show_classes(frame.classes)
+  show_events(frame.events)
+  show_gauges(frame.row)
+}
+
+const clock = ms => new Date(ms).toISOString().slice(11, 19)
+
+function show_views(found) {
+  views = found
+  found.forEach(([start, end], k) => models(`range-${k}`).setv({start, end}))
+}
+
+function middle([x, y]) {
+  return x.length ? [(x[0] + x[2]) / 2, (y[0] + y[2]) / 2] : null
+}
+
+function look() {
+  const plot = models("path")
+  const [width, height] = [plot.inner_width, plot.inner_height]
+  if (!width || !height) return
+  let centre = place ?? [0, 0], metres_x = across, metres_y = 0
+  if (across === null) {
+    const [left, low, right, high] = place === null ? bounds : [
+      Math.min(bounds[0], place[0]), Math.min(bounds[1], place[1]),
+      Math.max(bounds[2], place[0]), Math.max(bounds[3], place[1]),
+    ]
+    if (!Number.isFinite(left)) return
+    centre = [(left + right) / 2, (low + high) / 2]
+    metres_x = right - left + 2 * MARGIN
+    metres_y = high - low + 2 * MARGIN
+  }
+  const half_x = Math.max(metres_x, metres_y * width / height) / 2
+  const half_y = half_x * height / width
+  plot.x_range.setv({start: centre[0] - half_x, end: centre[0] + half_x})
+  plot.y_range.setv({start: centre[1] - half_y, end: centre[1] + half_y})
+}
+
+function zoom(factor) {
+  const {start, end} = models("path").x_range
+  across = Math.min(Math.max((across ?? end - start) * factor, CLOSEST), WIDEST)
+  look()
+}
+
+// Lists
+
+function matched(list, count, make) {
+  while (list.children.length > count) list.lastChild.remove()
+  while (list.children.length < count) list.append(make())
+  return [...list.children]
+}
+
+function element(tag, name, ...children) {
+  const made = document.createElement(tag)
+  if (name) made.className = name
+  made.append(...children)
+  return made
+}
+
+const light_item = () => element("li", "light",
+  element("b", "", element("span", "name"), element("span", "state")), element("small", "reason"), element("small", "numbers"))
+
+function show_lights(lights) {
+  matched(by_id("lights"), lights.length, light_item).forEach((item, k) => {
+    const [name, level, message, rate, age] = lights[k]
+    const parts = [rate === null ? "" : `${rate.toFixed(1)} Hz`, age === null ? "" : `${age.toFixed(1)} s ago`]
+    const texts = {name, state: WORDS[level], reason: message, numbers: parts.filter(Boolean).join(" · ")}
+    item.className = `light ${LEVELS[level]}`
+    for (const [part, text] of Object.entries(texts)) item.querySelector(`.${part}`).textContent = text
+  })
+}
+
+function show_classes(classes) {
+  matched(by_id("classes"), classes.length, () => element("li", "", element("span"), element("span"))).forEach((item, k) => {
+    const [name, chance] = classes[k]
+    item.firstChild.textContent = name.replaceAll("_", " ")
+    item.lastChild.textContent = chance === null ? "–" : `${(100 * chance).toFixed(0)} %`
+  })
+}
+
+function show_events(events) {
+  const list = by_id("events")
+  for (const [index, time, level, text] of events) {
+    if (index <= event_number) continue
+    event_number = index
+    list.prepend(element("li", LEVELS[level], element("time", "", clock(time)), text))
+  }
+  while (list.children.length > EVENTS) list.lastChild.remove()
+}
+
+// Bars
+
+function show_gauges(row) {
+  for (const gauge of document.querySelectorAll(".gauge")) {
+    const [value, low, high] = row[gauge.dataset.line]
+    const range = gauge.dataset.low === undefined ? views[gauge.dataset.panel] : [gauge.dataset.low, gauge.dataset.high].map(Number)
+    gauge.classList.toggle("unknown", value === null || range === undefined)
+    gauge.querySelector(".number").textContent = text_of(value, low, high, gauge.dataset.unit)
+    if (value === null || range === undefined) continue
+    const share = v => 100 * Math.min(Math.max((v - range[0]) / (range[1] - range[0]), 0), 1)
+    stretch(gauge.querySelector(".fill"), share(Math.min(value, 0)), share(Math.max(value, 0)))
+    const known = low !== null && high !== null
+    stretch(gauge.querySelector(".interval"), share(known ? low : value), share(known ? high : value))
+    gauge.querySelector(".zero").style.left = `calc(${share(0)}% - 1px)`
+  }
+}
+
+function stretch(bar, from, to) {
+  bar.style.left = `${from}%`
+  bar.style.width = `${Math.max(to - from, 0)}%`
+}
+
+function text_of(value, low, high, unit) {
+  if (value === null) return "–"
+  const scale = unit === "1" ? 100 : 1, name = unit === "1" ? "%" : unit
+  const known = low !== null && high !== null
+  const half = known ? scale * (high - low) / 2 : 0
+  const digits = scale * Math.abs(value) >= 100 ? 0 : 1
+  const even = known && Math.abs(high + low - 2 * value) < 0.02 * (high - low)
+  const spread = !known ? "" : even ? ` ± ${half.toFixed(digits)}` : ` (${(scale * low).toFixed(digits)} to ${(scale * high).toFixed(digits)})`
+  return `${(scale * value).toFixed(digits)}${spread} ${name}`
+}
+
+// Buttons
+
+by_id("closer").addEventListener("click", () => zoom(1 / 1.6))
+by_id("wider").addEventListener("click", () => zoom(1.6))
+by_id("all").addEventListener("click", () => { across = null; look() })
+by_id("windows").addEventListener("click", ({target}) => {
+  if (target.dataset.seconds === undefined) return
+  window_ms = 1000 * Number(target.dataset.seconds)
+  for (const button of by_id("windows").children) button.classList.toggle("chosen", button === target)
+})
+begin()

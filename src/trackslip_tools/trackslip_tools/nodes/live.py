@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``live``: serves the live page of the running graph; takes no command, publishes /diagnostics alone."""
+
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+
+from trackslip_common.errors import ExitCode
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import OK, Health
+from trackslip_common.nodes.messages import message_class
+from trackslip_common.nodes.qos import best_effort, latched
+from trackslip_common.nodes.run import run
+from trackslip_common.vehicle import load_vehicle
+from trackslip_tools.live import inputs
+from trackslip_tools.live.clock import shown_ms
+from trackslip_tools.live.page import files
+from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
+from trackslip_tools.live.server import PageServer
+from trackslip_tools.live.state import PERIOD, LiveState
+
+_NICENESS = 10  # whoever drives goes first
+_MOST_WAITING = 200  # messages of a topic of which each counts
+_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class LiveNode(TrackslipNode[LiveParameters]):
+    """Keeps messages as bytes, of most topics the newest, and decodes and shows them some times a second."""
+
+    def __init__(self) -> None:
+        super().__init__(NODE, LiveParameters, *DEFAULT_FILES)
+
+    def configure(self) -> None:
+        """Make the buffer and its inputs."""
+        namespace = self.get_namespace().strip("/")
+        self._server: PageServer | None = None
+        self._files = files(f"Trackslip: {namespace or 'live'}")
+        self._state = LiveState(namespace or "live", load_vehicle(), namespace)
+        self._waiting: dict[str, deque[bytes]] = {}
+        for topic, kind in inputs.TYPES.items():
+            every = topic in inputs.EVERY_MESSAGE
+            self._waiting[topic] = deque(maxlen=_MOST_WAITING if every else 1)
+            qos = latched() if topic == inputs.VEHICLE else best_effort() if every else _NEWEST
+            full = f"/{topic}" if topic == inputs.DIAGNOSTICS else topic
+            self.create_subscription(message_class(kind), full, partial(self._keep, topic), qos, raw=True)
+        self.create_timer(PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def activate(self) -> None:
+        """Open the port, and serve."""
+        self._server = PageServer(self._files, self._state.whole, self.settings)
+        self._server.start()
+        self.get_logger().info(f"the live page is at {self._server.address}")
+
+    def deactivate(self) -> None:
+        """Close the port."""
+        if self._server is not None:
+            self._server.stop()
+            self._server = None
+
+    def health(self) -> list[Health]:
+        """Where it serves, and to how many."""
+        assert self._server is not None
+        return [Health(OK, f"serving {self._server.address}", {"pages": self._server.pages})]
+
+    def _tick(self) -> None:
+        for topic, waiting in self._waiting.items():
+            while waiting:
+                self._take(topic, waiting.popleft())
+        now_ns = self.get_clock().now().nanoseconds
+        frame = self._state.tick(time.monotonic(), shown_ms(now_ns))
+        if self._server is not None:
+            self._server.push(frame)
+
+    def _keep(self, topic: str, data: bytes) -> None:
+        self._waiting[topic].append(data)
+
+    def _take(self, topic: str, data: bytes) -> None:
+        try:
+            message: Any = deserialize_message(data, message_class(inputs.TYPES[topic]))
+            self._state.take(topic, message, time.monotonic())
+        except Exception as error:  # noqa: BLE001 (whatever is in it, the page goes on)
+            self.callback_failures.add(topic, error)
+
+
+def live(argv: Sequence[str] | None = None) -> int:
+    """Serve until SIGINT or SIGTERM; returns the exit code."""
+    return run(LiveNode, argv, niceness=_NICENESS, interrupted=ExitCode.DONE)
+
+
+def main() -> None:
+    """Entry point."""
+    sys.exit(live())

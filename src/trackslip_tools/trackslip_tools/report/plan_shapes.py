@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Outlines in the plane, of reports and of the live page: ellipses of uncertainty, and rectangles."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_tools.report.panel import SIGMAS
+
+FloatArray = NDArray[np.float64]
+
+_TURN = np.linspace(0.0, 2.0 * np.pi, 33)
+_CIRCLE = np.stack((np.cos(_TURN), np.sin(_TURN)))  # (2, 33)
+_CORNERS = np.array(((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (1.0, 1.0)))  # (5, 2)
+
+
+def ellipses(positions: FloatArray, covariances: FloatArray) -> FloatArray:
+    """(k, 33, 2) closed outlines of 2σ about (k, 2) positions; (k, 2, 2) positive definite covariances."""
+    roots = np.linalg.cholesky(covariances)
+    outlines = np.swapaxes(SIGMAS * roots @ _CIRCLE, 1, 2)
+    return np.asarray(positions[:, np.newaxis] + outlines, dtype=np.float64)
+
+
+def rectangle(pose: FloatArray, size: tuple[float, float], centre: tuple[float, float]) -> FloatArray:
+    """(5, 2) closed outline of one of ``size`` along x and y, its ``centre`` in the frame at ``pose``."""
+    points = 0.5 * _CORNERS * np.array(size) + np.array(centre)
+    return placed(pose, points)
+
+
+def placed(pose: FloatArray, points: FloatArray) -> FloatArray:
+    """(n, 2) points of a frame at ``pose`` (3,) x, y, heading, in the frame that the pose is in."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.asarray(pose[:2] + points @ np.array(((c, s), (-s, c))), dtype=np.float64)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Events of the live page: each change is said once."""
+
+import math
+
+from trackslip_tools.live.events import MOST, Events
+from trackslip_tools.live.lights import Level, Light
+
+
+def light(level: Level, message: str, name: str = "slip_estimator") -> Light:
+    return Light(name, level, message, math.nan, 0.0)
+
+
+def said(events: Events) -> list[str]:
+    return [event.text for event in events.kept]
+
+
+def test_a_lost_fix_is_said_once_and_so_is_its_return() -> None:
+    events = Events()
+    events.see_lights([light(Level.OK, "running")], 0.0, 0.0)
+    for k in range(30):
+        text = f"nothing accepted of box_pose for {1.2 + k:.1f} s"
+        events.see_lights([light(Level.WARN, text)], 1.0 + k, 0.0)
+    events.see_lights([light(Level.OK, "running")], 40.0, 0.0)
+    assert said(events) == ["fix lost: box_pose", "fix back: box_pose"]
+    assert [event.level for event in events.kept] == [Level.WARN, Level.OK]
+
+
+def test_a_stuck_and_a_stalled_machine_are_told_in_the_words_of_the_estimator() -> None:
+    events = Events()
+    texts = ("getting stuck: left at the limit of the soil", "stalled: both tracks")
+    for k, text in enumerate(texts):
+        events.see_lights([light(Level.WARN, text, "soil_estimator")], float(k), 0.0)
+    assert said(events) == [f"soil_estimator: {text}" for text in texts]
+
+
+def test_a_node_that_falls_silent_and_comes_back() -> None:
+    events = Events()
+    for at_s, level, text in (
+        (0.0, Level.OK, "running"),
+        (2.0, Level.SILENT, "silent"),
+        (9.0, Level.OK, "running"),
+    ):
+        events.see_lights([light(level, text, "sick_pls")], at_s, 0.0)
+    assert said(events) == ["sick_pls: silent", "sick_pls: running"]
+
+
+def test_a_part_that_goes_is_well_again() -> None:
+    events = Events()
+    events.see_lights([light(Level.ERROR, "several publishers of scan", "record: inputs")], 0.0, 0.0)
+    events.see_lights([], 1.0, 0.0)
+    assert said(events)[-1] == "record: inputs: well again"
+
+
+def test_what_alternates_each_second_does_not_fill_the_list() -> None:
+    events = Events()
+    for k in range(60):
+        level, text = (Level.OK, "running") if k % 2 else (Level.WARN, f"{k} rejected in the last second")
+        events.see_lights([light(level, text)], float(k), 0.0)
+    assert len(events.kept) == 2
+
+
+def test_the_gate_is_said_to_refuse_when_it_begins_to() -> None:
+    events = Events()
+    counts = [0, 0, 3, 5, 9, *[9] * 10, 10]
+    for k, count in enumerate(counts):
+        events.see_values({"box_pose gated": str(count), "sprockets waiting": "7"}, float(k), 0.0)
+    assert said(events) == ["gate refuses box_pose", "gate refuses box_pose"]
+
+
+def test_what_was_learned_is_said_when_it_is_observed() -> None:
+    events = Events()
+    for text in (
+        "not observed yet",
+        "not observed yet",
+        "gyro reads 1.9 % low ± 0.5",
+        "gyro reads 2.0 % low ± 0.4",
+    ):
+        events.see_values({"gyro scale": text}, 0.0, 0.0)
+    assert said(events) == ["learned: gyro reads 1.9 % low ± 0.5"]
+
+
+def test_a_soil_is_named_when_it_is_likely_and_when_another_is() -> None:
+    events = Events()
+    for sand in (0.4, 0.7, 0.8, 0.5, 0.1):
+        events.see_soil({"sand": sand, "clay": 0.9 - sand}, 0.0, 0.0)
+    assert said(events) == ["soil found: sand, 70 %", "soil changed to clay, 80 %"]
+    events.see_soil({}, 0.0, 0.0)
+    assert len(events.kept) == 2
+
+
+def test_memory_is_bounded_whatever_the_values_are_called() -> None:
+    events = Events()
+    for k in range(5000):
+        events.see_values({f"a{k} gated": "1", f"b{k}": "not observed yet"}, float(k), 0.0)
+        events.add(Level.WARN, f"news {'x' * k}", float(k), 0.0)
+    assert len(events.kept) == MOST
+    assert events.count == 5000
+    assert max(len(text) for text in said(events)) < 250
+    assert sum(len(part) for part in vars(events).values() if hasattr(part, "__len__")) < 3 * MOST + 2000

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live page's buffer: frames and the whole agree, hold only what JSON knows, and do not grow."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures import live_messages as messages
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_bags.messages import make
+from trackslip_common.vehicle import load_vehicle, vehicle_text
+from trackslip_tools.live import strips, trail
+from trackslip_tools.live.state import PERIOD, LiveState
+from trackslip_tools.live.strips import LINES, SHOWN, Strips
+from trackslip_tools.live.trail import Trail
+
+LEFT_SLIP = next(k for k, line in enumerate(LINES) if SHOWN[line.panel].title == "Slip of the left track")
+PERCENT = SHOWN[LINES[LEFT_SLIP].panel].scale
+
+
+def as_json(frame: dict[str, Any]) -> Any:
+    return json.loads(json.dumps(frame, allow_nan=False))
+
+
+@pytest.fixture
+def state() -> LiveState:
+    return LiveState("a test", load_vehicle())
+
+
+def drive(state: LiveState, ticks: int, speed: float = 0.4) -> list[Any]:
+    frames = []
+    for k in range(ticks):
+        now_s = PERIOD * k
+        state.take("odometry", messages.odometry(speed * now_s, 0.0), now_s)
+        state.take("track_slip", messages.track_slip(0.2, -0.02), now_s)
+        frames.append(as_json(state.tick(now_s, 1000.0 * now_s)))
+    return frames
+
+
+def test_a_frame_has_the_newest_point_of_each_curve(state: LiveState) -> None:
+    *_, frame = drive(state, 3)
+    value, low, high = frame["row"][LEFT_SLIP]
+    assert value == pytest.approx(0.2 * PERCENT)
+    assert high - value == pytest.approx(0.02 * PERCENT)  # 2σ
+    assert value - low == pytest.approx(0.02 * PERCENT)
+    assert len(frame["row"]) == len(LINES)
+    assert frame["facts"]["motion"] == "straight"
+
+
+def test_the_whole_is_the_sum_of_the_frames(state: LiveState) -> None:
+    frames = drive(state, 40)
+    whole = as_json(state.whole())
+    assert whole["number"] == frames[-1]["number"]
+    assert whole["rows"] == [frame["row"] for frame in frames]
+    assert whole["trail"] == [frame["path"] for frame in frames if "path" in frame]
+    assert whole["row"] == frames[-1]["row"]
+
+
+def test_before_the_first_frame_there_is_nothing_to_show(state: LiveState) -> None:
+    assert state.whole() == {}
+
+
+def test_at_rest_slips_mean_nothing(state: LiveState) -> None:
+    state.take("odometry", messages.odometry(0.0, 0.0), 0.0)
+    state.take("track_slip", messages.track_slip(0.5, 0.5, motion_state=1), 0.0)
+    frame = as_json(state.tick(0.0, 0.0))
+    assert frame["row"][LEFT_SLIP] == [None, None, None]
+    assert frame["facts"]["motion"] == "standing"
+
+
+def test_what_is_old_is_shown_no_more(state: LiveState) -> None:
+    drive(state, 2)
+    assert state.tick(60.0, 60e3)["facts"]["position"] == "–"
+    assert state.tick(60.0, 60e3)["outlines"]["machine"] == ([], [])
+
+
+def test_the_vehicle_that_a_message_names_is_drawn(state: LiveState) -> None:
+    small = as_json(drive(state, 1)[-1])["outlines"]["machine"]
+    text = vehicle_text(load_vehicle("excavator_20t"))
+    state.take("vehicle", make("std_msgs/msg/String", data=text), 0.0)
+    frame = drive(state, 1)[-1]
+    assert frame["facts"]["vehicle"] == "excavator_20t"
+    assert np.ptp(frame["outlines"]["machine"][0]) > 2.0 * np.ptp(small[0])
+
+
+def test_a_vehicle_that_is_none_is_an_event(state: LiveState) -> None:
+    state.take("vehicle", make("std_msgs/msg/String", data="}{"), 0.0)
+    assert "vehicle" in drive(state, 1)[-1]["events"][0][-1]
+
+
+def test_soil_and_fixes_are_shown(state: LiveState) -> None:
+    state.take("soil", messages.soil(sand=0.7, clay=0.2, loam=0.06, peat=0.04), 0.0)
+    state.take("box_pose", messages.fix(1.0, 2.0), 0.0)
+    frame = as_json(state.tick(0.0, 0.0))
+    assert frame["classes"] == [["sand", 0.7], ["clay", 0.2], ["loam", 0.06]]
+    assert frame["new_fixes"] == [[1.0, 2.0]]
+    assert len(frame["outlines"]["box"][0]) == 5
+    assert "new_fixes" not in state.tick(0.1, 0.1)
+
+
+def test_a_message_of_another_type_is_refused(state: LiveState) -> None:
+    with pytest.raises(AttributeError):
+        state.take("odometry", messages.soil(), 0.0)
+
+
+@given(
+    values=st.lists(st.floats(allow_nan=True, allow_infinity=True, width=64), min_size=8, max_size=8),
+    text=st.text(),
+)
+def test_whatever_numbers_and_texts_come_frames_are_json(values: list[float], text: str) -> None:
+    state = LiveState(text, load_vehicle())
+    odometry = messages.odometry(values[0], values[1], values[2], values[3])
+    odometry.pose.pose.orientation.z = values[4]
+    state.take("odometry", odometry, 0.0)
+    state.take("track_slip", messages.track_slip(values[5], values[6]), 0.0)
+    state.take("soil", messages.soil(**{text: values[7]}), 0.0)
+    state.take("box_pose", messages.fix(values[0], values[5]), 0.0)
+    attitude = make("sensor_msgs/msg/Imu", orientation_covariance=np.full(9, values[3]))
+    attitude.orientation.x = values[6]
+    state.take("attitude", attitude, 0.0)
+    swing = make("sensor_msgs/msg/JointState", name=["swing"], position=[values[7]])
+    state.take("swing", swing, 0.0)
+    state.take("diagnostics", messages.diagnostics(text, 2, text, **{"rate (Hz)": str(values[2])}), 0.0)
+    state.take("vehicle", make("std_msgs/msg/String", data=text), 0.0)
+    as_json(state.tick(0.0, 0.0))
+    as_json(state.whole())
+
+
+def test_an_hour_takes_no_more_memory_than_the_first_minutes(state: LiveState) -> None:
+    ticks = strips.ROWS + 50
+    drive(state, ticks, speed=40.0)
+    early = len(json.dumps(state.whole()))
+    drive(state, 2 * ticks, speed=40.0)
+    assert len(json.dumps(state.whole())) < 1.1 * early
+
+
+@pytest.mark.parametrize("most", [10, trail.MOST])
+def test_a_path_keeps_its_shape_when_points_are_dropped(most: int) -> None:
+    kept = Trail(most, 0.1)
+    for k in range(20 * most):
+        kept.add(0.1 * k, 0.0)
+    assert most // 2 <= len(kept.points) <= most
+    assert kept.thinned > 0
+    gaps = np.diff([x for x, _ in kept.points])
+    assert gaps.max() < 2.5 * gaps.min()
+    assert kept.points[0] == (0.0, 0.0)
+
+
+def test_strips_give_the_panels_of_the_report() -> None:
+    made = Strips(5)
+    for k in range(8):
+        made.add(float(k), {})
+    times, values = made.whole()
+    assert times.tolist() == [3.0, 4.0, 5.0, 6.0, 7.0]
+    assert np.isnan(values).all()
+    assert [panel.title for panel in made.panels()] == [shown.title for shown in SHOWN]
+    assert sum(len(panel.curves) for panel in made.panels()) == len(LINES)
