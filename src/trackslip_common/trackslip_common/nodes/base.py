@@ -111,8 +111,10 @@ class TrackslipNode(GuardedNode, Generic[P]):
         except Exception as error:  # noqa: BLE001 (what failed is reported all the same)
             self.callback_failures.add("health", error)
             entries = []
-        entries += [*self.inputs.health(), *self.callback_failures.health(), *self.send_failures.health()]
-        self._states.see(entries)
+        entries += self.inputs.health()
+        if self.active:
+            self._states.see(entries)
+        entries += [*self.callback_failures.health(), *self.send_failures.health()]  # which log themselves
         stamp = self.get_clock().now().to_msg()
         self._status.publish(diagnostics(self.full_name, stamp, entries, self.hardware()))
 

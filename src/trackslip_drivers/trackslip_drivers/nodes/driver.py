@@ -32,6 +32,7 @@ S = TypeVar(
 
 _STALE_PERIODS = 10
 _LOOK = 0.1  # s between looks at whether the link's condition has changed
+_OPENING = 2.0  # s, for which a port that was opened need not deliver
 RECENT = 5.0  # s for which a rejection shows
 _RATE_OVER = 0.5  # s, the least that a rate is counted over
 _HOST_CLOCK = "host clock"
@@ -157,13 +158,17 @@ class DriverNode(TrackslipNode[P]):
     def _condition(self, link: Link[Any]) -> tuple[bytes, str]:
         """Whether data come, or why not and what to do; numbers that change are in the values."""
         state, where = link.state(), self.where()
-        if not state.connected:
-            return ERROR, f"{where}: not connected ({state.last_error or 'opening'}); {self.advice}"
+        if not state.openings and not state.errors:
+            return WARN, f"{where}: opening"
+        if not state.connected and not state.last_error.startswith(TimeoutError.__name__):  # else: silent
+            return ERROR, f"{where}: not connected ({state.last_error}); {self.advice}"
         limit_s = _STALE_PERIODS * self.period
         if time.monotonic() - self._last_s <= limit_s:
             latest, then_s, _ = self._rejected
             is_recent = time.monotonic() - then_s < RECENT
             return (WARN, f"running; some is rejected: {latest}") if is_recent else (OK, "running")
+        if not self._published and state.openings <= 1 and state.since_s < _OPENING:
+            return WARN, f"{where}: opened, nothing yet"
         talk = f" ({self.talk()})" if self.talk() else ""
         if state.silent_s > 0.5 * limit_s:
             return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"

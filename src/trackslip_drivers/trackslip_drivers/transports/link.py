@@ -192,7 +192,6 @@ class Link(Generic[T]):
             self._port = port
             self._changed_s = time.monotonic()
             if port is not None:
-                self._heard_s = self._changed_s
                 self._openings += 1
                 self._note = port.note
 
