@@ -12,8 +12,9 @@ from std_msgs.msg import String
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes import parameters as node_parameters
+from trackslip_common.nodes.compiling import compilation_reported
 from trackslip_common.nodes.guarded import GuardedNode
-from trackslip_common.nodes.health import OK, WARN, Health, StateLog, diagnostics
+from trackslip_common.nodes.health import OK, WARN, Health, StateLog, diagnostics, to_console
 from trackslip_common.nodes.inputs import Inputs
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
@@ -49,7 +50,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.has_run = False  # whether it was active since it was configured
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.tally = Tally()
-        self._states = StateLog(self._log_state)
+        self._states = StateLog(to_console(self.get_logger()))
         self.inputs = Inputs(self)
         self._status = self.tolerate_failures(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -115,17 +116,14 @@ class TrackslipNode(GuardedNode, Generic[P]):
         if self.active:
             self._states.see(entries)
         entries += [*self.callback_failures.health(), *self.send_failures.health()]  # which log themselves
+        self._report(entries)
+
+    def _report(self, entries: list[Health]) -> None:
         stamp = self.get_clock().now().to_msg()
         self._status.publish(diagnostics(self.full_name, stamp, entries, self.hardware()))
 
-    def _log_state(self, level: bytes, text: str) -> None:
-        log = self.get_logger()
-        if level == OK:
-            log.info(text)
-        elif level == WARN:
-            log.warning(text)
-        else:
-            log.error(text)
+    def _report_compilation(self, text: str) -> None:
+        self._report([Health(WARN, text)])
 
     def _configure(self) -> None:
         self.inputs.clear()
@@ -133,7 +131,8 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.has_run = False
         if self.parameters_topic:
             self._parameters_used = self.advertise(String, self.parameters_topic)
-        self.configure()
+        with compilation_reported(self.get_logger().info, self._report_compilation):
+            self.configure()
 
     def _activate(self) -> None:
         self._publish_parameters()

@@ -32,6 +32,20 @@ class Health:
     part: str = ""  # of the node; empty for the node itself
 
 
+def to_console(logger: Any) -> Callable[[bytes, str], None]:
+    """Logs by the level of a state; ``logger`` is a node's."""
+
+    def log(level: bytes, text: str) -> None:
+        if level == OK:
+            logger.info(text)
+        elif level == WARN:
+            logger.warning(text)
+        else:
+            logger.error(text)
+
+    return log
+
+
 class StateLog:
     """Logs each change of a state in one line: what it is now, or that it is over.
 
