@@ -93,7 +93,11 @@ def _strip(panel: Panel, x_range: Range1d, number: int, first: int) -> figure:
     plot = time_plot(panel, x_range, 1)
     still(plot)
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
-    plot.xaxis.ticker, plot.xaxis.formatter = DatetimeTicker(), DatetimeTickFormatter(**_CLOCK)
+    plot.legend.visible = len(panel.curves) > 1
+    plot.xaxis.ticker, plot.xaxis.formatter = (
+        DatetimeTicker(desired_num_ticks=4),
+        DatetimeTickFormatter(**_CLOCK),
+    )
     sources = {renderer.name: renderer.data_source for renderer in plot.renderers}
     for k, curve in enumerate(panel.curves):
         sources[curve.label].name = f"line-{first + k}"

@@ -8,15 +8,16 @@ const RETRY = 500 // ms between attempts
 const KEPT = 1600 // rows of the strips
 const LEVELS = ["ok", "warn", "error", "stale", "silent"]
 const WORDS = ["✓ ok", "▲ warning", "✖ error", "◌ no data", "✖ silent"]
-const MARGIN = 1.5 // m about the path
+const MARGIN = 0.5 // m about the path
 const CLOSEST = 2, WIDEST = 2000 // m across
 const EVENTS = 200
+const NARROW = 760, LOW = 340 // pixels: on a narrow page the path is lower
 
 const by_id = id => document.getElementById(id)
 let models = null // function: name -> Bokeh model
 let run = null, number = 0, heard = performance.now(), event_number = 0
 let window_ms = 60000, across = null // across: m shown about the machine; null: the whole path
-let bounds = [Infinity, Infinity, -Infinity, -Infinity], place = null, views = []
+let bounds = [Infinity, Infinity, -Infinity, -Infinity], machine = [[], []], views = []
 let lines = []
 
 async function begin() {
@@ -27,6 +28,7 @@ async function begin() {
   const drawn = Bokeh.documents[0]
   models = name => drawn.get_model_by_name(name)
   lines = page.lines.map((_, k) => models(`line-${k}`))
+  if (innerWidth < NARROW) models("path").height = LOW
   connect()
   setInterval(watch, 500)
 }
@@ -125,7 +127,7 @@ function show_now(frame) {
   for (const [name, outline] of Object.entries(frame.outlines)) fill(name, outline)
   if (frame.views !== undefined) show_views(frame.views)
   models("time").setv({start: frame.time - window_ms, end: frame.time})
-  place = middle(frame.outlines.machine) ?? place
+  if (frame.outlines.machine[0].length) machine = frame.outlines.machine
   look()
   show_lights(frame.lights)
   show_classes(frame.classes)
@@ -140,25 +142,21 @@ function show_views(found) {
   found.forEach(([start, end], k) => models(`range-${k}`).setv({start, end}))
 }
 
-function middle([x, y]) {
-  return x.length ? [(x[0] + x[2]) / 2, (y[0] + y[2]) / 2] : null
+function middle(low, high) {
+  return (low + high) / 2
 }
 
 function look() {
   const plot = models("path")
   const [width, height] = [plot.inner_width, plot.inner_height]
   if (!width || !height) return
-  let centre = place ?? [0, 0], metres_x = across, metres_y = 0
-  if (across === null) {
-    const [left, low, right, high] = place === null ? bounds : [
-      Math.min(bounds[0], place[0]), Math.min(bounds[1], place[1]),
-      Math.max(bounds[2], place[0]), Math.max(bounds[3], place[1]),
-    ]
-    if (!Number.isFinite(left)) return
-    centre = [(left + right) / 2, (low + high) / 2]
-    metres_x = right - left + 2 * MARGIN
-    metres_y = high - low + 2 * MARGIN
-  }
+  const [x, y] = machine, all = across === null ? bounds : []
+  const [left, right] = [Math.min(...x, ...all.slice(0, 1)), Math.max(...x, ...all.slice(2, 3))]
+  const [low, high] = [Math.min(...y, ...all.slice(1, 2)), Math.max(...y, ...all.slice(3))]
+  if (!Number.isFinite(left)) return
+  const centre = [middle(left, right), middle(low, high)]
+  const metres_x = across ?? right - left + 2 * MARGIN
+  const metres_y = across === null ? high - low + 2 * MARGIN : 0
   const half_x = Math.max(metres_x, metres_y * width / height) / 2
   const half_y = half_x * height / width
   plot.x_range.setv({start: centre[0] - half_x, end: centre[0] + half_x})
