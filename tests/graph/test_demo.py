@@ -87,7 +87,7 @@ def test_demo_refuses(programs, arguments, words):
 def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
     program = demo(programs, "--duration", "60")
     wait_for_drive(observer)
-    assert len(programs.alive()) == 1 + NODES
+    assert len(programs.alive()) == 2 + NODES  # the demo itself, and the live page
     ends_at_once(programs, program)
     with open_bag(programs.folder / "demo" / "bag") as bag:
         assert not bag.damage

@@ -89,7 +89,7 @@ def _document() -> tuple[Document, dict[str, str]]:
 
 
 def _strip(panel: Panel, x_range: Range1d, number: int, first: int) -> figure:
-    """A panel of the report, with clock times below it and without tools: one finger scrolls the page."""
+    """A panel of the report over clock times and without tools, so that a finger scrolls the page."""
     plot = time_plot(panel, x_range, 1)
     still(plot)
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
