@@ -21,6 +21,7 @@ from trackslip_sim.devices.nmea_device import NmeaDevice
 from trackslip_sim.machine.faults import Fault, Faults
 from trackslip_sim.machine.faulty_line import FaultySerial
 from trackslip_sim.machine.gnss_model import GnssModel
+from trackslip_sim.machine.placement import Placement
 from trackslip_sim.parameters import load_emulator_parameters
 
 S = 1_000_000_000
@@ -36,7 +37,7 @@ MAP = from_flat(
 def pose_at(stamp_ns):
     """Along a curve."""
     t = stamp_ns / S
-    return 0.4 * t, 3.0 * np.sin(0.1 * t), 0.05 * t
+    return Placement(x=0.4 * t, y=3.0 * np.sin(0.1 * t), yaw=0.05 * t)
 
 
 class Chain:
@@ -93,7 +94,7 @@ class Chain:
         )
         if not isinstance(found, Place):
             return []
-        x, y, yaw = pose_at(s.stamp_ns)
+        x, y, yaw = pose_at(s.stamp_ns)[:3]
         truth = x + 0.5 * np.cos(yaw), y + 0.5 * np.sin(yaw)
         return [
             (s.stamp_ns / S, found.east - truth[0], found.north - truth[1], found.covariance[0, 0] ** 0.5)
@@ -109,7 +110,7 @@ def test_fixes_come_at_their_rate_within_their_error_and_at_their_epochs(rate):
     assert np.sqrt(np.mean(places[:, 1:3] ** 2)) == pytest.approx(0.01, rel=0.25)
     epochs = places[places[:, 0] > 1.0, 0]  # by then one answer was prompt
     assert np.abs(epochs - np.round(epochs * rate) / rate).max() < 0.001
-    errors = [h.yaw - pose_at(h.stamp_ns)[2] for h in headings]
+    errors = [h.yaw - pose_at(h.stamp_ns).yaw for h in headings]
     assert np.std(errors) == pytest.approx(0.0035, rel=0.2)
     assert np.mean(errors) == pytest.approx(0.0, abs=0.001)
     assert chain.device.fixes_emitted == pytest.approx(len(places), abs=1)

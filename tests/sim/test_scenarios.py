@@ -21,6 +21,7 @@ from trackslip_sim.truth.simulate import simulate
 NAMES = {
     *("thesis", "straight", "turn_left", "turn_right", "slalom"),
     *("start_stop", "spot_turn", "field_trial", "patches", "soil_change", "dig_cycles"),
+    *("hill", "ramp_up", "ramp_down", "side_slope", "load_and_haul"),
 }
 SEGMENT = {"duration": 2.0, "left": 1, "right": 2.5}
 PATCH = {"soil": "sand", "from_x": 0, "to_x": 1, "from_y": 0, "to_y": 1}

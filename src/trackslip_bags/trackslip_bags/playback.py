@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator
 from typing import NamedTuple
 
 from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.manual_poses import input_names
 from trackslip_bags.reader import Bag, absolute
 
 # What the estimators of the live graph make themselves, and what belongs to the graph, not to the bag.
@@ -19,6 +20,7 @@ OWN_OUTPUTS = frozenset(
         "soil",
         "slip_seed",
         "measurement_reports",
+        "slip_estimator/pose_set",
         "slip_estimator/parameters",
         "soil_estimator/parameters",
         "vehicle",
@@ -43,19 +45,20 @@ def played_topics(bag: Bag, filters: InputFilters, also: Collection[str]) -> dic
     """Name to publish under → type: all topics of the bag but ``OWN_OUTPUTS``, those only if in ``also``."""
     barred = (OWN_OUTPUTS - {relative(topic) for topic in also}) | {CLOCK}
     return {
-        _published(topic, filters): info.type_name
-        for topic, info in bag.topics.items()
-        if relative(topic) not in barred
+        _published(name, filters): bag.topics[topic].type_name
+        for topic, name in input_names(bag).items()
+        if name not in barred
     }
 
 
 def played(bag: Bag, filters: InputFilters, topics: Collection[str]) -> Iterator[Played]:
     """The messages to publish under these names, in log order, less what is withheld."""
-    wanted = [topic for topic in bag.topics if _published(topic, filters) in topics]
+    names = {topic: _published(name, filters) for topic, name in input_names(bag).items()}
+    wanted = [topic for topic, name in names.items() if name in topics]
     start_ns = bag.start_ns + round(filters.start_s * 1e9)
     stop_ns = bag.start_ns + round(filters.stop_s * 1e9) if math.isfinite(filters.stop_s) else None
     for message in bag.messages(wanted, start_ns, stop_ns):
-        name = _published(message.topic, filters)
+        name = names[message.topic]
         if not filters.hides(relative(name), (message.log_time_ns - bag.start_ns) * 1e-9):
             yield Played(name, message.log_time_ns, message.raw)
 
@@ -101,6 +104,5 @@ class Playback:
             self.bag_ns = self._next.log_time_ns
 
 
-def _published(topic: str, filters: InputFilters) -> str:
-    name = relative(topic)
+def _published(name: str, filters: InputFilters) -> str:
     return absolute(filters.remap.get(name, name))

@@ -39,12 +39,31 @@ class Kinematics(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
+class CentreOfGravity(Parameters):
+    """Of the whole machine, its upper structure straight ahead and the bucket empty."""
+
+    x: float = parameter("ahead of base_link", unit="m", ge=-50.0, le=50.0)
+    y: float = parameter("left of base_link", unit="m", ge=-50.0, le=50.0)
+    z: float = parameter("height h_g above the ground", unit="m", ge=0.0, le=50.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bucket(Parameters):
+    """Where a load is carried while driving, the upper structure straight ahead."""
+
+    x: float = parameter("ahead of base_link", unit="m", ge=-50.0, le=50.0)
+    z: float = parameter("above the ground", unit="m", ge=0.0, le=50.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Mass(Parameters):
     """What presses on the ground, and where."""
 
     mass: float = parameter("mass m", unit="kg", gt=0.0, le=1e7)
     yaw_inertia: float = parameter("moment of inertia I_z about the vertical", unit="kg m²", gt=0.0)
     track_width: float = parameter("width b of one track", unit="m", gt=0.0, le=10.0)
+    centre_of_gravity: CentreOfGravity | None
+    bucket: Bucket | None
 
 
 @dataclass(frozen=True, kw_only=True)

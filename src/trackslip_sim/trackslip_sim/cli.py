@@ -2,6 +2,7 @@
 """``trackslip simulate``: drives a scenario on the truth model, and says where it ends."""
 
 import argparse
+import dataclasses
 import json
 import time
 from pathlib import Path
@@ -10,6 +11,7 @@ from trackslip_common.errors import ExitCode, InputError
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario, scenario_names
+from trackslip_sim.scenarios.terrains import load_terrain, terrain_names
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import MODES, duration_of, simulate_in_pieces
@@ -21,7 +23,7 @@ EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.jso
 
 _LONGEST = 7 * 86_400.0  # s
 _FINAL = (
-    *("x", "y", "yaw", "v_x", "yaw_rate"),
+    *("x", "y", "z", "yaw", "pitch", "roll", "v_x", "yaw_rate"),
     *("left_slip", "right_slip", "left_thrust", "right_thrust"),
 )
 
@@ -36,6 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     machine_options.add_vehicle(parser, "none")
     parser.add_argument("--soil", metavar="S", help="soil outside the scenario's patches; default: its own")
+    parser.add_argument(
+        "--terrain", metavar="NAME|FILE", help=f"{', '.join(terrain_names())}; default: the scenario's own"
+    )
     parser.add_argument(
         "--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds"
     )
@@ -59,6 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
                 f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_LONGEST:g} s"
             )
         scenario = scenario.stretched(arguments.duration)
+    if arguments.terrain is not None:
+        scenario = dataclasses.replace(scenario, terrain=load_terrain(arguments.terrain))
     given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
     p = load_emulator_parameters({**given, "vehicle": arguments.vehicle or scenario.vehicle})
     whole, upper = p.vehicle.whole(), p.vehicle.upper_structure

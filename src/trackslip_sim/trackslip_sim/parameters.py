@@ -27,6 +27,7 @@ class EmulatorParameters(WithVehicle):
     gnss: GnssParameters
     scenario: str = parameter("name in config/scenarios, or a file")
     soil: str = parameter("name in config/soils.yaml; empty: the scenario's own")
+    terrain: str = parameter("name in config/terrains, or a file; empty: the scenario's own")
     mode: str = parameter("truth model", choices=("shear", "thesis"))
     duration: float = parameter(
         "driving, the scenario cut or repeated; 0: as it is", unit="s", ge=0.0, le=3600.0

@@ -4,8 +4,8 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext
@@ -24,6 +24,7 @@ _COMMON = {
     "gnss": ("false", "satellite receiver"),
     "live": ("false", "serve the live page, at http://127.0.0.1:5006/ unless params_file says otherwise"),
 }
+_RANGE, _PEERS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("ROS_STATIC_PEERS", "")
 _OF_SWITCH = {
     "sick_pls": "laser",
     "box_localizer": "laser",
@@ -45,12 +46,28 @@ class Launched(NamedTuple):
     parameters: Mapping[str, Any] = {}
 
 
-def declared(**own: tuple[str, str]) -> list[DeclareLaunchArgument]:
-    """The arguments of every launch file, and its ``own``: name=(default, description)."""
+def declared(**own: tuple[str, str]) -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
+    """Arguments of every launch file, its ``own``: name=(default, description), and who may look in."""
     arguments = {**_COMMON, **own}
     return [
-        DeclareLaunchArgument(name, default_value=default, description=about)
-        for name, (default, about) in arguments.items()
+        *(
+            DeclareLaunchArgument(name, default_value=default, description=about)
+            for name, (default, about) in arguments.items()
+        ),
+        *_discovery(),
+    ]
+
+
+def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
+    """This computer alone hears the graph, and the peers that are named; what is set already stays."""
+    about = "addresses of further computers, such as an operator's laptop, parted by ;"
+    set_range, set_peers = (
+        EnvironmentVariable(name, default_value=default) for name, default in (_RANGE, _PEERS)
+    )
+    return [
+        DeclareLaunchArgument("peers", default_value=set_peers, description=about),
+        SetEnvironmentVariable(_RANGE[0], set_range),
+        SetEnvironmentVariable(_PEERS[0], LaunchConfiguration("peers")),
     ]
 
 
@@ -82,10 +99,15 @@ def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
         name=one.executable,
         namespace=given["namespace"],
         parameters=[*receiver, parameters, *files],
-        arguments=["--ros-args", "--log-level", given["log_level"]],
+        arguments=["--ros-args", "--log-level", given["log_level"], "--enclave", _enclave(one, given)],
         respawn=_is_true(given["respawn"]),
         output="screen",
     )
+
+
+def _enclave(one: Launched, given: Mapping[str, str]) -> str:
+    """Where its keys are in the keystore, if there is one: as ``deploy/security/policy.xml`` names it."""
+    return "/".join(("", *filter(None, given["namespace"].split("/")), one.executable))
 
 
 def _sources(sensors: set[str]) -> dict[str, Any]:

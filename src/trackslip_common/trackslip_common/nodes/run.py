@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -31,6 +32,10 @@ __all__ = ["Executor", "run"]
 _POLL = 0.1  # s, the longest that a signal waits to be seen
 _DRAIN_POLL = 0.02  # s
 _GARBAGE = 50_000  # objects made, less those freed, until garbage is looked for; at 700, that is every second
+_SECURITY = (
+    "with ROS_SECURITY_ENABLE, a keystore with an enclave of this node, and a middleware with security"
+    " (docs/security.md)"
+)
 _ARGUMENTS = "--ros-args with -p name:=value, --params-file <YAML file>, -r from:=to"
 
 
@@ -141,9 +146,11 @@ def _make(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | Non
         InputError: it, or rcl, refused the arguments; rcl's reason has places in its source added.
     """
     set_logger_level("rcl", LoggingSeverity.FATAL)  # it would write the same in a line of its own
+    warnings.simplefilter("ignore", RuntimeWarning)  # of rcl, where it gives up half a node
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         return make_node()
     except (RuntimeError, InvalidParameterTypeException) as error:
         reason = re.split(r",? at \S+:\d+", " ".join(str(error).split()))[0]
-        raise InputError(f"{reason}; accepted: {_ARGUMENTS}") from error
+        is_secure = os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"
+        raise InputError(f"{reason}; accepted: {_SECURITY if is_secure else _ARGUMENTS}") from error

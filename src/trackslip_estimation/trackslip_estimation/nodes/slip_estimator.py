@@ -23,6 +23,7 @@ from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import (
     FORGET,
     FREEZE,
+    POSE_SET,
     RELOAD,
     RESET,
     SET_POSE,
@@ -70,7 +71,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._reports = self.advertise(topic_class("measurement_reports"), "measurement_reports")
         self._tf = self._advertise_tf() if p.publish_tf else None
         self.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
-        self.subscribe(topic_class(SET_POSE), SET_POSE, partial(self._on_pose, source=SET_POSE))
+        self._pose_set = self.advertise(topic_class(POSE_SET), POSE_SET)
+        self.subscribe(topic_class(SET_POSE), SET_POSE, self._on_set_pose)
         self._frames_of_sources = p.frames_of_sources()
         for source, imu in p.gyros().items():
             on_imu = partial(self._on_imu, source=source, imu=imu)
@@ -130,6 +132,11 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_pose(self, message: Any, source: str) -> None:
         self._process(conversions.pose_fix(message, source))
+
+    def _on_set_pose(self, message: Any) -> None:
+        """Repeated first: a recorder knows this node, and may never have met who set the pose."""
+        self._pose_set.publish(message)
+        self._on_pose(message, SET_POSE)
 
     def _on_heading(self, message: Any, source: str, variance: float) -> None:
         self._use(source, conversions.heading_fix(message, source, variance))

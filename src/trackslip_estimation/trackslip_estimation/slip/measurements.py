@@ -13,6 +13,7 @@ FloatArray = NDArray[np.float64]
 
 # What a user asks of the node stands in the journal under these names, beside the topics of the sensors.
 SET_POSE = "slip_estimator/set_pose"
+POSE_SET = "slip_estimator/pose_set"  # the estimator's repetition of it, for recorders
 RESET, FREEZE, UNFREEZE = "slip_estimator/reset", "slip_estimator/freeze", "slip_estimator/unfreeze"
 FORGET = "slip_estimator/forget"
 RELOAD = "slip_estimator/parameters"

@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -27,10 +28,12 @@ from trackslip_sim.machine.faults import CAN, GNSS, POWER_CYCLE, SICK, WATSON, W
 from trackslip_sim.machine.faulty_line import FaultyBus, FaultySerial
 from trackslip_sim.machine.faulty_readings import FaultyReadings, FullScales
 from trackslip_sim.machine.gnss_model import GnssModel
+from trackslip_sim.machine.placement import Placement
 from trackslip_sim.machine.scan_model import SiteScanner
 from trackslip_sim.machine.sensors import MachineSensors, mounting_of
 from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
 from trackslip_sim.truth.window import TruthWindow
@@ -43,9 +46,11 @@ def drive(p: EmulatorParameters) -> Truth:
     """The true motion that the parameters ask for.
 
     Raises:
-        InputError: scenario or soil is unknown, or refused.
+        InputError: scenario, soil or terrain is unknown, or refused.
     """
     scenario = load_scenario(p.scenario)
+    if p.terrain:
+        scenario = replace(scenario, terrain=load_terrain(p.terrain))
     if p.duration > 0.0:
         scenario = scenario.stretched(p.duration)
     whole, upper = p.vehicle.whole(), p.vehicle.upper_structure
@@ -163,10 +168,9 @@ class EmulatedExcavator:
         poses = self._poses_of[self._vehicle.mount_of("box")]
         return self._scanner.scan(self.sensors.time(stamp_ns), poses)
 
-    def _antenna_frame_at(self, stamp_ns: int) -> tuple[float, float, float]:
-        poses = self._poses_of[self._vehicle.mount_of("antenna")]
-        x, y, yaw = poses(np.array([self.sensors.time(stamp_ns)]))
-        return float(x[0]), float(y[0]), float(yaw[0])
+    def _antenna_frame_at(self, stamp_ns: int) -> Placement:
+        """Of what the antenna sits on."""
+        return self.sensors.placement(stamp_ns, self._vehicle.mount_of("antenna"))
 
     def _powered(self, sensor: str, now_ns: int) -> bool:
         """Whether it lives; it boots as its power comes back."""

@@ -22,6 +22,7 @@ from trackslip_drivers.protocols.nmea_sentences import Position
 from trackslip_sim.devices.nmea_device import FIXED, FLOAT, SINGLE, NmeaDeviceParameters
 from trackslip_sim.machine import faults as f
 from trackslip_sim.machine.faults import Faults
+from trackslip_sim.machine.placement import Placement
 
 FloatArray = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ class GnssModel:
 
     Args:
         p: places and errors.
-        pose_at: true x, y, yaw at a stamp.
+        placement: where the machine truly is at a stamp.
         faults: what is wrong with the receiver, and when.
         seed: of its errors.
     """
@@ -79,12 +80,12 @@ class GnssModel:
     def __init__(
         self,
         p: GnssParameters,
-        pose_at: Callable[[int], tuple[float, float, float]],
+        placement: Callable[[int], Placement],
         faults: Faults,
         seed: int,
     ) -> None:
         self._p = p
-        self._pose_at = pose_at
+        self._placement = placement
         self._faults = faults
         self._random = np.random.default_rng(seed)
         self._lasting = {
@@ -93,7 +94,7 @@ class GnssModel:
             SINGLE: _GaussMarkov(_CODE_STDDEV, _CODE_TIME),
         }
         self._stddevs = {FIXED: p.fixed_stddev, FLOAT: p.float_stddev, SINGLE: _CODE_STDDEV}
-        self._held: tuple[float, float, float] | None = None
+        self._held: Placement | None = None
 
     def measure(self, stamp_ns: int, best: int) -> Position:
         """What the receiver finds, with ``best`` as the quality that it can have."""
@@ -102,14 +103,10 @@ class GnssModel:
         heading_error = p.heading_stddev * self._random.standard_normal()
         if quality == 0:
             return Position(stamp_ns)
-        x, y, yaw = self._pose(stamp_ns)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        latitude, longitude, altitude = pymap3d.enu2geodetic(
-            x + cos * p.antenna_x - sin * p.antenna_y + east,
-            y + sin * p.antenna_x + cos * p.antenna_y + north,
-            p.antenna_z + up,
-            *(p.latitude, p.longitude, p.altitude),
-        )
+        machine = self._machine(stamp_ns)
+        x, y, z = machine.point(p.antenna_x, p.antenna_y, p.antenna_z)
+        site = p.latitude, p.longitude, p.altitude
+        latitude, longitude, altitude = pymap3d.enu2geodetic(x + east, y + north, z + up, *site)
         at = Position(
             stamp_ns,
             float(latitude),
@@ -121,7 +118,7 @@ class GnssModel:
         )
         if p.heading_stddev == 0.0:
             return at
-        heading = heading_of_yaw(yaw + p.heading_offset + heading_error)
+        heading = heading_of_yaw(machine.azimuth(p.heading_offset) + heading_error)
         return at._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
 
     def _error(self, stamp_ns: int, quality: int) -> tuple[float, float, float]:
@@ -138,12 +135,12 @@ class GnssModel:
         up = 2.0 * self._stddevs.get(quality, 0.0) * white[2]
         return float(east + spread * white[0]), float(north + spread * white[1]), float(up)
 
-    def _pose(self, stamp_ns: int) -> tuple[float, float, float]:
+    def _machine(self, stamp_ns: int) -> Placement:
         """True, or while stuck the one at its beginning."""
         if self._faults.at(f.GNSS, f.STUCK, stamp_ns) is None:
             self._held = None
-            return self._pose_at(stamp_ns)
-        self._held = self._held or self._pose_at(stamp_ns)
+            return self._placement(stamp_ns)
+        self._held = self._held or self._placement(stamp_ns)
         return self._held
 
     def _quality(self, best: int, stamp_ns: int) -> int:

@@ -45,6 +45,8 @@ from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameter
 from trackslip_sim.machine.message_columns import Columns, stamp_columns
 from trackslip_sim.machine.sensors import swing_topics
 from trackslip_sim.machine.truth_messages import (
+    attitude_columns,
+    certain_attitude,
     certain_odometry,
     odometry_columns,
     soil_message,
@@ -189,6 +191,7 @@ class _Host:
         self.recording.add("truth/track_slip", now_ns, now_ns)
         if since_ns % _FORCES_NS == 0:
             self.recording.add("truth/track_forces", now_ns, now_ns)
+            self.recording.add("truth/attitude", now_ns, now_ns)
         if since_ns % _SOIL_NS == 0:
             at = self._window.truth.at(self.excavator.sensors.time(now_ns))
             soil = soil_message(make, at, now_ns, self._vehicle, _BODY_FRAME)
@@ -214,6 +217,7 @@ class _Host:
         )
         return {
             "truth/odometry": like(certain_odometry(make, _SITE_FRAME, _BODY_FRAME), at(odometry_columns)),
+            "truth/attitude": like(certain_attitude(make, _BODY_FRAME), at(attitude_columns)),
             "truth/track_slip": like(slip, at(track_slip_columns)),
             "truth/swing": like(of_sensors.blank_swing(make, _BODY_FRAME), at(swing_columns)),
             "truth/track_forces": like(forces, at(lambda truth: track_forces_columns(truth, self._vehicle))),

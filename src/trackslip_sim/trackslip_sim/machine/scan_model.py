@@ -6,7 +6,8 @@
     ρ_i       nearest of box, walls and posts along the beam                       m
     σ         Gaussian noise of one range, before it is rounded to the resolution  m
 
-Each beam meets the box where the vehicle is at that beam's own time.
+Each beam meets the box where the vehicle is at that beam's own time. On a slope too the box is taken to stand
+upright over base_link, and as high as the scanner sees: only x, y and yaw of the vehicle count.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the sensors on the machine measure of the true motion, before their protocols make bytes of it.
 
-a       specific force at C: v̇_x − v_y φ̇, v̇_y + v_x φ̇, g     m/s²
+a       specific force at C, acceleration less gravity in the body frame:
+        v̇ + ω × v + g (-sin θ, cos θ sin ϕ, cos θ cos ϕ)      m/s²
+v, ω    (v_x, v_y, 0), (p, q, r), body frame                   m/s, rad/s
+θ, ϕ    pitch (nose down > 0), roll (left side up > 0)         rad
 b_g     constant bias of the gyro                              rad/s
 σ       angle of the upper structure; an inertial unit on it feels a and B in its own axes, rates ψ̇ + σ̇
 B       earth's field, horizontal (to the north, +y of the site) and downward   T
@@ -16,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import GRAVITY, UPPER, VehicleParameters
+from trackslip_common.vehicle import GRAVITY, UNDERCARRIAGE, UPPER, VehicleParameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
+from trackslip_sim.machine.placement import Placement
 from trackslip_sim.truth.window import TruthWindow
 
 FloatArray = NDArray[np.float64]
@@ -30,14 +34,19 @@ class SensorNoise(Parameters):
     pressure_stddev: float = parameter("noise of each pressure", unit="Pa", ge=0.0)
     gyro_stddev: float = parameter("noise of each rate", unit="rad/s", ge=0.0)
     gyro_bias: float = parameter("bias of the yaw rate", unit="rad/s")
+    gyro_bias_x: float = parameter("bias of the roll rate", unit="rad/s")
+    gyro_bias_y: float = parameter("bias of the pitch rate", unit="rad/s")
     acceleration_stddev: float = parameter("noise of each acceleration", unit="m/s²", ge=0.0)
+    acceleration_bias_x: float = parameter("bias of the acceleration ahead", unit="m/s²")
+    acceleration_bias_y: float = parameter("bias of the acceleration to the left", unit="m/s²")
+    acceleration_bias_z: float = parameter("bias of the acceleration upward", unit="m/s²")
     field_stddev: float = parameter("noise of each component of the field", unit="T", ge=0.0)
     field_horizontal: float = parameter("earth's field, horizontal", unit="T")
     field_down: float = parameter("earth's field, downward", unit="T")
 
 
 class Measurable(NamedTuple):
-    """What there is to measure at one time; names and units as in ``Truth``, and the specific force."""
+    """What there is to measure at one time; names and units as in ``Truth``, and v̇ + ω × v."""
 
     left_angle: float
     right_angle: float
@@ -48,12 +57,20 @@ class Measurable(NamedTuple):
     left_spool: float
     right_spool: float
     supply_pressure: float
+    x: float
+    y: float
+    z: float
+    roll: float
+    pitch: float
     yaw: float
+    roll_rate: float
+    pitch_rate: float
     yaw_rate: float
     swing: float
     swing_rate: float
     a_x: float
     a_y: float
+    a_z: float
 
 
 class Mounting(NamedTuple):
@@ -115,8 +132,14 @@ class MachineSensors:
         x, y, yaw = (np.interp(times, truth.t, column) for column in (truth.x, truth.y, truth.yaw))
         return x, y, yaw
 
+    def placement(self, stamp_ns: int, mount: str = UNDERCARRIAGE) -> Placement:
+        """True pose and attitude of base_link; or of the upper structure's frame."""
+        at = self._at(stamp_ns)
+        below = Placement(x=at.x, y=at.y, z=at.z, roll=at.roll, pitch=at.pitch, yaw=at.yaw)
+        return below.swung(at.swing, self._mounting.axis) if mount == UPPER else below
+
     def upper_pose_at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The same of the upper structure's frame, which is base_link while it looks forward."""
+        """``pose_at`` of the upper structure's frame, as seen from above on level ground."""
         x, y, yaw = self.pose_at(times)
         swing = np.interp(times, self._window.truth.t, self._window.truth.swing)
         axis_x, axis_y = self._mounting.axis
@@ -155,20 +178,29 @@ class MachineSensors:
         )
 
     def imu(self, stamp_ns: int) -> ImuSample:
-        """Level ground: no roll, no pitch."""
+        """At C, in base_link's axes; standing before and after the drive."""
         at, noise = self._at(stamp_ns), self._noise
         driving = 0.0 <= self.time(stamp_ns) <= self._window.duration
-        a_x, a_y, rate = (at.a_x, at.a_y, at.yaw_rate) if driving else (0.0, 0.0, 0.0)
-        yaw = at.yaw
-        if self._mounting.imu_above:
-            cos, sin = math.cos(at.swing), math.sin(at.swing)
-            a_x, a_y = cos * a_x + sin * a_y, cos * a_y - sin * a_x
-            rate += at.swing_rate if driving else 0.0
-            yaw += at.swing
-        acceleration = np.array((a_x, a_y, GRAVITY)) + noise.acceleration_stddev * self._normal()
-        rates = np.array((0.0, 0.0, rate + noise.gyro_bias)) + noise.gyro_stddev * self._normal()
-        north = noise.field_horizontal
-        field = np.array((north * np.sin(yaw), north * np.cos(yaw), -noise.field_down))
+        mount = UPPER if self._mounting.imu_above else UNDERCARRIAGE
+        to_body = self.placement(stamp_ns, mount).rotation().T
+        acceleration = to_body @ (0.0, 0.0, GRAVITY)
+        acceleration += (noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z)
+        rates = np.array((noise.gyro_bias_x, noise.gyro_bias_y, noise.gyro_bias))
+        if driving:
+            swing = at.swing if mount == UPPER else 0.0
+            above = np.array(
+                (
+                    (math.cos(swing), math.sin(swing), 0.0),
+                    (-math.sin(swing), math.cos(swing), 0.0),
+                    (0.0, 0.0, 1.0),
+                )
+            )
+            acceleration += above @ (at.a_x, at.a_y, at.a_z)
+            turning = at.yaw_rate + (at.swing_rate if mount == UPPER else 0.0)
+            rates += above @ (at.roll_rate, at.pitch_rate, turning)
+        acceleration += noise.acceleration_stddev * self._normal()
+        rates += noise.gyro_stddev * self._normal()
+        field = to_body @ (0.0, noise.field_horizontal, -noise.field_down)
         field += noise.field_stddev * self._normal()
         return ImuSample(stamp_ns, _vector(acceleration), _vector(rates), _vector(field), over_range=False)
 
@@ -193,13 +225,14 @@ class MachineSensors:
     def _tabulate(self) -> None:
         """The window's stretch as rows of ``Measurable``."""
         truth = self._window.truth
-        named = [getattr(truth, name) for name in Measurable._fields[:-2]]
+        named = [getattr(truth, name) for name in Measurable._fields[:-3]]
         v_x_rate, v_y_rate = np.zeros(len(truth)), np.zeros(len(truth))
         if len(truth) > 1:
             v_x_rate, v_y_rate = np.gradient(truth.v_x, truth.t), np.gradient(truth.v_y, truth.t)
-        forces = v_x_rate - truth.v_y * truth.yaw_rate, v_y_rate + truth.v_x * truth.yaw_rate
+        ahead, left = v_x_rate - truth.v_y * truth.yaw_rate, v_y_rate + truth.v_x * truth.yaw_rate
+        up = truth.v_y * truth.roll_rate - truth.v_x * truth.pitch_rate
         self._times: list[float] = truth.t.tolist()
-        self._table: FloatArray = np.column_stack([*named, *forces])
+        self._table: FloatArray = np.column_stack([*named, ahead, left, up])
         self._looked_ns = None
 
     def _normal(self) -> FloatArray:

@@ -3,6 +3,7 @@
 
 import array
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,21 +11,37 @@ import numpy as np
 from trackslip_common.make import Make, header
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.slip.conversions import blank_odometry, in_six
+from trackslip_estimation.slip.conversions import blank_odometry
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.classes import limit_of
 from trackslip_sim.machine.message_columns import Columns
-from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.record import FloatArray, Truth
 
 _STANDING = 1e-3  # rad/s, both sprockets
 _STRAIGHT = 0.02  # of the faster sprocket
 
 
 def certain_odometry(make: Make, map_frame: str, base_frame: str) -> Any:
-    """nav_msgs/Odometry with no variance in the plane, for ``odometry_columns``."""
+    """nav_msgs/Odometry without variance, for ``odometry_columns``."""
     message = blank_odometry(make, map_frame, base_frame)
-    message.pose.covariance, message.twist.covariance = in_six(np.zeros((3, 3))), in_six(np.zeros((3, 3)))
+    message.pose.covariance, message.twist.covariance = np.zeros(36), np.zeros(36)
     return message
+
+
+def certain_attitude(make: Make, base_frame: str) -> Any:
+    """sensor_msgs/Imu without variance and without acceleration, for ``attitude_columns``."""
+    absent = np.zeros(9)
+    absent[0] = -1.0
+    return make(
+        "sensor_msgs/msg/Imu",
+        header=header(make, 0, base_frame),
+        orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=np.zeros(9),
+        angular_velocity=make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0),
+        linear_acceleration_covariance=absent,
+    )
 
 
 def stamped(make: Make, type_name: str, frame_id: str) -> Any:
@@ -33,17 +50,43 @@ def stamped(make: Make, type_name: str, frame_id: str) -> Any:
 
 
 def odometry_columns(truth: Truth) -> Columns:
-    """Of nav_msgs/Odometry."""
-    halves = (truth.yaw / 2.0).tolist()
+    """Of nav_msgs/Odometry; twists in base_link."""
     return {
         "pose.pose.position.x": truth.x,
         "pose.pose.position.y": truth.y,
-        "pose.pose.orientation.z": np.array([math.sin(half) for half in halves]),
-        "pose.pose.orientation.w": np.array([math.cos(half) for half in halves]),
+        "pose.pose.position.z": truth.z,
+        **_orientation(truth, "pose.pose.orientation"),
         "twist.twist.linear.x": truth.v_x,
         "twist.twist.linear.y": truth.v_y,
-        "twist.twist.angular.z": truth.yaw_rate,
+        **_rates(truth, "twist.twist.angular"),
     }
+
+
+def attitude_columns(truth: Truth) -> Columns:
+    """Of sensor_msgs/Imu: orientation and rates of base_link."""
+    return {**_orientation(truth, "orientation"), **_rates(truth, "angular_velocity")}
+
+
+def _rates(truth: Truth, field: str) -> Columns:
+    return {f"{field}.x": truth.roll_rate, f"{field}.y": truth.pitch_rate, f"{field}.z": truth.yaw_rate}
+
+
+def _orientation(truth: Truth, field: str) -> Columns:
+    """The quaternion of Rz(yaw) Ry(pitch) Rx(roll)."""
+    (c_r, s_r), (c_p, s_p), (c_y, s_y) = (
+        (_each(math.cos, angle), _each(math.sin, angle)) for angle in (truth.roll, truth.pitch, truth.yaw)
+    )
+    return {
+        f"{field}.x": s_r * c_p * c_y - c_r * s_p * s_y,
+        f"{field}.y": c_r * s_p * c_y + s_r * c_p * s_y,
+        f"{field}.z": c_r * c_p * s_y - s_r * s_p * c_y,
+        f"{field}.w": c_r * c_p * c_y + s_r * s_p * s_y,
+    }
+
+
+def _each(function: Callable[[float], float], angles: FloatArray) -> FloatArray:
+    """Of the half of each angle, as a live message has it: numpy's own differ in the last bit."""
+    return np.array([function(half) for half in (angles / 2.0).tolist()])
 
 
 def track_slip_columns(truth: Truth) -> Columns:
@@ -66,15 +109,23 @@ def swing_columns(truth: Truth) -> Columns:
 
 
 def track_forces_columns(truth: Truth, vehicle: Vehicle) -> Columns:
-    """Of trackslip_msgs/TrackForces."""
-    limits = np.array([limit_of(soil(name), vehicle) for name in truth.soil_names])[truth.soil_index]
+    """Of trackslip_msgs/TrackForces; a track bears what the load on it allows."""
+    grounds = [soil(name) for name in truth.soil_names]
+    adhesion, friction = (
+        np.array(values)[truth.soil_index]
+        for values in (
+            [ground.cohesion * vehicle.track_width * vehicle.contact_length for ground in grounds],
+            [math.tan(ground.friction_angle) for ground in grounds],
+        )
+    )
+    left_limit, right_limit = adhesion + friction * truth.left_load, adhesion + friction * truth.right_load
     return {
         "left_thrust": truth.left_thrust,
         "right_thrust": truth.right_thrust,
         "left_resistance": truth.left_resistance,
         "right_resistance": truth.right_resistance,
-        "left_thrust_reserve": 1.0 - np.abs(truth.left_thrust) / limits,
-        "right_thrust_reserve": 1.0 - np.abs(truth.right_thrust) / limits,
+        "left_thrust_reserve": 1.0 - np.abs(truth.left_thrust) / left_limit,
+        "right_thrust_reserve": 1.0 - np.abs(truth.right_thrust) / right_limit,
     }
 
 

@@ -22,6 +22,8 @@ from trackslip_sim.machine.faults import Fault, parse_fault
 from trackslip_sim.machine.message_columns import set_fields, stamp_columns
 from trackslip_sim.machine.sensors import swing_topics
 from trackslip_sim.machine.truth_messages import (
+    attitude_columns,
+    certain_attitude,
     certain_odometry,
     odometry_columns,
     soil_message,
@@ -56,6 +58,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         self._odometry = self.advertise(topic_class("truth/odometry"), "truth/odometry")
         self._track_slip = self.advertise(topic_class("truth/track_slip"), "truth/track_slip")
         self._track_forces = self.advertise(topic_class("truth/track_forces"), "truth/track_forces")
+        self._attitude = self.advertise(topic_class("truth/attitude"), "truth/attitude")
         self._soil = self.advertise(topic_class("truth/soil"), "truth/soil")
         self._swings = {name: self.advertise(topic_class(name), name) for name in swing_topics(p.vehicle)}
         self._cables = Cables(p)
@@ -157,6 +160,9 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             forces = stamped(make, "trackslip_msgs/msg/TrackForces", _FRAMES[1])
             set_fields(forces, {**stamp, **track_forces_columns(at, vehicle)})
             self._track_forces.publish(forces)
+            attitude = certain_attitude(make, _FRAMES[1])
+            set_fields(attitude, {**stamp, **attitude_columns(at)})
+            self._attitude.publish(attitude)
         if since_ns % _SOIL_PERIOD_NS < _TRUTH_PERIOD_NS:
             self._soil.publish(soil_message(make, at, stamp_ns, vehicle, _FRAMES[1]))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,43 +18,49 @@ from trackslip_common.errors import InputError
 from trackslip_common.vehicle import ASSUMED
 from trackslip_sim.machine.faults import Fault, read_fault
 from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
+from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import FloatArray
+from trackslip_sim.truth.terrain import FLAT, Terrain
 
-_KEYS = ("name", "soil", "patches", "segments", "relief_pressure", "faults", "vehicle")
+_KEYS = ("name", "soil", "patches", "terrain", "segments", "relief_pressure", "faults", "vehicle")
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Commanded sprocket speeds, held for a while, and where the upper structure is to swing meanwhile.
+    """Commanded sprocket speeds, held for a while; where the upper structure swings, what the bucket holds.
 
     Raises:
-        InputError: the duration is not above 0, or a number is not finite.
+        InputError: the duration is not above 0, a number is not finite, or the load is negative.
     """
 
     duration: float  # s
     left: float  # rad/s
     right: float  # rad/s
     swing_to: float | None = None  # rad, angle of the upper structure; None: as before
+    load: float | None = None  # kg in the bucket; None: as before
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.duration) and self.duration > 0.0):
             raise InputError(f"segment: duration = {self.duration!r} is refused; accepted: > 0 s")
-        for name, unit in (("left", "rad/s"), ("right", "rad/s"), ("swing_to", "rad")):
+        for name, unit in (("left", "rad/s"), ("right", "rad/s"), ("swing_to", "rad"), ("load", "kg")):
             if not math.isfinite(getattr(self, name) or 0.0):
                 raise InputError(
                     f"segment: {name} = {getattr(self, name)!r} is refused; accepted: finite {unit}"
                 )
+        if (self.load or 0.0) < 0.0:
+            raise InputError(f"segment: load = {self.load!r} is refused; accepted: >= 0 kg")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """One run: segments in order, from rest at the site's origin, on ``soil`` with patches over it."""
+    """One run: segments in order, from rest at the origin of a terrain, on ``soil`` with patches over it."""
 
     name: str
     soil: str
     segments: tuple[Segment, ...]
     patches: tuple[Patch, ...] = ()
+    terrain: Terrain = FLAT
     relief_pressure: float | None = None  # Pa; None: the vehicle's
     faults: tuple[Fault, ...] = ()  # of the sensors, while the emulator drives it
     vehicle: str = ASSUMED  # that it is meant for, where no other is named
@@ -124,11 +130,24 @@ class Scenario:
 
     def swing_targets(self, step: float, begin: int, end: int) -> FloatArray:
         """(n,) where the upper structure is to swing to in each step, rad; at first it looks forward."""
-        targets = [0.0]
-        for segment in self.segments:
-            targets.append(targets[-1] if segment.swing_to is None else segment.swing_to)
-        wanted: FloatArray = np.array(targets[1:])[self._segment_at(step, begin, end)]
-        return wanted
+        return self._lasting([segment.swing_to for segment in self.segments], step, begin, end)
+
+    @property
+    def carries(self) -> bool:
+        """Whether there is ever a load in the bucket."""
+        return any(segment.load for segment in self.segments)
+
+    def carried(self, step: float, begin: int, end: int) -> FloatArray:
+        """(n,) mass in the bucket in each step, kg; at first it is empty."""
+        return self._lasting([segment.load for segment in self.segments], step, begin, end)
+
+    def _lasting(self, given: Sequence[float | None], step: float, begin: int, end: int) -> FloatArray:
+        """(n,) of each step what its segment gives, or the last that gave any; 0 before."""
+        values = [0.0]
+        for value in given:
+            values.append(values[-1] if value is None else value)
+        lasting: FloatArray = np.array(values[1:])[self._segment_at(step, begin, end)]
+        return lasting
 
     def _segment_at(self, step: float, begin: int, end: int) -> NDArray[np.int64]:
         """(n,) number of the segment of each step."""
@@ -176,6 +195,7 @@ def parse_scenario(tree: Mapping[str, Any]) -> Scenario:
         soil=text(tree, "soil") if "soil" in tree else patches[0].soil,
         segments=segments,
         patches=patches,
+        terrain=load_terrain(text(tree, "terrain")) if "terrain" in tree else FLAT,
         relief_pressure=number(tree, "relief_pressure") if "relief_pressure" in tree else None,
         faults=tuple(each(tree, "faults", read_fault)),
         vehicle=text(tree, "vehicle") if "vehicle" in tree else ASSUMED,
@@ -190,6 +210,6 @@ def _patch(entry: Mapping[str, Any]) -> Patch:
 
 def _segment(entry: Mapping[str, Any]) -> Segment:
     keys = ("duration", "left", "right")
-    refuse_unknown(entry, (*keys, "swing_to"))
-    optional = {"swing_to"} & entry.keys()
+    refuse_unknown(entry, (*keys, "swing_to", "load"))
+    optional = {"swing_to", "load"} & entry.keys()
     return Segment(**{key: number(entry, key) for key in (*keys, *optional)})

@@ -24,12 +24,13 @@ MAX_SHEAR = 10.0  # |j| is kept below this many K: all strength is mobilised the
 
 
 class Tracks(NamedTuple):
-    """Both contacts; they do not change during a run."""
+    """Both contacts; of them only the load changes during a run."""
 
     x_e: FloatArray  # (n,) m
     load: FloatArray  # (2, n) N
     element_area: float  # m²
     half_tread: float  # m
+    length: float  # m
 
 
 class Shear(NamedTuple):
@@ -64,7 +65,8 @@ def mobilise(shear: Shear, tracks: Tracks, ground: SoilMap) -> None:
                 ground.table[soil, 2],
             )
             slid = math.sqrt(shear.j[k, e, 0] ** 2 + shear.j[k, e, 1] ** 2)
-            full = cohesion * tracks.element_area + tracks.load[k, e] * tan_friction
+            area = tracks.element_area if tracks.load[k, e] > 0.0 else 0.0  # where it has not lifted
+            full = cohesion * area + tracks.load[k, e] * tan_friction
             shear.strength[k, e] = full * -math.expm1(-slid / modulus)
 
 

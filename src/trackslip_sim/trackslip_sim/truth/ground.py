@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ground of a run: one soil, and patches of others painted over it."""
+"""The ground of a run: its shape, one soil, and patches of others painted over it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.soils import Soil
 from trackslip_sim.truth.record import FloatArray, IntArray
+from trackslip_sim.truth.terrain import FLAT, Terrain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,10 +50,11 @@ class SoilMap(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The soils of a run, and where each lies."""
+    """The soils of a run, and where each lies; and the shape of the ground."""
 
     soils: tuple[Soil, ...]
     map: SoilMap
+    terrain: Terrain = FLAT
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -60,7 +62,9 @@ class Ground:
         return tuple(soil.name for soil in self.soils)
 
 
-def build_ground(base: Soil, patches: Sequence[Patch], soils: dict[str, Soil]) -> Ground:
+def build_ground(
+    base: Soil, patches: Sequence[Patch], soils: dict[str, Soil], terrain: Terrain = FLAT
+) -> Ground:
     """The ground from records.
 
     Raises:
@@ -82,7 +86,7 @@ def build_ground(base: Soil, patches: Sequence[Patch], soils: dict[str, Soil]) -
         edges=np.array(edges, dtype=np.float64).reshape(-1, 4),
         patch_soil=np.array([names.index(patch.soil) for patch in patches], dtype=np.int64),
     )
-    return Ground(tuple(records), soil_map)
+    return Ground(tuple(records), soil_map, terrain)
 
 
 @compiled

@@ -80,6 +80,7 @@ def simulate_kinematic(
         rows[:, c.THRUST + k], rows[:, c.DRIVE + k] = force, force
         rows[:, c.RESISTANCE + k] = longitudinal_resistance(v, soil.value("mu_r"), vehicle.weight)
         rows[:, c.SPOOL + k] = spool[:, k]
+        rows[:, c.LOAD + k] = 0.5 * vehicle.weight
     return Recorder(vehicle, settings, vehicle.relief_pressure, (soil.name,)).truth(rows[::every])
 
 

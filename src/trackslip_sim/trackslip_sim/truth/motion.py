@@ -5,9 +5,11 @@
     M                              diag(m, m, I_z, m_t, m_t), m_t felt at the track
     R_j                            rolling resistance ½ μ_r W of a track          N
 
-The step minimises  ½ (q - q₀)ᵀ M (q - q₀)/Δt + Σ f ρ + Σ R_j |v_j| + drive(u)  over q: backward Euler,
+    G                              weight along the ground, and its moment about C       N, N m
+
+The step minimises  ½ (q - q₀)ᵀ M (q - q₀)/Δt + Σ f ρ + Σ R_j |v_j| - Gᵀ q + drive(u)  over q: backward Euler,
 written as a convex function because friction is one. So it is stable at any stiffness, stands still without
-chatter, and dissipates: power of the tracks ≥ losses + growth of kinetic energy, at each step.
+chatter, and dissipates: power of tracks and weight ≥ losses + growth of kinetic energy, at each step.
 """
 
 import math
@@ -48,6 +50,7 @@ class Newton(NamedTuple):
     target: FloatArray  # (2,) m/s, track speeds that the oil would give
     limits: FloatArray  # (2, 2) N, lowest and highest thrust of each motor
     rolling: FloatArray  # (2,) R_j, N
+    push: FloatArray  # (3,) G
     sums: ShearSums
     gradient: FloatArray  # (5,) force left unbalanced
     matrix: FloatArray  # (5, 5) second derivatives, upper triangle
@@ -56,10 +59,10 @@ class Newton(NamedTuple):
     drive: FloatArray  # (2,) N, thrust of the motors
 
 
-def new_step() -> Newton:
-    """Work space for ``solve_step``."""
+def new_step(push: FloatArray) -> Newton:
+    """Work space for ``solve_step``, under a weight that others change."""
     sums = ShearSums(np.zeros((2, 3)), np.zeros((2, 6)))
-    given = np.zeros(SIZE), np.zeros(2), np.zeros((2, 2)), np.zeros(2)
+    given = np.zeros(SIZE), np.zeros(2), np.zeros((2, 2)), np.zeros(2), push
     return Newton(*given, sums, np.zeros(5), np.zeros((5, 5)), np.zeros(5), np.zeros(5), np.zeros(2))
 
 
@@ -70,6 +73,8 @@ def evaluate(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, newt
     force, gradient = newton.sums.force, newton.gradient
     for i in range(SIZE):
         gradient[i] = inertia_of(i, machine) / machine.step * (q[i] - newton.start[i])
+        if i < 3:
+            gradient[i] -= newton.push[i]
     for k in range(2):
         arm = tracks.half_tread * (1.0 - 2.0 * k)
         v = q[0] - q[2] * arm

@@ -25,10 +25,15 @@ class Truth:
     t: FloatArray  # s, from 0
     x: FloatArray  # m
     y: FloatArray  # m
-    yaw: FloatArray  # rad
-    v_x: FloatArray  # m/s, at C in the body frame
+    z: FloatArray  # m, up; 0 at the start
+    yaw: FloatArray  # rad, ZYX as pitch and roll (REP-103): pitch nose down, roll left side up
+    pitch: FloatArray  # rad
+    roll: FloatArray  # rad
+    v_x: FloatArray  # m/s, at C in the body frame: along the ground
     v_y: FloatArray  # m/s
-    yaw_rate: FloatArray  # rad/s
+    roll_rate: FloatArray  # rad/s, in the body frame: about x
+    pitch_rate: FloatArray  # about y
+    yaw_rate: FloatArray  # about z, the normal of the ground
     left_angle: FloatArray  # rad, sprocket
     right_angle: FloatArray
     left_speed: FloatArray  # rad/s, sprocket
@@ -40,6 +45,8 @@ class Truth:
     right_thrust: FloatArray
     left_resistance: FloatArray  # N, opposite to motion: signed as v_j
     right_resistance: FloatArray
+    left_load: FloatArray  # N, normal to the ground
+    right_load: FloatArray
     turning_moment: FloatArray  # N m, of lateral shear; positive opposes the yaw rate (M_r)
     left_pressure: FloatArray  # Pa, differential, positive drives forward
     right_pressure: FloatArray

@@ -33,15 +33,23 @@ class Column(IntEnum):
     LOSS = 19  # of shear and rolling, W
     ITERATIONS = 20  # of the solver, the most since the row before
     DRIVE = 21  # thrust of the motors, N: of the soil, and what speeds the track itself up
+    Z = 23
+    ROLL = 24
+    PITCH = 25
+    ROLL_RATE = 26  # p
+    PITCH_RATE = 27  # q
+    LOAD = 28  # on each track, N
+    SIDE = 30  # force of lateral shear on the hull, N
 
 
-WIDTH = 23
+WIDTH = 31
 
 
-def start_row(ground: SoilMap) -> FloatArray:
-    """The row (1, WIDTH) of a machine at rest at the origin."""
+def start_row(ground: SoilMap, weight: float) -> FloatArray:
+    """The row (1, WIDTH) of a machine of this weight, N, at rest at the origin of flat ground."""
     row = np.zeros((1, WIDTH))
     row[0, Column.SOIL] = soil_at(0.0, 0.0, ground)
+    row[0, Column.LOAD : Column.LOAD + 2] = 0.5 * weight
     return row
 
 
@@ -97,9 +105,14 @@ class Recorder:
             t=np.arange(first, first + len(rows), dtype=np.float64) * settings.sample_period,
             x=rows[:, c.X],
             y=rows[:, c.Y],
+            z=rows[:, c.Z],
             yaw=rows[:, c.YAW],
+            pitch=rows[:, c.PITCH],
+            roll=rows[:, c.ROLL],
             v_x=v_x,
             v_y=rows[:, c.V_Y],
+            roll_rate=rows[:, c.ROLL_RATE],
+            pitch_rate=rows[:, c.PITCH_RATE],
             yaw_rate=yaw_rate,
             left_angle=rows[:, c.ANGLE],
             right_angle=rows[:, c.ANGLE + 1],
@@ -112,6 +125,8 @@ class Recorder:
             right_thrust=rows[:, c.THRUST + 1],
             left_resistance=rows[:, c.RESISTANCE],
             right_resistance=rows[:, c.RESISTANCE + 1],
+            left_load=rows[:, c.LOAD],
+            right_load=rows[:, c.LOAD + 1],
             turning_moment=rows[:, c.MOMENT] * np.sign(yaw_rate),
             left_pressure=left_pressure,
             right_pressure=right_pressure,

@@ -2,7 +2,8 @@
 """Truth mode ``shear``: the vehicle driven over ground that shears, step by step, compiled.
 
 Commanded sprocket speeds are limited by the pumps' flow, lag in the valves, and yield at relief pressure;
-shear displacement integrates along each track's contact (Wong & Chiang 2001). See ``contact``, ``motion``.
+shear displacement integrates along each track's contact (Wong & Chiang 2001). On a terrain the weight pulls
+along the ground, and loads the contacts by where it acts. See ``contact``, ``load``, ``motion``.
 """
 
 import math
@@ -14,6 +15,7 @@ from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import thrust_of_pressure
+from trackslip_sim.truth.burden import resting_centre
 from trackslip_sim.truth.contact import (
     Shear,
     Tracks,
@@ -26,11 +28,16 @@ from trackslip_sim.truth.contact import (
 )
 from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
 from trackslip_sim.truth.lag import Valves, spools, valves_of
+from trackslip_sim.truth.load import Load, press, weigh
 from trackslip_sim.truth.motion import MAX_ITERATIONS, SIZE, Machine, Newton, new_step, solve_step
-from trackslip_sim.truth.pose import move
+from trackslip_sim.truth.pose import attitude_of, body_rates, move, pose_rates
 from trackslip_sim.truth.record import FloatArray
-from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, start_row
+from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved
 from trackslip_sim.truth.settings import TruthSettings
+from trackslip_sim.truth.terrain import FLAT, Terrain, TerrainMap, shape_at
+
+SETTLING = 3.0  # s of standing on a slope before the start: until then the soil has sheared enough to hold
+BLUNT = 2.0  # contact lengths: the least radius of ground on which a machine lies as on its tangent plane
 
 
 class Model(NamedTuple):
@@ -39,6 +46,7 @@ class Model(NamedTuple):
     machine: Machine
     tracks: Tracks
     ground: SoilMap
+    terrain: TerrainMap
     valves: Valves
     every: int  # steps between two rows
 
@@ -52,6 +60,8 @@ class State(NamedTuple):
     angle: FloatArray  # (2,) rad, of the sprockets
     spool: FloatArray  # (2,) -1 … 1
     shear: Shear
+    load: Load
+    shape: FloatArray  # (6,) of the ground, work space
     newton: Newton
 
 
@@ -65,15 +75,22 @@ def turn_axes(q: FloatArray, step: float) -> None:
 @compiled
 def write_row(row: FloatArray, model: Model, state: State, iterations: int) -> None:
     """Fill one row, still all zero."""
-    q, force = state.q, state.newton.sums.force
+    q, force, shape = state.q, state.newton.sums.force, state.shape
     for i in range(3):
         row[Column.X + i], row[Column.V_X + i] = state.pose[i], q[i]
+    yaw = state.pose[2]
+    shape_at(state.pose[0], state.pose[1], model.terrain, shape)
+    row[Column.Z] = shape[0]
+    row[Column.PITCH], row[Column.ROLL] = attitude_of(shape, yaw)
+    row[Column.ROLL_RATE], row[Column.PITCH_RATE] = body_rates(shape, yaw, q[0], q[1], q[2])
     row[Column.SOIL] = soil_at(state.pose[0], state.pose[1], model.ground)
     row[Column.MOMENT] = force[0, 2] + force[1, 2]
     row[Column.ITERATIONS] = iterations
     for k in range(2):
         row[Column.TRACK_SPEED + k], row[Column.ANGLE + k] = q[3 + k], state.angle[k]
         row[Column.SPOOL + k], row[Column.DRIVE + k] = state.spool[k], state.newton.drive[k]
+        row[Column.LOAD + k] = np.sum(model.tracks.load[k])
+        row[Column.SIDE] -= force[k, 1]
         v = q[0] - q[2] * model.tracks.half_tread * (1.0 - 2.0 * k)
         thrust = -force[k, 0]
         resistance = state.newton.rolling[k] * v / math.sqrt(v * v + model.machine.rolling_floor**2)
@@ -84,13 +101,38 @@ def write_row(row: FloatArray, model: Model, state: State, iterations: int) -> N
 
 
 @compiled
-def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
-    """Drive on under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps."""
+def lie(model: Model, state: State) -> None:
+    """Fill ``load`` and the elements' loads for the next step: halfway, but in the axes at its end."""
+    q, pose, half = state.q, state.pose, 0.5 * model.machine.step
+    shape_at(pose[0], pose[1], model.terrain, state.shape)
+    x, y, yaw = pose_rates(state.shape, pose[2], half * q[0], half * q[1], half * q[2])
+    shape_at(pose[0] + x, pose[1] + y, model.terrain, state.shape)
+    pitch, roll = attitude_of(state.shape, pose[2] + 2.0 * yaw)
+    weigh(state.load, pitch, roll)
+    press(state.load, model.tracks)
+
+
+@compiled
+def feel(model: Model, state: State) -> None:
+    """Note the hull's acceleration in the step that was solved last."""
+    for i in range(2):
+        state.load.felt[i] = (state.q[i] - state.newton.start[i]) / model.machine.step
+
+
+@compiled
+def integrate(spool: FloatArray, burden: FloatArray, model: Model, state: State) -> FloatArray:
+    """Drive on under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps.
+
+    ``burden`` (steps, 4), or (1, 4) if it does not change, as in ``Load``.
+    """
     tracks, newton, q = model.tracks, state.newton, state.q
     step, radius = model.machine.step, model.valves.radius
     rows = np.zeros(((len(spool) - 1) // model.every, WIDTH))
     worst = 0
     for i in range(len(spool) - 1):
+        for n in range(4):
+            state.load.burden[n] = burden[min(i, len(burden) - 1), n]
+        lie(model, state)
         find_soils(state.pose, tracks, model.ground, state.shear)
         mobilise(state.shear, tracks, model.ground)
         for k in range(2):
@@ -103,9 +145,10 @@ def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
             state.before[n] = q[n]
         turn_axes(q, step)
         worst = max(worst, solve_step(q, model.machine, tracks, state.shear, newton))
+        feel(model, state)
         carry(state.shear, q, tracks, step)
         limit_shear(state.shear, model.ground)
-        move(state.pose, state.before, q, step)
+        move(state.pose, state.before, q, model.terrain, step)
         for k in range(2):
             state.angle[k] += 0.5 * step * (state.before[3 + k] + q[3 + k]) / radius
         if (i + 1) % model.every == 0:
@@ -118,50 +161,92 @@ class ShearDrive:
     """A machine at rest at the origin, to be driven on piece by piece.
 
     Raises:
-        InputError: the load leaves a track, or its front or rear, without ground pressure.
+        InputError: the load leaves a track, or its front or rear, without ground pressure; or the ground
+            bends too sharply, or is too steep, to lie on it.
     """
 
     def __init__(
         self, ground: Ground, vehicle: Vehicle, settings: TruthSettings, relief_pressure: float
     ) -> None:
-        _check_load(vehicle, settings)
+        centre = resting_centre(vehicle, settings)
+        _check_load(centre, vehicle)
+        self._high = float(ground.terrain != FLAT)  # flat ground never knew how high it is
+        burden = self._burden(np.array(((vehicle.weight, *centre),)))
         self.relief_pressure = relief_pressure
+        self._terrain = ground.terrain
+        _check_terrain(self._terrain, vehicle)
         self._model = Model(
             _machine(vehicle, settings, relief_pressure),
             _tracks(vehicle, settings),
             ground.map,
+            self._terrain.map,
             valves_of(vehicle, settings),
             settings.steps_per_sample,
         )
         still = (np.zeros(3), np.zeros(SIZE), np.zeros(SIZE), np.zeros(2), np.zeros(2))
-        self._state = State(*still, unsheared(settings.elements), new_step())
+        load = Load(burden[0], np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1))
+        step = new_step(load.gravity)
+        self._state = State(*still, unsheared(settings.elements), load, np.zeros(6), step)
+        lie(self._model, self._state)
+        if self._terrain != FLAT:
+            self._settle(round(SETTLING / settings.step))
+
+    def _settle(self, steps: int) -> None:
+        """Stand until the soil has sheared as far as it must to hold, and call that place the origin."""
+        state = self._state
+        integrate(np.zeros((steps + 1, 2)), state.load.burden[None].copy(), self._model, state)
+        for start in (state.pose, state.q, state.before, state.angle, state.load.felt):
+            start[:] = 0.0
+        lie(self._model, state)
+        self._check_upright()
 
     def first(self) -> FloatArray:
         """The row (1, WIDTH) at the start."""
-        return start_row(self._model.ground)
+        row = np.zeros((1, WIDTH))
+        write_row(row[0], self._model, self._state, 0)
+        return row
 
-    def drive(self, commands: FloatArray) -> FloatArray:
-        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s.
+    def _burden(self, rows: FloatArray) -> FloatArray:
+        """Rows (n, 4) of ``Load`` with the height that counts."""
+        return np.ascontiguousarray(rows * (1.0, 1.0, 1.0, self._high))
+
+    def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; burden as in ``Mode``.
 
         Raises:
+            InputError: the machine tips over.
             UnsolvedStepError: see there.
         """
         commands = np.ascontiguousarray(commands, dtype=np.float64)
         spool = spools(commands, self._model.valves, self._state.spool)
-        rows: FloatArray = integrate(spool, self._model, self._state)
+        lasting = self._state.load.burden[None].copy() if burden is None else self._burden(burden)
+        rows: FloatArray = integrate(spool, lasting, self._model, self._state)
         refuse_unsolved(rows, MAX_ITERATIONS)
+        self._check_upright()
         return rows
+
+    def _check_upright(self) -> None:
+        if self._state.load.tipped[0]:
+            x, y = self._state.pose[:2]
+            raise InputError(
+                f"terrain '{self._terrain.name}': the machine tips over before ({x:.1f}, {y:.1f}) m;"
+                " accepted: gentler ground, or a centre of gravity that is lower"
+            )
+
+
+def _check_terrain(terrain: Terrain, vehicle: Vehicle) -> None:
+    least = BLUNT * vehicle.contact_length
+    if not terrain.radius >= least:
+        raise InputError(
+            f"terrain '{terrain.name}': a bend of radius {terrain.radius:.3g} m is refused;"
+            f" accepted: >= {least:.3g} m, {BLUNT:g} contact lengths"
+        )
 
 
 def _tracks(vehicle: Vehicle, settings: TruthSettings) -> Tracks:
-    """Weight is linear along the track, and split between the tracks by moments."""
     length, n = vehicle.contact_length, settings.elements
-    x_e = element_positions(length, n)
-    along = (1.0 + 12.0 * settings.load_x * x_e / length**2) / n
-    offset = settings.load_y / vehicle.tread
-    split = np.array([0.5 + offset, 0.5 - offset])
-    load = vehicle.weight * split[:, None] * along[None, :]
-    return Tracks(x_e, load, length * vehicle.track_width / n, 0.5 * vehicle.tread)
+    area = length * vehicle.track_width / n
+    return Tracks(element_positions(length, n), np.zeros((2, n)), area, 0.5 * vehicle.tread, length)
 
 
 def _machine(vehicle: Vehicle, settings: TruthSettings, relief_pressure: float) -> Machine:
@@ -180,10 +265,10 @@ def _machine(vehicle: Vehicle, settings: TruthSettings, relief_pressure: float) 
     )
 
 
-def _check_load(vehicle: Vehicle, settings: TruthSettings) -> None:
+def _check_load(centre: FloatArray, vehicle: Vehicle) -> None:
     for name, value, limit in (
-        ("load_x", settings.load_x, vehicle.contact_length / 6),
-        ("load_y", settings.load_y, vehicle.tread / 2),
+        ("load_x", float(centre[0]), vehicle.contact_length / 6),
+        ("load_y", float(centre[1]), vehicle.tread / 2),
     ):
         if not abs(value) < limit:
             raise InputError(

@@ -13,6 +13,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UpperStructure, Vehicle, load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario
+from trackslip_sim.truth.burden import Burden
 from trackslip_sim.truth.ground import Ground, build_ground
 from trackslip_sim.truth.record import FloatArray, Truth, joined
 from trackslip_sim.truth.rows import Recorder
@@ -37,8 +38,11 @@ class Mode(Protocol):
     def first(self) -> FloatArray:
         """The row (1, WIDTH) at the start."""
 
-    def drive(self, commands: FloatArray) -> FloatArray:
-        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s."""
+    def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s.
+
+        ``burden`` (n, 4): what the machine weighs, N, and where its centre of gravity is, m; None: as it was.
+        """
 
 
 MODES: Mapping[str, type[Mode]] = MappingProxyType({"shear": ShearDrive, "thesis": ThesisDrive})
@@ -87,24 +91,29 @@ def simulate_in_pieces(
     name = soil if soil is not None else scenario.soil
     if name not in soils:
         raise InputError(f"soil: '{name}' is unknown; accepted: {', '.join(soils)}")
-    ground = build_ground(soils[name], scenario.patches, soils)
+    ground = build_ground(soils[name], scenario.patches, soils, scenario.terrain)
     vehicle, settings = vehicle or load_vehicle().whole(), settings or load_settings()
     relief = scenario.relief_pressure or vehicle.relief_pressure
     machine = MODES[mode](ground, vehicle, settings, relief)
     recorder = Recorder(vehicle, settings, machine.relief_pressure, ground.names)
-    return _drive(scenario, machine, recorder, Swing(scenario, upper, settings))
+    swing, burden = Swing(scenario, upper, settings), Burden(scenario, vehicle, upper, settings)
+    return _drive(machine, recorder, swing, burden)
 
 
-def _drive(scenario: Scenario, machine: Mode, recorder: Recorder, swing: Swing) -> Iterator[Truth]:
-    settings = recorder.settings
+def _drive(machine: Mode, recorder: Recorder, swing: Swing, burden: Burden) -> Iterator[Truth]:
+    settings, scenario = recorder.settings, burden.scenario
+    every = settings.steps_per_sample
     steps = scenario.steps(settings.step)
-    piece = max(1, round(PIECE / settings.sample_period)) * settings.steps_per_sample
+    piece = max(1, round(PIECE / settings.sample_period)) * every
     done = 1
     start = recorder.truth(machine.first())
     for begin in range(0, steps, piece):
         end = min(begin + piece, steps)
-        rows = machine.drive(scenario.commands(settings.step, begin, end))
-        truth = recorder.truth(rows, done, swing.drive(begin, end))
+        swung = swing.drive(begin, end)
+        rows = machine.drive(
+            scenario.commands(settings.step, begin, end), burden.rows(swung[:, 0], begin, end)
+        )
+        truth = recorder.truth(rows, done, swung[every - 1 :: every])
         yield joined([start, truth]) if begin == 0 else truth
         done += len(rows)
 

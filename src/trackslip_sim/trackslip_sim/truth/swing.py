@@ -45,13 +45,11 @@ class Swing:
         self._drive = upper.drive.rate, upper.drive.acceleration, upper.drive.backlash
 
     def drive(self, begin: int, end: int) -> FloatArray:
-        """(n, 2) σ and its rate at the samples after the steps from ``begin`` up to ``end``."""
-        every = self._settings.steps_per_sample
+        """(n, 2) σ and its rate after each of the steps from ``begin`` up to ``end``."""
         if self._still:
-            return np.zeros(((end - begin) // every, 2))
+            return np.zeros((end - begin, 2))
         targets = self._scenario.swing_targets(self._settings.step, begin, end)
-        swung = swing_to(targets, self._drive, self._settings.step, self._state)
-        return np.asarray(swung[every - 1 :: every])
+        return np.asarray(swing_to(targets, self._drive, self._settings.step, self._state))
 
 
 @compiled

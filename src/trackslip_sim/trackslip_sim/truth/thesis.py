@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.compiled import compiled
+from trackslip_common.errors import InputError
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
@@ -28,6 +29,7 @@ from trackslip_sim.truth.pose import move
 from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, start_row
 from trackslip_sim.truth.settings import TruthSettings
+from trackslip_sim.truth.terrain import FLAT, TerrainMap
 
 TOLERANCE = 1e-6  # N left unbalanced, moments over half the tread
 MAX_ITERATIONS = 50
@@ -52,6 +54,7 @@ class Model(NamedTuple):
 
     body: Body
     ground: SoilMap
+    terrain: TerrainMap
     valves: Valves
     every: int  # steps between two rows
 
@@ -153,6 +156,7 @@ def write_row(row: FloatArray, state: State, body: Body, counts: tuple[int, int]
         row[Column.TRACK_SPEED + k], row[Column.ANGLE + k] = at.u[k], state.angle[k]
         row[Column.THRUST + k], row[Column.DRIVE + k] = at.thrust[k], at.thrust[k]
         row[Column.RESISTANCE + k], row[Column.SPOOL + k] = at.resistance[k], state.spool[k]
+        row[Column.LOAD + k] = 0.5 * body.weight
     row[Column.MOMENT] = at.moment[0]
     power = at.thrust[0] * at.u[0] + at.thrust[1] * at.u[1]
     left, right = at.thrust[0] - at.resistance[0], at.thrust[1] - at.resistance[1]
@@ -180,7 +184,7 @@ def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
         worst = max(worst, solve(q, body, at))
         # tan α = -sign(φ̇) φ̇² l/(4 g μ_l), erratum 6
         q[1] = -q[0] * q[2] * abs(q[2]) * body.length * body.mass / (4.0 * body.weight * at.soil[3])
-        move(state.pose, before, q, body.step)
+        move(state.pose, before, q, model.terrain, body.step)
         for k in range(2):
             state.angle[k] += 0.5 * body.step * (spool[i - 1, k] + spool[i, k]) * top / model.valves.radius
         if i % model.every == 0:
@@ -193,33 +197,38 @@ class ThesisDrive:
     """A machine at rest at the origin, to be driven on piece by piece; relief pressure plays no part in it.
 
     Raises:
-        InputError: a soil lacks μ_l.
+        InputError: a soil lacks μ_l, or the ground is not flat.
     """
 
     def __init__(
         self, ground: Ground, vehicle: Vehicle, settings: TruthSettings, relief_pressure: float
     ) -> None:
         del relief_pressure
+        if ground.terrain != FLAT:
+            raise InputError(f"terrain '{ground.terrain.name}': mode thesis knows none; accepted: mode shear")
         self.relief_pressure = vehicle.relief_pressure
         self._model = Model(
             _body(vehicle, settings),
             ground.map._replace(table=_table(ground, vehicle)),
+            FLAT.map,
             valves_of(vehicle, settings),
             settings.steps_per_sample,
         )
+        self._weight = vehicle.weight
         work = Balance(*(np.zeros(size) for size in (3, 3, 2, 4, 2, 3, 2, 2, 1)))
         self._state = State(np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(2), work)
 
     def first(self) -> FloatArray:
         """The row (1, WIDTH) at the start."""
-        return start_row(self._model.ground)
+        return start_row(self._model.ground, self._weight)
 
-    def drive(self, commands: FloatArray) -> FloatArray:
-        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s.
+    def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; no burden changes them.
 
         Raises:
             UnsolvedStepError: see there.
         """
+        del burden
         spool = spools(commands, self._model.valves, self._state.spool)
         rows: FloatArray = integrate(spool, self._model, self._state)
         refuse_unsolved(rows, MAX_ITERATIONS)

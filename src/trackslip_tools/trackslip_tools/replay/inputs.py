@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.manual_poses import input_names
 from trackslip_bags.parameters import bag_parameters, read_parameters
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
@@ -94,7 +95,7 @@ class InputStream:
         require_topics(bag, [backwards.get(SPROCKETS, SPROCKETS)])
         self._bag, self._filters, self._tables = bag, filters, tables
         self._reloadable = reloadable(p)
-        names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
+        names = {topic: filters.remap.get(name, name) for topic, name in input_names(bag).items()}
         self._readers = _readers(p, {name: bag.topics[topic].type_name for topic, name in names.items()})
         self.sources = (*self._readers, RELOAD, *_COMMANDS)
         wanted = {*self._readers, REPORTS, RELOAD, *tables}

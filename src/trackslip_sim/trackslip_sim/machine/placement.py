@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the machine is and how it lies, for what is mounted on it."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class Placement(NamedTuple):
+    """Of base_link in the site frame; angles ZYX as in REP-103."""
+
+    x: float  # m
+    y: float
+    yaw: float  # rad
+    z: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+
+    def rotation(self) -> FloatArray:
+        """(3, 3), from base_link to the site's axes."""
+        (c_r, s_r), (c_p, s_p), (c_y, s_y) = (
+            (math.cos(angle), math.sin(angle)) for angle in (self.roll, self.pitch, self.yaw)
+        )
+        return np.array(
+            (
+                (c_y * c_p, c_y * s_p * s_r - s_y * c_r, c_y * s_p * c_r + s_y * s_r),
+                (s_y * c_p, s_y * s_p * s_r + c_y * c_r, s_y * s_p * c_r - c_y * s_r),
+                (-s_p, c_p * s_r, c_p * c_r),
+            )
+        )
+
+    def point(self, x: float, y: float, z: float) -> tuple[float, float, float]:
+        """A point of base_link, m, in the site frame."""
+        east, north, up = (self.rotation() @ (x, y, z)).tolist()
+        return self.x + east, self.y + north, self.z + up
+
+    def azimuth(self, direction: float) -> float:
+        """Seen from above, of a direction in the plane of the tracks, rad from x; within ±π of ``yaw``."""
+        east, north, _ = (self.rotation() @ (math.cos(direction), math.sin(direction), 0.0)).tolist()
+        return self.yaw + math.remainder(math.atan2(north, east) - self.yaw, 2.0 * math.pi)
+
+    def swung(self, angle: float, axis: tuple[float, float]) -> "Placement":
+        """Of a frame that is base_link turned about a vertical axis of it at (x, y), m, by an angle, rad."""
+        cos, sin = math.cos(angle), math.sin(angle)
+        turned = self.rotation() @ ((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0))
+        left = axis[0] - cos * axis[0] + sin * axis[1], axis[1] - sin * axis[0] - cos * axis[1], 0.0
+        x, y, z = self.point(*left)
+        around = self.yaw + angle
+        yaw = around + math.remainder(math.atan2(turned[1, 0], turned[0, 0]) - around, 2.0 * math.pi)
+        pitch, roll = -math.asin(turned[2, 0]), math.atan2(turned[2, 1], turned[2, 2])
+        return Placement(x=x, y=y, z=z, yaw=yaw, pitch=pitch, roll=roll)

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Terrains: the shape of the ground (``config/terrains/*.yaml``); lengths in m, angles in ° as names say."""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from trackslip_common.config_files import config_directory, read_yaml
+from trackslip_common.errors import InputError
+from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
+from trackslip_sim.truth.terrain import FLAT, Feature, Hill, Plane, Ramp, Terrain
+
+
+def terrain_names() -> list[str]:
+    """Names of the terrains in ``config/terrains``, and ``flat``."""
+    return [FLAT.name, *sorted(path.stem for path in (config_directory() / "terrains").glob("*.yaml"))]
+
+
+def load_terrain(name_or_file: str) -> Terrain:
+    """A terrain by its name in ``config/terrains``, or from a file of the user's own.
+
+    Raises:
+        InputError: there is no such terrain, or its file is refused.
+    """
+    if name_or_file == FLAT.name:
+        return FLAT
+    named = config_directory() / "terrains" / f"{name_or_file}.yaml"
+    for path in (named, Path(name_or_file)):
+        if path.is_file():
+            try:
+                return parse_terrain(read_yaml(path))
+            except InputError as error:
+                raise InputError(f"{path}: {error}") from error
+    raise InputError(
+        f"terrain: '{name_or_file}' is unknown; accepted: {', '.join(terrain_names())}, or a YAML file"
+    )
+
+
+def parse_terrain(tree: Mapping[str, Any]) -> Terrain:
+    """A terrain from the mapping of its file.
+
+    Raises:
+        InputError: a key is missing or unknown, or a value is refused.
+    """
+    refuse_unknown(tree, ("name", "features"))
+    return Terrain(text(tree, "name"), tuple(each(tree, "features", _feature)))
+
+
+def _feature(entry: Mapping[str, Any]) -> Feature:
+    kind = text(entry, "kind")
+    if kind not in _KINDS:
+        raise InputError(f"kind = {kind!r} is refused; accepted: {', '.join(_KINDS)}")
+    build, keys = _KINDS[kind]
+    refuse_unknown(entry, ("kind", *keys))
+    numbers = {key: _finite(entry, key) for key in keys}
+    for key in ("rounding", "width"):
+        if key in numbers and not numbers[key] > 0.0:
+            raise InputError(f"{key} = {numbers[key]!r} is refused; accepted: > 0 m")
+    if numbers.get("length", 0.0) < numbers.get("rounding", 0.0):
+        raise InputError(f"length = {numbers['length']!r} is refused; accepted: >= rounding")
+    return build(*(math.radians(value) if key.endswith("_deg") else value for key, value in numbers.items()))
+
+
+def _finite(entry: Mapping[str, Any], key: str) -> float:
+    value = number(entry, key)
+    if not math.isfinite(value):
+        raise InputError(f"{key} = {value!r} is refused; accepted: a finite number")
+    return value
+
+
+_DIRECTED = ("direction_deg", "slope_deg")
+_KINDS: Mapping[str, tuple[Callable[..., Feature], tuple[str, ...]]] = MappingProxyType(
+    {
+        "plane": (Plane, _DIRECTED),
+        "ramp": (Ramp, (*_DIRECTED, "start", "length", "rounding")),
+        "hill": (Hill, ("x", "y", "height", "width")),
+    }
+)

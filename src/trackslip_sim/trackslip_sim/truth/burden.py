@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the machine weighs, and where, as its upper structure swings and its bucket fills.
+
+m, m_u, m_b    mass of the machine, share of it that swings, in the bucket                kg
+r_0, r_g       centre of gravity looking forward and empty, as it is                      m
+c, a, r_b      centre of the upper structure ahead of its axis, the axis, the bucket      m
+R              rotation by σ
+
+r_g = (m r_0 + m_u (R c - c) + m_b (a + R (r_b - a)))/(m + m_b)
+
+Weight moves, not inertia: m and I_z of the equations of motion stay those of the empty machine.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trackslip_common.errors import InputError
+from trackslip_common.vehicle import GRAVITY, UpperStructure, Vehicle
+from trackslip_sim.scenarios.scenario import Scenario
+from trackslip_sim.truth.record import FloatArray
+from trackslip_sim.truth.settings import TruthSettings
+
+
+def resting_centre(vehicle: Vehicle, settings: TruthSettings) -> FloatArray:
+    """r_0 (3,): the vehicle's, and what of it nobody knows."""
+    centre = vehicle.centre_of_gravity
+    x, y, z = (centre.x, centre.y, centre.z) if centre is not None else (0.0, 0.0, 0.0)
+    return np.array((x + settings.load_x, y + settings.load_y, z))
+
+
+@dataclass(frozen=True)
+class Burden:
+    """Of one run.
+
+    Raises:
+        InputError: the scenario loads a bucket that the vehicle does not have.
+    """
+
+    scenario: Scenario
+    vehicle: Vehicle
+    upper: UpperStructure | None
+    settings: TruthSettings
+
+    def __post_init__(self) -> None:
+        if self.scenario.carries and self.vehicle.bucket is None:
+            raise InputError(
+                f"scenario '{self.scenario.name}' loads the bucket; accepted: a vehicle with mass.bucket"
+            )
+
+    def rows(self, swing: FloatArray, begin: int, end: int) -> FloatArray:
+        """(n, 4) weight, N, and r_g, m, in the steps from ``begin`` up to ``end``; ``swing`` (n,) is σ."""
+        mass, upper, bucket = self.vehicle.mass, self.upper, self.vehicle.bucket
+        axis = (upper.swing_axis_x, upper.swing_axis_y) if upper is not None else (0.0, 0.0)
+        moments = np.tile(mass * resting_centre(self.vehicle, self.settings), (end - begin, 1))
+        cos, sin = np.cos(swing), np.sin(swing)
+        if upper is not None:
+            moments[:, 0] += upper.mass * upper.centre_x * (cos - 1.0)
+            moments[:, 1] += upper.mass * upper.centre_x * sin
+        masses = np.full(end - begin, mass)
+        if bucket is not None:
+            carried = self.scenario.carried(self.settings.step, begin, end)
+            ahead, left = bucket.x - axis[0], -axis[1]
+            moments[:, 0] += carried * (axis[0] + cos * ahead - sin * left)
+            moments[:, 1] += carried * (axis[1] + sin * ahead + cos * left)
+            moments[:, 2] += carried * bucket.z
+            masses += carried
+        return np.column_stack((GRAVITY * masses, moments / masses[:, None]))

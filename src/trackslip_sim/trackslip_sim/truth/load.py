@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the machine's weight presses on the elements of its contacts, compiled.
+
+    G            gravity in the body frame: m g (sin θ, -cos θ sin ϕ, -cos θ cos ϕ)     N
+    r_g          centre of gravity (x_g, y_g, h_g), h_g above the ground                m
+    a            acceleration of C in the body frame, that of the step before          m/s²
+    N            m g cos θ cos ϕ                                                        N
+    x_N, y_N     centre of pressure: r_g less h_g (m a - G)/N                           m
+
+Pressure is linear along the track while |x_N| <= l/6, beyond it a triangle that ends where the track lifts;
+the tracks share N by moments. The machine tips over where the weight alone has its centre of pressure beyond
+the contacts; what acceleration adds to that is limited to them. N is without v²κ of a bend, < 0.3 % of it.
+"""
+
+import math
+from typing import NamedTuple
+
+from trackslip_common.compiled import compiled
+from trackslip_common.vehicle import GRAVITY
+from trackslip_sim.truth.contact import Tracks
+from trackslip_sim.truth.record import FloatArray
+
+_LAST = 0.499  # of l and of B: how far the centre of pressure goes before the machine tips over
+
+
+class Load(NamedTuple):
+    """What presses on the ground, step by step."""
+
+    burden: FloatArray  # (4,) m g, r_g: may change from step to step
+    felt: FloatArray  # (2,) a
+    gravity: FloatArray  # (3,) G_x, G_y, and their moment about the normal at C
+    pressed: FloatArray  # (3,) N, x_N, y_N
+    resting: FloatArray  # (2,) x_N, y_N without a
+    tipped: FloatArray  # (1,) 1 once the machine has tipped over
+
+
+@compiled
+def weigh(load: Load, pitch: float, roll: float) -> None:
+    """Fill ``gravity``, ``pressed`` and ``resting``."""
+    weight, centre = load.burden[0], load.burden[1:]
+    along, across = math.sin(pitch), -math.cos(pitch) * math.sin(roll)
+    normal = math.cos(pitch) * math.cos(roll)
+    load.gravity[0], load.gravity[1] = weight * along, weight * across
+    load.gravity[2] = centre[0] * load.gravity[1] - centre[1] * load.gravity[0]
+    load.pressed[0] = weight * normal
+    for i, share in ((0, along), (1, across)):
+        load.pressed[1 + i] = centre[i] - centre[2] * (load.felt[i] / GRAVITY - share) / normal
+        load.resting[i] = centre[i] + centre[2] * share / normal
+
+
+@compiled
+def press(load: Load, tracks: Tracks) -> None:
+    """Fill the loads of the elements; where the machine would tip over, ``tipped``."""
+    n, length = len(tracks.x_e), tracks.length
+    far, aside = _LAST * length, _LAST * 2.0 * tracks.half_tread
+    if abs(load.resting[0]) > far or abs(load.resting[1]) > aside:
+        load.tipped[0] = 1.0
+    x = min(max(load.pressed[1], -far), far)
+    offset = min(max(load.pressed[2], -aside), aside) / (2.0 * tracks.half_tread)
+    for k in range(2):
+        total = load.pressed[0] * (0.5 + offset * (1.0 - 2.0 * k))
+        for e in range(n):
+            share = (1.0 + 12.0 * x * tracks.x_e[e] / length**2) / n
+            if abs(x) > length / 6.0:
+                reach = 3.0 * (0.5 - abs(x) / length)  # that still lies on the ground, of the length
+                front = (e if x > 0.0 else n - 1 - e) / n  # from the loaded end
+                share = max(1.0 - front / reach, 0.0) ** 2 - max(1.0 - (front + 1.0 / n) / reach, 0.0) ** 2
+            tracks.load[k, e] = total * share

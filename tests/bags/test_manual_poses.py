@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which topic of a bag tells of poses that somebody set."""
+
+from pathlib import Path
+
+import pytest
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.manual_poses import input_names
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.playback import played, played_topics
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+GIVEN, REPEATED = "/slip_estimator/set_pose", "/slip_estimator/pose_set"
+
+
+@pytest.fixture(params=[(GIVEN,), (GIVEN, REPEATED), (REPEATED,)], ids=len)
+def path(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    with BagWriter(tmp_path / "bag") as bag:
+        for k, topic in enumerate(request.param):
+            bag.write(topic, POSE, serialize(make(POSE)), k)
+    return tmp_path / "bag"
+
+
+def test_each_pose_that_was_set_is_read_and_played_once(path: Path) -> None:
+    with open_bag(path) as bag:
+        assert list(input_names(bag).values()) == ["slip_estimator/set_pose"]
+        topics = played_topics(bag, InputFilters(), ())
+        assert topics == {GIVEN: POSE}
+        assert [message.topic for message in played(bag, InputFilters(), topics)] == [GIVEN]
+
+
+def test_a_repetition_that_never_came_hides_nothing(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic(REPEATED, POSE, [])
+        bag.write(GIVEN, POSE, serialize(make(POSE)), 1)
+    with open_bag(tmp_path / "bag") as opened:
+        assert input_names(opened)[GIVEN] == "slip_estimator/set_pose"

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SROS2: the policy allows what the nodes do and no more; without keys, Enforce lets no node start."""
+
+import copy
+import os
+import subprocess
+import time
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import rclpy
+from fixtures import unseen_bus
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from trackslip_bags.nodes.record import RecordNode
+from trackslip_common.topics import COMMANDS, TOPICS
+from trackslip_drivers.nodes.can_driver import CanDriverNode
+from trackslip_drivers.nodes.nmea_gnss import NmeaNode
+from trackslip_drivers.nodes.sick_pls import SickNode
+from trackslip_drivers.nodes.watson_imu import WatsonNode
+from trackslip_drivers.nodes.wheel_adapter import WheelAdapterNode
+from trackslip_estimation.nodes.box_localizer import BoxLocalizerNode
+from trackslip_estimation.nodes.gnss_localizer import GnssLocalizerNode
+from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
+from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
+from trackslip_sim.nodes.emulator import EmulatorNode
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+SECURITY = Path(__file__).parents[2] / "deploy" / "security"
+INCLUDE = "{http://www.w3.org/2001/XInclude}include"
+CONFIGURED = (
+    *(CanDriverNode, WheelAdapterNode, WatsonNode, SickNode, NmeaNode),
+    *(BoxLocalizerNode, GnssLocalizerNode, SlipEstimatorNode, SoilEstimatorNode, EmulatorNode),
+)
+OF_PEOPLE = {"observer", "operator"}
+OPTIONAL = set() if find_spec("tf2_msgs") else {"/tf"}
+DEADLINE = 30.0  # s
+
+
+class Rights(NamedTuple):
+    """Absolute names."""
+
+    publish: set[str]
+    subscribe: set[str]
+    reply: set[str]
+    request: set[str]
+
+
+def read_policy() -> dict[str, Rights]:
+    """{node: rights}, as sros2 reads the policy: with what is included, and names made absolute."""
+    common = list(ElementTree.parse(SECURITY / "node.xml").getroot())
+    found = {}
+    for enclave in ElementTree.parse(SECURITY / "policy.xml").getroot().iter("enclave"):
+        (profile,) = enclave.iter("profile")
+        name = profile.attrib["node"]
+        assert (enclave.attrib["path"], profile.attrib["ns"]) == (f"/{name}", "/")
+        rights = Rights(set(), set(), set(), set())
+        for group in profile:
+            if group.tag == INCLUDE:
+                assert group.attrib == {"href": "node.xml", "xpointer": "xpointer(/profile/*)"}
+            for part in copy.copy(common) if group.tag == INCLUDE else [group]:
+                ((kind, allowed),) = part.attrib.items()
+                assert allowed == "ALLOW"
+                getattr(rights, kind).update(absolute(entry.text or "", name) for entry in part)
+        found[name] = rights
+    return found
+
+
+def absolute(text: str, node: str) -> str:
+    return text if text.startswith("/") else f"/{text.replace('~', node)}"
+
+
+@pytest.fixture
+def graph(domain: int, tmp_path: Path, udp_port: int) -> Iterator[Node]:
+    """All nodes, with all sources and outputs that they can have; gives one to look with."""
+    dbc, roles = unseen_bus.write(tmp_path)
+    parameters = {
+        "can_driver:dbc_file": dbc,
+        "can_driver:roles_file": roles,
+        "slip_estimator:pose_sources": "[box_pose, gnss_pose]",
+        "slip_estimator:heading_sources": "[heading]",
+        "slip_estimator:slip_sources": "[slip_seed]",
+        "emulator:device_directory": tmp_path / "devices",
+        "emulator:can_port": udp_port,
+        "emulator:duration": 1.0,
+        "record:output": tmp_path / "bag",
+    }
+    arguments = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    given = ["--ros-args", *arguments]
+    rclpy.init(args=given, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    nodes: list[Any] = [kind() for kind in CONFIGURED]
+    for node in nodes:
+        node.trigger_configure()
+    nodes.append(RecordNode())
+    nodes[-1].start()  # it subscribes when it is active
+    yield nodes[-1]
+    for node in nodes:
+        node.end()
+        node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def rights_in_use(graph: Node, name: str) -> Rights:
+    """What a node of the graph does."""
+    lists = (
+        graph.get_publisher_names_and_types_by_node,
+        graph.get_subscriber_names_and_types_by_node,
+        graph.get_service_names_and_types_by_node,
+        graph.get_client_names_and_types_by_node,
+    )
+    return Rights(*({topic for topic, _ in names(name, "/")} for names in lists))
+
+
+def test_the_policy_is_what_the_nodes_do(graph: Node) -> None:
+    policy = read_policy()
+    names = set(policy) - OF_PEOPLE
+    give_up = time.monotonic() + DEADLINE
+    while not names <= set(graph.get_node_names()) and time.monotonic() < give_up:
+        time.sleep(0.05)
+    assert set(graph.get_node_names()) == names
+    for name in sorted(names):
+        for allowed, used, what in zip(policy[name], rights_in_use(graph, name), Rights._fields, strict=True):
+            assert allowed - OPTIONAL == used - OPTIONAL, f"{name}: {what}"
+
+
+def test_what_somebody_steers_by_comes_from_one_node_alone() -> None:
+    policy = read_policy()
+    for topic in set(TOPICS) - {"diagnostics", *COMMANDS}:
+        full = absolute("/tf" if topic == "tf" else topic, "")
+        publishers = {name for name, rights in policy.items() if full in rights.publish}
+        expected = {"vehicle": {"slip_estimator", "emulator"}, "sprockets": {"can_driver", "wheel_adapter"}}
+        assert len(publishers) == len(expected.get(topic, {topic})), f"{topic}: {publishers}"
+    for topic in COMMANDS:
+        assert {n for n, rights in policy.items() if f"/{topic}" in rights.publish} == {"operator"}
+    assert {n for n, rights in policy.items() if "/odometry" in rights.publish} == {"slip_estimator"}
+    assert not policy["observer"].request
+
+
+@pytest.mark.parametrize("keystore", [None, "empty"])
+def test_enforce_without_keys_starts_no_node(programs: Any, keystore: str | None) -> None:
+    security = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    if keystore is not None:
+        (programs.folder / keystore / "enclaves").mkdir(parents=True)
+        security["ROS_SECURITY_KEYSTORE"] = str(programs.folder / keystore)
+    programs.environment = {**programs.environment, **security}
+    program = programs.node("wheel_adapter")
+    assert program.wait() == 2
+    (line,) = program.stderr.splitlines()
+    assert "ROS_SECURITY_ENABLE" in line
+    assert "docs/security.md" in line
+
+
+def test_the_script_for_keys_refuses_what_it_cannot_use(tmp_path: Path) -> None:
+    script = SECURITY / "make_keystore.sh"
+    for arguments, word in (((), "usage"), (("keys", "a b"), "NAMESPACE"), (("keys", "/a"), "NAMESPACE")):
+        done = subprocess.run([script, *arguments], capture_output=True, text=True, cwd=tmp_path, check=False)
+        assert done.returncode == 2
+        assert word in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("namespace", ["", "digger1"])
+def test_the_script_for_keys_gives_sros2_the_policy_in_its_namespace(tmp_path: Path, namespace: str) -> None:
+    """Of sros2, which comes from apt alone, the words that it is called with."""
+    (tmp_path / "ros2").write_text(
+        '#!/bin/sh\necho "$@"\nfor last; do :; done\n[ -f "$last" ] && cat "$last"\n:\n'
+    )
+    (tmp_path / "ros2").chmod(0o755)
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    command = [SECURITY / "make_keystore.sh", tmp_path / "keys", *filter(None, [namespace])]
+    said = subprocess.run(command, capture_output=True, text=True, env=environment, check=True).stdout
+    assert said.startswith(f"security create_keystore {tmp_path}/keys\nsecurity generate_artifacts -k ")
+    prefix = f"/{namespace}" if namespace else ""
+    assert f'<enclave path="{prefix}/slip_estimator">' in said
+    assert f'<profile ns="/{namespace}" node="slip_estimator">' in said
+    assert said.count("<profile ns") == len(read_policy())
