@@ -29,6 +29,7 @@ from trackslip_estimation.nodes.gnss_localizer import GnssLocalizerNode
 from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 from trackslip_sim.nodes.emulator import EmulatorNode
+from trackslip_tools.nodes.live import LiveNode
 
 pytestmark = pytest.mark.xdist_group("graph")
 
@@ -36,7 +37,7 @@ SECURITY = Path(__file__).parents[2] / "deploy" / "security"
 INCLUDE = "{http://www.w3.org/2001/XInclude}include"
 CONFIGURED = (
     *(CanDriverNode, WheelAdapterNode, WatsonNode, SickNode, NmeaNode),
-    *(BoxLocalizerNode, GnssLocalizerNode, SlipEstimatorNode, SoilEstimatorNode, EmulatorNode),
+    *(BoxLocalizerNode, GnssLocalizerNode, SlipEstimatorNode, SoilEstimatorNode, EmulatorNode, LiveNode),
 )
 OF_PEOPLE = {"observer", "operator"}
 OPTIONAL = set() if find_spec("tf2_msgs") else {"/tf"}
