@@ -93,6 +93,7 @@ def _strip(panel: Panel, x_range: Range1d, number: int, first: int) -> figure:
     plot = time_plot(panel, x_range, 1)
     still(plot)
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
+    plot.title.text = panel.title.partition(":")[0]
     plot.legend.visible = len(panel.curves) > 1
     plot.xaxis.ticker, plot.xaxis.formatter = (
         DatetimeTicker(desired_num_ticks=4),

@@ -8,7 +8,7 @@ const RETRY = 500 // ms between attempts
 const KEPT = 1600 // rows of the strips
 const LEVELS = ["ok", "warn", "error", "stale", "silent"]
 const WORDS = ["✓ ok", "▲ warning", "✖ error", "◌ no data", "✖ silent"]
-const MARGIN = 0.5 // m about the path
+const MARGIN = 1 // m about the path
 const CLOSEST = 2, WIDEST = 2000 // m across
 const EVENTS = 200
 const NARROW = 760, LOW = 340 // pixels: on a narrow page the path is lower
@@ -28,7 +28,10 @@ async function begin() {
   const drawn = Bokeh.documents[0]
   models = name => drawn.get_model_by_name(name)
   lines = page.lines.map((_, k) => models(`line-${k}`))
-  if (innerWidth < NARROW) models("path").height = LOW
+  if (innerWidth < NARROW) {
+    models("path").height = LOW
+    for (const name in page.plots) if (models(name).title !== null) models(name).title.text_font_size = "12px"
+  }
   connect()
   setInterval(watch, 500)
 }
