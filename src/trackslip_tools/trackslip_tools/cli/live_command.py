@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     given = {name: value for name, value in given.items() if value is not None}
     if args.bag is not None:
         p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
-        with open_bag(args.bag, args.namespace) as bag, _with_estimates(bag) as whole:
+        with open_bag(args.bag, args.namespace) as bag, with_estimates(bag) as whole:
             return _serve(whole, p, InputFilters(start_s=args.start or 0.0), args.rate or 1.0)
     if args.rate is not None or args.start is not None:
         raise InputError("--rate, --start: accepted only together with a BAG")
@@ -88,7 +88,7 @@ def _serve(bag: Bag, p: LiveParameters, filters: InputFilters, rate: float) -> i
 
 
 @contextmanager
-def _with_estimates(bag: Bag) -> Iterator[Bag]:
+def with_estimates(bag: Bag) -> Iterator[Bag]:
     """The bag and, where it holds none, the estimates that a replay of it gives."""
     if any(topic.removeprefix("/") == "odometry" for topic in bag.topics):
         yield bag

@@ -18,7 +18,7 @@ from trackslip_tools.report.plots import time_plot
 from trackslip_tools.report.quantities import Quantity, Shown
 
 _STRIP_HEIGHT = 190
-_CLOCK = dict.fromkeys(("seconds", "minsec", "minutes", "hourmin", "hours"), "%H:%M:%S")
+_CLOCK = dict.fromkeys(("seconds", "minsec", "minutes", "hourmin", "hours", "days"), "%H:%M:%S")
 _SLIPS, _RESERVES = (-0.2, 1.0), (0.0, 1.0)  # ranges of gauges
 
 
@@ -83,7 +83,8 @@ def _document() -> tuple[Document, dict[str, str]]:
     for k, panel in enumerate(panels):
         plots[f"strip-{k}"] = _strip(panel, x_range, k, first)
         first += len(panel.curves)
-    for plot in plots.values():
+    for name, plot in plots.items():
+        plot.name = name
         document.add_root(plot)
     return document, {name: plot.id for name, plot in plots.items()}
 

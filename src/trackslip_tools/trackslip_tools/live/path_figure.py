@@ -13,7 +13,6 @@ _HEIGHT = 480
 def path_figure() -> figure:
     """Sources ``trail`` and ``fixes`` (x, y), and one of each of ``live.outlines.NAMES``."""
     plot = figure(
-        name="path",
         height=_HEIGHT,
         sizing_mode="stretch_width",
         tools=[],
