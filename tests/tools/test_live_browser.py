@@ -173,9 +173,10 @@ def test_buttons_zoom_and_choose_the_time(opened: Any, complaints: list[str]) ->
     page.locator("#closer").tap()
     assert page.evaluate(path) < wide
     page.locator("#all").tap()
-    times = "(({start, end}) => end - start)(Bokeh.documents[0].get_model_by_name('time'))"
+    times = "(({start, end}) => end - start)(Bokeh.documents[0].get_model_by_name('time-0'))"
     page.locator('[data-seconds="240"]').tap()
-    follows(page, 1)
+    page.locator("#strip-0").scroll_into_view_if_needed()
+    follows(page, 10)
     assert page.evaluate(times) == 240_000
     assert complaints == []
 

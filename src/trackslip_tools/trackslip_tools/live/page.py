@@ -77,11 +77,10 @@ def _document() -> tuple[Document, dict[str, str]]:
     """The plots without data, and the ids of their models by the names of the page's elements."""
     document = Document()
     plots = {"path": path_figure()}
-    x_range = Range1d(0.0, 1.0, name="time")
     panels = Strips().panels()
     first = 0
     for k, panel in enumerate(panels):
-        plots[f"strip-{k}"] = _strip(panel, x_range, k, first)
+        plots[f"strip-{k}"] = _strip(panel, k, first)
         first += len(panel.curves)
     for name, plot in plots.items():
         plot.name = name
@@ -89,9 +88,9 @@ def _document() -> tuple[Document, dict[str, str]]:
     return document, {name: plot.id for name, plot in plots.items()}
 
 
-def _strip(panel: Panel, x_range: Range1d, number: int, first: int) -> figure:
+def _strip(panel: Panel, number: int, first: int) -> figure:
     """A panel of the report over clock times and without tools, so that a finger scrolls the page."""
-    plot = time_plot(panel, x_range, 1)
+    plot = time_plot(panel, Range1d(0.0, 1.0, name=f"time-{number}"), 1)
     still(plot)
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
     plot.title.text = panel.title.partition(":")[0]

@@ -11,6 +11,7 @@ const WORDS = ["✓ ok", "▲ warning", "✖ error", "◌ no data", "✖ silent"
 const MARGIN = 1 // m about the path
 const CLOSEST = 2, WIDEST = 2000 // m across
 const EVENTS = 200
+const DRAWN = 3 // frames to one drawing of the strips
 const NARROW = 760, LOW = 340 // pixels: on a narrow page the path is lower
 
 const by_id = id => document.getElementById(id)
@@ -18,7 +19,7 @@ let models = null // function: name -> Bokeh model
 let run = null, number = 0, heard = performance.now(), event_number = 0
 let window_ms = 60000, across = null // across: m shown about the machine; null: the whole path
 let bounds = [Infinity, Infinity, -Infinity, -Infinity], machine = [[], []], views = []
-let lines = []
+let lines = [], strips = [] // strips: {lines, rows that are not drawn yet, whether it is in view}
 
 async function begin() {
   const page = await (await fetch("page.json")).json()
@@ -28,6 +29,9 @@ async function begin() {
   const drawn = Bokeh.documents[0]
   models = name => drawn.get_model_by_name(name)
   lines = page.lines.map((_, k) => models(`line-${k}`))
+  strips = Array.from({length: page.panels}, (_, panel) =>
+    ({panel, lines: page.lines.flatMap((line, k) => line.panel === panel ? [k] : []), rows: [], in_view: false}))
+  watch_strips()
   if (innerWidth < NARROW) {
     models("path").height = LOW
     for (const name in page.plots) if (models(name).title !== null) models(name).title.text_font_size = "12px"
@@ -85,6 +89,7 @@ function show_whole(frame) {
     const [value, low, high] = [0, 1, 2].map(part => numbers(frame.rows.map(row => row[k][part])))
     line.data = has_band(line) ? {t, value, low, high} : {t, value}
   })
+  for (const strip of strips) strip.rows = []
   show_trail(frame.trail)
   fill("fixes", [frame.fixes.map(([x]) => x), frame.fixes.map(([, y]) => y)])
 }
@@ -101,12 +106,38 @@ function widen([x, y]) {
   bounds = [Math.min(bounds[0], x), Math.min(bounds[1], y), Math.max(bounds[2], x), Math.max(bounds[3], y)]
 }
 
-function show_news(frame) {
-  lines.forEach((line, k) => {
-    const [value, low, high] = numbers(frame.row[k])
-    const row = has_band(line) ? {t: [frame.time], value: [value], low: [low], high: [high]} : {t: [frame.time], value: [value]}
-    line.stream(row, KEPT)
+function watch_strips() {
+  const watcher = new IntersectionObserver(entries => {
+    for (const {target, isIntersecting} of entries) strips[Number(target.id.split("-")[1])].in_view = isIntersecting
   })
+  for (const {panel} of strips) watcher.observe(by_id(`strip-${panel}`))
+}
+
+// Of the strips, those that can be seen are drawn, with every third frame: drawing is what costs
+function show_strips(time) {
+  for (const strip of strips) {
+    if (!strip.in_view) continue
+    for (const k of strip.lines) lines[k].stream(columns(strip.rows, k), KEPT)
+    strip.rows = []
+    if (views[strip.panel] !== undefined) {
+      const [start, end] = views[strip.panel]
+      models(`range-${strip.panel}`).setv({start, end})
+    }
+    models(`time-${strip.panel}`).setv({start: time - window_ms, end: time})
+  }
+}
+
+function columns(rows, k) {
+  const [value, low, high] = [0, 1, 2].map(part => rows.map(({row}) => row[k][part] ?? NaN))
+  const t = rows.map(({time}) => time)
+  return has_band(lines[k]) ? {t, value, low, high} : {t, value}
+}
+
+function show_news(frame) {
+  for (const strip of strips) {
+    strip.rows.push({time: frame.time, row: frame.row})
+    if (strip.rows.length > KEPT) strip.rows.shift()
+  }
   if (frame.trail !== undefined) show_trail(frame.trail)
   else if (frame.path !== undefined) {
     widen(frame.path)
@@ -128,8 +159,8 @@ function show_now(frame) {
     if (element !== null && element.textContent !== text) element.textContent = text
   }
   for (const [name, outline] of Object.entries(frame.outlines)) fill(name, outline)
-  if (frame.views !== undefined) show_views(frame.views)
-  models("time").setv({start: frame.time - window_ms, end: frame.time})
+  if (frame.views !== undefined) views = frame.views
+  if (frame.number % DRAWN === 0 || frame.run !== undefined) show_strips(frame.time)
   if (frame.outlines.machine[0].length) machine = frame.outlines.machine
   look()
   show_lights(frame.lights)
@@ -139,11 +170,6 @@ function show_now(frame) {
 }
 
 const clock = ms => new Date(ms).toISOString().slice(11, 19)
-
-function show_views(found) {
-  views = found
-  found.forEach(([start, end], k) => models(`range-${k}`).setv({start, end}))
-}
 
 function middle(low, high) {
   return (low + high) / 2
