@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a soak has sampled, as a page: how much everything grows in an hour, with an interval.
 
-x_k    mean of a quantity over the k-th of n equal stretches of the run, its first tenth left out
+x_k    mean of a quantity over the k-th of n equal stretches of the run, its beginning left out
 b      slope of x over time, least squares; its interval is b ± t(0.975; n − 2) s_b
 
 Samples follow on each other closely and err alike; means over long stretches hardly do.
@@ -19,7 +19,7 @@ from scipy.stats import t as student
 FloatArray = NDArray[np.float64]
 
 STRETCHES = 10
-_SETTLING = 0.1  # of the run: what is allocated once has been by then
+_SETTLING, _SETTLING_S = 0.1, 120.0  # of the run, or s: what is allocated once has been by then
 _CONFIDENCE = 0.95
 _HOUR = 3600.0  # s
 
@@ -47,12 +47,15 @@ class Growth(NamedTuple):
 
 def growth(times_s: FloatArray, values: FloatArray) -> Growth:
     """Slope of (n,) values over their times."""
-    settled = times_s >= times_s[0] + _SETTLING * (times_s[-1] - times_s[0])
-    times_s, values = times_s[settled], values[settled]
-    if len(times_s) < 2 * STRETCHES:
+    length_s = times_s[-1] - times_s[0]
+    settled = times_s >= times_s[0] + max(_SETTLING * length_s, _SETTLING_S)
+    if np.count_nonzero(settled) < 2 * STRETCHES:
         return Growth(float(values[0]), float(values[-1]), math.nan, math.nan)
+    times_s, values = times_s[settled], values[settled]
     parts = zip(np.array_split(times_s, STRETCHES), np.array_split(values, STRETCHES), strict=True)
     at_s, means = np.array([(t.mean(), v.mean()) for t, v in parts]).T
+    if np.ptp(means) == 0.0:
+        return Growth(float(means[0]), float(means[-1]), 0.0, 0.0)
     fit = linregress(at_s, means)
     quantile = student.ppf(0.5 + _CONFIDENCE / 2.0, STRETCHES - 2)
     return Growth(

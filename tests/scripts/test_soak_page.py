@@ -5,11 +5,12 @@ import math
 
 import numpy as np
 import pytest
+
 from soak_page import Sample, growth, growths, page
 
 
 def series(leak_per_hour: float, seed: int, seconds: float = 3600.0) -> tuple[np.ndarray, np.ndarray]:
-    """RSS in MB, every 10 s: a leak, noise that lasts a minute, and what is allocated in the first minutes."""
+    """RSS in MB, every 10 s: a leak, noise that lasts a minute, and what the first minutes allocate."""
     draw = np.random.default_rng(seed)
     times = np.arange(0.0, seconds, 10.0)
     noise = np.zeros(times.size)
@@ -35,9 +36,14 @@ def test_noise_is_no_leak() -> None:
 
 
 def test_a_short_run_claims_nothing() -> None:
-    found = growth(*series(1.0, 1, seconds=100.0))
+    found = growth(*series(1.0, 1, seconds=250.0))
     assert math.isnan(found.per_hour)
     assert not found.is_certain
+
+
+def test_what_never_changes_does_not_grow() -> None:
+    found = growth(np.arange(0.0, 600.0, 5.0), np.full(120, 18.0))
+    assert (found.first, found.last, found.per_hour, found.uncertainty) == (18.0, 18.0, 0.0, 0.0)
 
 
 def test_the_page_names_each_node_and_leaves_out_what_was_not_always_there() -> None:
@@ -47,5 +53,5 @@ def test_the_page_names_each_node_and_leaves_out_what_was_not_always_there() -> 
     samples[3] = Sample(30.0, {("slip_estimator", "RSS (MB)"): 203.0})
     assert list(growths(samples)) == [("slip_estimator", "RSS (MB)")]
     text = page(samples, {"messages lost": 0}, "forty samples")
-    assert "| slip_estimator | RSS (MB) | 206 | 238 | 360 ± " in text
+    assert "| slip_estimator | RSS (MB) | 213 | 238 | 360 ± " in text
     assert "- messages lost: 0" in text
