@@ -25,7 +25,7 @@ from trackslip_tools.live.parameters import LiveParameters, bound
 
 MOST_PAGES = 24  # that are served at the same time
 _PING = 10  # s after which a page that does not answer is given up
-_MOST_WAITING = 40  # frames, six seconds: what a phone may fall behind
+_MOST_WAITING = 40  # frames, five seconds: what a phone may fall behind
 _LARGEST_REQUEST = 4096  # bytes of a header, or of a body, which nobody needs
 _CLOSED_BY_RULE = 1008  # of websockets: the other side broke the rules
 _READY = 10.0  # s

@@ -5,7 +5,7 @@
 const PATIENCE = 2500 // ms without a frame, after which the page says so
 const GIVEN_UP = 5000 // ms after which it connects anew
 const RETRY = 500 // ms between attempts
-const KEPT = 1600 // rows of the strips
+const KEPT = 1920 // rows of the strips
 const LEVELS = ["ok", "warn", "error", "stale", "silent"]
 const WORDS = ["✓ ok", "▲ warning", "✖ error", "◌ no data", "✖ silent"]
 const MARGIN = 1 // m about the path
@@ -109,14 +109,14 @@ function widen([x, y]) {
 function watch_strips() {
   const watcher = new IntersectionObserver(entries => {
     for (const {target, isIntersecting} of entries) strips[Number(target.id.split("-")[1])].in_view = isIntersecting
-  })
+  }, {rootMargin: "400px"})
   for (const {panel} of strips) watcher.observe(by_id(`strip-${panel}`))
 }
 
 // Of the strips, those that can be seen are drawn, with every third frame: drawing is what costs
-function show_strips(time) {
+function show_strips(time, all) {
   for (const strip of strips) {
-    if (!strip.in_view) continue
+    if (!strip.in_view && !all) continue
     for (const k of strip.lines) lines[k].stream(columns(strip.rows, k), KEPT)
     strip.rows = []
     if (views[strip.panel] !== undefined) {
@@ -160,7 +160,8 @@ function show_now(frame) {
   }
   for (const [name, outline] of Object.entries(frame.outlines)) fill(name, outline)
   if (frame.views !== undefined) views = frame.views
-  if (frame.number % DRAWN === 0 || frame.run !== undefined) show_strips(frame.time)
+  const is_whole = frame.run !== undefined
+  if (frame.number % DRAWN === 0 || is_whole) show_strips(frame.time, is_whole)
   if (frame.outlines.machine[0].length) machine = frame.outlines.machine
   look()
   show_lights(frame.lights)
