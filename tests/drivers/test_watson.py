@@ -154,6 +154,20 @@ def test_rejections_are_counted_and_pass(layout, line, reason):
     assert parser.tally.total == {(IMU, reason.value): 1}
 
 
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        (b"R +0.012 -0.003", "2 fields, 9 expected"),
+        (b"\x80\x80\x80", "frame of 3 bytes, 18 expected"),
+        (b"WATSON", "text"),
+    ],
+)
+def test_how_many_fields_came_is_told(layout, line, text):
+    stream = WatsonStream(layout, 9600, 0, Tally())
+    stream.feed(line + b"\r", 10**9)
+    assert stream.tally.latest == text
+
+
 def test_invalid_magnetometer_costs_the_field_alone(layout):
     parser = stream(layout)
     (sample,) = parser.feed(b"R +0.012 -0.003 -1.001 +000.04 -000.11 +012.30 +0213 -*** -0466\r", 0)

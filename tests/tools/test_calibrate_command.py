@@ -38,7 +38,8 @@ TRUE = {
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("calibrated")
     output, summary = folder / "calibration.yaml", folder / "calibration.json"
-    assert main(["calibrate", *DRIVES, "--output", str(output), "--json", str(summary)]) == ExitCode.DONE
+    options = ("--all", "--output", str(output), "--json", str(summary))
+    assert main(["calibrate", *DRIVES, *options]) == ExitCode.DONE
     return {"file": output, **json.loads(summary.read_text())}
 
 

@@ -89,7 +89,7 @@ def recorded(made: Made, seed: int) -> Recording:
 
 @cache
 def calibrated(made: Made, seed: int, hard_ground: bool = False) -> Calibration:
-    return calibrate([recorded(made, seed)], P, SOURCES, hard_ground=hard_ground)
+    return calibrate([recorded(made, seed)], P, SOURCES, hard_ground=hard_ground, everything=True)
 
 
 TRUE: Mapping[str, Callable[[Made], float]] = {
@@ -209,6 +209,27 @@ def test_radius_and_slip_are_told_apart_by_the_user_only() -> None:
         "soil_estimator",
         "box_localizer",
     }
+
+
+def test_what_the_parameters_say_already_is_not_written() -> None:
+    """A gyro that reads 1.5 % low is news where a hundredth is seen; that it is not upside down is none."""
+    made = Made()
+    of_news, whole = (
+        calibrate([recorded(made, 7)], P, SOURCES, hard_ground=True, everything=everything)
+        for everything in (False, True)
+    )
+    for name, present in (
+        ("gyro_sign", P.gyros()["imu/data_raw"].sign),
+        ("gyro_scale", P.gyros()["imu/data_raw"].scale),
+        ("rolling_radius", P.vehicle.kinematics.rolling_radius),
+    ):
+        low, high = of_news.findings[name].interval or (math.nan, math.nan)
+        assert (name in of_news.confirmed) == (low <= present <= high)
+    assert "gyro_sign" in of_news.confirmed
+    assert "sources.imu_data_raw.sign" in whole.parameters[NODE]
+    assert "sources.imu_data_raw.sign" not in of_news.parameters.get(NODE, {})
+    assert whole.confirmed == ()
+    assert "gyro_sign" in text(of_news).splitlines()[-1]
 
 
 def test_bad_headings_and_gaps_do_no_harm() -> None:

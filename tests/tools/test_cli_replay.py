@@ -96,6 +96,34 @@ def test_withheld_fixes_are_not_used_but_score(bag: Path, summary: Summary) -> N
     assert summary(bag, "--withhold", "/box_pose", code=ExitCode.FAILED)["final"] is None
 
 
+def test_what_was_withheld_is_counted_and_its_error_told(
+    bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = summary(bag, "--withhold", "box_pose:4:9", "--withhold", "imu/data_raw:2:6")
+    poses, rates = found["withheld"]
+    assert (poses["topic"], poses["messages"]) == ("box_pose", 25)
+    assert (rates["topic"], rates["messages"]) == ("imu/data_raw", 40)
+    assert 0.0 < poses["rmse"] < 1.0
+    assert 0.0 < poses["end"] < 1.0
+    assert found["rmse"]["withheld"] == {"rmse": rates["rmse"], "end": rates["end"]}
+    shown = " ".join(capsys.readouterr().out.split())
+    assert f"withheld: 25 messages of box_pose from 4 to 9 s; position off by {poses['rmse']:.4f} m" in shown
+    assert summary(bag)["withheld"] == []
+
+
+def test_an_output_that_exists_is_refused_before_the_work(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def never(*_: Any) -> Any:
+        raise AssertionError("the bag was opened")
+
+    monkeypatch.setattr("trackslip_tools.cli.replay_command.open_bag", never)
+    assert main(["replay", str(bag), "--output", str(tmp_path)]) == ExitCode.BAD_INPUT
+    assert "exists already" in capsys.readouterr().err
+    assert main(["replay", str(bag), "--json", str(tmp_path / "no" / "x.json")]) == ExitCode.BAD_INPUT
+    assert "no such folder" in capsys.readouterr().err
+
+
 def test_another_reference_is_scored_whole(bag: Path, summary: Summary) -> None:
     found = summary(bag, "--reference", "box_pose")
     assert found["reference"] == "box_pose"

@@ -7,7 +7,12 @@ Times are seconds from the bag's first message.
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trackslip_common.errors import InputError
+
+FloatArray = NDArray[np.float64]
 
 _RATES = (1e-6, 1e6)  # Hz; beyond them a period is no whole number of ns, or longer than any log
 _LARGEST_SIGMA = 1e6  # m
@@ -20,6 +25,10 @@ class Withhold:
     topic: str
     start_s: float = -math.inf
     stop_s: float = math.inf
+
+    def covers(self, t: FloatArray) -> NDArray[np.bool_]:
+        """Which of the times (n,), s, are between the two."""
+        return (self.start_s <= t) & (t < self.stop_s)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from trackslip_bags.sources import (
     open_file,
 )
 from trackslip_bags.types import decode, store_for
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, did_you_mean, listed
 
 ACCEPTED = "a rosbag2 directory (metadata.yaml with .mcap or .db3), or an .mcap or .db3 file"
 
@@ -204,8 +204,8 @@ def require_topics(bag: Bag, required: Iterable[str]) -> None:
     present = {absolute(topic) for topic, info in bag.topics.items() if info.count}
     missing = sorted(absolute(topic) for topic in required if absolute(topic) not in present)
     if missing:
-        there = ", ".join(sorted(present)) or "nothing"
-        raise InputError(f"bag '{bag.path}' has no messages on {', '.join(missing)}; it holds: {there}")
+        there = did_you_mean(missing[0], present) or f"; it holds: {listed(sorted(present)) or 'nothing'}"
+        raise InputError(f"bag '{bag.path}' has no messages on {', '.join(missing)}{there}")
 
 
 def absolute(topic: str) -> str:

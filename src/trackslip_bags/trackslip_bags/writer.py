@@ -28,6 +28,20 @@ CHUNK_SPAN_NS = 500_000_000
 _NO_QOS = "[]"  # an empty list in metadata.yaml's own terms: ros2 bag plays with default QoS
 
 
+def refuse_existing(path: Path | None) -> None:
+    """Before the work that a bag is made of: nothing may be there.
+
+    Raises:
+        InputError: something is.
+    """
+    if path is not None and (path.exists() or path.is_symlink()):
+        raise _exists(path)
+
+
+def _exists(path: Path) -> InputError:
+    return InputError(f"bag '{path}' exists already; accepted: a path where nothing is")
+
+
 class BagWriter:
     """One bag being written: a directory with ``<name>_0.mcap`` and so on, ``metadata.yaml`` once closed.
 
@@ -64,7 +78,7 @@ class BagWriter:
         try:
             self.path.mkdir(parents=True)
         except FileExistsError:
-            raise InputError(f"bag '{self.path}' exists already; accepted: a path where nothing is") from None
+            raise _exists(self.path) from None
         except OSError as error:
             raise InputError(f"bag '{self.path}' cannot be created ({error.strerror})") from error
         try:

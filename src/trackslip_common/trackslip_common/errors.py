@@ -6,6 +6,8 @@ from enum import IntEnum
 from typing import TextIO
 
 _LONGEST_LINE = 900  # characters
+_LIKE = 0.75  # of 1: how near a word must be to one that was mistyped
+_MOST_NAMES = 12  # that are listed
 
 
 def printable(text: str, longest: int = 200) -> str:
@@ -48,5 +50,21 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """What to add to "'word' is unknown": the known word that is nearest to it; empty where none is near."""
     from difflib import get_close_matches  # only for the one who mistyped
 
-    found = get_close_matches(word, list(known), n=1)
+    found = get_close_matches(word, list(known), n=1, cutoff=_LIKE)
     return f", did you mean '{found[0]}'?" if found else ""
+
+
+def suggestion(word: str, known: Iterable[str], more: str = "") -> str:
+    """What to add to "'word' is unknown": the nearest known word, or else what is accepted, a dozen at most.
+
+    ``more``: what is accepted beside the known words, as ", or a YAML file".
+    """
+    names = list(known)
+    return did_you_mean(word, names) or f"; accepted: {listed(names)}{more}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names, a dozen at most, and how many there are."""
+    known = list(names)
+    rest = f" … ({len(known)} in all)" if len(known) > _MOST_NAMES else ""
+    return ", ".join(known[:_MOST_NAMES]) + rest

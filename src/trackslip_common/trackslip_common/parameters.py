@@ -24,7 +24,7 @@ from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, listed
 
 T = TypeVar("T", bound="Parameters")
 
@@ -258,8 +258,8 @@ def _hint(unknown: str, known: list[str]) -> str:
             like = get_close_matches(part, list(there), n=1, cutoff=0.8)
             if like:
                 return f", did you mean '{before}{like[0]}'?"
-            return f"; accepted: {', '.join(before + name for name in there) or 'a value, no group'}"
-    return f"; accepted: {', '.join(name for name in known if name.startswith(f'{unknown}.'))}"
+            return f"; accepted: {listed(before + name for name in there) or 'a value, no group'}"
+    return f"; accepted: {listed(name for name in known if name.startswith(f'{unknown}.'))}"
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

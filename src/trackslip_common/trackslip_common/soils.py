@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import Any
 
 from trackslip_common.config_files import config_file, read_yaml
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, suggestion
 from trackslip_common.parameters import Spec
 
 _COHESION = Spec("apparent cohesion c", unit="Pa", ge=0.0)
@@ -124,7 +124,7 @@ def soil(name: str) -> Soil:
     """
     soils = _default_soils()
     if name not in soils:
-        raise InputError(f"soil: '{name}' is unknown; accepted: {', '.join(soils)}")
+        raise InputError(f"soil: '{name}' is unknown{suggestion(name, soils)}")
     return soils[name]
 
 

@@ -15,15 +15,26 @@ class Tally:
     def __init__(self) -> None:
         self._total: Counter[tuple[str, str]] = Counter()
         self._seen: Counter[tuple[str, str]] = Counter()
+        self._latest = ""
         self._lock = Lock()
 
-    def add(self, source: str, reason: Enum, count: int = 1) -> None:
-        """Count what occurred; a reason reads as its text, or as its name where it is a number."""
-        if count == 0:
+    def add(self, source: str, reason: Enum, count: int = 1, detail: str = "") -> None:
+        """Count occurrences; a reason reads as its text, or as its name where it is a number.
+
+        ``detail``: of the latest one, such as "10 fields, 9 expected".
+        """
+        if not count:
             return
         text = reason.value if isinstance(reason.value, str) else reason.name.lower()
         with self._lock:
             self._total[source, text] += count
+            self._latest = detail or text
+
+    @property
+    def latest(self) -> str:
+        """What was counted last: its detail, or its reason; empty before the first."""
+        with self._lock:
+            return self._latest
 
     @property
     def total(self) -> Counter[tuple[str, str]]:
@@ -51,3 +62,4 @@ class Tally:
 
     def __setstate__(self, state: dict[str, Counter[tuple[str, str]]]) -> None:
         self._total, self._seen, self._lock = state["_total"], state["_seen"], Lock()
+        self._latest = ""

@@ -3,11 +3,11 @@
 
 import argparse
 import dataclasses
-import json
-import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from trackslip_common.errors import ExitCode, InputError
+from trackslip_bags.writer import refuse_existing
+from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario, scenario_names
@@ -17,7 +17,10 @@ from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import MODES, duration_of, simulate_in_pieces
 from trackslip_sim.truth.window import TruthWindow
 from trackslip_tools.cli import machine_options
+from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.progress import counted
 
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
 
@@ -56,7 +59,6 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: scenario or soil is refused, or a file cannot be written.
     """
-    begin = time.perf_counter()
     scenario = load_scenario(arguments.scenario)
     if arguments.duration is not None:
         if not 0.0 < arguments.duration <= _LONGEST:
@@ -72,15 +74,48 @@ def run(arguments: argparse.Namespace) -> int:
     pieces = simulate_in_pieces(
         scenario, soil=arguments.soil, mode=arguments.mode, vehicle=whole, upper=upper
     )
-    drive = TruthWindow(pieces, duration_of(scenario, load_settings()))
+    duration = duration_of(scenario, load_settings())
+    refuse_existing(arguments.output)
+    require_writable(json=arguments.json)
+    with counted(duration, "simulating") as advance:
+        drive = TruthWindow(_followed(pieces, advance), duration)
+        if arguments.output is not None:
+            record_drive(p, drive, arguments.output)
+        drive.advance(drive.duration)
+    elapsed = waited_s()
+    show(text(p.vehicle.name, drive.truth, elapsed))
     if arguments.output is not None:
-        record_drive(p, drive, arguments.output)
-    drive.advance(drive.duration)
-    report = {"vehicle": p.vehicle.name, **summary(drive.truth, time.perf_counter() - begin)}
-    print(json.dumps(report, indent=2))
+        show(f"bag: {arguments.output}")
     if arguments.json is not None:
-        write_json(arguments.json, report)
+        write_json(arguments.json, {"vehicle": p.vehicle.name, **summary(drive.truth, elapsed)})
     return int(ExitCode.DONE)
+
+
+def _followed(pieces: Iterable[Truth], advance: Callable[[float], None]) -> Iterator[Truth]:
+    reached = 0.0
+    for piece in pieces:
+        yield piece
+        advance(float(piece.t[-1]) - reached)
+        reached = float(piece.t[-1])
+
+
+def text(vehicle: str, truth: Truth, elapsed: float) -> str:
+    """The same for people."""
+    end = {name: float(getattr(truth, name)[-1]) for name in _FINAL}
+    speed = truth.duration / elapsed
+    return "\n".join(
+        (
+            f"vehicle: {vehicle}",
+            f"{truth.duration:.1f} s simulated in {elapsed:.1f} s ({speed:.0f} × real time)",
+            f"final  x {end['x']:.3f} m  y {end['y']:.3f} m  yaw {end['yaw']:.4f} rad",
+            f"  speed {end['v_x']:.3f} m/s  yaw rate {end['yaw_rate']:.4f} rad/s",
+            *(
+                f"  {side:<5} track: slip {100.0 * end[f'{side}_slip']:.1f} %, "
+                f"thrust {end[f'{side}_thrust']:.0f} N"
+                for side in ("left", "right")
+            ),
+        )
+    )
 
 
 def summary(truth: Truth, elapsed: float) -> dict[str, object]:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import Learned, Meaning, aged, from_tree, meaning, to_tree
-from trackslip_estimation.slip.learned_text import NOT_OBSERVED, Finding, findings, summary_lines
+from trackslip_estimation.slip.learned_text import NOT_OBSERVED, Finding, findings, lines_of
 from trackslip_estimation.slip.measurements import FORGET, RESET, Command, Measurement, PoseFix
 from trackslip_estimation.slip.models.model import GYRO_SCALE
 
@@ -198,7 +198,7 @@ def test_what_is_no_estimate_is_refused(learned: Learned, name: str, value: obje
 
 def test_nothing_is_observed_before_the_first_metre() -> None:
     assert {f.sentence for f in findings(None, OF)} == {NOT_OBSERVED}
-    (line,) = summary_lines(findings(None, OF))
+    (line,) = lines_of(findings(None, OF))
     assert line.startswith(f"{NOT_OBSERVED}: gyro scale, ")
 
 

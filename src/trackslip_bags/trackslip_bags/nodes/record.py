@@ -28,6 +28,7 @@ from trackslip_bags.disk import (
     too_many,
 )
 from trackslip_bags.losses import Losses
+from trackslip_bags.nodes.record_progress import RecordProgress
 from trackslip_bags.qos import offered_qos
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
@@ -96,6 +97,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
     def activate(self) -> None:
         """Open the bag and subscribe."""
         self._bag, self._space, self._trimmed_s = self._next_bag(), DiskWatch(), 0.0
+        self._progress = RecordProgress(self._bag, self.get_logger().info)
         for name, topic in TOPICS.items():
             full = f"/{name}" if name in ("tf", "diagnostics") else self.resolve_topic_name(name)
             self._record(full, topic.type_name, topic.flow is Flow.LATCHED)
@@ -238,6 +240,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         if not self._disk_error:
             self._try_on_disk(self._keep_to_budget)
             self._space.add(shutil.disk_usage(self._bag.path).free)
+        self._progress.show(self._space.minutes_left)
         lost = self._losses.news()
         if lost:
             self.get_logger().error(f"lost {lost}")

@@ -14,7 +14,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.nodes import parameters as node_parameters
 from trackslip_common.nodes.compiling import compilation_reported
 from trackslip_common.nodes.guarded import GuardedNode
-from trackslip_common.nodes.health import OK, WARN, Health, diagnostics
+from trackslip_common.nodes.health import OK, WARN, Health, StateLog, diagnostics, to_console
 from trackslip_common.nodes.inputs import Inputs
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
@@ -50,6 +50,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.has_run = False  # whether it was active since it was configured
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.tally = Tally()
+        self._states = StateLog(to_console(self.get_logger()))
         self.inputs = Inputs(self)
         self._status = self.tolerate_failures(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -111,7 +112,10 @@ class TrackslipNode(GuardedNode, Generic[P]):
         except Exception as error:  # noqa: BLE001 (what failed is reported all the same)
             self.callback_failures.add("health", error)
             entries = []
-        entries += [*self.inputs.health(), *self.callback_failures.health(), *self.send_failures.health()]
+        entries += self.inputs.health()
+        if self.active:
+            self._states.see(entries)
+        entries += [*self.callback_failures.health(), *self.send_failures.health()]  # which log themselves
         self._report(entries)
 
     def _report(self, entries: list[Health]) -> None:

@@ -12,6 +12,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from datetime import datetime, timezone
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,11 @@ def cause(error: BaseException) -> str:
     ours = [f for f in frames if "trackslip_" in f.filename or "site-packages" not in f.filename]
     place = "".join(f" ({Path(f.filename).name}:{f.lineno})" for f in (ours or frames)[-1:])
     return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"
+
+
+def date(ago_s: float) -> str:
+    """Of what was so many seconds ago, UTC."""
+    return f"{datetime.fromtimestamp(time.time() - ago_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
 
 
 class CallbackFailures:
@@ -102,7 +108,7 @@ class CallbackFailures:
         if not counts:
             return []
         values: dict[str, Any] = {f"failed: {name}": n for name, n in sorted(counts.items())}
-        values |= {"last failure": last, "age of it (s)": f"{ago_s:.1f}"}
+        values |= {"last failure": last, "age of it (s)": f"{ago_s:.1f}", "last failure at": date(ago_s)}
         failed = f"{sum(counts.values())} callbacks failed; the last: {last}"
         level, message = (ERROR, failed) if ago_s < RECENT_S else (OK, "running")
         return [Health(level, message, values, "callbacks")]

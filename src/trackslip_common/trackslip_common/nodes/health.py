@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a node reports on /diagnostics."""
 
-from collections.abc import Iterable
+import re
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +18,10 @@ OK, WARN, ERROR, STALE = (
 )
 
 
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+_PAUSE_S = 1.0  # s between two lines about one state
+
+
 @dataclass(frozen=True)
 class Health:
     """One line of /diagnostics."""
@@ -24,6 +30,49 @@ class Health:
     message: str
     values: dict[str, Any] = field(default_factory=dict)
     part: str = ""  # of the node; empty for the node itself
+
+
+def to_console(logger: Any) -> Callable[[bytes, str], None]:
+    """Logs by the level of a state; ``logger`` is a node's."""
+
+    def log(level: bytes, text: str) -> None:
+        if level == OK:
+            logger.info(text)
+        elif level == WARN:
+            logger.warning(text)
+        else:
+            logger.error(text)
+
+    return log
+
+
+class StateLog:
+    """Logs each change of a state in one line: what it is now, or that it is over.
+
+    Other numbers in a message are no change. A state that comes and goes is logged once in ``_PAUSE_S``.
+    """
+
+    def __init__(
+        self, log: Callable[[bytes, str], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._log, self._clock = log, clock
+        self._logged: dict[str, tuple[bytes, str]] = {}  # part → what was logged last
+        self._logged_s: dict[str, float] = {}
+
+    def see(self, entries: Iterable[Health]) -> None:
+        """All that is reported now."""
+        now = {entry.part: entry for entry in entries}
+        over = {part: Health(OK, "is over", part=part) for part in self._logged.keys() - now.keys()}
+        for part, entry in {**now, **over}.items():
+            state = entry.level, _NUMBER.sub("#", entry.message)
+            time_s = self._clock()
+            if state == self._logged.get(part) or time_s - self._logged_s.get(part, -_PAUSE_S) < _PAUSE_S:
+                continue
+            if part not in over:
+                self._logged[part], self._logged_s[part] = state, time_s
+            elif self._logged.pop(part)[0] == OK:
+                continue
+            self._log(entry.level, f"{part}: {entry.message}" if part else entry.message)
 
 
 def diagnostics(node: str, stamp: Time, entries: Iterable[Health], hardware: str) -> DiagnosticArray:

@@ -27,6 +27,7 @@ _MESSAGES = {
 class CanDriverNode(DriverNode[CanDriverParameters]):
     """Frames in, ``sprockets``, ``hydraulics`` and ``swing`` out: those that have roles."""
 
+    carries, advice = "frames", "check power, wiring and bitrate"
     period = 0.01
     silence = 2.0
     realtime_priority = 10  # a message takes 0.5 ms; odometry, for which others wait, begins here
@@ -48,6 +49,10 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         for kind in self._can.kinds:
             topic, blank, fill = _MESSAGES[kind]
             self._outputs[kind] = (self.advertise(topic_class(topic), topic), blank(make, _FRAME_ID), fill)
+
+    def where(self) -> str:
+        """The bus."""
+        return f"CAN on {self.settings.can_channel}"
 
     def open_port(self) -> CanBus:
         """The bus."""

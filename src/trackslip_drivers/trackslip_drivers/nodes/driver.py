@@ -4,6 +4,7 @@
 import math
 import time
 from collections import defaultdict
+from datetime import datetime, timezone
 from typing import Any, TypeVar
 
 from rclpy.clock import Clock, ClockType
@@ -31,8 +32,15 @@ S = TypeVar(
 
 _STALE_PERIODS = 10
 _LOOK = 0.1  # s between looks at whether the link's condition has changed
+_OPENING = 2.0  # s, for which a port that was opened need not deliver
+RECENT = 5.0  # s for which a rejection shows
 _RATE_OVER = 0.5  # s, the least that a rate is counted over
 _HOST_CLOCK = "host clock"
+
+
+def _date(seconds: float) -> str:
+    """Of a system time, s since 1970; empty for 0."""
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if seconds else ""
 
 
 class DriverNode(TrackslipNode[P]):
@@ -41,6 +49,9 @@ class DriverNode(TrackslipNode[P]):
     Reports whether data come, how fast, and what was rejected: at 1 Hz, and at once when data begin or cease.
     """
 
+    device = "sensor"  # what the crew calls it
+    carries = "bytes"
+    advice = "check power and port"  # where nothing comes
     period = 1.0  # s between messages when all is well
     silence = math.inf  # s without a byte or frame after which the port is opened anew
 
@@ -51,7 +62,8 @@ class DriverNode(TrackslipNode[P]):
         self._looked_at = (time.monotonic(), 0)
         self._last_s = -math.inf
         self._link: Link[Any] | None = None
-        self._reported: tuple[bytes, str] | None = None
+        self._reported: bytes | None = None  # level
+        self._rejected = ("", -math.inf, "")  # the latest reason, when (steady, s), and its date
         self.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def hardware(self) -> str:
@@ -111,6 +123,8 @@ class DriverNode(TrackslipNode[P]):
         """Connection, rate, age, rejections."""
         assert self._link is not None
         state, now_s = self._link.state(), time.monotonic()
+        if self.tally.since_last_look():
+            self._rejected = (self.tally.latest, now_s, _date(time.time()))
         then_s, then = self._looked_at
         if now_s - then_s >= _RATE_OVER:
             self._rate = (self._published - then) / (now_s - then_s)
@@ -122,26 +136,49 @@ class DriverNode(TrackslipNode[P]):
             "reconnects": max(state.openings - 1, 0),
             "errors": state.errors,
             "last error": state.last_error,
+            "last error at": _date(state.last_error_s),
+            "last rejected": self._rejected[0],
+            "last rejected at": self._rejected[2],
             "note": state.note,
             "stamps ahead of the host's clock (s)": f"{self._host.lead_ns * 1e-9:.3f}",
         }
         values |= {f"{source}: {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
-        news = self.tally.since_last_look()
-        level, message = self._reported = self._condition(self._link)
-        if level == OK and news:
-            return [Health(WARN, f"{sum(news.values())} rejected in the last second", values)]
+        level, message = self._condition(self._link)
+        self._reported = level
         return [Health(level, message, values)]
 
+    def where(self) -> str:
+        """The device as the crew calls it, and its port."""
+        return f"{self.device} on {self.hardware()}"
+
+    def talk(self) -> str:
+        """Where the talk with the device has got to, while no data come; empty where there is none."""
+        return ""
+
     def _condition(self, link: Link[Any]) -> tuple[bytes, str]:
-        """Whether data come."""
-        state = link.state()
-        if not state.connected:
-            return ERROR, f"not connected: {state.last_error or 'opening'}"
-        if time.monotonic() - self._last_s > _STALE_PERIODS * self.period:
-            return STALE, "connected, but no data"
-        return OK, "running"
+        """Whether data come, or why not and what to do; numbers that change are in the values."""
+        state, where = link.state(), self.where()
+        if not state.openings and not state.errors:
+            return WARN, f"{where}: opening"
+        if not state.connected and not state.last_error.startswith(TimeoutError.__name__):  # else: silent
+            return ERROR, f"{where}: not connected ({state.last_error}); {self.advice}"
+        limit_s = _STALE_PERIODS * self.period
+        if time.monotonic() - self._last_s <= limit_s:
+            latest, then_s, _ = self._rejected
+            is_recent = time.monotonic() - then_s < RECENT
+            return (WARN, f"running; some is rejected: {latest}") if is_recent else (OK, "running")
+        if not self._published and state.openings <= 1 and state.since_s < _OPENING:
+            return WARN, f"{where}: opened, nothing yet"
+        talk = f" ({self.talk()})" if self.talk() else ""
+        if state.silent_s > 0.5 * limit_s:
+            return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"
+        reason = self.tally.latest or "nothing whole yet"
+        return (
+            ERROR,
+            f"{where}: {self.carries} come, but nothing of use: {reason}{talk}; check rate and format",
+        )
 
     def _look(self) -> None:
         """What has changed is reported at once."""
-        if self.active and self._link is not None and self._reported != self._condition(self._link):
+        if self.active and self._link is not None and self._reported != self._condition(self._link)[0]:
             self.publish_health()

@@ -18,6 +18,7 @@ from trackslip_drivers.transports.serial_port import SerialPort
 class NmeaNode(DriverNode[NmeaParameters]):
     """Bytes in, ``fix`` and ``heading`` out."""
 
+    device = "GNSS receiver"
     silence = 10.0  # a receiver that is told to start cold needs longer, but then speaks of no fix
 
     def __init__(self) -> None:

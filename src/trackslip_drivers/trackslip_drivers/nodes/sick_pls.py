@@ -24,6 +24,8 @@ _STOP = 0.3  # s that the scanner is given to stop streaming
 class SickNode(DriverNode[SickParameters]):
     """Bytes in, ``scan`` out; the dialogue with the scanner is the session's."""
 
+    device = "SICK"
+
     def __init__(self) -> None:
         super().__init__("sick_pls", SickParameters, "sick_pls.yaml")
 
@@ -70,6 +72,10 @@ class SickNode(DriverNode[SickParameters]):
             refused = f"{self.settings.serial_baud} Bd refused: streaming at {baud} Bd"
             entries.append(Health(WARN, refused, part="rate"))
         return entries + self._status_health()
+
+    def talk(self) -> str:
+        """The phase of the dialogue."""
+        return "" if self._session.phase is Phase.STREAMING else self._session.phase.value
 
     def _status_health(self) -> list[Health]:
         """What the scanner said of itself with its last scan."""

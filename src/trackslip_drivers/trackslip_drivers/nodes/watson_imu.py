@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """``watson_imu``: the Watson inertial unit on a serial line."""
 
+import math
 import sys
+import time
 
 from trackslip_common.nodes.health import WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
-from trackslip_drivers.nodes.driver import DriverNode
+from trackslip_drivers.nodes.driver import RECENT, DriverNode
 from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
 from trackslip_drivers.transports.serial_port import SerialPort
@@ -17,6 +19,7 @@ from trackslip_drivers.watson_parameters import WatsonParameters
 class WatsonNode(DriverNode[WatsonParameters]):
     """Bytes in, ``imu/data_raw`` and ``imu/mag`` out."""
 
+    device = "Watson"
     period = 1.0 / 11.85
     silence = 8.0  # starting up takes the unit 5 s
 
@@ -29,6 +32,7 @@ class WatsonNode(DriverNode[WatsonParameters]):
         p = self.settings
         layout = Layout(p.channels, p.formats, p.full_scales)
         self._over_range = self._over_range_reported = 0
+        self._over_range_s = -math.inf  # steady
         self._stream = WatsonStream(layout, p.serial_baud, round(p.time_offset * 1e9), self.tally)
         self._imu = self.advertise(topic_class("imu/data_raw"), "imu/data_raw")
         self._mag = self.advertise(topic_class("imu/mag"), "imu/mag")
@@ -44,9 +48,10 @@ class WatsonNode(DriverNode[WatsonParameters]):
         """The link's health, and whether the unit was moved or turned faster than it can measure."""
         entries, total = super().health(), self._over_range
         entries[0].values["over range"] = total
-        if news := total - self._over_range_reported:
-            entries.append(Health(WARN, f"{news} lines over range in the last second", part="range"))
-        self._over_range_reported = total
+        if total > self._over_range_reported:
+            self._over_range_reported, self._over_range_s = total, time.monotonic()
+        if time.monotonic() - self._over_range_s < RECENT:
+            entries.append(Health(WARN, "moved or turned faster than it can measure", part="range"))
         return entries
 
     def begin(self) -> None:

@@ -45,6 +45,7 @@ _FIELD = ("XM", "YM", "ZM")
 _ANGLES = ("BK", "EL", "HG", "XI", "YI")
 _OTHER = ("TM", "FA", "LA", "VA", "HR", "U1", "U2", "U3", "U4", "VS", "TP", "LT", "LN", "AL")
 _LABELS = "IRGT"
+_BIT_7 = 0x80  # marks a binary frame's bytes
 _HALF_RANGE = 8192  # of a 14-bit word
 _FLU_FROM_FRD = (1.0, -1.0, -1.0)
 
@@ -194,6 +195,13 @@ def decode_frame(frame: bytes, layout: Layout) -> Reading | Rejection:
         over_range |= raw in (-_HALF_RANGE, _HALF_RANGE - 1)
         values[channel.name] = raw / _HALF_RANGE * channel.full_scale
     return Reading(values, over_range)
+
+
+def wrong_count(line: bytes, layout: Layout) -> str:
+    """How much a line or a frame of the wrong length has, and how much was expected."""
+    if line and line[0] < _BIT_7:
+        return f"{len(line.split()) - 1} fields, {len(layout.channels)} expected"
+    return f"frame of {len(line)} bytes, {2 * len(layout.channels)} expected"
 
 
 def to_sample(reading: Reading, stamp_ns: int) -> ImuSample | Rejection:

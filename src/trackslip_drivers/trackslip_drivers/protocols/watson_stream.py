@@ -12,6 +12,7 @@ from trackslip_drivers.protocols.watson import (
     decode_frame,
     decode_line,
     to_sample,
+    wrong_count,
 )
 from trackslip_drivers.records import ImuSample
 from trackslip_drivers.stamping import PeriodicStamps
@@ -75,7 +76,8 @@ class WatsonStream:
             stamp_ns = self._stamps.filter(stamp_ns)
         result = reading if isinstance(reading, Rejection) else to_sample(reading, stamp_ns)
         if isinstance(result, Rejection):
-            self.tally.add(IMU, result)
+            detail = wrong_count(line.text, self._layout) if result is Rejection.WRONG_COUNT else ""
+            self.tally.add(IMU, result, detail=detail)
             return None
         if result.magnetic_field is None and self._layout.has_field:
             self.tally.add(FIELD, Rejection.INVALID)

@@ -47,7 +47,9 @@ class LinkState:
     openings: int  # times the port was opened; reconnections are one less
     errors: int
     last_error: str
+    last_error_s: float  # system time of it, s since 1970; 0 where there was none
     note: str
+    silent_s: float  # s since something was received, or the port was opened
 
 
 class Handlers(NamedTuple):
@@ -90,6 +92,8 @@ class Link(Generic[T]):
         self._openings = 0
         self._errors = 0
         self._last_error = ""
+        self._last_error_s = 0.0
+        self._heard_s = time.monotonic()
         self._note = ""
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -133,7 +137,9 @@ class Link(Generic[T]):
                 openings=self._openings,
                 errors=self._errors,
                 last_error=self._last_error,
+                last_error_s=self._last_error_s,
                 note=self._note,
+                silent_s=time.monotonic() - self._heard_s,
             )
 
     def _run(self) -> None:
@@ -148,6 +154,7 @@ class Link(Generic[T]):
                     self._handlers.on_open()
                     for data, arrival_ns in self._arrivals(port):
                         received = True
+                        self._heard_s = time.monotonic()
                         self._handlers.on_data(data, arrival_ns)
                 finally:
                     self._set_port(None)
@@ -191,4 +198,5 @@ class Link(Generic[T]):
     def _note_error(self, error: Exception) -> None:
         with self._lock:
             self._errors += 1
+            self._last_error_s = time.time()
             self._last_error = f"{type(error).__name__}: {' '.join(str(error).split())}"

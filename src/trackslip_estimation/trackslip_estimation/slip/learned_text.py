@@ -109,12 +109,6 @@ def lines_of(found: list[Finding]) -> list[str]:
     return lines + ([f"{NOT_OBSERVED}: {', '.join(unseen)}"] if unseen else [])
 
 
-def summary_lines(found: list[Finding]) -> list[str]:
-    """One or two lines: what was learned, and what was not."""
-    seen = [f.sentence for f in found if f.observed]
-    return ([f"learned: {', '.join(seen)}"] if seen else []) + lines_of([f for f in found if not f.observed])
-
-
 def _of_state(name: str, known: Learned, of: Meaning) -> list[Finding]:
     """Of one state; of the delay one for each source; nothing of what is no state by the parameters."""
     k = list(of.places).index(name)

@@ -20,7 +20,7 @@ from trackslip_sim.demo.soil_results import SoilResult, soil_result
 from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP
-from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, Part, replay
+from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, Part, Watch, replay
 from trackslip_tools.replay.scoring import Score, moving_slips, score, slip_rmse
 from trackslip_tools.replay.series import Series, SeriesCollector
 
@@ -61,13 +61,25 @@ class DemoResult:
     slips: Series
     true_slips: Series
     soil: SoilResult | None
+    of_bag: Score | None  # over the whole bag, as ``trackslip replay`` scores it
+    before_s: float  # s of standing in the bag before the drive
 
     @property
-    def passes(self) -> bool:
-        """Whether the demo shows what it is there to show."""
-        whole = all(counts.share >= RECEIVED_LIMIT for counts in self.topics.values())
-        same = self.live.matches and (self.soil is None or self.soil.live.matches)
-        return same and whole and self.filter.position <= POSITION_LIMIT
+    def misses(self) -> list[str]:
+        """What the demo is there to show, and does not."""
+        lines = [
+            f"{topic}: {100.0 * counts.share:.2f} % received, at least {100.0 * RECEIVED_LIMIT:g} % expected"
+            for topic, counts in self.topics.items()
+            if counts.share < RECEIVED_LIMIT
+        ]
+        if not self.live.matches:
+            lines.append("the replay's estimates are not the live ones")
+        if self.soil is not None and not self.soil.live.matches:
+            lines.append("the replay's forces and soil are not the live ones")
+        if self.filter.position > POSITION_LIMIT:
+            found = f"{self.filter.position:.3f} m"
+            lines.append(f"position RMSE over the drive: {found}, at most {POSITION_LIMIT:g} m expected")
+        return lines
 
     def save(self, file: File) -> None:
         """Write the numbers as JSON."""
@@ -85,7 +97,11 @@ class DemoResult:
 
 
 def evaluate(
-    bag: Bag, emitted: Mapping[str, int], received: Mapping[str, int], drive_start_ns: int
+    bag: Bag,
+    emitted: Mapping[str, int],
+    received: Mapping[str, int],
+    drive_start_ns: int,
+    watch: Watch = lambda _: None,
 ) -> DemoResult | None:
     """Replay the bag and score its live estimates over the drive; None where it holds no estimates."""
     p = load_slip_parameters(bag_parameters(bag))
@@ -93,6 +109,7 @@ def evaluate(
     collector = SeriesCollector(_LIVE)
 
     def collect(part: Part) -> None:
+        watch(part)
         for topic in _LIVE & part.tables.keys():
             collector.add(topic, part.tables[topic].rows)
 
@@ -128,6 +145,8 @@ def evaluate(
         slips,
         true_slips,
         None if result.soil is None else soil_result(result.soil, drive_start_ns),
+        result.scores.get("filter"),
+        (drive_start_ns - bag.start_ns) * 1e-9,
     )
 
 

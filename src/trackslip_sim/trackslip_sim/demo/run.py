@@ -17,7 +17,7 @@ from rich.console import Console
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import load_parameters
-from trackslip_common.errors import ExitCode, InputError
+from trackslip_common.errors import ExitCode, InputError, suggestion
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import load_vehicle
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
@@ -28,6 +28,7 @@ from trackslip_sim.demo.results import evaluate
 from trackslip_sim.demo.session import Session
 from trackslip_sim.demo.show import report
 from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.live.parameters import DEFAULT_FILES, LiveParameters
 
 _LONGEST = 3600.0  # s
@@ -63,7 +64,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     options.duration = _duration(options.duration)
     soils = load_soils()
     if options.soil not in soils:
-        raise InputError(f"SOIL: '{options.soil}' is unknown; accepted: {', '.join(soils)}")
+        raise InputError(f"SOIL: '{options.soil}' is unknown{suggestion(options.soil, soils)}")
     options.vehicle = options.vehicle or load_scenario(options.scenario).vehicle
     load_vehicle(options.vehicle).whole()
     return options
@@ -119,8 +120,9 @@ def _run(options: argparse.Namespace, console: Console) -> int:
 def _conclude(options: argparse.Namespace, session: Session, path: Path, console: Console) -> int:
     output: Path = options.output
     began = time.monotonic()
-    with open_bag(path) as bag:
-        result = evaluate(bag, session.emitted, session.received, session.drive_start_ns)
+    with open_bag(path) as bag, counted(bag.duration_s, "replaying") as advance:
+        watch = following(bag, advance)
+        result = evaluate(bag, session.emitted, session.received, session.drive_start_ns, watch)
     if result is None:
         print(f"no estimates in {path}; the nodes' logs are in {output}/*.log", file=sys.stderr)
         return ExitCode.FAILED
@@ -131,7 +133,9 @@ def _conclude(options: argparse.Namespace, session: Session, path: Path, console
     console.print(f"replayed and plotted in {time.monotonic() - began:.1f} s")
     for name, file in (("picture", picture), ("numbers", output / "summary.json"), ("bag", path)):
         console.print(f"{name:<8} {file}", soft_wrap=True)
-    return ExitCode.DONE if result.passes else ExitCode.FAILED
+    for miss in result.misses:
+        print(f"missed: {miss}", file=sys.stderr)
+    return ExitCode.FAILED if result.misses else ExitCode.DONE
 
 
 def _free_tcp_port() -> int:

@@ -44,6 +44,12 @@ def report(console: Console, result: DemoResult) -> None:
     for name, found, slip in rows:
         errors.add_row(name, f"{found.position:.4f}", f"{found.heading:.4f}", f"{slip:.4f}")
     console.print(errors)
+    if result.of_bag is not None:
+        position, heading = result.of_bag.position, result.of_bag.heading or 0.0
+        console.print(
+            f"trackslip replay scores the whole bag, {result.before_s:.1f} s of standing before the drive "
+            f"included: position {position:.4f} m, heading {heading:.4f} rad"
+        )
     if result.soil is not None:
         console.print(_soil_table(result.soil))
     counts = Table(title="Messages", title_justify="left")

@@ -4,7 +4,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, suggestion
 
 T = TypeVar("T")
 
@@ -31,7 +31,7 @@ def refuse_unknown(tree: Mapping[str, Any], keys: tuple[str, ...]) -> None:
     """Raise ``InputError`` for a key that is not among ``keys``."""
     for key in tree:
         if key not in keys:
-            raise InputError(f"unknown key '{key}'; accepted: {', '.join(keys)}")
+            raise InputError(f"unknown key '{key}'{suggestion(key, keys)}")
 
 
 def number(tree: Mapping[str, Any], key: str) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.config_files import config_directory, read_yaml
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, suggestion
 from trackslip_common.vehicle import ASSUMED
 from trackslip_sim.machine.faults import Fault, read_fault
 from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
@@ -175,7 +175,8 @@ def load_scenario(name_or_file: str) -> Scenario:
             except InputError as error:
                 raise InputError(f"{path}: {error}") from error
     raise InputError(
-        f"scenario: '{name_or_file}' is unknown; accepted: {', '.join(scenario_names())}, or a YAML file"
+        f"scenario: '{name_or_file}' is unknown"
+        f"{suggestion(str(name_or_file), scenario_names(), ', or a YAML file')}"
     )
 
 

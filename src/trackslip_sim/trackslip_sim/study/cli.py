@@ -17,8 +17,11 @@ from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_tools.cli import machine_options
+from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.outputs import require_writable
 from trackslip_tools.cli.progress import shown
+from trackslip_tools.terminal_text import for_terminal
 
 EXAMPLE = (
     "trackslip study --soil sand dry_clay --filter ekf --sigma-xy 0.01 0.05 --seeds 100 --json study.json"
@@ -70,7 +73,11 @@ def run(args: argparse.Namespace) -> int:
     _prepare(args)
     running = study.run(args.cache, args.jobs, fresh=args.fresh)
     rows = study.rows(list(shown(running, study.UNIT, total=len(study))))
-    print(f"vehicle: {load_vehicle(args.vehicle or ASSUMED).name}\n\n{study.markdown(rows)}", end="")
+    print(
+        f"vehicle: {load_vehicle(args.vehicle or ASSUMED).name}\n\n{for_terminal(study.markdown(rows))}",
+        end="",
+    )
+    print(f"\n{len(study)} {study.UNIT} in {waited_s():.1f} s")
     if args.json is not None:
         write_json(args.json, [asdict(row) for row in rows])
     if args.output is not None:
@@ -101,8 +108,7 @@ def _cache_file() -> Path:
 
 def _prepare(args: argparse.Namespace) -> None:
     """Refuse before the study what cannot be written after it."""
-    if args.json is not None and not args.json.parent.is_dir():
-        raise InputError(f"--json: '{args.json}' cannot be written (no such folder: {args.json.parent})")
+    require_writable(json=args.json)
     if args.output is not None:
         try:
             args.output.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.compiled import compiled
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, suggestion
 from trackslip_common.soils import Soil
 from trackslip_sim.truth.record import FloatArray, IntArray
 from trackslip_sim.truth.terrain import FLAT, Terrain
@@ -73,7 +73,7 @@ def build_ground(
     names = [base.name]
     for patch in patches:
         if patch.soil not in soils:
-            raise InputError(f"patch: soil '{patch.soil}' is unknown; accepted: {', '.join(soils)}")
+            raise InputError(f"patch: soil '{patch.soil}' is unknown{suggestion(patch.soil, soils)}")
         if patch.soil not in names:
             names.append(patch.soil)
     records = [base, *(soils[name] for name in names[1:])]

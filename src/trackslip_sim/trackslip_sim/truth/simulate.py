@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Protocol
 
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, suggestion
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UpperStructure, Vehicle, load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario
@@ -90,7 +90,7 @@ def simulate_in_pieces(
     soils = load_soils()
     name = soil if soil is not None else scenario.soil
     if name not in soils:
-        raise InputError(f"soil: '{name}' is unknown; accepted: {', '.join(soils)}")
+        raise InputError(f"soil: '{name}' is unknown{suggestion(name, soils)}")
     ground = build_ground(soils[name], scenario.patches, soils, scenario.terrain)
     vehicle, settings = vehicle or load_vehicle().whole(), settings or load_settings()
     relief = scenario.relief_pressure or vehicle.relief_pressure

@@ -15,6 +15,7 @@ from trackslip_tools.calibration.recording import Recording
 
 _VEHICLE_NODES = (NODE, "soil_estimator", "box_localizer")
 _DRIVERS = {"imu/data_raw": "watson_imu", "box_pose": "sick_pls"}  # whose ``time_offset`` moves a topic
+_NOTHING = Finding("", None, None)
 _LEAST_SPREAD = 0.02  # of κ, before the first turn
 
 
@@ -24,6 +25,7 @@ class Calibration:
 
     findings: Mapping[str, Finding]
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # node → dotted name → value
+    confirmed: tuple[str, ...] = ()  # findings whose interval holds the present value: no parameters
 
 
 def calibrate(
@@ -32,8 +34,12 @@ def calibrate(
     sources: tuple[str, str],
     *,
     hard_ground: bool = False,
+    everything: bool = False,
 ) -> Calibration:
-    """``sources``: topics of gyro and poses; ``hard_ground``: that nothing slips on the straights."""
+    """``sources``: topics of gyro and poses; ``hard_ground``: that nothing slips on the straights.
+
+    ``everything``: also what the present value is as good as becomes a parameter.
+    """
     headings = gyro.scale_and_delay(recordings)
     findings = {
         "gyro_bias": standing.gyro_bias(recordings),
@@ -59,7 +65,23 @@ def calibrate(
         "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
     )
     spread = turns.spread * p.vehicle.kinematics.tread / radius
-    return Calibration(findings, _parameters(findings, spread, p, sources))
+    confirmed = () if everything else _confirmed(findings, p, sources[0])
+    news = {name: _NOTHING if name in confirmed else finding for name, finding in findings.items()}
+    return Calibration(findings, _parameters(news, spread, p, sources), confirmed)
+
+
+def _confirmed(findings: Mapping[str, Finding], p: SlipEstimatorParameters, gyro: str) -> tuple[str, ...]:
+    """Findings whose intervals hold what the parameters say already."""
+    present = {
+        "rolling_radius": p.vehicle.kinematics.rolling_radius,
+        "turning_efficiency": p.turning.initial_efficiency,
+    }
+    if gyro in p.gyros():
+        present |= {"gyro_sign": p.gyros()[gyro].sign, "gyro_scale": p.gyros()[gyro].scale}
+    intervals = {name: findings[name].interval for name in present}
+    return tuple(
+        n for n, interval in intervals.items() if interval and interval[0] <= present[n] <= interval[1]
+    )
 
 
 def _gyro_of(findings: Mapping[str, Finding]) -> tracks.Gyro:

@@ -10,11 +10,16 @@ import yaml
 from trackslip_common.errors import InputError
 from trackslip_tools.calibration.calibrate import Calibration
 from trackslip_tools.calibration.finding import Finding
+from trackslip_tools.terminal_text import WIDTH, wrapped
 
 
 def text(calibration: Calibration) -> str:
-    """One line for each number, found or not."""
-    return "\n".join(_line(name, finding) for name, finding in calibration.findings.items())
+    """A line for each number, found or not, and what it rests on; then what is no news."""
+    lines = [line for name, finding in calibration.findings.items() for line in _lines(name, finding)]
+    if calibration.confirmed:
+        names = ", ".join(calibration.confirmed)
+        lines.append(f"as the parameters have it, and not written (--all writes it): {names}")
+    return "\n".join(map(wrapped, lines))
 
 
 def summary(calibration: Calibration, bags: Sequence[str]) -> dict[str, Any]:
@@ -41,12 +46,14 @@ def write_parameters(path: Path, calibration: Calibration, bags: Sequence[str]) 
         raise InputError(f"--output: '{path}' cannot be written ({error.strerror})") from error
 
 
-def _line(name: str, finding: Finding) -> str:
+def _lines(name: str, finding: Finding) -> list[str]:
     if finding.value is None or finding.interval is None:
-        return f"{name:<22} –  {finding.reason}"
+        return [f"{name:<25}–  {finding.reason}"]
     low, high = finding.interval
-    unit = "" if finding.unit == "1" else f" {finding.unit}"
-    return f"{name:<22} {finding.value:.5g}{unit}  [{low:.5g}, {high:.5g}]  {finding.basis}"
+    unit = "" if finding.unit == "1" else finding.unit
+    line = f"{name:<25}{finding.value:>11.5g} {unit:<5}[{low:.5g}, {high:.5g}]"
+    whole = f"{line:<69}{finding.basis}"
+    return [whole] if len(whole) <= WIDTH else [line, f"  {finding.basis}"]
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:

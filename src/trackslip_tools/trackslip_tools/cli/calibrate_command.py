@@ -14,7 +14,8 @@ from trackslip_tools.calibration.output import summary, text, write_parameters
 from trackslip_tools.calibration.recording import read_recording
 from trackslip_tools.cli import machine_options, replay_options
 from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.progress import shown
+from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.progress import counted, shown
 
 EXAMPLE = "trackslip calibrate bags/slalom_sand out/demo/bag --output calibration.yaml"
 
@@ -43,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="nothing slips on the straights: they show the rolling radius",
     )
+    add("--all", action="store_true", help="write also values whose interval holds the present one")
     add("--output", metavar="YAML", type=Path, help="write the parameters for the nodes, with the evidence")
     add("--json", metavar="FILE", type=Path, help="write everything that was found as JSON")
 
@@ -53,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: a bag, a parameter or an option cannot be used.
     """
+    require_writable(output=args.output, json=args.json)
     with open_bag(args.bags[0], args.namespace) as bag:
         p = replay_options.parameters_of(bag, args.params, [], args.vehicle)
         gyro, poses = _sources(args, bag, p)
@@ -63,12 +66,15 @@ def run(args: argparse.Namespace) -> int:
                 show(f"note: {bag.damage}", file=sys.stderr)
             require_topics(bag, filter(None, (args.gyro, args.poses)))
             recordings.append(read_recording(bag, gyro, poses, p.motion))
-    result = calibrate(recordings, p, (gyro, poses), hard_ground=args.hard_ground)
+    with counted(None, "calibrating"):
+        result = calibrate(recordings, p, (gyro, poses), hard_ground=args.hard_ground, everything=args.all)
     names = [str(path) for path in args.bags]
     show(text(result))
-    if args.output is not None:
+    if args.output is not None and result.parameters:
         write_parameters(args.output, result, names)
         show(f"parameters: {args.output}")
+    elif args.output is not None:
+        show(f"nothing new: {args.output} is not written")
     if args.json is not None:
         write_json(args.json, summary(result, names))
     return ExitCode.DONE if any(finding.is_found for finding in result.findings.values()) else ExitCode.FAILED

@@ -9,10 +9,12 @@ from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import refuse_existing
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, show
 from trackslip_common.vehicle import load_vehicle
 from trackslip_tools.cli import machine_options
+from trackslip_tools.cli.progress import counted
 
 EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --output out/field_log"
 
@@ -44,7 +46,10 @@ def run(args: argparse.Namespace) -> int:
         InputError: the log, the mapping or the output cannot be used.
     """
     vehicle = None if args.vehicle is None else load_vehicle(args.vehicle)
-    imported = import_log(args.logs, read_mapping(config_file(args.mapping), vehicle), args.output)
+    refuse_existing(args.output)
+    mapping = read_mapping(config_file(args.mapping), vehicle)
+    with counted(None, "importing"):
+        imported = import_log(args.logs, mapping, args.output)
     with open_bag(args.output) as bag:
         show(describe(bag))
     for line in _notes(imported):

@@ -21,6 +21,16 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(f"{self.prog}: {message} (see {self.prog} --help)")
 
 
+class _Version(argparse.Action):
+    """Looked up only where it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"trackslip {version('trackslip_tools')}")
+        parser.exit()
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     try:
@@ -66,10 +76,22 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         description="The workbench around bags.",
         epilog="example: trackslip info out/demo/bag; 'trackslip COMMAND --help' has one for each",
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and exit")
     added = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, command in known.items():
         _add(added, name, command, whole=name == asked)
-    return parser.parse_args(argv)
+    args, unknown = parser.parse_known_args(argv)
+    if unknown and asked is not None:
+        _refuse(unknown, added.choices[asked])
+    return args
+
+
+def _refuse(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn:
+    """What no command knows: an option that was mistyped, or a word too many."""
+    options = [option for action in parser._actions for option in action.option_strings]
+    like = did_you_mean(unknown[0], options) if unknown[0].startswith("-") else ""
+    words = " ".join(unknown)
+    raise InputError(f"{parser.prog}: unrecognized arguments: {words}{like} (see {parser.prog} --help)")
 
 
 def _add(added: Any, name: str, command: Command, *, whole: bool) -> None:

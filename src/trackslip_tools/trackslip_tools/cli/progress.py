@@ -1,33 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A progress bar on a terminal; nothing in a pipe, for which no library is loaded either."""
+"""A progress bar with the remaining time on a terminal; nothing in a pipe, for which no library is loaded."""
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from trackslip_bags.reader import Bag
+    from trackslip_tools.replay.run import Part
 
 T = TypeVar("T")
 
 
-def shown(items: Iterable[T], label: str, total: int | None = None) -> Iterable[T]:
+def shown(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
     """The items, with a bar on stderr that follows them; ``total`` where they have no length."""
-    if not sys.stderr.isatty():
-        return items
-    from rich.console import Console
-    from rich.progress import track
-
-    return track(items, label, total, console=Console(stderr=True), transient=True)
+    whole = len(items) if total is None and isinstance(items, Sized) else total
+    with counted(whole, label) as advance:
+        for item in items:
+            yield item
+            advance(1)
 
 
 @contextmanager
-def counted(total: int, label: str) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr, moved on by calling what is yielded with how much more is done."""
+def counted(total: float | None, label: str) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr, moved on by calling what is yielded with how much more is done.
+
+    ``total`` None: nobody knows how much there is; the bar shows that something is done.
+    """
     if not sys.stderr.isatty():
         yield lambda _: None
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    columns = [TextColumn("{task.description}"), BarColumn()]
+    columns += [] if total is None else [TaskProgressColumn(), TimeRemainingColumn()]
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=total)
         yield lambda done: bar.advance(task, done)
+
+
+def following(bag: "Bag", advance: Callable[[float], None]) -> Callable[["Part"], None]:
+    """Moves a bar of seconds on by the parts of a replay that it watches."""
+    reached_ns = bag.start_ns
+
+    def watch(part: "Part") -> None:
+        nonlocal reached_ns
+        if len(part.arrivals):
+            newest_ns = int(part.arrivals["log_time_ns"].max())
+            advance(max(newest_ns - reached_ns, 0) * 1e-9)
+            reached_ns = max(newest_ns, reached_ns)
+
+    return watch

@@ -10,7 +10,7 @@ from functools import partial
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.playback import Playback, played, played_topics
 from trackslip_bags.reader import Bag, require_topics
-from trackslip_common.errors import InputError, show
+from trackslip_common.errors import InputError, show, suggestion
 from trackslip_tools.cli.keyboard import Keyboard
 from trackslip_tools.cli.nodes import node_module
 
@@ -67,8 +67,8 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
         show(f"note: {topic} is left out, {topics.pop(topic)} is not installed", file=sys.stderr)
     for edit in filters.withhold:
         if f"/{edit.topic}" not in topics:
-            accepted = ", ".join(sorted(topics))
-            raise InputError(f"--withhold {edit.topic}: there is no such topic; accepted: {accepted}")
+            like = suggestion(f"/{edit.topic}", sorted(topics))
+            raise InputError(f"--withhold {edit.topic}: there is no such topic{like}")
     playback = Playback(partial(played, bag, filters, topics), args.rate or 1.0, args.paused, args.loop)
     if playback.finished:
         raise InputError(f"bag '{bag.path}': nothing to publish between --start and --stop")

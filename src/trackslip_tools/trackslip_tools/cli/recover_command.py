@@ -8,7 +8,7 @@ from pathlib import Path
 from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import Recovery, recover
-from trackslip_bags.writer import CHUNK_SPAN_NS
+from trackslip_bags.writer import CHUNK_SPAN_NS, refuse_existing
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli.progress import shown
 
@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
     """
     damaged = args.bag.resolve()
     output = args.output or damaged.with_name(f"{damaged.stem}_recovered")
+    refuse_existing(output)
     for line in _lines(recover(args.bag, output, partial(shown, label="recovering"))):
         show(line)
     with open_bag(output) as bag:

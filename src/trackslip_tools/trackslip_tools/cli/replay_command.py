@@ -3,14 +3,18 @@
 
 import argparse
 import sys
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import publish, replay_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.replay.output import EstimateWriter, summary, text
 from trackslip_tools.replay.run import Part, replay
 from trackslip_tools.replay.start import learned_before
@@ -38,6 +42,8 @@ def run(args: argparse.Namespace) -> int:
         InputError: the bag, a parameter or an option cannot be used.
     """
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
+    refuse_existing(args.output)
+    require_writable(json=args.json)
     with open_bag(args.bag, args.namespace) as bag:
         if bag.damage:
             show(f"note: {bag.damage}", file=sys.stderr)
@@ -48,9 +54,10 @@ def run(args: argparse.Namespace) -> int:
         replay_options.require_named(bag, p, filters, reference)
         of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
         learned, _ = learned_before(bag, p)
-        with EstimateWriter(args.output, p, learned) if args.output else nullcontext() as writer:
-            watch = writer.add if writer else _ignore
-            result = replay(bag, p, filters, reference, of_soil, watch)
+        written = EstimateWriter(args.output, p, learned) if args.output else nullcontext()
+        with written as writer, counted(bag.duration_s, "replaying") as advance:
+            watches = [following(bag, advance), *([writer.add] if writer else [])]
+            result = replay(bag, p, filters, reference, of_soil, lambda part: _all(watches, part))
             if writer and result.soil is not None:
                 writer.add_soil(result.soil)
     show(text(result, waited_s()))
@@ -61,5 +68,6 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.FAILED if result.no_estimate else ExitCode.DONE
 
 
-def _ignore(_: Part) -> None:
-    """Nothing is written."""
+def _all(watches: Iterable[Callable[[Part], None]], part: Part) -> None:
+    for watch in watches:
+        watch(part)

@@ -12,7 +12,7 @@ from trackslip_bags.old_parameters import SOURCE_LISTS, current_names
 from trackslip_bags.parameters import bag_vehicle, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
-from trackslip_common.errors import InputError, show
+from trackslip_common.errors import InputError, show, suggestion
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
 from trackslip_common.vehicle import TOPIC as VEHICLE
@@ -200,8 +200,8 @@ def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, r
     for option, named in (("--withhold", filters.withhold), ("--thin", filters.thin)):
         for edit in named:
             if edit.topic not in known:
-                there = ", ".join(sorted(known))
-                raise InputError(f"{option} {edit.topic}: there is no such topic; accepted: {there}")
+                like = suggestion(edit.topic, sorted(known))
+                raise InputError(f"{option} {edit.topic}: there is no such topic{like}")
 
 
 def parse_settings(texts: Iterable[str], node: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import replay_options
+from trackslip_tools.cli.outputs import require_writable
 from trackslip_tools.cli.progress import shown
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
@@ -56,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
     pairs = [(path, name) for path in args.bags for name in files]
     recordings: dict[Path, Recording] = {}
     runs = []
+    require_writable(output=args.output)
     for path, name in shown(pairs, "replaying"):
         with open_bag(path, args.namespace) as bag:
             given = ([] if name == _OWN else [name], args.set)

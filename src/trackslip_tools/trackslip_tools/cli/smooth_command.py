@@ -3,13 +3,18 @@
 
 import argparse
 import sys
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import replay_options
+from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.progress import counted
 from trackslip_tools.smoothing.smooth_bag import SmoothedWriter, smooth_bag
 from trackslip_tools.smoothing.smoothing import Smoothed
 
@@ -33,15 +38,17 @@ def run(args: argparse.Namespace) -> int:
         InputError: the bag, a parameter or an option cannot be used.
     """
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
+    refuse_existing(args.output)
+    require_writable(json=args.json)
     with open_bag(args.bag, args.namespace) as bag:
         if bag.damage:
             show(f"note: {bag.damage}", file=sys.stderr)
         p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
-        with SmoothedWriter(args.output, p) if args.output else nullcontext() as writer:
-            watch = writer.add if writer else _ignore
-            result = smooth_bag(bag, p, filters, reference, watch)
-    show(result)
+        written = SmoothedWriter(args.output, p) if args.output else nullcontext()
+        with written as writer, counted(bag.duration_s, "smoothing") as advance:
+            result = smooth_bag(bag, p, filters, reference, _watch(writer, advance))
+    show(result.text(waited_s()))
     if args.output is not None:
         show(f"smoothed: {args.output}")
     if args.json is not None:
@@ -49,5 +56,13 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE if result.estimates else ExitCode.FAILED
 
 
-def _ignore(_: Smoothed) -> None:
-    """Nothing is written."""
+def _watch(writer: SmoothedWriter | None, advance: Callable[[float], None]) -> Callable[[Smoothed], None]:
+    """Writes each block, where it is wanted, and moves the bar on."""
+
+    def watch(block: Smoothed) -> None:
+        if writer is not None:
+            writer.add(block)
+        stamps_ns = block.smoothed["stamp_ns"]
+        advance(float(stamps_ns[-1] - stamps_ns[0]) * 1e-9)
+
+    return watch

@@ -10,8 +10,10 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import replay_options
+from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.progress import counted
+from trackslip_tools.terminal_text import for_terminal
 from trackslip_tools.tuning.evidence import JOURNAL, NUMBERS, PARAMETERS, numbers, table, write_evidence
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import LIKELIHOOD, read_plan
@@ -62,8 +64,9 @@ def run(args: argparse.Namespace) -> int:
         tuning = Tuner(plan, tasks, work, journal, advance).run(cross_validate)
     write_evidence(args.output, tuning, tasks[0].p)
     write_json(args.output / NUMBERS, numbers(tuning))
-    show(table(tuning))
-    show(f"\nparameters: {args.output / PARAMETERS}")
+    show(for_terminal(table(tuning)))
+    show(f"\ntuned in {waited_s():.1f} s")
+    show(f"parameters: {args.output / PARAMETERS}")
     return ExitCode.DONE if tuning.improves_unseen else ExitCode.FAILED
 
 

@@ -59,6 +59,7 @@ class PathErrors:
         self._reference = Waiting()  # stamp_ns, x, y, heading
         self._recent: tuple[Path, FloatArray] | None = None  # the end of the piece before
         self._position = self._heading = self._nees = self._nees_position = 0.0  # sums of squares
+        self.last_position: float | None = None  # m, at the newest sample that was compared
         self._count = self._headed = self._with_nees = self._with_nees_position = 0
 
     def add(self, path: Path, reference: Rows | None, covariances: FloatArray | None = None) -> None:
@@ -77,6 +78,8 @@ class PathErrors:
         true = Path(due["stamp_ns"], np.column_stack([due[name] for name in ("x", "y", "heading")]))
         errors = errors_of(path, true)
         self._count += len(errors)
+        if len(errors):
+            self.last_position = float(np.hypot(*errors[-1, :2]))
         self._position += float(np.sum(errors[:, :2] ** 2))
         headed = np.isfinite(errors[:, 2])
         self._headed += int(headed.sum())

@@ -16,16 +16,19 @@ class Filtering:
 
     def __init__(self, filters: InputFilters, sources: Sequence[str], origin_ns: int) -> None:
         self._filters, self._sources, self._origin_ns = filters, sources, origin_ns
+        self.hidden = [0] * len(filters.withhold)  # messages, by each
         self._thinned = [_Thinned(thin, sources, filters.seed) for thin in filters.thin]
 
     def __call__(self, rows: Rows) -> Rows:
         """Of more rows in log order those to see, with the noise that thinning adds."""
         t = (rows["log_time_ns"] - self._origin_ns) * 1e-9
         hidden = np.zeros(len(rows), np.bool_)
-        for withhold in self._filters.withhold:
+        for k, withhold in enumerate(self._filters.withhold):
             if withhold.topic in self._sources:
-                inside = (withhold.start_s <= t) & (t < withhold.stop_s)
-                hidden |= inside & (rows["source"] == self._sources.index(withhold.topic))
+                own = rows["source"] == self._sources.index(withhold.topic)
+                hides = withhold.covers(t) & own
+                self.hidden[k] += int(hides.sum())
+                hidden |= hides
         rows = rows[~hidden]
         for thinned in self._thinned:
             rows = thinned(rows)

@@ -106,6 +106,7 @@ class InputStream:
         self.messages: Counter[str] = Counter()  # by topic, all that was read
         self.counts = JournalCounts()
         self.refused, self._frames = Tally(), p.frames_of_sources()
+        self.hidden = [0] * len(filters.withhold)  # messages, by each
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
 
     @property
@@ -120,6 +121,7 @@ class InputStream:
 
     def __iter__(self) -> Iterator[Batch]:
         filtering = Filtering(self._filters, self.sources, self._bag.start_ns)
+        self.hidden = filtering.hidden
         commands = [self.sources.index(name) for name in _COMMANDS]
         order = LiveOrder(self._journaled(), commands, self.sources.index(SPROCKETS))
         self.counts = order.counts

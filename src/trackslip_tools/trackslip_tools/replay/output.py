@@ -16,7 +16,7 @@ from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, make_step
 from trackslip_estimation.slip.learned import Learned, meaning, to_tree
-from trackslip_estimation.slip.learned_text import summary_lines, to_json
+from trackslip_estimation.slip.learned_text import lines_of, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -24,6 +24,7 @@ from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, REPORTS, TRA
 from trackslip_tools.replay.run import Part, Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
+from trackslip_tools.terminal_text import wrapped
 
 _NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
 
@@ -98,13 +99,16 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
 
     ``elapsed_s`` is what the user waited for.
     """
-    rmse: dict[str, float | None] = {}
+    rmse: dict[str, Any] = {}
     for name in _NAMES:
         found = result.scores.get(name)
         rmse[name] = found.position if found else None
     of_filter = result.scores.get("filter")
     rmse["heading"] = of_filter.heading if of_filter else None
     rmse["slip"] = result.slip_rmse
+    if result.withheld:
+        last = result.withheld[-1].as_dict()
+        rmse["withheld"] = {"rmse": last["rmse"], "end": last["end"]}
     content = {
         "vehicle": result.vehicle,
         "duration_s": result.duration_s,
@@ -115,6 +119,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "rmse": rmse,
         "nees": result.nees,
         "nees_position": result.nees_position,
+        "withheld": [one.as_dict() for one in result.withheld],
         "learned": to_json(result.learned[-1].findings) if result.learned else None,
         "real_time_factor": result.duration_s / elapsed_s,
     }
@@ -139,13 +144,20 @@ def text(result: Replay, elapsed_s: float) -> str:
         lines.append("final  " + "  ".join(f"{name} {value:.4f}" for name, value in final.items()))
         if result.no_estimate:
             lines.append(f"no estimate of the heading: {result.no_estimate}")
+    lines += map(str, result.withheld)
     lines += [result.start] if result.start else []
-    lines += summary_lines(result.learned[-1].findings) if result.learned else []
+    lines += _learned(result)
     lines += _scores(result)
     lines += _live(result)
     if result.soil is not None:
         lines += soil_lines(result.soil)
-    return "\n".join(lines)
+    return "\n".join(map(wrapped, lines))
+
+
+def _learned(result: Replay) -> list[str]:
+    """One line for each quantity that was observed, and one for all others."""
+    lines = lines_of(result.learned[-1].findings) if result.learned else []
+    return ["learned: of the machine and its ground", *(f"  {line}" for line in lines)] if lines else []
 
 
 def _final(result: Replay) -> dict[str, float] | None:
@@ -160,7 +172,7 @@ def _final(result: Replay) -> dict[str, float] | None:
 def _scores(result: Replay) -> list[str]:
     if result.reference is None:
         return ["no reference in the bag: nothing to score against (--reference TOPIC names one)"]
-    lines = [f"RMSE against {result.reference}        position m   heading rad"]
+    lines = [f"{f'RMSE against {result.reference}':<34}{'position m':>12}{'heading rad':>14}"]
     for name, label in _NAMES.items():
         found = result.scores.get(name)
         position = f"{found.position:.4f}" if found else "–"

@@ -36,6 +36,7 @@ from trackslip_tools.replay.scoring import Score, in_order, path_of, reference_p
 from trackslip_tools.replay.series import Series, SeriesCollector, reduced
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilReplay, SoilRun
 from trackslip_tools.replay.start import learned_before
+from trackslip_tools.replay.withheld import Withheld, WithheldErrors
 
 TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
@@ -94,6 +95,7 @@ class Replay:
     no_estimate: str = ""  # why there is none, or none with a heading
     vehicle: str = ""  # its name
     learned: list[Known] = field(default_factory=list)  # in the course of it
+    withheld: list[Withheld] = field(default_factory=list)
     start: str = ""  # what it started from, where that is not the parameters alone
 
 
@@ -114,7 +116,10 @@ def replay(
     reference = reference or own_reference(bag)
     of_both = (ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP, *(SOIL_TOPICS if of_soil is not None else ()))
     stream = InputStream(bag, p, filters, _scored(reference).union(of_both))
-    collector = _Collector(stream, reference, p.vehicle.kinematics, compares=not filters.changes_inputs)
+    withheld = WithheldErrors(filters, bag.start_ns)
+    collector = _Collector(
+        stream, reference, p.vehicle.kinematics, withheld, compares=not filters.changes_inputs
+    )
     soil = (
         SoilRun(bag.start_ns, filters, of_soil)
         if of_soil is not None and HYDRAULICS in stream.topics
@@ -130,6 +135,8 @@ def replay(
     result = collector.result()
     result.no_estimate = why_no_estimate(bag, p, filters, collector.taken)
     result.start = start
+    of_soil_alone = soil.hidden if soil is not None else [0] * len(stream.hidden)
+    result.withheld = withheld.result([sum(n) for n in zip(stream.hidden, of_soil_alone, strict=True)])
     result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
     result.vehicle = p.vehicle.name
     result.elapsed_s = time.monotonic() - began
@@ -165,9 +172,16 @@ class _Collector:
     """What is kept of the parts."""
 
     def __init__(
-        self, stream: InputStream, reference: str | None, vehicle: Kinematics, *, compares: bool
+        self,
+        stream: InputStream,
+        reference: str | None,
+        vehicle: Kinematics,
+        withheld: WithheldErrors,
+        *,
+        compares: bool,
     ) -> None:
         self._stream, self._reference = stream, reference
+        self.withheld = withheld
         self._scored = _scored(reference)
         self._estimates, self._series = GrowingRows(KEPT, MOST_DRAWN), SeriesCollector(most=MOST_DRAWN)
         self._last, self._rejected = np.empty(0, KEPT), stream.refused
@@ -199,6 +213,7 @@ class _Collector:
             known = tables.get(self._reference)
             reference = None if known is None else reduced(known)
             self._errors.add_estimates(estimates, reference)
+            self.withheld.add(estimates, part.tables.get(self._reference))
             for reckoning in self._reckonings.values():
                 reckoning.add(part.arrivals, reference)
         if self._compares:

@@ -82,6 +82,7 @@ class SoilRun:
     def __init__(self, start_ns: int, filters: InputFilters, p: SoilEstimatorParameters) -> None:
         self._start_ns, self._filters = start_ns, filters
         self._estimator = SoilEstimator(p)
+        self.hidden = [0] * len(filters.withhold)  # readings, by each
         self._waiting, self._logged_ns = np.empty(0, SOIL_INPUT), np.empty(0, np.int64)  # readings
         self._published_ns = 0  # log time up to which estimates were published
         self._forces = GrowingRows(FORCES_RECORD)
@@ -122,10 +123,13 @@ class SoilRun:
 
     def _wait(self, logged: Logged) -> None:
         """Readings that are not withheld wait for the estimates that they precede."""
-        t, hidden = (logged.log_times_ns - self._start_ns) * 1e-9, np.zeros(len(logged.rows), np.bool_)
-        for withhold in self._filters.withhold:
+        t = np.asarray((logged.log_times_ns - self._start_ns) * 1e-9, np.float64)
+        hidden = np.zeros(len(logged.rows), np.bool_)
+        for k, withhold in enumerate(self._filters.withhold):
             if withhold.topic == HYDRAULICS:
-                hidden |= (withhold.start_s <= t) & (t < withhold.stop_s)
+                hides = withhold.covers(t)
+                self.hidden[k] += int(hides.sum())
+                hidden |= hides
         self._waiting = np.concatenate((self._waiting, _reading_inputs(logged.rows[~hidden])))
         self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~hidden]))
 

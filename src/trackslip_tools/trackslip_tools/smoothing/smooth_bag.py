@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Filter and smoother over a bag, each scored against the reference."""
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,9 +29,11 @@ from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, own_reference
 from trackslip_tools.replay.series import Series
 from trackslip_tools.replay.settled import read_settled
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth
+from trackslip_tools.terminal_text import wrapped
 
 Watch = Callable[[Smoothed], None]
 
+_COLUMNS = ("position m", "heading rad", "slip", "NEES")
 SMOOTHED = "smoothed/"  # before the names of the topics
 
 
@@ -54,7 +55,6 @@ class SmoothedBag:
     reference: str | None
     filter: Errors
     smoother: Errors
-    elapsed_s: float
 
     def summary(self) -> dict[str, Any]:
         """The contents of ``--json``."""
@@ -66,17 +66,18 @@ class SmoothedBag:
             "smoother": self.smoother._asdict(),
         }
 
-    def __str__(self) -> str:
-        """For a terminal."""
-        lines = [f"{self.duration_s:.1f} s smoothed in {self.elapsed_s:.1f} s"]
+    def text(self, elapsed_s: float) -> str:
+        """For a terminal; ``elapsed_s`` is what the user waited for."""
+        lines = [f"{self.duration_s:.1f} s smoothed in {elapsed_s:.1f} s"]
         if not self.estimates:
             return "no estimate: nothing to start from (no fix of a pose source, no initial pose)"
         if self.reference is None:
             return f"{lines[0]}\nno reference in the bag: --reference TOPIC names one"
-        lines.append(f"RMSE against {self.reference:<22}position m   heading rad          slip   NEES (3)")
+        lines.append(wrapped(f"RMSE against {self.reference}; NEES is 3 if consistent"))
+        lines.append(f"  {'':<21}" + "".join(f"{name:>14}" for name in _COLUMNS))
         for name in ("filter", "smoother"):
             cells = ("–" if value is None else f"{value:.4f}" for value in getattr(self, name))
-            lines.append(f"  {name:<29}" + "".join(f"{cell:>14}" for cell in cells))
+            lines.append(f"  {name:<21}" + "".join(f"{cell:>14}" for cell in cells))
         return "\n".join(lines)
 
 
@@ -92,7 +93,6 @@ def smooth_bag(
     Raises:
         InputError: the bag lacks what is needed.
     """
-    began = time.monotonic()
     reference = reference or own_reference(bag)
     wanted = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
     measurements, series = read_settled(bag, p, filters, wanted)
@@ -113,7 +113,7 @@ def smooth_bag(
         watch(block)
     found = of_filter.errors(), of_smoother.errors()
     duration_s = (stamps_ns[1] - stamps_ns[0]) * 1e-9
-    return SmoothedBag(count, duration_s, reference, *found, time.monotonic() - began)
+    return SmoothedBag(count, duration_s, reference, *found)
 
 
 def smoothed_blocks(measurements: Rows, p: SlipEstimatorParameters) -> Iterator[Smoothed]:

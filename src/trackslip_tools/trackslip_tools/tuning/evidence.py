@@ -2,6 +2,7 @@
 """What a tuning leaves behind: a parameter file that the nodes load, and beside it what it rests on."""
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,7 @@ def table(tuning: Tuning) -> str:
     sources = sorted({source for score in tuning.before for source in score.nis})
     rows = []
     unseen = {fold.bag: fold.score for fold in tuning.folds}
-    for bag, name in enumerate(tuning.bags):
+    for bag, name in enumerate(_short(tuning.bags)):
         stages = (("before", tuning.before[bag]), ("after", tuning.after[bag]), ("unseen", unseen.get(bag)))
         rows += [[name, stage, *_cells(score, sources)] for stage, score in stages if score is not None]
     heading = ["bag", "", "ln likelihood", *(f"NIS {source}" for source in sources), "refused"]
@@ -91,11 +92,20 @@ def table(tuning: Tuning) -> str:
         worse = "" if tuning.improves_unseen else "not "
         notes += f"\n\nBags that had no say are {worse}better off on average."
     parts = (
-        _aligned(["parameter", "before", "after", "without one bag"], values),
-        _aligned(heading, rows),
+        _aligned(["parameter", "before", "after", "without one bag"], values, 1),
+        _aligned(heading, rows, 2),
         notes,
     )
     return "\n\n".join(parts)
+
+
+def _short(bags: Sequence[str]) -> list[str]:
+    """Names of bags, without the folders that all of them are in."""
+    if len(bags) == 1:
+        return [Path(bags[0]).name]
+    paths = [Path(bag).resolve() for bag in bags]
+    common = os.path.commonpath(paths)
+    return [str(path.relative_to(common)) for path in paths]
 
 
 def _cells(score: Score, sources: Sequence[str]) -> list[str]:
@@ -109,11 +119,14 @@ def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else ""
 
 
-def _aligned(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table that is also one to the eye."""
-    widths = [max(map(len, column)) for column in zip(heading, *rows, strict=True)]
-    lines = [heading, ["-" * width for width in widths], *rows]
-    return "\n".join(
-        "| " + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) + " |"
-        for line in lines
-    )
+def _aligned(heading: Sequence[str], rows: Sequence[Sequence[str]], keys: int) -> str:
+    """A Markdown table that is also one to the eye; ``keys`` columns stand left, numbers right."""
+    columns = list(zip(heading, *rows, strict=True))
+    cells = [_padded(column, max(map(len, column)), is_key=k < keys) for k, column in enumerate(columns)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in zip(*cells, strict=True))
+
+
+def _padded(column: Sequence[str], width: int, *, is_key: bool) -> list[str]:
+    rule = "-" * width if is_key else "-" * (width - 1) + ":"
+    heading, *cells = (cell.ljust(width) if is_key else cell.rjust(width) for cell in column)
+    return [heading, rule, *cells]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.config_files import read_yaml
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, suggestion
 from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, parameter, to_flat
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import KINDS
@@ -155,7 +155,7 @@ def _numbers() -> dict[str, Spec]:
 def _bounds(where: str, name: str, given: object) -> Bounds:
     numbers, known = _numbers(), re.sub(r"^sources\.[^.]+\.", "sources.*.", name)
     if known not in numbers:
-        raise InputError(f"{where}: not to be tuned; accepted: {', '.join(numbers)}")
+        raise InputError(f"{where}: not to be tuned{suggestion(known, numbers)}")
     if not isinstance(given, Mapping):
         raise InputError(f"{where}: {given!r} gives no bounds; accepted: {{low: …, high: …, scale: log}}")
     bounds = from_flat(Bounds, {"scale": "linear", **given}, where)

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a recorder shows of its work: each topic as its first message is written, and how far it has come."""
+
+import sys
+import time
+from collections.abc import Callable
+
+from trackslip_bags.writer import BagWriter
+
+_PERIOD = 60.0  # s between lines, where there is no terminal
+
+
+class RecordProgress:
+    """On a terminal a line that is renewed, else a line in the log once a minute."""
+
+    def __init__(self, bag: BagWriter, log: Callable[[str], None]) -> None:
+        self._bag, self._log = bag, log
+        self._began_s = self._shown_s = time.monotonic()
+        self._topics: set[str] = set()
+        log(f"recording to {bag.path}")
+
+    def show(self, minutes_left: float | None) -> None:
+        """As things stand; ``minutes_left`` until the disk is full, where that is known."""
+        counts = {topic: count for topic, count in self._bag.counts.items() if count}
+        if new := sorted(counts.keys() - self._topics):
+            self._topics.update(new)
+            self._log(f"writing {', '.join(new)}")
+        now_s = time.monotonic()
+        line = self._line(counts, now_s - self._began_s, minutes_left)
+        if sys.stderr.isatty():
+            print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+        elif now_s - self._shown_s >= _PERIOD:
+            self._shown_s = now_s
+            self._log(line)
+
+    def _line(self, counts: dict[str, int], seconds: float, minutes_left: float | None) -> str:
+        size = sum(file.stat().st_size for file in self._bag.path.glob("*.mcap")) / 1e6
+        line = f"{seconds:.0f} s, {sum(counts.values())} messages of {len(counts)} topics, {size:.1f} MB"
+        return line if minutes_left is None else f"{line}, disk full in {minutes_left:.0f} min"

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Text that fits a terminal of 80 columns: lines are wrapped, and tables that are too wide are folded."""
+
+import re
+import textwrap
+from collections.abc import Sequence
+
+WIDTH = 80
+_RULE = re.compile(r":?-+:?")
+_GAP = "  "
+
+
+def wrapped(line: str, indent: str = "  ") -> str:
+    """A line, broken between words where it is longer than WIDTH; what follows is indented."""
+    if len(line) <= WIDTH:
+        return line
+    margin = line[: len(line) - len(line.lstrip())] + indent
+    return textwrap.fill(
+        line, WIDTH, subsequent_indent=margin, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def table(heading: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool], keys: int = 1) -> str:
+    """Aligned columns, those of ``right`` to the right.
+
+    Where they are wider than WIDTH the table is folded: one below the other, each with the first ``keys``
+    columns. A key that is the same in all rows is stated once, above.
+    """
+    lines = [list(map(str, heading)), *(list(map(str, row)) for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    told = []
+    if sum(widths) + len(_GAP) * (len(widths) - 1) > WIDTH and len(rows) > 1:
+        told = [k for k in range(keys) if lines[0][k] and len({line[k] for line in lines[1:]}) == 1]
+    columns = [k for k in range(keys) if k not in told]
+    above = ", ".join(f"{lines[0][k]} {lines[1][k]}" for k in told)
+    parts, left = [above] if above else [], list(range(keys, len(widths)))
+    while left or not parts:
+        used = list(columns)
+        while left and (len(used) == len(columns) or _span(widths, [*used, left[0]]) <= WIDTH):
+            used.append(left.pop(0))
+        parts.append("\n".join(_aligned(line, used, widths, right) for line in lines))
+    return "\n\n".join(parts)
+
+
+def for_terminal(markdown: str) -> str:
+    """Markdown with its tables folded and its lines wrapped.
+
+    Of a table those columns are keys that stand left and are no numbers (``---`` instead of ``---:``), and
+    the noises σ behind them.
+    """
+    found: list[str] = []
+    block: list[str] = []
+    for line in [*markdown.split("\n"), ""]:
+        if line.startswith("|"):
+            block.append(line)
+            continue
+        if block:
+            found.append(_folded([_cells(one) for one in block]))
+            block = []
+        found.append(wrapped(line, ""))
+    return "\n".join(found[:-1])
+
+
+def _folded(lines: list[list[str]]) -> str:
+    heading, rules, *rows = lines
+    if not all(_RULE.fullmatch(rule) for rule in rules):
+        return "\n".join(" ".join(line) for line in lines)
+    right = [rule.endswith(":") for rule in rules]
+    keys = 0
+    while keys < len(right) - 1 and (not right[keys] or heading[keys].startswith("σ")):
+        keys += 1
+    return table(heading, rows, right, max(keys, 1))
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def _span(widths: Sequence[int], columns: Sequence[int]) -> int:
+    return sum(widths[k] for k in columns) + len(_GAP) * (len(columns) - 1)
+
+
+def _aligned(
+    line: Sequence[str], columns: Sequence[int], widths: Sequence[int], right: Sequence[bool]
+) -> str:
+    cells = (line[k].rjust(widths[k]) if right[k] else line[k].ljust(widths[k]) for k in columns)
+    return _GAP.join(cells).rstrip()
