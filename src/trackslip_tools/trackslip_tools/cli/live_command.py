@@ -17,6 +17,7 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError, show
 from trackslip_tools.cli import machine_options, publish
 from trackslip_tools.cli.nodes import node_module
+from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
 
 EXAMPLE = "trackslip live out/demo/bag --rate 5"
@@ -95,15 +96,21 @@ def with_estimates(bag: Bag) -> Iterator[Bag]:
         return
     from trackslip_tools.cli import replay_options
     from trackslip_tools.replay.output import EstimateWriter
-    from trackslip_tools.replay.run import replay
+    from trackslip_tools.replay.run import Part, replay
 
     show("the bag has no estimates: replaying it first", file=sys.stderr)
     p = replay_options.parameters_of(bag, [], [])
     of_soil = replay_options.soil_parameters_of(bag, p, [], [])
     with TemporaryDirectory(prefix="trackslip_live_") as folder:
         path = Path(folder) / "estimates"
-        with EstimateWriter(path, p) as writer:
-            result = replay(bag, p, InputFilters(), None, of_soil, writer.add)
+        with EstimateWriter(path, p) as writer, counted(bag.duration_s, "replaying") as advance:
+            moved_on = following(bag, advance)
+
+            def watch(part: Part) -> None:
+                moved_on(part)
+                writer.add(part)
+
+            result = replay(bag, p, InputFilters(), None, of_soil, watch)
             if result.soil is not None:
                 writer.add_soil(result.soil)
         with open_bag(path) as made:
