@@ -6,6 +6,7 @@ SOIL ?=
 SCENARIO ?=
 VEHICLE ?=
 OUTPUT ?=
+LIVE ?=
 RUNS ?=
 FILES ?=
 SPEED ?=
@@ -26,9 +27,9 @@ setup: ## make .venv and build ros2_ws; nothing where nothing changed (ROS=jazzy
 checks: # setup, with what lint and tests take
 	@$(PYTHON) scripts/setup_workspace.py --ros '$(ROS)' --checks
 
-demo: setup ## drive the emulated excavator, record, replay, score; results in out/demo (DURATION=40 SOIL=sand SCENARIO=thesis VEHICLE=pc05)
+demo: setup ## drive the emulated excavator, record, replay, score; results in out/demo (DURATION=40 SOIL=sand SCENARIO=thesis VEHICLE=pc05; LIVE=0: without its page)
 	@$(ENTER) exec $(VENV)/python -m trackslip_sim.demo.main $(if $(DURATION),--duration '$(DURATION)') $(if $(SOIL),--soil '$(SOIL)') $(if $(VEHICLE),--vehicle '$(VEHICLE)') \
-		$(if $(SCENARIO),--scenario '$(SCENARIO)') $(if $(OUTPUT),--output '$(OUTPUT)')
+		$(if $(SCENARIO),--scenario '$(SCENARIO)') $(if $(OUTPUT),--output '$(OUTPUT)') $(if $(filter 0,$(LIVE)),--no-live)
 
 bars: setup ## errors on drives like the demo's on four soils, with and without laser and gyro, beside their limits
 	@$(ENTER) exec $(VENV)/python -m trackslip_sim.demo.bars

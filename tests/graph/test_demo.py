@@ -3,7 +3,11 @@
 
 import json
 import os
+import re
 import signal
+import socket
+import urllib.request
+from contextlib import suppress
 
 import pytest
 from matplotlib.image import imread
@@ -84,10 +88,33 @@ def test_demo_refuses(programs, arguments, words):
     assert not (programs.folder / "demo").exists()
 
 
+def answers(address):
+    try:
+        with urllib.request.urlopen(address, timeout=5.0) as page:
+            return b"live.js" in page.read()
+    except OSError:
+        return False
+
+
+def test_the_page_comes_at_another_port_where_its_own_is_taken_and_its_end_is_not_the_demos(programs):
+    with socket.socket() as taken:
+        with suppress(OSError):  # somebody else has it: just as well
+            taken.bind(("127.0.0.1", 5006))
+            taken.listen()
+        program = demo(programs, "--duration", "8")
+        program.until(lambda: "http://" in program.stdout, "the address")
+        address = re.search(r"http://\S+", program.stdout)[0]
+        assert ":5006" not in address
+        program.until(lambda: answers(address), "the page")
+        (page,) = (pid for pid, command in programs.alive().items() if "trackslip_tools/live" in command)
+        os.kill(page, signal.SIGKILL)
+        assert program.wait(150.0) == 0, program.stdout + program.stderr
+
+
 def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
     program = demo(programs, "--duration", "60")
     wait_for_drive(observer)
-    assert len(programs.alive()) == 1 + NODES
+    assert len(programs.alive()) == 2 + NODES  # the demo itself, and the live page
     ends_at_once(programs, program)
     with open_bag(programs.folder / "demo" / "bag") as bag:
         assert not bag.damage

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Box localizer, slip and soil estimators, and recorder; with ``gnss:=true`` the GNSS localizer too."""
+"""Box and GNSS localizers, slip and soil estimators, recorder, live page: those that the switches say."""
 
 import os
 from pathlib import Path
@@ -12,6 +12,7 @@ from launch import LaunchContext, LaunchDescription
 from trackslip_common.nodes.launching import Launched, declared, nodes
 
 PACKAGE = "trackslip_estimation"
+LIVE = Launched("trackslip_tools", "live")
 _DEFAULT = "default"
 EXECUTABLES = ("box_localizer", "slip_estimator", "soil_estimator", "gnss_localizer", "record")
 
@@ -31,7 +32,8 @@ def _nodes(context: LaunchContext) -> list[Node]:
     own = {"slip_estimator": {"state_file": _state_file(context)}}
     records = LaunchConfiguration("record").perform(context).lower() == "true"
     wanted = EXECUTABLES if records else EXECUTABLES[:-1]
-    return nodes(context, [Launched(PACKAGE, name, own.get(name, {})) for name in wanted])
+    launched = [Launched(PACKAGE, name, own.get(name, {})) for name in wanted]
+    return nodes(context, [*launched, LIVE])
 
 
 def _state_file(context: LaunchContext) -> str:

@@ -11,7 +11,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from trackslip_common.nodes.launching import Launched, declared, nodes
 from trackslip_common.vehicle import ASSUMED
-from trackslip_sim.demo.graph import DemoOptions, demo_nodes
+from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
 
 _OWN = {
     "duration": ("40.0", "seconds of driving"),
@@ -40,4 +40,4 @@ def _nodes(context: LaunchContext) -> list[Node]:
         autostart=True,
     )
     wanted = [Launched(node.package, node.executable, node.parameters) for node in demo_nodes(options)]
-    return nodes(context, wanted)
+    return nodes(context, [*wanted, Launched(LIVE.package, LIVE.executable)])

@@ -22,15 +22,17 @@ _COMMON = {
     "imu": ("true", "inertial unit"),
     "hydraulics": ("true", "pressures: forces and soil"),
     "gnss": ("false", "satellite receiver"),
+    "live": ("false", "serve the live page, at http://127.0.0.1:5006/ unless params_file says otherwise"),
 }
 _RANGE, _PEERS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("ROS_STATIC_PEERS", "")
-_OF_SENSOR = {
+_OF_SWITCH = {
     "sick_pls": "laser",
     "box_localizer": "laser",
     "watson_imu": "imu",
     "soil_estimator": "hydraulics",
     "nmea_gnss": "gnss",
     "gnss_localizer": "gnss",
+    "live": "live",
 }
 _WITH_PREFIX = ("slip_estimator", "soil_estimator")
 _WITH_VEHICLE = ("slip_estimator", "soil_estimator", "box_localizer", "can_driver", "emulator")
@@ -70,13 +72,13 @@ def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
 
 
 def nodes(context: LaunchContext, wanted: Iterable[Launched]) -> list[Node]:
-    """Those of ``wanted`` whose sensor is there, as the arguments say."""
+    """Those of ``wanted`` that the switches say."""
     given = {name: LaunchConfiguration(name).perform(context) for name in _COMMON}
-    sensors = {name for name in _OF_SENSOR.values() if _is_true(given[name])}
+    switched_on = {name for name in _OF_SWITCH.values() if _is_true(given[name])}
     return [
-        _node(one, given, sensors)
+        _node(one, given, switched_on)
         for one in wanted
-        if one.executable not in _OF_SENSOR or _OF_SENSOR[one.executable] in sensors
+        if one.executable not in _OF_SWITCH or _OF_SWITCH[one.executable] in switched_on
     ]
 
 

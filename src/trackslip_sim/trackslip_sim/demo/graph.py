@@ -16,6 +16,10 @@ class NodeSpec:
     package: str
     executable: str
     parameters: dict[str, object] = field(default_factory=dict)
+    is_needed: bool = True  # whether its end is the end of the demo
+
+
+LIVE = NodeSpec("trackslip_tools", "live", is_needed=False)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ class Processes:
         self._logs = logs
         self._environment = dict(environment)
         self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._needed: set[str] = set()
 
     def start(self, node: NodeSpec) -> None:
         """Run one node.
@@ -40,6 +41,8 @@ class Processes:
             InputError: its executable is not installed.
         """
         arguments = [str(executable(node.package, node.executable)), "--ros-args"]
+        if node.is_needed:
+            self._needed.add(node.executable)
         for name, value in node.parameters.items():
             arguments += ["-p", f"{name}:={yaml.safe_dump(value, default_flow_style=True).splitlines()[0]}"]
         with (self._logs / f"{node.executable}.log").open("wb") as log, interrupts_noted():
@@ -62,8 +65,8 @@ class Processes:
         return {name: process.pid for name, process in self._running.items()}
 
     def ended(self) -> dict[str, int]:
-        """Exit codes of those that are no longer running."""
-        codes = {name: process.poll() for name, process in self._running.items()}
+        """Exit codes of those that are needed and no longer running."""
+        codes = {name: self._running[name].poll() for name in self._needed & self._running.keys()}
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, names: Iterable[str] | None = None) -> None:

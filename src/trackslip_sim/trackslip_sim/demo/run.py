@@ -9,15 +9,18 @@ import socket
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
 from trackslip_bags.reader import open_bag
+from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import ExitCode, InputError, suggestion
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import load_vehicle
-from trackslip_sim.demo.graph import DemoOptions, demo_nodes
+from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
 from trackslip_sim.demo.output import claim
 from trackslip_sim.demo.picture import draw
 from trackslip_sim.demo.processes import DemoFailure, Processes, interrupts_noted
@@ -26,6 +29,7 @@ from trackslip_sim.demo.session import Session
 from trackslip_sim.demo.show import report
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_tools.cli.progress import counted, following
+from trackslip_tools.live.parameters import DEFAULT_FILES, LiveParameters
 
 _LONGEST = 3600.0  # s
 
@@ -55,6 +59,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--scenario", default="thesis", help="a name of config/scenarios, or a file")
     parser.add_argument("--vehicle", help="a name of config/vehicles, or a file; default: the scenario's")
     parser.add_argument("--output", type=Path, default=Path("out/demo"), help="directory of the results")
+    parser.add_argument("--no-live", dest="live", action="store_false", help="serve no live page")
     options = parser.parse_args(argv)
     options.duration = _duration(options.duration)
     soils = load_soils()
@@ -93,12 +98,15 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         f"Trackslip demo: {options.duration:g} s of '{options.scenario}' on {options.soil}; "
         f"look in with ROS_DOMAIN_ID={domain}"
     )
+    live = [replace(LIVE, parameters={"port": _free_tcp_port()})] if options.live else []
+    for page in live:
+        console.print(f"the live page: http://127.0.0.1:{page.parameters['port']}/")
     processes = Processes(output, os.environ)
     with interrupts_noted() as check:
         try:
             session = Session(processes, console, check)
             try:
-                session.bring_up(demo_nodes(nodes))
+                session.bring_up([*demo_nodes(nodes), *live])
                 session.watch(options.duration)
             finally:
                 session.close()
@@ -128,6 +136,17 @@ def _conclude(options: argparse.Namespace, session: Session, path: Path, console
     for miss in result.misses:
         print(f"missed: {miss}", file=sys.stderr)
     return ExitCode.FAILED if result.misses else ExitCode.DONE
+
+
+def _free_tcp_port() -> int:
+    """That of ``config/live.yaml``; another where it is taken."""
+    usual = load_parameters(LiveParameters, LIVE.executable, DEFAULT_FILES).port
+    for wanted in (usual, 0):
+        with socket.socket() as probe, suppress(OSError):
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(("127.0.0.1", wanted))
+            return int(probe.getsockname()[1])
+    return usual
 
 
 def _free_udp_port() -> int:

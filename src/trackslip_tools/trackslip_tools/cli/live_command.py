@@ -17,6 +17,7 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError, show
 from trackslip_tools.cli import machine_options, publish
 from trackslip_tools.cli.nodes import node_module
+from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
 
 EXAMPLE = "trackslip live out/demo/bag --rate 5"
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     given = {name: value for name, value in given.items() if value is not None}
     if args.bag is not None:
         p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
-        with open_bag(args.bag, args.namespace) as bag, _with_estimates(bag) as whole:
+        with open_bag(args.bag, args.namespace) as bag, with_estimates(bag) as whole:
             return _serve(whole, p, InputFilters(start_s=args.start or 0.0), args.rate or 1.0)
     if args.rate is not None or args.start is not None:
         raise InputError("--rate, --start: accepted only together with a BAG")
@@ -88,22 +89,28 @@ def _serve(bag: Bag, p: LiveParameters, filters: InputFilters, rate: float) -> i
 
 
 @contextmanager
-def _with_estimates(bag: Bag) -> Iterator[Bag]:
+def with_estimates(bag: Bag) -> Iterator[Bag]:
     """The bag and, where it holds none, the estimates that a replay of it gives."""
     if any(topic.removeprefix("/") == "odometry" for topic in bag.topics):
         yield bag
         return
     from trackslip_tools.cli import replay_options
     from trackslip_tools.replay.output import EstimateWriter
-    from trackslip_tools.replay.run import replay
+    from trackslip_tools.replay.run import Part, replay
 
     show("the bag has no estimates: replaying it first", file=sys.stderr)
     p = replay_options.parameters_of(bag, [], [])
     of_soil = replay_options.soil_parameters_of(bag, p, [], [])
     with TemporaryDirectory(prefix="trackslip_live_") as folder:
         path = Path(folder) / "estimates"
-        with EstimateWriter(path, p) as writer:
-            result = replay(bag, p, InputFilters(), None, of_soil, writer.add)
+        with EstimateWriter(path, p) as writer, counted(bag.duration_s, "replaying") as advance:
+            moved_on = following(bag, advance)
+
+            def watch(part: Part) -> None:
+                moved_on(part)
+                writer.add(part)
+
+            result = replay(bag, p, InputFilters(), None, of_soil, watch)
             if result.soil is not None:
                 writer.add_soil(result.soil)
         with open_bag(path) as made:

@@ -24,7 +24,7 @@ def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
         x, y, heading = inputs.pose_of(odometry)
         apart = SIGMAS * math.sqrt(max(float(np.max(_eigenvalues(odometry.covariance[:2, :2]))), 0.0))
         turned = SIGMAS * math.sqrt(max(odometry.covariance[2, 2], 0.0))
-        facts["position"] = f"{x:.2f}, {y:.2f} m ± {apart:.2f}"
+        facts["position"] = f"{x:.2f}, {y:.2f} m ± {apart:.{2 if apart >= 0.1 else 3}f}"
         facts["heading"] = _degrees(heading, turned)
         facts["speed"] = f"{odometry.v_x:.2f} m/s"
     if slip is not None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from trackslip_common.errors import printable
 
-SILENT_S = 1.6  # s without a word, which nodes give once a second: the node has ended, or hangs
+SILENT_S = 1.5  # s without a word, which nodes give once a second: the node has ended, or hangs
 MOST = 60  # lights
 _LONGEST = 160  # characters of a text
 _RATE, _AGE = "rate (Hz)", "age (s)"  # values of drivers

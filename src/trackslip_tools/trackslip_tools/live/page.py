@@ -18,7 +18,7 @@ from trackslip_tools.report.plots import time_plot
 from trackslip_tools.report.quantities import Quantity, Shown
 
 _STRIP_HEIGHT = 190
-_CLOCK = dict.fromkeys(("seconds", "minsec", "minutes", "hourmin", "hours"), "%H:%M:%S")
+_CLOCK = dict.fromkeys(("seconds", "minsec", "minutes", "hourmin", "hours", "days"), "%H:%M:%S")
 _SLIPS, _RESERVES = (-0.2, 1.0), (0.0, 1.0)  # ranges of gauges
 
 
@@ -77,23 +77,28 @@ def _document() -> tuple[Document, dict[str, str]]:
     """The plots without data, and the ids of their models by the names of the page's elements."""
     document = Document()
     plots = {"path": path_figure()}
-    x_range = Range1d(0.0, 1.0, name="time")
     panels = Strips().panels()
     first = 0
     for k, panel in enumerate(panels):
-        plots[f"strip-{k}"] = _strip(panel, x_range, k, first)
+        plots[f"strip-{k}"] = _strip(panel, k, first)
         first += len(panel.curves)
-    for plot in plots.values():
+    for name, plot in plots.items():
+        plot.name = name
         document.add_root(plot)
     return document, {name: plot.id for name, plot in plots.items()}
 
 
-def _strip(panel: Panel, x_range: Range1d, number: int, first: int) -> figure:
-    """A panel of the report, with clock times below it and without tools: one finger scrolls the page."""
-    plot = time_plot(panel, x_range, 1)
+def _strip(panel: Panel, number: int, first: int) -> figure:
+    """A panel of the report over clock times and without tools, so that a finger scrolls the page."""
+    plot = time_plot(panel, Range1d(0.0, 1.0, name=f"time-{number}"), 1)
     still(plot)
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
-    plot.xaxis.ticker, plot.xaxis.formatter = DatetimeTicker(), DatetimeTickFormatter(**_CLOCK)
+    plot.title.text = panel.title.partition(":")[0]
+    plot.legend.visible = len(panel.curves) > 1
+    plot.xaxis.ticker, plot.xaxis.formatter = (
+        DatetimeTicker(desired_num_ticks=4),
+        DatetimeTickFormatter(**_CLOCK),
+    )
     sources = {renderer.name: renderer.data_source for renderer in plot.renderers}
     for k, curve in enumerate(panel.curves):
         sources[curve.label].name = f"line-{first + k}"

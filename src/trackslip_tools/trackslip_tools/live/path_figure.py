@@ -13,7 +13,6 @@ _HEIGHT = 480
 def path_figure() -> figure:
     """Sources ``trail`` and ``fixes`` (x, y), and one of each of ``live.outlines.NAMES``."""
     plot = figure(
-        name="path",
         height=_HEIGHT,
         sizing_mode="stretch_width",
         tools=[],
@@ -25,17 +24,17 @@ def path_figure() -> figure:
         min_border_left=60,
         min_border_right=12,
     )
-    fixes = {"marker": "cross", "size": 7, "color": PURPLE, "alpha": 0.8, "legend_label": "fixes"}
+    fixes = {"marker": "cross", "size": 7, "color": PURPLE, "alpha": 0.8}
     plot.scatter("x", "y", source=_source("fixes"), **fixes)
-    box = {"color": GREEN, "line_width": 2.5, "legend_label": "box by the laser"}
+    box = {"color": GREEN, "line_width": 2.5}
     plot.line("x", "y", source=_source("box"), **box)
-    plot.line("x", "y", source=_source("trail"), color=BLUE, line_width=2.5, legend_label="path")
-    ellipse = {"fill_color": BLUE, "fill_alpha": 0.3, "line_color": BLUE, "legend_label": "position, 2σ"}
+    plot.line("x", "y", source=_source("trail"), color=BLUE, line_width=2.5)
+    ellipse = {"fill_color": BLUE, "fill_alpha": 0.3, "line_color": BLUE}
     plot.patch("x", "y", source=_source("ellipse"), **ellipse)
     machine = {"fill_color": BLUE, "fill_alpha": 0.15, "line_color": BLUE, "line_width": 2.5}
     plot.patch("x", "y", source=_source("machine"), **machine)
     plot.line("x", "y", source=_source("nose"), color=BLUE, line_width=3)
-    upper = {"color": ORANGE, "line_width": 3, "legend_label": "upper structure"}
+    upper = {"color": ORANGE, "line_width": 3}
     plot.line("x", "y", source=_source("upper"), **upper)
     dress(plot)
     return plot

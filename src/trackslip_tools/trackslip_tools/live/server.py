@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serves the live page from a thread of its own: files to read, and a stream of frames that takes no word.
 
-Each frame is made and encoded once, and the same bytes go to all pages. A page that cannot keep up misses
-frames, and then gets all anew; nothing waits for it. Requests are answered only if they come by a name that
-is allowed, so that no other site's script reads the page through a browser (DNS rebinding, other origins).
+Each frame is made and encoded once, and the same text goes to all pages. A page that falls behind by
+seconds misses frames, and then gets all anew; nothing waits for it. Requests are answered only if they come
+by a name that is allowed, so that no other site's script reads the page through a browser (DNS rebinding,
+other origins).
 """
 
 import asyncio
 import json
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 from urllib.parse import urlsplit
@@ -23,6 +25,7 @@ from trackslip_tools.live.parameters import LiveParameters, bound
 
 MOST_PAGES = 24  # that are served at the same time
 _PING = 10  # s after which a page that does not answer is given up
+_MOST_WAITING = 40  # frames, five seconds: what a phone may fall behind
 _LARGEST_REQUEST = 4096  # bytes of a header, or of a body, which nobody needs
 _CLOSED_BY_RULE = 1008  # of websockets: the other side broke the rules
 _READY = 10.0  # s
@@ -145,6 +148,7 @@ class _Stream(_Handler, WebSocketHandler):
     def initialize(self, server: PageServer) -> None:
         super().initialize(server)
         self._sending: asyncio.Future[None] | None = None
+        self._waiting: deque[str] = deque()
         self._missed = True  # the first frame it gets is whole
 
     def prepare(self) -> None:
@@ -159,7 +163,7 @@ class _Stream(_Handler, WebSocketHandler):
     def open(self, *_: str) -> None:
         self.server._pages.add(self)
         self.set_nodelay(True)
-        self.offer("")
+        self.offer("")  # it gets the whole
 
     def on_message(self, message: str | bytes) -> None:
         """Nobody has anything to say here."""
@@ -169,19 +173,27 @@ class _Stream(_Handler, WebSocketHandler):
         self.server._pages.discard(self)
 
     def offer(self, text: str) -> None:
-        """A frame; where the page has not taken the last one yet, it misses this one."""
-        if self._sending is not None and not self._sending.done():
+        """A frame; a page that has not taken many of those before it misses them, and then gets all anew."""
+        if len(self._waiting) >= _MOST_WAITING:
+            self._waiting.clear()
             self._missed = True
-            return
-        if self._missed:
-            whole = self.server._whole()
-            if not whole:
-                return
-            text, self._missed = _encoded(whole), False
-        self._sending = asyncio.ensure_future(self._write(text))
+        if not self._missed:
+            self._waiting.append(text)
+        if self._sending is None or self._sending.done():
+            self._sending = asyncio.ensure_future(self._send())
 
-    async def _write(self, text: str) -> None:
+    async def _send(self) -> None:
+        """All that waits, as fast as the page takes it."""
         try:
-            await self.write_message(text)
+            while text := self._next():
+                await self.write_message(text)
         except (WebSocketClosedError, StreamClosedError):
             self.server._pages.discard(self)
+
+    def _next(self) -> str:
+        """What the page gets next; empty where there is nothing yet."""
+        if self._missed:
+            whole = self.server._whole()
+            self._missed = not whole
+            return _encoded(whole) if whole else ""
+        return self._waiting.popleft() if self._waiting else ""

@@ -26,7 +26,7 @@ from trackslip_tools.live.strips import Strips
 from trackslip_tools.live.trail import Trail
 from trackslip_tools.report.plots import visible
 
-PERIOD = 0.15  # s between frames
+PERIOD = 0.125  # s between frames
 _FIXES = 400  # that are shown
 _CLASSES = 3  # of soil that are shown
 _VIEW_PERIOD_S = 1.0  # between looks at what range of values the panels should show

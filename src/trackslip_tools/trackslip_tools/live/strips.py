@@ -14,7 +14,7 @@ from trackslip_tools.report.quantities import QUANTITIES, SHAPES, Columns, Quant
 FloatArray = NDArray[np.float64]
 
 MOTION = "motion"  # name of the columns from odometry and slips; other columns have that of their topic
-ROWS = 1600  # moments that are kept: four minutes
+ROWS = 1920  # moments that are kept: four minutes
 _PARTS = 3  # value, lower, upper
 _DIGITS = 5
 

@@ -26,7 +26,7 @@ from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
 from trackslip_tools.live.server import PageServer
 from trackslip_tools.live.state import PERIOD, LiveState
 
-_NICENESS = 10  # whoever drives goes first
+_NICENESS = 5  # whoever drives goes first
 _MOST_WAITING = 200  # messages of a topic of which each counts
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 

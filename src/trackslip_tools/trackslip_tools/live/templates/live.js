@@ -5,19 +5,21 @@
 const PATIENCE = 2500 // ms without a frame, after which the page says so
 const GIVEN_UP = 5000 // ms after which it connects anew
 const RETRY = 500 // ms between attempts
-const KEPT = 1600 // rows of the strips
+const KEPT = 1920 // rows of the strips
 const LEVELS = ["ok", "warn", "error", "stale", "silent"]
 const WORDS = ["✓ ok", "▲ warning", "✖ error", "◌ no data", "✖ silent"]
-const MARGIN = 1.5 // m about the path
+const MARGIN = 1 // m about the path
 const CLOSEST = 2, WIDEST = 2000 // m across
 const EVENTS = 200
+const DRAWN = 3 // frames to one drawing of the strips
+const NARROW = 760, LOW = 340 // pixels: on a narrow page the path is lower
 
 const by_id = id => document.getElementById(id)
 let models = null // function: name -> Bokeh model
 let run = null, number = 0, heard = performance.now(), event_number = 0
 let window_ms = 60000, across = null // across: m shown about the machine; null: the whole path
-let bounds = [Infinity, Infinity, -Infinity, -Infinity], place = null, views = []
-let lines = []
+let bounds = [Infinity, Infinity, -Infinity, -Infinity], machine = [[], []], views = []
+let lines = [], strips = [] // strips: {lines, rows that are not drawn yet, whether it is in view}
 
 async function begin() {
   const page = await (await fetch("page.json")).json()
@@ -27,6 +29,13 @@ async function begin() {
   const drawn = Bokeh.documents[0]
   models = name => drawn.get_model_by_name(name)
   lines = page.lines.map((_, k) => models(`line-${k}`))
+  strips = Array.from({length: page.panels}, (_, panel) =>
+    ({panel, lines: page.lines.flatMap((line, k) => line.panel === panel ? [k] : []), rows: [], in_view: false}))
+  watch_strips()
+  if (innerWidth < NARROW) {
+    models("path").height = LOW
+    for (const name in page.plots) if (models(name).title !== null) models(name).title.text_font_size = "12px"
+  }
   connect()
   setInterval(watch, 500)
 }
@@ -80,6 +89,7 @@ function show_whole(frame) {
     const [value, low, high] = [0, 1, 2].map(part => numbers(frame.rows.map(row => row[k][part])))
     line.data = has_band(line) ? {t, value, low, high} : {t, value}
   })
+  for (const strip of strips) strip.rows = []
   show_trail(frame.trail)
   fill("fixes", [frame.fixes.map(([x]) => x), frame.fixes.map(([, y]) => y)])
 }
@@ -96,12 +106,38 @@ function widen([x, y]) {
   bounds = [Math.min(bounds[0], x), Math.min(bounds[1], y), Math.max(bounds[2], x), Math.max(bounds[3], y)]
 }
 
+function watch_strips() {
+  const watcher = new IntersectionObserver(entries => {
+    for (const {target, isIntersecting} of entries) strips[Number(target.id.split("-")[1])].in_view = isIntersecting
+  }, {rootMargin: "400px"})
+  for (const {panel} of strips) watcher.observe(by_id(`strip-${panel}`))
+}
+
+// Of the strips, those that can be seen are drawn, with every third frame: drawing is what costs
+function show_strips(time, all) {
+  for (const strip of strips) {
+    if (!strip.in_view && !all) continue
+    for (const k of strip.lines) lines[k].stream(columns(strip.rows, k), KEPT)
+    strip.rows = []
+    if (views[strip.panel] !== undefined) {
+      const [start, end] = views[strip.panel]
+      models(`range-${strip.panel}`).setv({start, end})
+    }
+    models(`time-${strip.panel}`).setv({start: time - window_ms, end: time})
+  }
+}
+
+function columns(rows, k) {
+  const [value, low, high] = [0, 1, 2].map(part => rows.map(({row}) => row[k][part] ?? NaN))
+  const t = rows.map(({time}) => time)
+  return has_band(lines[k]) ? {t, value, low, high} : {t, value}
+}
+
 function show_news(frame) {
-  lines.forEach((line, k) => {
-    const [value, low, high] = numbers(frame.row[k])
-    const row = has_band(line) ? {t: [frame.time], value: [value], low: [low], high: [high]} : {t: [frame.time], value: [value]}
-    line.stream(row, KEPT)
-  })
+  for (const strip of strips) {
+    strip.rows.push({time: frame.time, row: frame.row})
+    if (strip.rows.length > KEPT) strip.rows.shift()
+  }
   if (frame.trail !== undefined) show_trail(frame.trail)
   else if (frame.path !== undefined) {
     widen(frame.path)
@@ -123,9 +159,10 @@ function show_now(frame) {
     if (element !== null && element.textContent !== text) element.textContent = text
   }
   for (const [name, outline] of Object.entries(frame.outlines)) fill(name, outline)
-  if (frame.views !== undefined) show_views(frame.views)
-  models("time").setv({start: frame.time - window_ms, end: frame.time})
-  place = middle(frame.outlines.machine) ?? place
+  if (frame.views !== undefined) views = frame.views
+  const is_whole = frame.run !== undefined
+  if (frame.number % DRAWN === 0 || is_whole) show_strips(frame.time, is_whole)
+  if (frame.outlines.machine[0].length) machine = frame.outlines.machine
   look()
   show_lights(frame.lights)
   show_classes(frame.classes)
@@ -135,30 +172,21 @@ function show_now(frame) {
 
 const clock = ms => new Date(ms).toISOString().slice(11, 19)
 
-function show_views(found) {
-  views = found
-  found.forEach(([start, end], k) => models(`range-${k}`).setv({start, end}))
-}
-
-function middle([x, y]) {
-  return x.length ? [(x[0] + x[2]) / 2, (y[0] + y[2]) / 2] : null
+function middle(low, high) {
+  return (low + high) / 2
 }
 
 function look() {
   const plot = models("path")
   const [width, height] = [plot.inner_width, plot.inner_height]
   if (!width || !height) return
-  let centre = place ?? [0, 0], metres_x = across, metres_y = 0
-  if (across === null) {
-    const [left, low, right, high] = place === null ? bounds : [
-      Math.min(bounds[0], place[0]), Math.min(bounds[1], place[1]),
-      Math.max(bounds[2], place[0]), Math.max(bounds[3], place[1]),
-    ]
-    if (!Number.isFinite(left)) return
-    centre = [(left + right) / 2, (low + high) / 2]
-    metres_x = right - left + 2 * MARGIN
-    metres_y = high - low + 2 * MARGIN
-  }
+  const [x, y] = machine, all = across === null ? bounds : []
+  const [left, right] = [Math.min(...x, ...all.slice(0, 1)), Math.max(...x, ...all.slice(2, 3))]
+  const [low, high] = [Math.min(...y, ...all.slice(1, 2)), Math.max(...y, ...all.slice(3))]
+  if (!Number.isFinite(left)) return
+  const centre = [middle(left, right), middle(low, high)]
+  const metres_x = across ?? right - left + 2 * MARGIN
+  const metres_y = across === null ? high - low + 2 * MARGIN : 0
   const half_x = Math.max(metres_x, metres_y * width / height) / 2
   const half_y = half_x * height / width
   plot.x_range.setv({start: centre[0] - half_x, end: centre[0] + half_x})

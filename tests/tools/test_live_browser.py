@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live page in a real browser, with fingers: it follows, scrolls, comes back, and runs no one's code.
+
+Skipped where there is no Chromium; ``.ci/run`` installs one.
+"""
+
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from fixtures import live_messages as messages
+
+from trackslip_common.vehicle import load_vehicle
+from trackslip_tools.live.page import File, files
+from trackslip_tools.live.parameters import LiveParameters
+from trackslip_tools.live.server import PageServer
+from trackslip_tools.live.state import PERIOD, LiveState
+
+sync_api = pytest.importorskip("playwright.sync_api")
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--disable-sync",
+    "--no-first-run",
+)
+EVIL = "<img src=x onerror=alert(1)>"
+WIDTHS = (390, 1024, 1440)
+ROWS = "rows => Bokeh.documents[0].get_model_by_name('line-0').data.value.length > rows"
+FOLLOWS = "frames => Number(document.documentElement.dataset.frames) > frames"
+
+
+class Machine:
+    """Drives on, and is served; ``quiet``: what of it has ended."""
+
+    def __init__(self, pages: dict[str, File], port: int = 0, name: str = "can_driver") -> None:
+        self.state = LiveState(f"a test of {EVIL}", load_vehicle())
+        self.quiet: set[str] = set()
+        self.name = name
+        self.server = PageServer(
+            pages, self.state.whole, LiveParameters(host="127.0.0.1", port=port, origins=())
+        )
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._drive, daemon=True)
+        self.server.start()
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._over.set()
+        self._thread.join()
+        self.server.stop()
+
+    def _drive(self) -> None:
+        began = time.monotonic()
+        while not self._over.wait(PERIOD):
+            now_s = time.monotonic() - began
+            self.state.take("odometry", messages.odometry(0.4 * now_s, 0.02 * now_s**2), now_s)
+            self.state.take("track_slip", messages.track_slip(0.2, -0.02, 3), now_s)
+            self.state.take("soil", messages.soil(**{EVIL: 0.7, "clay": 0.3}), now_s)
+            self.state.take("box_pose", messages.fix(0.4 * now_s, 0.0), now_s)
+            for node, level in ((self.name, 0), (f"sick {EVIL}", 2)):
+                if node not in self.quiet:
+                    status = messages.diagnostics(node, level, f"reason {EVIL}", **{"rate (Hz)": "100.0"})
+                    self.state.take("diagnostics", status, now_s)
+            self.server.push(self.state.tick(now_s, 1e3 * time.time()))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def pages() -> dict[str, File]:
+    return files(f"Trackslip: {EVIL}")
+
+
+@pytest.fixture
+def machine(pages: dict[str, File]) -> Iterator[Machine]:
+    made = Machine(pages)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def complaints() -> list[str]:
+    """What the browser had to complain about, or asked others for."""
+    return []
+
+
+@pytest.fixture
+def opened(browser: Any, machine: Machine, complaints: list[str]) -> Iterator[Any]:
+    """A function that opens the page at a width; narrow ones have a touch screen."""
+    contexts = []
+
+    def opens(width: int) -> Any:
+        context = browser.new_context(
+            viewport={"width": width, "height": 800}, has_touch=width < 1100, is_mobile=width < 500
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("dialog", lambda dialog: complaints.append(dialog.message))
+        here = machine.server.address
+        page.on("request", lambda r: complaints.append(r.url) if not r.url.startswith(here) else None)
+        page.goto(here)
+        follows(page, 2)
+        return page
+
+    yield opens
+    for context in contexts:
+        context.close()
+
+
+def follows(page: Any, frames: int) -> None:
+    """Wait until so many more frames were shown."""
+    before = page.evaluate("Number(document.documentElement.dataset.frames ?? 0)")
+    page.wait_for_function(FOLLOWS, arg=before + frames)
+
+
+def test_three_pages_follow_the_machine_at_the_same_time(opened: Any, complaints: list[str]) -> None:
+    shown = [opened(width) for width in WIDTHS]
+    places = [page.locator('[data-fact="position"]').inner_text() for page in shown]
+    for page, width in zip(shown, WIDTHS, strict=True):
+        follows(page, 5)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        trail = page.evaluate("Bokeh.documents[0].get_model_by_name('trail').data.x.length")
+        assert trail > 1
+        page.locator("#strip-0").scroll_into_view_if_needed()
+        page.wait_for_function(ROWS, arg=15)
+    assert all(page.locator("#link").inner_text() == "live" for page in shown)
+    assert [page.locator('[data-fact="position"]').inner_text() for page in shown] != places
+    assert shown[0].locator('.gauge[data-line="0"] .number').inner_text() == "20.0 ± 2.0 %"
+    assert complaints == []
+
+
+@pytest.mark.parametrize("plot", ["#path", "#strip-0"])
+def test_one_finger_over_a_plot_scrolls_the_page(opened: Any, plot: str, complaints: list[str]) -> None:
+    page = opened(390)
+    page.locator(plot).scroll_into_view_if_needed()
+    box = page.locator(plot).bounding_box()
+    before = page.evaluate("scrollY")
+    x, y = box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
+    finger = page.context.new_cdp_session(page)
+    for kind, points in (
+        ("touchStart", [y]),
+        *(("touchMove", [y - 10.0 * k]) for k in range(1, 16)),
+        ("touchEnd", []),
+    ):
+        at = [{"x": x, "y": point} for point in points]
+        finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at})
+    page.wait_for_function("before => scrollY > before + 50", arg=before)
+    assert complaints == []
+
+
+def test_buttons_zoom_and_choose_the_time(opened: Any, complaints: list[str]) -> None:
+    page = opened(390)
+    path = "(({start, end}) => end - start)(Bokeh.documents[0].get_model_by_name('path').x_range)"
+    page.locator("#wider").tap()
+    page.locator("#wider").tap()
+    wide = page.evaluate(path)
+    page.locator("#closer").tap()
+    assert page.evaluate(path) < wide
+    page.locator("#all").tap()
+    times = "(({start, end}) => end - start)(Bokeh.documents[0].get_model_by_name('time-0'))"
+    page.locator('[data-seconds="240"]').tap()
+    page.locator("#strip-0").scroll_into_view_if_needed()
+    follows(page, 10)
+    assert page.evaluate(times) == 240_000
+    assert complaints == []
+
+
+def test_names_and_reasons_that_look_like_html_are_text(opened: Any, complaints: list[str]) -> None:
+    page = opened(1440)
+    follows(page, 8)
+    assert EVIL in page.locator("#lights").inner_text()
+    assert EVIL in page.locator("#events").inner_text()
+    assert EVIL in page.locator("#classes").inner_text()
+    assert EVIL in page.locator("#source").inner_text()
+    assert page.title() == f"Trackslip: {EVIL}"
+    assert page.locator("img").count() == 0
+    assert complaints == []
+
+
+def test_the_light_of_a_node_that_ends_turns(opened: Any, machine: Machine, complaints: list[str]) -> None:
+    page = opened(1024)
+    page.wait_for_selector(".light.ok >> text=can_driver")
+    machine.quiet.add("can_driver")
+    page.wait_for_selector(".light.silent >> text=can_driver")
+    page.wait_for_selector("#events .silent >> text=can_driver")
+    machine.quiet.clear()
+    page.wait_for_selector(".light.ok >> text=can_driver")
+    assert complaints == []
+
+
+def test_the_page_says_that_the_server_is_gone_and_comes_back_by_itself(
+    opened: Any, machine: Machine, pages: dict[str, File]
+) -> None:
+    page = opened(390)
+    port = machine.server.port
+    machine.stop()
+    page.wait_for_selector("#link.silent >> text=no data")
+    again = Machine(pages, port, name="another_driver")
+    try:
+        page.wait_for_selector(".light.ok >> text=another_driver")
+        page.wait_for_selector("#link.ok")
+        follows(page, 3)
+    finally:
+        again.stop()
+        machine.stop = lambda: None  # type: ignore[method-assign]  # it has ended already

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip live``: what it refuses, and a bag on the page from the first message to Ctrl-C."""
+
+import asyncio
+import json
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tornado.websocket import websocket_connect
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import ExitCode
+from trackslip_common.vehicle import load_vehicle
+from trackslip_tools.cli import main as cli
+from trackslip_tools.cli.live_command import with_estimates
+from trackslip_tools.live.bag import BagFeed
+from trackslip_tools.live.state import LiveState
+
+BAG = Path(__file__).parents[2] / "bags" / "spot_turn_sand"
+DEADLINE = 120.0  # s, of what may have to compile first
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ([str(BAG), "--host", "0.0.0.0"], "origin"),
+        ([str(BAG), "--origin", "http://digger.local"], "http://digger.local"),
+        ([str(BAG), "--port", "70000"], "70000"),
+        ([str(BAG), "--host", "no.such.host.invalid"], "no.such.host.invalid"),
+        ([str(BAG), "--rate", "0"], "'0'"),
+        (["--rate", "2"], "BAG"),
+        (["no_such_bag"], "no_such_bag"),
+    ],
+    ids=lambda value: " ".join(value)[-40:] if isinstance(value, list) else "",
+)
+def test_what_cannot_be_served_is_refused_in_one_line(
+    arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["live", *arguments]) == ExitCode.BAD_INPUT
+    *_, line = capsys.readouterr().err.splitlines()
+    assert word in line
+    assert "accepted" in line or "refused" in line
+
+
+def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
+    with open_bag(BAG) as bag, with_estimates(bag) as whole:
+        state = LiveState("a test", load_vehicle())
+        feed = BagFeed(whole, state, 1.0, InputFilters(start_s=8.0))
+        wall_s, frames = 100.0, []
+        while not feed.finished:
+            frames.append(feed.advance(wall_s))
+            wall_s += 0.5
+    shown = json.loads(json.dumps(state.whole(), allow_nan=False))
+    assert len(frames) == pytest.approx((bag.duration_s - 8.0) / 0.5, abs=3)
+    assert len(shown["trail"]) >= 1
+    assert shown["fixes"]
+    motions = {frame["facts"]["motion"] for frame in frames}
+    assert "turning" in motions
+    assert any(value is not None for row in shown["rows"] for value, _, _ in row)
+    assert feed.advance(wall_s + 100.0)["time"] == feed.advance(wall_s + 200.0)["time"]  # it stands still
+
+
+@pytest.fixture
+def serving() -> Iterator[tuple[Any, str]]:
+    """The command over a bag, and the address that it prints."""
+    command = [sys.executable, "-m", "trackslip_tools.cli.main", "live", str(BAG), "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        lines = iter(program.stdout.readline, "")
+        yield program, next(line.split()[0] for line in lines if line.startswith("http"))
+        program.kill()
+
+
+def test_the_command_serves_until_it_is_interrupted(serving: tuple[Any, str]) -> None:
+    program, address = serving
+    with urllib.request.urlopen(address, timeout=DEADLINE) as answer:
+        assert "live.js" in answer.read().decode()
+    port = int(address.rsplit(":", 1)[1].strip("/"))
+
+    async def first() -> Any:
+        page = await websocket_connect(f"ws://127.0.0.1:{port}/stream")
+        return json.loads(await page.read_message() or "")
+
+    assert "spot_turn_sand" in asyncio.run(asyncio.wait_for(first(), DEADLINE))["source"]
+    program.send_signal(signal.SIGINT)
+    assert program.wait(DEADLINE) == ExitCode.INTERRUPTED
+    assert "Traceback" not in program.stderr.read()
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0
