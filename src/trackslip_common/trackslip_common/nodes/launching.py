@@ -72,7 +72,7 @@ def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
 def nodes(context: LaunchContext, wanted: Iterable[Launched]) -> list[Node]:
     """Those of ``wanted`` whose sensor is there, as the arguments say."""
     given = {name: LaunchConfiguration(name).perform(context) for name in _COMMON}
-    sensors = {name for name in _OF_SENSOR.values() if _is_true(given[name])}
+    sensors = {name for name in _OF_SENSOR.values() if is_true(given[name])}
     return [
         _node(one, given, sensors)
         for one in wanted
@@ -81,7 +81,7 @@ def nodes(context: LaunchContext, wanted: Iterable[Launched]) -> list[Node]:
 
 
 def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
-    parameters = {"use_sim_time": _is_true(given["use_sim_time"]), **one.parameters}
+    parameters = {"use_sim_time": is_true(given["use_sim_time"]), **one.parameters}
     if one.executable in _WITH_VEHICLE and given["vehicle"]:
         parameters["vehicle"] = given["vehicle"]
     files = [given["params_file"]] if given["params_file"] else []
@@ -98,7 +98,7 @@ def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
         namespace=given["namespace"],
         parameters=[*receiver, parameters, *files],
         arguments=["--ros-args", "--log-level", given["log_level"], "--enclave", _enclave(one, given)],
-        respawn=_is_true(given["respawn"]),
+        respawn=is_true(given["respawn"]),
         output="screen",
     )
 
@@ -121,5 +121,6 @@ def _sources(sensors: set[str]) -> dict[str, Any]:
     }
 
 
-def _is_true(text: str) -> bool:
+def is_true(text: str) -> bool:
+    """Whether the text of an argument says yes."""
     return text.lower() in ("true", "1", "yes", "on")
