@@ -16,7 +16,7 @@ VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars drives test faults soak lint bench fuzz bags figures clean
+.PHONY: help setup checks demo bars drives test faults soak lint bench fuzz bags figures docs clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -67,6 +67,10 @@ bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--number
 
 figures: setup ## the pictures of docs/figures
 	@$(ENTER) exec $(VENV)/python scripts/figures.py
+
+docs: setup ## pages of all packages' docstrings; HTML in out/docs, its links checked
+	@$(VENV)/python -m pip install -q -r requirements/docs.txt
+	@$(ENTER) exec $(VENV)/python scripts/make_docs.py
 
 clean: ## remove all that was made: .venv, the build, results, caches
 	rm -rf .venv ros2_ws/build ros2_ws/install ros2_ws/log ros2_ws/setup.log out .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -69,6 +69,15 @@ def test_demo_leaves_numbers_picture_and_bag(programs):
     assert not (folder / "dev").exists()
 
 
+def test_machine_with_an_antenna_drives_by_gnss(programs):
+    program = demo(programs, "--duration", "5", "--vehicle", "excavator_20t")
+    assert program.wait(150.0) == 0, program.stdout + program.stderr
+    summary = json.loads((programs.folder / "demo" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["topics"].keys() == set(SENSOR_TOPICS) - {"scan"}
+    assert summary["replay_matches"] is True
+    assert summary["position_rmse"] <= 0.05
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -9,7 +9,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from trackslip_common.nodes.launching import Launched, declared, nodes
+from trackslip_common.nodes.launching import Launched, declared, is_true, nodes
 from trackslip_common.vehicle import ASSUMED
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
 
@@ -28,7 +28,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in (*_OWN, "vehicle")}
+    given = {name: LaunchConfiguration(name).perform(context) for name in (*_OWN, "vehicle", "gnss")}
     options = DemoOptions(
         devices=Path(given["devices"]),
         bag=Path.cwd() / f"trackslip_{datetime.now():%Y%m%d_%H%M%S}",
@@ -38,6 +38,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
         scenario=given["scenario"],
         vehicle=given["vehicle"] or ASSUMED,
         autostart=True,
+        gnss=is_true(given["gnss"]),
     )
     wanted = [Launched(node.package, node.executable, node.parameters) for node in demo_nodes(options)]
     return nodes(context, [*wanted, Launched(LIVE.package, LIVE.executable)])

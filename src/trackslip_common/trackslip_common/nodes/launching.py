@@ -74,7 +74,7 @@ def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
 def nodes(context: LaunchContext, wanted: Iterable[Launched]) -> list[Node]:
     """Those of ``wanted`` that the switches say."""
     given = {name: LaunchConfiguration(name).perform(context) for name in _COMMON}
-    switched_on = {name for name in _OF_SWITCH.values() if _is_true(given[name])}
+    switched_on = {name for name in _OF_SWITCH.values() if is_true(given[name])}
     return [
         _node(one, given, switched_on)
         for one in wanted
@@ -83,7 +83,7 @@ def nodes(context: LaunchContext, wanted: Iterable[Launched]) -> list[Node]:
 
 
 def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
-    parameters = {"use_sim_time": _is_true(given["use_sim_time"]), **one.parameters}
+    parameters = {"use_sim_time": is_true(given["use_sim_time"]), **one.parameters}
     if one.executable in _WITH_VEHICLE and given["vehicle"]:
         parameters["vehicle"] = given["vehicle"]
     files = [given["params_file"]] if given["params_file"] else []
@@ -100,7 +100,7 @@ def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
         namespace=given["namespace"],
         parameters=[*receiver, parameters, *files],
         arguments=["--ros-args", "--log-level", given["log_level"], "--enclave", _enclave(one, given)],
-        respawn=_is_true(given["respawn"]),
+        respawn=is_true(given["respawn"]),
         output="screen",
     )
 
@@ -123,5 +123,6 @@ def _sources(sensors: set[str]) -> dict[str, Any]:
     }
 
 
-def _is_true(text: str) -> bool:
+def is_true(text: str) -> bool:
+    """Whether the text of an argument says yes."""
     return text.lower() in ("true", "1", "yes", "on")

@@ -4,7 +4,11 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-SENSOR_TOPICS = ("sprockets", "hydraulics", "imu/data_raw", "imu/mag", "scan")  # of the emulated machine
+from trackslip_common.config_files import node_defaults
+
+SENSOR_TOPICS = ("sprockets", "hydraulics", "imu/data_raw", "imu/mag", "scan", "fix", "heading")
+
+_GNSS_RATE = 10.0  # Hz
 
 _CAN = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2"}
 
@@ -34,10 +38,11 @@ class DemoOptions:
     scenario: str
     vehicle: str  # a name of config/vehicles, or a file
     autostart: bool  # of the emulator: False where somebody else turns the key
+    gnss: bool = False  # a GNSS receiver with two antennas in place of the laser
 
 
 def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
-    """The emulator, three drivers, the estimators and the recorder."""
+    """The emulator, three drivers, the estimators and the recorder; poses from the laser, or from GNSS."""
     can = {**_CAN, "can_port": options.can_port}
     vehicle: dict[str, object] = {"vehicle": options.vehicle}
     emulator = {
@@ -48,14 +53,32 @@ def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
         "duration": options.duration,
         "soil": options.soil,
         "scenario": options.scenario,
+        "gnss.device.rate": _GNSS_RATE if options.gnss else 0.0,
     }
+    estimator = {**vehicle, **node_defaults("slip_estimator", "gnss.yaml")} if options.gnss else vehicle
     return [
         NodeSpec("trackslip_sim", "emulator", emulator),
         NodeSpec("trackslip_drivers", "can_driver", {**can, **vehicle}),
         NodeSpec("trackslip_drivers", "watson_imu", {"serial_port": str(options.devices / "watson")}),
-        NodeSpec("trackslip_drivers", "sick_pls", {"serial_port": str(options.devices / "sick")}),
-        NodeSpec("trackslip_estimation", "box_localizer", vehicle),
-        NodeSpec("trackslip_estimation", "slip_estimator", vehicle),
+        *(_receiver(options) if options.gnss else _laser(options, vehicle)),
+        NodeSpec("trackslip_estimation", "slip_estimator", estimator),
         NodeSpec("trackslip_estimation", "soil_estimator", vehicle),
         NodeSpec("trackslip_estimation", "record", {"output": str(options.bag)}),
+    ]
+
+
+def _laser(options: DemoOptions, vehicle: dict[str, object]) -> list[NodeSpec]:
+    return [
+        NodeSpec("trackslip_drivers", "sick_pls", {"serial_port": str(options.devices / "sick")}),
+        NodeSpec("trackslip_estimation", "box_localizer", vehicle),
+    ]
+
+
+def _receiver(options: DemoOptions) -> list[NodeSpec]:
+    """The map's origin is the emulated site's, so that estimates and truth are in one frame."""
+    site = node_defaults("emulator", "emulator.yaml")
+    datum = {f"datum_{name}": site[f"gnss.{name}"] for name in ("latitude", "longitude", "altitude")}
+    return [
+        NodeSpec("trackslip_drivers", "nmea_gnss", {"serial_port": str(options.devices / "gnss")}),
+        NodeSpec("trackslip_estimation", "gnss_localizer", datum),
     ]

@@ -19,7 +19,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import ExitCode, InputError, suggestion
 from trackslip_common.soils import load_soils
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters, load_vehicle
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
 from trackslip_sim.demo.output import claim
 from trackslip_sim.demo.picture import draw
@@ -66,8 +66,18 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     if options.soil not in soils:
         raise InputError(f"SOIL: '{options.soil}' is unknown{suggestion(options.soil, soils)}")
     options.vehicle = options.vehicle or load_scenario(options.scenario).vehicle
-    load_vehicle(options.vehicle).whole()
+    machine = load_vehicle(options.vehicle)
+    machine.whole()
+    options.gnss = _has_receiver(machine)
     return options
+
+
+def _has_receiver(machine: VehicleParameters) -> bool:
+    """Whether it finds its position by GNSS: an antenna is stated, and does not swing."""
+    sensors = machine.sensors
+    if sensors is None or sensors.antenna is None:
+        return False
+    return sensors.mounts is None or sensors.mounts.antenna == UNDERCARRIAGE
 
 
 def _duration(text: str) -> float:
@@ -91,6 +101,7 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         soil=options.soil,
         scenario=options.scenario,
         autostart=False,
+        gnss=options.gnss,
     )
     domain = os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

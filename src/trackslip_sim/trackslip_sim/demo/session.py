@@ -18,7 +18,7 @@ _COMPILE = 180.0  # s, longest preparation of the drive; the first run compiles 
 _APPEAR = 60.0  # s for the nodes to find each other, on a busy machine
 _LINE_PERIOD = 0.5  # s
 _PLAIN_PERIOD = 5.0  # s, where the output is no terminal
-_RATES = ("sprockets", "imu/data_raw", "scan", "odometry")
+_RATES = ("sprockets", "imu/data_raw", "scan", "fix", "odometry")  # of those that come
 _PATIENCE = 0.2  # s between looks at whether the nodes still run
 _LATE = 30.0  # s after the drive should have ended
 
@@ -49,7 +49,7 @@ class Session:
         return self._monitor.received
 
     def bring_up(self, nodes: Sequence[NodeSpec]) -> None:
-        """Start the nodes, wait until all have found each other, then turn the key.
+        """Start the nodes, wait until all have found each other and their ports, turn the key.
 
         Raises:
             DemoFailure: a node does not come up.
@@ -60,7 +60,9 @@ class Session:
             self._processes.start(node)
         self._ask_emulator("configure", self._monitor.lay_cables, _COMPILE)
         until = time.monotonic() + _APPEAR
-        while missing := self._monitor.missing_ends():
+        running = {node.executable for node in nodes}
+        drivers = {node.executable for node in nodes if node.package == "trackslip_drivers"}
+        while missing := self._monitor.missing_ends(running) | drivers - self._monitor.at_work:
             self._look_around()
             if time.monotonic() > until:
                 raise DemoFailure(f"nodes did not find each other: {', '.join(sorted(missing))}")
@@ -87,7 +89,8 @@ class Session:
                     raise DemoFailure(f"emulator: not finished {_LATE:g} s after the drive's end")
                 if now - shown < period:
                     continue
-                rates = {topic: (self.received[topic] - before[topic]) / (now - shown) for topic in _RATES}
+                coming = [topic for topic in _RATES if self.received[topic]]
+                rates = {topic: (self.received[topic] - before[topic]) / (now - shown) for topic in coming}
                 line = status(now - began, self._monitor.pose, self._monitor.slips, rates)
                 shown, before = now, Counter(self.received)
                 if terminal:

@@ -4,11 +4,11 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Set
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
@@ -21,13 +21,17 @@ from trackslip_common.topics import TOPICS, Flow
 from trackslip_estimation.slip.conversions import pose_fix
 from trackslip_sim.demo.graph import SENSOR_TOPICS
 
-WATCHED = (*SENSOR_TOPICS, "box_pose", "odometry", "track_slip")
-_ENDS = {  # topic → nodes that must have found each other on it
-    **{topic: {"record", "demo"} for topic in WATCHED},
+WATCHED = (*SENSOR_TOPICS, "box_pose", "gnss_pose", "odometry", "track_slip")
+_WATCHERS = frozenset({"record", "demo"})
+_ENDS = {  # topic → nodes that must have found each other on it, if all of them run
+    **{topic: set(_WATCHERS) for topic in WATCHED},
     "sprockets": {"can_driver", "slip_estimator", "record", "demo"},
     "imu/data_raw": {"watson_imu", "slip_estimator", "record", "demo"},
     "scan": {"sick_pls", "box_localizer", "record", "demo"},
     "box_pose": {"box_localizer", "slip_estimator", "record", "demo"},
+    "fix": {"nmea_gnss", "gnss_localizer", "record", "demo"},
+    "heading": {"nmea_gnss", "slip_estimator", "record", "demo"},
+    "gnss_pose": {"gnss_localizer", "slip_estimator", "record", "demo"},
     "hydraulics": {"can_driver", "soil_estimator", "record", "demo"},
     "odometry": {"slip_estimator", "soil_estimator", "record", "demo"},
     "track_slip": {"slip_estimator", "soil_estimator", "record", "demo"},
@@ -59,6 +63,7 @@ class DemoMonitor(Node):
         self.drive_start_ns = 0
         self.pose = (math.nan, math.nan, math.nan)
         self.slips = (math.nan, math.nan, math.nan)
+        self.at_work: set[str] = set()  # nodes whose last word was no error: drivers whose port is open
         self._emulator = self.create_client(ChangeState, "emulator/change_state")
         self._asked: Any = None
         self._spinner = SingleThreadedExecutor()
@@ -76,10 +81,12 @@ class DemoMonitor(Node):
         while (left := until - time.monotonic()) > 0.0:
             self._spinner.spin_once(timeout_sec=left)
 
-    def missing_ends(self) -> set[str]:
-        """``topic: node`` of every end that has not appeared yet."""
+    def missing_ends(self, running: Set[str]) -> set[str]:
+        """``topic: node`` of every end that has not appeared yet, of the nodes that run."""
         missing = set()
         for topic, nodes in _ENDS.items():
+            if not nodes <= running | _WATCHERS:
+                continue
             name = self.resolve_topic_name(topic)
             infos = self.get_publishers_info_by_topic(name) + self.get_subscriptions_info_by_topic(name)
             missing |= {f"{topic}: {node}" for node in nodes - {info.node_name for info in infos}}
@@ -128,6 +135,8 @@ class DemoMonitor(Node):
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
+            change = self.at_work.discard if status.level == DiagnosticStatus.ERROR else self.at_work.add
+            change(status.name)
             if status.name == "emulator":
                 self._read_emulator({pair.key: pair.value for pair in status.values}.items())
 
