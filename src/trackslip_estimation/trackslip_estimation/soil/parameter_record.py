@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters as compiled code takes them: one numpy record, nested groups as nested records."""
 
+from types import UnionType
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ _KINDS = {bool: "?", int: "i8", float: "f8"}
 
 
 def record_of(parameters: Parameters) -> NDArray[Any]:
-    """(1,) record of all numbers, by their names; texts and lists are left out, and a vehicle is given whole.
+    """(1,) record of all numbers, by their names; texts, lists and groups that may be absent are left out, and a vehicle is given whole.
 
     Raises:
         InputError: the vehicle cannot be given whole.
@@ -26,6 +27,8 @@ def record_of(parameters: Parameters) -> NDArray[Any]:
 def _dtype_of(cls: type) -> np.dtype[Any]:
     fields: list[tuple[str, Any]] = []
     for name, kind, spec in own_fields(cls):
+        if isinstance(kind, UnionType):  # may be absent
+            continue
         if spec is None:
             fields.append((name, _dtype_of(Vehicle if kind is VehicleParameters else kind)))
         elif kind in _KINDS:
