@@ -113,6 +113,7 @@ class _Pulling(NamedTuple):
     across: FloatArray  # j_y at the end of the step, m
     time: FloatArray  # for which the soil was under the track, s
     s_y: FloatArray  # m/s
+    strength: FloatArray  # (n,) w
     shares: FloatArray  # room for the elements' shares of q
 
 
@@ -124,7 +125,10 @@ def drive(
     n, half_tread = len(contact.x_e), contact.half_tread
     path = path_of(rolling.tracks, contact.x_e, dt)
     shape = (2, n)
-    pulling = _Pulling(np.empty(shape), np.empty(shape), path.time, np.empty(shape), np.empty(shape))
+    strength = np.maximum(1.0 + rolling.lean * contact.x_e, 0.0)
+    pulling = _Pulling(
+        np.empty(shape), np.empty(shape), path.time, np.empty(shape), strength, np.empty(shape)
+    )
     for k in range(2):
         for e in range(n):
             pulling.s_y[k, e] = rolling.twist[1] + rolling.twist[2] * contact.x_e[e]
@@ -164,7 +168,7 @@ def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, m
             j_x = before[e] + s_x * time[e]
             slid = min(math.sqrt(j_x * j_x + across[e] * across[e]), FARTHEST)
             sliding = max(math.sqrt(s_x * s_x + s_y[e] * s_y[e]), STILL)
-            shares[e] = np.divide(mobilised(slid * per_modulus), sliding)  # / would look for zeros
+            shares[e] = np.divide(pulling.strength[e] * mobilised(slid * per_modulus), sliding)  # no look for 0
         for e in range(n):
             total -= s_x * shares[e]
     return float(math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1]) * total / n)

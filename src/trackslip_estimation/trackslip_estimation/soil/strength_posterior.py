@@ -81,7 +81,7 @@ class StrengthPosterior:
 
     def update(self, now: Any) -> SampleOutcome:
         """Use one AVERAGE of slips and thrusts."""
-        rolling, dt = Rolling(now["twist"], now["tracks"]), float(now["dt"])
+        rolling, dt = Rolling(now["twist"], now["tracks"], float(now["lean"])), float(now["dt"])
         distance = abs(float(rolling.tracks.mean())) * dt
         change = -math.expm1(-distance / self.parameters.change_distance)
         self._bayes_update(self._nothing, 0.0, change)
