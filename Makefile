@@ -7,6 +7,7 @@ SCENARIO ?=
 VEHICLE ?=
 OUTPUT ?=
 RUNS ?=
+FILES ?=
 SEEDS ?=
 ARGS ?=
 VENV := .venv/bin
@@ -52,7 +53,8 @@ bench: setup ## speed of filters and drivers on this machine
 	@$(VENV)/python -m pip install -q -r requirements/bench.txt
 	@$(ENTER) exec $(VENV)/python scripts/bench.py
 
-fuzz: setup ## random bytes into every decoder and reader (RUNS=1000000 per byte parser)
+fuzz: setup ## hostile files for every reader (FILES=500 each), then random bytes into every decoder (RUNS=1000000 per byte parser)
+	@$(ENTER) $(VENV)/python scripts/hostile_files.py $(if $(FILES),--files '$(FILES)')
 	@$(ENTER) exec $(VENV)/python scripts/fuzz.py $(if $(RUNS),--runs '$(RUNS)')
 
 bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--numbers: only what replays of them give)

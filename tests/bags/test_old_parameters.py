@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from trackslip_bags.old_parameters import current_names
+from trackslip_common.errors import InputError
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 
@@ -37,3 +38,13 @@ def test_names_of_today_stay(stated: dict[str, Any]) -> None:
 
 def test_a_mapping_of_before_that_names_no_source_means_the_default_ones() -> None:
     assert current_names({"use_heading": False}) == {"sources.box_pose.use_heading": False}
+
+
+@pytest.mark.parametrize("wrong", [True, None, 3, {"a": 1}, [None, ["box_pose"]]])
+@pytest.mark.parametrize("name", ["pose_sources", "slip_sources", "position_only", "pose_timeouts"])
+def test_a_list_of_sources_that_is_none_ended_a_replay(name: str, wrong: Any) -> None:
+    """With a traceback; such a value is refused where all are checked."""
+    stated = current_names({"pose_timeouts": [1.0], "use_heading": True, name: wrong})
+    if name.endswith("_sources"):
+        with pytest.raises(InputError, match=name):
+            load_slip_parameters(stated)

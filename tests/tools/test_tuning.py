@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from trackslip_common.config_files import node_parameters, read_yaml
 from trackslip_common.errors import InputError
@@ -291,6 +292,36 @@ def test_an_interrupted_search_goes_on_and_ends_the_same(drive: Callable[..., An
     assert len((tmp_path / "whole" / "journal.jsonl").read_text().splitlines()) == 1 + len(before) + len(
         scored
     )
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *('{"bag": "0", "values": [0.5], "score": 1}', '{"bag": 0, "values": [[0.5]], "score": 1}', "{}"),
+        '{"bag": 0, "values": [0.5], "score": {"log_likelihood": "high"}}',
+    ],
+)
+def test_a_journal_with_values_of_other_types_is_refused(
+    drive: Callable[..., Any], tmp_path: Path, line: str
+) -> None:
+    """They ended the search later, with a traceback."""
+    plan, file = plan_of(tmp_path), tmp_path / "journal.jsonl"
+    with Journal(file, [task_of(drive, 0)], plan.bounds):
+        pass
+    file.write_text(f"{file.read_text(encoding='utf-8')}\n{line}", encoding="utf-8")
+    with pytest.raises(InputError, match="is no journal of tune"):
+        Journal(file, [task_of(drive, 0)], plan.bounds)
+
+
+@pytest.mark.parametrize("name", [True, 1, None])
+def test_a_name_in_a_plan_that_is_no_text_is_refused(tmp_path: Path, name: object) -> None:
+    """``true: log`` between the bounds ended tune with a traceback."""
+    file = tmp_path / "tune.yaml"
+    bounds = {"low": 0.1, "high": 1.0, name: "log"}
+    tree = {"objective": "likelihood", "evaluations": 20, "seed": 0, "parameters": {"turning.loss": bounds}}
+    file.write_text(yaml.safe_dump(tree), encoding="utf-8")
+    with pytest.raises(InputError, match=f"unknown parameter '{name}'"):
+        read_plan(file)
 
 
 def test_a_journal_of_other_bags_is_refused(drive: Callable[..., Any], tmp_path: Path) -> None:

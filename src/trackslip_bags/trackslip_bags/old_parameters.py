@@ -40,7 +40,7 @@ def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
     """The same parameters by the names of today."""
     values = dict(stated)
     for kind, keys in SOURCE_LISTS.items():
-        topics = named(stated.get(kind, _DEFAULTS.get(kind, ())))
+        topics = _topics(stated, kind)
         for old, key in keys.items():
             if old in values:
                 values |= _one_each(topics, key, values.pop(old))
@@ -48,16 +48,27 @@ def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
     values |= {new: values.pop(f"vehicle.{name}") for name, new in vehicle.items()}
     if len(vehicle) == len(_VEHICLE):
         values["vehicle.name"] = "unnamed"
-    poses, gyros = (named(stated.get(kind, default)) for kind, default in _DEFAULTS.items())
+    poses, gyros = (_topics(stated, kind) for kind in _DEFAULTS)
     if {"use_heading", "position_only"} & values.keys():
-        used, without = values.pop("use_heading", True), values.pop("position_only", ())
+        used, without = values.pop("use_heading", True), _listed(values.pop("position_only", ()))
         values |= _one_each(poses, "use_heading", [used and topic not in without for topic in poses])
     if "yaw_rate_stddev" in values:
         values |= _one_each(gyros, "stddev", [values.pop("yaw_rate_stddev")])
     return values
 
 
-def _one_each(topics: Sequence[str], key: str, given: Sequence[Any]) -> dict[str, Any]:
+def _topics(stated: Mapping[str, Any], kind: str) -> list[str]:
+    """The sources of a kind; what is no list of texts is refused where the parameters are checked."""
+    given = stated.get(kind, _DEFAULTS.get(kind, ()))
+    return named([topic for topic in _listed(given) if isinstance(topic, str)])
+
+
+def _listed(given: Any) -> Sequence[Any]:
+    return given if isinstance(given, (list, tuple)) else [given]
+
+
+def _one_each(topics: Sequence[str], key: str, given: Any) -> dict[str, Any]:
     """A parameter of each source of a list; a list of the wrong length was never in use."""
-    each = list(given) * len(topics) if len(given) == 1 else given
+    each = _listed(given)
+    each = list(each) * len(topics) if len(each) == 1 else each
     return {f"sources.{group_name(topic)}.{key}": value for topic, value in zip(topics, each, strict=False)}

@@ -199,7 +199,7 @@ def from_flat(cls: type[T], values: Mapping[str, Any], where: str, prefix: str =
     known = dict.fromkeys(prefix + name for name in known_names(cls, values, where))
     unknown = next((name for name in values if name not in known), None)
     if unknown is not None:
-        raise InputError(f"{where}: unknown parameter '{unknown}'{_hint(unknown, list(known))}")
+        raise InputError(f"{where}: unknown parameter '{unknown}'{_hint(str(unknown), list(known))}")
     groups = cls.groups_of(values, where)
     arguments: dict[str, Any] = {}
     for name, kind, spec in own_fields(cls):

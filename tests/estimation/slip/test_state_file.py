@@ -198,7 +198,7 @@ def test_a_clock_that_cannot_be_right_forgets_the_ground_only(
 def test_of_another_version_it_is_not_used() -> None:
     body = TEXT.replace("version: 1\n", "version: 99\n").rpartition("\nchecksum: ")[0]
     with pytest.raises(InputError, match="of another version"):
-        parse_state(f"{body}\nchecksum: {state_file._digest(body)}\n", OF)
+        parse_state(f"{body}\nchecksum: {state_file.digest(body)}\n", OF)
 
 
 @pytest.mark.parametrize("when", ["", "yesterday", "2026-99-99", "9" * 30])
@@ -207,7 +207,7 @@ def test_without_a_date_it_is_not_used(when: str) -> None:
     body = TEXT.replace(date, when).rpartition("\nchecksum: ")[0]
     assert body != TEXT
     with pytest.raises(InputError, match="when it was written"):
-        parse_state(f"{body}\nchecksum: {state_file._digest(body)}\n", OF)
+        parse_state(f"{body}\nchecksum: {state_file.digest(body)}\n", OF)
 
 
 def test_a_full_disk_is_counted_and_leaves_the_old_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

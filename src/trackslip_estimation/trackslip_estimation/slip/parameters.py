@@ -2,7 +2,7 @@
 """Parameters of the slip estimator (defaults: ``config/slip_estimator.yaml``, ``config/sources.yaml``)."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,7 +135,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         values = super().overlaid(below, above)
         if above.keys().isdisjoint(KINDS):
             return values
-        there = {group_name(str(topic)) for kind in KINDS for topic in values.get(kind, ())}
+        lists = [values.get(kind) for kind in KINDS]  # unchecked as yet
+        there = {
+            group_name(str(topic)) for topics in lists if isinstance(topics, Sequence) for topic in topics
+        }
         return {
             name: value
             for name, value in values.items()

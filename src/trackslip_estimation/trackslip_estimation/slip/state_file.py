@@ -28,7 +28,7 @@ _LARGEST = 1 << 18  # bytes
 _UNKNOWN_AGE = 7 * 86400.0  # s, where the clock cannot be right: the ground is forgotten, the machine not
 _EARLIEST, _OLDEST = -60.0, 10 * 365 * 86400.0  # s, ages that are believed: some clocks begin in 1970
 _END = 3.0  # s that the last writing may take
-_CHECKSUM = "\nchecksum: "
+CHECKSUM = "\nchecksum: "
 _HEAD = """\
 # What the slip estimator has learned of this machine and its ground; it starts from this the next time.
 # Not to be edited: then it is not used. To forget it, call ~/forget, or delete this file.
@@ -43,7 +43,7 @@ def state_text(learned: Learned, of: Meaning, written_s: float) -> str:
     tree = {"version": _VERSION, "written": written, **to_tree(learned, of)}
     body = _HEAD + "".join(words) + yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=100)
     body = body.rstrip("\n")
-    return f"{body}{_CHECKSUM}{_digest(body)}\n"
+    return f"{body}{CHECKSUM}{digest(body)}\n"
 
 
 def parse_state(text: str, of: Meaning) -> tuple[Learned, float]:
@@ -52,8 +52,8 @@ def parse_state(text: str, of: Meaning) -> tuple[Learned, float]:
     Raises:
         InputError: the text is not as ``state_text`` made it, or of another machine.
     """
-    body, sign, checksum = text.rpartition(_CHECKSUM)
-    if not sign or checksum.strip() != _digest(body):
+    body, sign, checksum = text.rpartition(CHECKSUM)
+    if not sign or checksum.strip() != digest(body):
         raise InputError("it was edited, or cut off")
     tree: Any = parse_yaml(body, "state file")
     if not isinstance(tree, dict) or tree.get("version") != _VERSION:
@@ -103,7 +103,7 @@ class StateFile:
             learned, written_s = parse_state(_content(self._path), of)
         except (InputError, OSError) as error:
             self.used = False
-            self._aside = f"of-{_digest(error.machine)[:8]}" if isinstance(error, OtherMachine) else "unused"
+            self._aside = f"of-{digest(error.machine)[:8]}" if isinstance(error, OtherMachine) else "unused"
             reason = error.strerror if isinstance(error, OSError) else error
             self.note = f"{self._path} is not used: {reason}"
             return None
@@ -196,7 +196,7 @@ def _content(path: Path) -> str:
     return content.decode("utf-8", errors="replace")
 
 
-def _digest(body: str) -> str:
+def digest(body: str) -> str:
     return hashlib.sha256(body.encode(errors="replace")).hexdigest()[:32]
 
 

@@ -14,7 +14,9 @@ _KINDS = {bool: "?", int: "i8", float: "f8"}
 
 
 def record_of(parameters: Parameters) -> NDArray[Any]:
-    """(1,) record of all numbers, by their names; texts, lists and groups that may be absent are left out, and a vehicle is given whole.
+    """(1,) record of all numbers, by their names; a vehicle is given whole.
+
+    Texts, lists and groups that may be absent are left out.
 
     Raises:
         InputError: the vehicle cannot be given whole.

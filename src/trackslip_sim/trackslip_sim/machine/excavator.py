@@ -28,7 +28,6 @@ from trackslip_sim.machine.faults import CAN, GNSS, POWER_CYCLE, SICK, WATSON, W
 from trackslip_sim.machine.faulty_line import FaultyBus, FaultySerial
 from trackslip_sim.machine.faulty_readings import FaultyReadings, FullScales
 from trackslip_sim.machine.gnss_model import GnssModel
-from trackslip_sim.machine.placement import Placement
 from trackslip_sim.machine.scan_model import SiteScanner
 from trackslip_sim.machine.sensors import MachineSensors, mounting_of
 from trackslip_sim.parameters import EmulatorParameters
@@ -70,6 +69,7 @@ class EmulatedExcavator:
         mounting = mounting_of(p.vehicle)
         self.sensors = MachineSensors(window, p.noise, self.drive_start_ns, p.seed, mounting)
         self._poses_of = {UNDERCARRIAGE: self.sensors.pose_at, UPPER: self.sensors.upper_pose_at}
+        self._placement_of = {UNDERCARRIAGE: self.sensors.placement, UPPER: self.sensors.upper_placement}
         self._vehicle = p.vehicle
         self.faults = Faults(load_scenario(p.scenario).faults, self.drive_start_ns)
         can = default_parameters(CanDriverParameters, can_parameters.NODE, *can_parameters.DEFAULT_FILES)
@@ -88,7 +88,8 @@ class EmulatedExcavator:
         self.watson = WatsonDevice(layout, self._watson_line, readings.imu, True, start_ns)
         self.sick = SickDevice(sick, p.sick_start, readings.ranges, start_ns)
         self._gnss_line = BaudLine(default_parameters(NmeaParameters, "nmea_gnss").serial_baud, BITS_PER_CHAR)
-        antenna = GnssModel(p.mounted_gnss(), self._antenna_frame_at, self.faults, p.seed)
+        placement = self._placement_of[p.vehicle.mount_of("antenna")]
+        antenna = GnssModel(p.mounted_gnss(), placement, self.faults, p.seed)
         self.gnss = NmeaDevice(p.gnss.device, self._gnss_line, antenna.measure, start_ns, p.seed)
         self._power_on: dict[str, Callable[[int], None]] = {
             CAN: lambda now_ns: self.can.start(now_ns + boot_ns),
@@ -167,10 +168,6 @@ class EmulatedExcavator:
     def _scan(self, stamp_ns: int) -> FloatArray:
         poses = self._poses_of[self._vehicle.mount_of("box")]
         return self._scanner.scan(self.sensors.time(stamp_ns), poses)
-
-    def _antenna_frame_at(self, stamp_ns: int) -> Placement:
-        """Of what the antenna sits on."""
-        return self.sensors.placement(stamp_ns, self._vehicle.mount_of("antenna"))
 
     def _powered(self, sensor: str, now_ns: int) -> bool:
         """Whether it lives; it boots as its power comes back."""

@@ -10,6 +10,12 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
+def about_z(angle: float) -> FloatArray:
+    """(3, 3) rotation about z."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
+
+
 class Placement(NamedTuple):
     """Of base_link in the site frame; angles ZYX as in REP-103."""
 
@@ -38,18 +44,16 @@ class Placement(NamedTuple):
         east, north, up = (self.rotation() @ (x, y, z)).tolist()
         return self.x + east, self.y + north, self.z + up
 
+    def turned(self, angle: float, axis: tuple[float, float]) -> "Placement":
+        """Of what is turned by an angle about an axis of base_link at (x, y), m, and was base_link before."""
+        rotation, (along, across) = about_z(angle), axis
+        x, y, z = self.point(*((along, across, 0.0) - rotation @ (along, across, 0.0)).tolist())
+        R = self.rotation() @ rotation
+        yaw = self.yaw + angle
+        yaw += math.remainder(math.atan2(R[1, 0], R[0, 0]) - yaw, 2.0 * math.pi)
+        return Placement(x, y, yaw, z, -math.asin(R[2, 0]), math.atan2(R[2, 1], R[2, 2]))
+
     def azimuth(self, direction: float) -> float:
         """Seen from above, of a direction in the plane of the tracks, rad from x; within ±π of ``yaw``."""
         east, north, _ = (self.rotation() @ (math.cos(direction), math.sin(direction), 0.0)).tolist()
         return self.yaw + math.remainder(math.atan2(north, east) - self.yaw, 2.0 * math.pi)
-
-    def swung(self, angle: float, axis: tuple[float, float]) -> "Placement":
-        """Of a frame that is base_link turned about a vertical axis of it at (x, y), m, by an angle, rad."""
-        cos, sin = math.cos(angle), math.sin(angle)
-        turned = self.rotation() @ ((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0))
-        left = axis[0] - cos * axis[0] + sin * axis[1], axis[1] - sin * axis[0] - cos * axis[1], 0.0
-        x, y, z = self.point(*left)
-        around = self.yaw + angle
-        yaw = around + math.remainder(math.atan2(turned[1, 0], turned[0, 0]) - around, 2.0 * math.pi)
-        pitch, roll = -math.asin(turned[2, 0]), math.atan2(turned[2, 1], turned[2, 2])
-        return Placement(x=x, y=y, z=z, yaw=yaw, pitch=pitch, roll=roll)

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import GRAVITY, UNDERCARRIAGE, UPPER, VehicleParameters
+from trackslip_common.vehicle import GRAVITY, UPPER, VehicleParameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
-from trackslip_sim.machine.placement import Placement
+from trackslip_sim.machine.placement import Placement, about_z
 from trackslip_sim.truth.window import TruthWindow
 
 FloatArray = NDArray[np.float64]
@@ -132,14 +132,17 @@ class MachineSensors:
         x, y, yaw = (np.interp(times, truth.t, column) for column in (truth.x, truth.y, truth.yaw))
         return x, y, yaw
 
-    def placement(self, stamp_ns: int, mount: str = UNDERCARRIAGE) -> Placement:
-        """True pose and attitude of base_link; or of the upper structure's frame."""
+    def placement(self, stamp_ns: int) -> Placement:
+        """True pose and attitude."""
         at = self._at(stamp_ns)
-        below = Placement(x=at.x, y=at.y, z=at.z, roll=at.roll, pitch=at.pitch, yaw=at.yaw)
-        return below.swung(at.swing, self._mounting.axis) if mount == UPPER else below
+        return Placement(x=at.x, y=at.y, z=at.z, roll=at.roll, pitch=at.pitch, yaw=at.yaw)
+
+    def upper_placement(self, stamp_ns: int) -> Placement:
+        """The same of the upper structure's frame, which is base_link while it looks forward."""
+        return self.placement(stamp_ns).turned(self._at(stamp_ns).swing, self._mounting.axis)
 
     def upper_pose_at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """``pose_at`` of the upper structure's frame, as seen from above on level ground."""
+        """The same of the upper structure's frame, which is base_link while it looks forward."""
         x, y, yaw = self.pose_at(times)
         swing = np.interp(times, self._window.truth.t, self._window.truth.swing)
         axis_x, axis_y = self._mounting.axis
@@ -178,29 +181,28 @@ class MachineSensors:
         )
 
     def imu(self, stamp_ns: int) -> ImuSample:
-        """At C, in base_link's axes; standing before and after the drive."""
+        """At C, in the axes of what it sits on; standing before and after the drive."""
         at, noise = self._at(stamp_ns), self._noise
         driving = 0.0 <= self.time(stamp_ns) <= self._window.duration
-        mount = UPPER if self._mounting.imu_above else UNDERCARRIAGE
-        to_body = self.placement(stamp_ns, mount).rotation().T
-        acceleration = to_body @ (0.0, 0.0, GRAVITY)
-        acceleration += (noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z)
-        rates = np.array((noise.gyro_bias_x, noise.gyro_bias_y, noise.gyro_bias))
+        to_sensor = self.placement(stamp_ns).rotation().T
+        acceleration = to_sensor @ (0.0, 0.0, GRAVITY)
+        rates = np.zeros(3)
         if driving:
-            swing = at.swing if mount == UPPER else 0.0
-            above = np.array(
-                (
-                    (math.cos(swing), math.sin(swing), 0.0),
-                    (-math.sin(swing), math.cos(swing), 0.0),
-                    (0.0, 0.0, 1.0),
-                )
+            acceleration += (at.a_x, at.a_y, at.a_z)
+            rates += (at.roll_rate, at.pitch_rate, at.yaw_rate)
+        if self._mounting.imu_above:
+            from_below = about_z(at.swing).T
+            to_sensor, acceleration, rates = (
+                from_below @ to_sensor,
+                from_below @ acceleration,
+                from_below @ rates,
             )
-            acceleration += above @ (at.a_x, at.a_y, at.a_z)
-            turning = at.yaw_rate + (at.swing_rate if mount == UPPER else 0.0)
-            rates += above @ (at.roll_rate, at.pitch_rate, turning)
+            rates[2] += at.swing_rate if driving else 0.0
+        acceleration += (noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z)
         acceleration += noise.acceleration_stddev * self._normal()
+        rates += (noise.gyro_bias_x, noise.gyro_bias_y, noise.gyro_bias)
         rates += noise.gyro_stddev * self._normal()
-        field = to_body @ (0.0, noise.field_horizontal, -noise.field_down)
+        field = to_sensor @ (0.0, noise.field_horizontal, -noise.field_down)
         field += noise.field_stddev * self._normal()
         return ImuSample(stamp_ns, _vector(acceleration), _vector(rates), _vector(field), over_range=False)
 

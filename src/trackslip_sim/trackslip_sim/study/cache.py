@@ -8,12 +8,14 @@ of estimators, truth and study.
 import hashlib
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from trackslip_common.errors import InputError
+from trackslip_common.json_records import parse_line, record
 
 R = TypeVar("R")
 
@@ -50,14 +52,9 @@ class Cache(Generic[R]):
             file.write(json.dumps({"key": key, "row": vars(piece)}) + "\n")
 
     def _remember(self, line: str) -> None:
-        try:
-            entry = json.loads(line)
-            values: dict[str, Any] = {
-                name: tuple(v) if isinstance(v, list) else v for name, v in entry["row"].items()
-            }
-            self._pieces[entry["key"]] = self._kind(**values)
-        except (ValueError, KeyError, TypeError, AttributeError):  # cut short, or of another kind or version
-            return
+        entry = parse_line(line) or {}
+        with suppress(TypeError):  # cut short, or of another kind or version
+            self._pieces[str(entry.get("key"))] = record(self._kind, entry.get("row"))
 
 
 def key_of(parts: Mapping[str, Any], *modules: ModuleType) -> str:

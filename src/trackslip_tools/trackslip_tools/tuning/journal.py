@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from trackslip_common.errors import InputError
+from trackslip_common.json_records import parse_line, record
 from trackslip_tools.tuning.task import Score, Task
 
 Values = tuple[float, ...]
@@ -31,13 +32,13 @@ class Journal:
         heading = {"names": list(names), "of": _fingerprint(tasks)}
         try:
             lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-            known = [entry for entry in map(_parsed, lines) if entry is not None]
+            known = [entry for entry in map(parse_line, lines) if entry is not None]
             if known and known[0] != heading:
                 raise InputError(
                     f"'{path}' is of other bags or parameters; accepted: another --output, or remove it"
                 )
             for entry in known[1:]:
-                self._scores[entry["bag"], tuple(entry["values"])] = Score(**entry["score"])
+                self._scores[_key(entry, len(heading["names"]))] = record(Score, entry["score"])
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("w" if not known else "a", encoding="utf-8")
         except OSError as error:
@@ -74,11 +75,13 @@ class Journal:
         self._file.flush()
 
 
-def _parsed(line: str) -> Any:
-    try:
-        return json.loads(line)
-    except ValueError:
-        return None
+def _key(entry: Mapping[str, Any], names: int) -> tuple[int, Values]:
+    """Bag and values of a score; raises ``TypeError`` where they are none."""
+    bag, values = entry["bag"], entry["values"]
+    are_numbers = isinstance(values, list) and all(type(value) is float for value in values)
+    if type(bag) is not int or not are_numbers or len(values) != names:
+        raise TypeError("bag, values")
+    return bag, tuple(values)
 
 
 def _fingerprint(tasks: Iterable[Task]) -> str:

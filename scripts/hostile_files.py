@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gives hostile files to every reader of files that a user hands over: part of ``make fuzz``.
+
+Each reader runs in a process of its own. It may refuse a file by ``InputError``, or use it. A finding is
+any other exception, more than ten seconds of a processor for a file, or more than 1.5 GB: then the file is
+kept in ``out/hostile/<reader>/``, and the exit code is 1. To see it again:
+``.venv/bin/python scripts/hostile_files.py --reader scenario out/hostile/scenario/7.yaml``.
+"""
+
+import argparse
+import contextlib
+import io
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from hostile_readers import READERS, Reader
+from hostile_text import hostile
+from trackslip_common.errors import InputError
+
+ROOT = Path(__file__).resolve().parent.parent
+OUT = ROOT / "out" / "hostile"
+FILES = 500
+LONGEST_S = 10
+WAITING = 10  # times as long a file may take where others have the processors
+MOST_MB = 1500
+
+
+class Hang(BaseException):
+    """A file took too long."""
+
+
+def main() -> int:
+    """Run all readers, or one; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--files", type=int, default=FILES, help="for each reader (%(default)s)")
+    parser.add_argument("--reader", choices=READERS, help="this one alone, in this process")
+    parser.add_argument("cases", nargs="*", type=Path, metavar="FILE", help="with --reader: these instead")
+    args = parser.parse_args()
+    if args.files < 1 or (args.cases and not args.reader):
+        print("hostile_files: accepted: --files 1 or more; FILE with --reader", file=sys.stderr)
+        return 2
+    if args.reader:
+        return _work(args.reader, args.files, args.cases)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        clean = list(pool.map(lambda name: _report(name, args.files), READERS))
+    return 0 if all(clean) else 1
+
+
+def _report(name: str, files: int) -> bool:
+    """One reader in a process of its own, one line about it; whether it found nothing."""
+    shutil.rmtree(OUT / name, ignore_errors=True)
+    (OUT / name).mkdir(parents=True)
+    began = time.monotonic()
+    with (OUT / name / "log").open("wb") as log:
+        command = [sys.executable, __file__, "--reader", name, "--files", str(files)]
+        done = subprocess.run(command, stdout=log, stderr=log, check=False)
+    words = (OUT / name / "log").read_text(errors="replace").strip().splitlines() or [""]
+    verdict = words[-1] if done.returncode == 0 else f"FOUND: {OUT / name / 'log'}"
+    print(f"{name:<12} {time.monotonic() - began:>5.0f} s  {verdict}", flush=True)
+    return done.returncode == 0
+
+
+def _work(name: str, files: int, cases: list[Path]) -> int:
+    """All files of one reader; its last line is the count."""
+    folder = Path(tempfile.mkdtemp(prefix="trackslip_hostile_"))
+    os.chdir(folder)
+    for alarm in (signal.SIGALRM, signal.SIGPROF):
+        signal.signal(alarm, _on_alarm)
+    try:
+        reader = READERS[name](folder)
+        contents = [case.read_bytes() for case in cases] or (hostile(reader.seeds, k) for k in range(files))
+        refused, found, slowest = 0, 0, 0.0
+        for number, content in enumerate(contents):
+            began = time.process_time()
+            problem, is_refused = _try(reader, folder / f"case{reader.suffix}", content)
+            slowest = max(slowest, time.process_time() - began)
+            refused += is_refused
+            if problem:
+                found += 1
+                print(f"{number}: {problem}", flush=True)
+                if not cases:
+                    (OUT / name / f"{number}{reader.suffix}").write_bytes(content)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+        print(f"{number + 1} files, {refused} refused, {found} found, slowest {slowest:.1f} s, {memory} MB")
+        return int(found > 0 or memory > MOST_MB)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _try(reader: Reader, path: Path, content: bytes) -> tuple[str, bool]:
+    """What is wrong, if anything, and whether the file was refused."""
+    path.write_bytes(content)
+    said = io.StringIO()
+    signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
+    signal.alarm(WAITING * LONGEST_S)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+            code = reader.read(path)
+    except InputError as error:
+        return ("" if str(error).isprintable() else f"not one line: {str(error)!r}"), True
+    except Hang:
+        return f"more than {LONGEST_S} s", False
+    except Exception:  # noqa: BLE001 (that is what is looked for)
+        return traceback.format_exc(), False
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.alarm(0)
+    lines = said.getvalue().splitlines()
+    if code not in (None, 0, 1, 2) or "Traceback" in said.getvalue():
+        return f"exit code {code}: {said.getvalue()}", False
+    if code == 2 and (not lines or not all(line.isprintable() for line in lines)):
+        return f"refused as {lines!r}", True
+    return "", code == 2
+
+
+def _on_alarm(*_: object) -> None:
+    raise Hang
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The readers of files that ``hostile_files.py`` tries: each with good files, and what is done with one."""
+
+import contextlib
+import io
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import config_directory, load_parameters, parameters_text
+from trackslip_common.parameters import to_flat
+from trackslip_common.vehicle import load_vehicle, vehicle_of_text, vehicle_text
+from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
+from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned import meaning
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.state_file import CHECKSUM, StateFile, digest, state_text
+from trackslip_sim.machine.faults import parse_fault
+from trackslip_sim.study.cache import Cache
+from trackslip_sim.study.slip.results import Row
+from trackslip_sim.study.slip.study import SlipStudy
+from trackslip_tools.cli.main import main
+from trackslip_tools.replay.inputs import read_inputs
+from trackslip_tools.tuning.journal import Journal
+from trackslip_tools.tuning.plan import changed, read_plan
+from trackslip_tools.tuning.task import Score
+from trackslip_tools.tuning.tuner import cost
+
+ROOT = Path(__file__).resolve().parent.parent
+BAG = ROOT / "bags" / "slalom_sand"
+
+
+@dataclass(frozen=True)
+class Reader:
+    """``read`` gives an exit code where it is a command's, and raises ``InputError`` where it is none."""
+
+    seeds: Sequence[bytes]
+    read: Callable[[Path], int | None]
+    suffix: str = ".yaml"
+
+
+def _config(pattern: str) -> list[bytes]:
+    return [path.read_bytes() for path in sorted(config_directory().glob(pattern))]
+
+
+def vehicle(_: Path) -> Reader:
+    """A vehicle's file, and its text on a bag's topic."""
+
+    def read(path: Path) -> None:
+        found = load_vehicle(str(path))
+        load_slip_parameters({"vehicle": str(path)})
+        assert vehicle_of_text(vehicle_text(found), "again") is not None
+
+    return Reader(_config("vehicles/*.yaml"), read)
+
+
+def scenario(folder: Path) -> Reader:
+    """Driven for a moment, with what the sensors see of it."""
+
+    def read(path: Path) -> int:
+        output = folder / "bag"
+        options = ["--scenario", str(path), "--duration", "0.3", "--output", str(output)]
+        code = main(["simulate", *options])
+        _remove(output)
+        return code
+
+    return Reader(_config("scenarios/*.yaml"), read)
+
+
+def fault(_: Path) -> Reader:
+    """The text on ``emulator/fault``."""
+
+    def read(path: Path) -> None:
+        parse_fault(path.read_text(encoding="utf-8", errors="replace"), 1.0)
+
+    texts = (
+        "{sensor: laser, kind: unplug, start: 2.0, duration: 3.0}",
+        "sensor: can, kind: bus_off, duration: 1",
+    )
+    return Reader([text.encode() for text in texts], read)
+
+
+def parameters(_: Path) -> Reader:
+    """A ROS parameter file, as --params of a short replay."""
+    _compile()
+    names = ("slip_estimator.yaml", "sources.yaml", "soil_estimator.yaml", "gnss.yaml", "tune.yaml")
+    seeds = [(config_directory() / name).read_bytes() for name in names]
+    return Reader(seeds, lambda path: main(["replay", str(BAG), "--stop", "1", "--params", str(path)]))
+
+
+def carried(folder: Path) -> Reader:
+    """Parameters or vehicle as a text in a bag."""
+    _compile()
+    with open_bag(BAG) as bag:
+        others = [m for m in bag.messages(None, None, bag.start_ns + 2_200_000_000) if m.topic not in _TEXTS]
+
+    def read(path: Path) -> int:
+        text = path.read_text(encoding="utf-8", errors="replace")
+        output = folder / "bag"
+        is_vehicle = "ros__parameters" not in text
+        with BagWriter(output) as made:
+            for k, m in enumerate(others):
+                if k == 0:
+                    data = serialize(make("std_msgs/msg/String", data=text))
+                    made.write(_TEXTS[is_vehicle], "std_msgs/msg/String", data, m.log_time_ns)
+                made.write(m.topic, m.type_name, m.raw, m.log_time_ns)
+        code = max(main([command, str(output)]) for command in ("info", "replay"))
+        _remove(output)
+        return code
+
+    stated = parameters_text(to_flat(load_slip_parameters()), "slip_estimator")
+    return Reader([stated.encode(), vehicle_text(load_vehicle()).encode()], read)
+
+
+_TEXTS = ("/slip_estimator/parameters", "/vehicle")
+
+
+def plan(_: Path) -> Reader:
+    """A tune file, and the first steps of a search."""
+    p = load_slip_parameters()
+
+    def read(path: Path) -> None:
+        found = read_plan(path)
+        shares = found.shares(p)
+        for share in (shares, np.zeros(shares.size), np.ones(shares.size)):
+            changed(p, found.values(share))
+
+    return Reader(_config("tune.yaml"), read)
+
+
+def roles(folder: Path) -> Reader:
+    """Roles of a CAN bus."""
+    p = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
+    dbc = config_directory() / p.dbc_file
+
+    def read(path: Path) -> None:
+        FrameSet(dbc, path, p.vehicle)
+
+    return Reader(_config("can_roles.yaml"), read)
+
+
+def dbc(_: Path) -> Reader:
+    """The contract of a CAN bus."""
+    p = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
+    own = load_frames(p)
+    assert own.codecs
+    contract = config_directory() / p.roles_file
+    return Reader(_config("*.dbc"), lambda path: bool(FrameSet(path, contract, p.vehicle)) - 1, ".dbc")
+
+
+def mapping(folder: Path) -> Reader:
+    """How a log is imported."""
+    log = folder / "log.csv"
+    log.write_bytes(_LOG)
+
+    def read(path: Path) -> int:
+        code = main(["import", str(log), "--mapping", str(path), "--output", str(folder / "bag")])
+        _remove(folder / "bag")
+        return code
+
+    return Reader([_MAPPING, *_config("mappings/*.yaml")], read)
+
+
+def table(folder: Path) -> Reader:
+    """A CSV log."""
+    (folder / "mapping.yaml").write_bytes(_MAPPING)
+
+    def read(path: Path) -> int:
+        options = ["--mapping", str(folder / "mapping.yaml"), "--output", str(folder / "bag")]
+        code = main(["import", str(path), *options])
+        _remove(folder / "bag")
+        return code
+
+    return Reader(
+        [_LOG, _LOG.replace(b",", b";"), b"\xef\xbb\xbf" + _LOG.replace(b"\n", b"\r\n")], read, ".csv"
+    )
+
+
+_MAPPING = b"""time: {column: t, unit: s}
+topics:
+  sprockets:
+    left_velocity: {column: l, unit: deg/s, scale: -1.0}
+    right_velocity: {column: r, unit: rpm}
+  reference_pose:
+    x: {column: x, unit: m}
+    y: {column: x, unit: cm}
+    yaw: {column: l, unit: deg}
+    stddev: {x: 0.1, y: 0.1, yaw: 0.1}
+parameters: {history_window: 2.0}
+"""
+_LOG = b"t,l,r,x\n" + b"".join(b"%.2f,%d,2e0,%d.5\n" % (0.1 * k, k, 3 * k) for k in range(40))
+
+
+def state(_: Path) -> Reader:
+    """What the slip estimator has learned; two in three with a checksum that is right."""
+    p = load_slip_parameters()
+    estimator = SlipEstimator(p)
+    with open_bag(BAG) as bag:
+        inputs = read_inputs(bag, p, InputFilters(stop_s=10.0), ())
+    estimator.process_records(inputs.measurements(estimator.sources))
+    assert estimator.learned is not None
+    text = state_text(estimator.learned, meaning(p), 1.8e9)
+
+    def read(path: Path) -> None:
+        content = path.read_bytes()
+        if len(content) % 3:
+            body = content.decode("utf-8", "replace").rpartition(CHECKSUM)[0] or content.decode(
+                "utf-8", "replace"
+            )
+            path.write_text(f"{body}{CHECKSUM}{digest(body)}\n", encoding="utf-8")
+        file = StateFile(str(path))
+        learned = file.read(meaning(p))
+        assert file.note.isprintable(), file.note
+        if learned is not None:
+            SlipEstimator(p, learned=learned)
+
+    return Reader([text.encode()], read)
+
+
+def journal(_: Path) -> Reader:
+    """Scores of an interrupted search, and what the search makes of them."""
+    score = Score(1.5, {"box_pose": 1.0}, {"box_pose": 3}, 0.1, math.nan, 2.0, -3.0)
+    empty = Path("empty.jsonl")
+    with Journal(empty, (), ("a", "b")) as made:
+        for k in range(4):
+            made.add(k % 2, (0.5 * k, 1.0), score)
+    seed = empty.read_bytes()
+
+    def read(path: Path) -> None:
+        with Journal(path, (), ("a", "b")) as found:
+            for k in range(4):
+                if (k % 2, (0.5 * k, 1.0)) in found:
+                    for objective in ("likelihood", "pose", "position"):
+                        cost(objective, found[k % 2, (0.5 * k, 1.0)])
+            found.add(0, (9.0, 9.0), score)
+
+    return Reader([seed], read, ".jsonl")
+
+
+def cache(_: Path) -> Reader:
+    """Finished pieces of a study."""
+    path = Path("cache.jsonl")
+    examples: dict[Any, Any] = {str: "sand", int: 3, float: 0.5}
+    row = Row(*(examples.get(kind, (0.1, 0.9)) for kind in get_type_hints(Row).values()))
+    study, made = SlipStudy({}, ()), Cache(path, Row)
+    for k in range(3):
+        made.add(str(k), row)
+    seed = path.read_bytes()
+
+    def read(path: Path) -> None:
+        found = Cache(path, Row)
+        for k in range(3):
+            piece = found.get(str(k))
+            if piece is not None:
+                study.markdown([piece])
+
+    return Reader([seed], read, ".jsonl")
+
+
+def _compile() -> None:
+    """The first replay takes as long as ten hostile ones."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        main(["replay", str(BAG), "--stop", "1"])
+
+
+def _remove(bag: Path) -> None:
+    """A bag, where one was made."""
+    for file in bag.iterdir() if bag.is_dir() else ():
+        file.unlink()
+    if bag.is_dir():
+        bag.rmdir()
+
+
+READERS: dict[str, Callable[[Path], Reader]] = {
+    made.__name__: made
+    for made in (
+        *(vehicle, scenario, fault, parameters, carried, plan, roles, dbc, mapping, table),
+        *(state, journal, cache),
+    )
+}

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records out of lines of JSON that may have been cut, edited, or written by another version."""
+
+import json
+from types import GenericAlias
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+R = TypeVar("R")
+
+
+def parse_line(line: str) -> dict[str, Any] | None:
+    """The mapping that a line holds; None where it holds none."""
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def record(kind: type[R], entry: Any) -> R:
+    """A dataclass or NamedTuple of its fields by name.
+
+    Raises:
+        TypeError: a field is missing, unknown, or of another type.
+    """
+    hints = get_type_hints(kind)
+    if not isinstance(entry, dict) or entry.keys() != hints.keys():
+        raise TypeError(kind.__name__)
+    return kind(**{name: _typed(hints[name], value) for name, value in entry.items()})
+
+
+def _typed(hint: Any, value: Any) -> Any:
+    """A number, a text, a truth, a tuple of as many, a mapping by name; a whole number is a number too."""
+    if isinstance(hint, GenericAlias):
+        origin, inner = get_origin(hint), get_args(hint)
+        if origin is dict and isinstance(value, dict):
+            return {key: _typed(inner[1], of_key) for key, of_key in value.items()}
+        if origin is tuple and isinstance(value, list) and len(value) == len(inner):
+            return tuple(_typed(kind, part) for kind, part in zip(inner, value, strict=True))
+        raise TypeError(str(hint))
+    if hint is float and type(value) is int:
+        value = float(value) if abs(value) < 2**63 else None
+    if type(value) is not hint:
+        raise TypeError(str(hint))
+    return value

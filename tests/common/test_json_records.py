@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines of JSON that were cut, edited or made by others."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import pytest
+
+from trackslip_common.json_records import parse_line, record
+
+
+@dataclass(frozen=True)
+class Piece:
+    name: str
+    error: float
+    seeds: int
+    passed: bool
+    interval: tuple[float, float]
+
+
+class Score(NamedTuple):
+    nis: dict[str, float]
+    count: int
+
+
+GOOD: dict[str, Any] = {"name": "a", "error": 1, "seeds": 2, "passed": True, "interval": [0.1, 1]}
+
+
+def test_what_was_written_is_read() -> None:
+    piece = record(Piece, GOOD)
+    assert piece == Piece("a", 1.0, 2, True, (0.1, 1.0))
+    assert isinstance(piece.error, float)
+    assert record(Score, {"nis": {"box_pose": 1}, "count": 3}) == Score({"box_pose": 1.0}, 3)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *({"name": None}, {"error": "0.5"}, {"error": True}, {"seeds": 2.0}, {"seeds": True}, {"passed": 1}),
+        *({"error": 10**400}, {"interval": [0.1]}, {"interval": [0.1, "b"]}, {"interval": 0.1}, {"more": 1}),
+    ],
+    ids=str,
+)
+def test_a_value_of_another_type_ended_what_used_it(changes: dict[str, Any]) -> None:
+    with pytest.raises(TypeError):
+        record(Piece, GOOD | changes)
+
+
+@pytest.mark.parametrize("entry", [None, [], "a", {}, {"name": "a"}], ids=str)
+def test_what_is_no_record_is_none(entry: Any) -> None:
+    with pytest.raises(TypeError):
+        record(Piece, entry)
+
+
+@pytest.mark.parametrize(
+    "line", ["", "{", "[" * 100_000, '{"a": ' * 100_000, "[1]", "7" * 5000, "null", '"a"']
+)
+def test_lines_that_hold_no_mapping(line: str) -> None:
+    """Deep nesting ended a tuning that went on from its journal, and a study, with a traceback."""
+    assert parse_line(line) is None
