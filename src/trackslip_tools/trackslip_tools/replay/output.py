@@ -20,7 +20,7 @@ from trackslip_estimation.slip.learned_text import summary_lines, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, REPORTS, TRACK_SLIP
+from trackslip_tools.replay.inputs import ATTITUDE, LOCAL_ODOMETRY, ODOMETRY, REPORTS, TRACK_SLIP
 from trackslip_tools.replay.run import Part, Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
@@ -63,6 +63,8 @@ class EstimateWriter:
             if estimate is not None:
                 for topic in (ODOMETRY, TRACK_SLIP):
                     self._write(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
+                if estimate.outputs.tilt is not None:
+                    self._write(ATTITUDE, message_of(ATTITUDE, estimate, self._p), estimate.stamp_ns)
                 message = message_of(LOCAL_ODOMETRY, self._local.after(estimate), self._p)
                 self._write(LOCAL_ODOMETRY, message, estimate.stamp_ns)
 
@@ -90,6 +92,8 @@ def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> An
     if topic in (ODOMETRY, LOCAL_ODOMETRY):
         parent = frames.map if topic == ODOMETRY else frames.odom
         return conversions.odometry(make, estimate, parent, frames.base)
+    if topic == ATTITUDE:
+        return conversions.attitude(make, estimate, frames.base)
     return conversions.track_slip(make, estimate, frames.base)
 
 
