@@ -34,6 +34,8 @@ GROUND_LOAD = np.dtype(
         ("strength", "f8", 2),  # g_j
         ("strength_variance", "f8", 2),
         ("lean", "f8"),  # γ 12 x_N/l², 1/m
+        ("stretch", "f8"),  # way along the ground over the horizontal one, 1/cos θ
+        ("stretch_stddev", "f8"),  # of it, relative
     ]
 )
 
@@ -71,6 +73,8 @@ def set_load(load: Any, centre: Any, sample: Any, p: Any) -> None:
     x_N = centre.x + centre.height * math.tan(pitch) / math.cos(roll)
     y_N = centre.y - centre.height * math.tan(roll)
     uncertain = centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * sample.tilt_variance[0]
+    load.stretch = 1.0 / math.cos(pitch)
+    load.stretch_stddev = abs(math.tan(pitch)) * math.sqrt(sample.tilt_variance[1])
     load.lean = friction * 12.0 * x_N / vehicle.contact_length**2
     for k in range(2):
         share = 0.5 + (1.0 - 2.0 * k) * y_N / vehicle.tread

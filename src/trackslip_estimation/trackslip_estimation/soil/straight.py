@@ -80,7 +80,7 @@ class StraightSegment:
         shape = tuple(map(len, hypotheses.soils))
         self._j = np.tile(displacement, (*shape, 1, 1, 1))
         self._expected = np.zeros(shape)
-        self._rolled = self._travelled = 0.0
+        self._rolled = self._travelled = self._doubt = 0.0
 
     @property
     def rolled(self) -> float:
@@ -93,16 +93,21 @@ class StraightSegment:
         self._expected += distance * drive(self._j, rolling, thrust, s.soils, s.contact, dt)
         self._rolled += distance
 
-    def set_end(self, pose: PoseWithCovariance) -> None:
-        """Be there, as is better known by now: a machine that stands is seen again and again."""
-        self._travelled += self._end.distance_to(pose)
+    def set_end(self, pose: PoseWithCovariance, stretch: float = 1.0, stretch_stddev: float = 0.0) -> None:
+        """Be there, as is better known by now: a machine that stands is seen again and again.
+
+        ``stretch`` is the way along the ground over the horizontal one, ``stretch_stddev`` its relative error.
+        """
+        way = stretch * self._end.distance_to(pose)
+        self._travelled += way
+        self._doubt += abs(way) * stretch_stddev
         self._end = pose
 
     def slip_distance(self) -> SlipDistance:
         """λ until now."""
         forward = math.copysign(1.0, self._rolled)
         expected = self._hypotheses.on_grid(forward * self._expected)
-        variance = self._start.variance_along() + self._end.variance_along()
+        variance = self._start.variance_along() + self._end.variance_along() + self._doubt**2
         return SlipDistance(forward * (self._rolled - self._travelled), expected, variance)
 
 

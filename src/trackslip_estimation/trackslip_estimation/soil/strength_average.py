@@ -21,7 +21,9 @@ AVERAGE = np.dtype(
         ("twist_covariance", "f8", (3, 3)),
         ("force", "f8", 2),  # N, as it would be on level ground; nan where it is not known
         ("variance", "f8", 2),  # N²
-        ("lean", "f8"),  # see ``ground_load``
+        ("lean", "f8"),  # see ``ground_load``, as the next two
+        ("stretch", "f8"),
+        ("stretch_stddev", "f8"),
         ("motion", "i8"),  # of the last sample in it, as its pose
         ("pose", "f8", 3),
         ("pose_covariance", "f8", (3, 3)),
@@ -79,7 +81,7 @@ def _is_usable(sample: Any) -> bool:
 @compiled
 def clear(average: Any) -> None:
     """An AVERAGE of nothing."""
-    average.dt = average.lean = 0.0
+    average.dt = average.lean = average.stretch = average.stretch_stddev = 0.0
     for k in range(2):
         average.tracks[k] = average.force[k] = average.variance[k] = 0.0
     for i in range(3):
@@ -94,6 +96,8 @@ def _add(average: Any, sample: Any, thrust: Any, load: Any) -> None:
     dt = sample.dt
     average.dt += dt
     average.lean += dt * load.lean
+    average.stretch += dt * load.stretch
+    average.stretch_stddev += dt * load.stretch_stddev
     for k in range(2):
         force = thrust.force[k] / load.strength[k]
         average.tracks[k] += dt * sample.tracks[k]
@@ -112,6 +116,8 @@ def _complete(average: Any, sample: Any) -> None:
     dt = average.dt
     average.motion = sample.motion
     average.lean /= dt
+    average.stretch /= dt
+    average.stretch_stddev /= dt
     for k in range(2):
         average.tracks[k] /= dt
         average.force[k] /= dt

@@ -87,12 +87,13 @@ class StrengthPosterior:
         self._bayes_update(self._nothing, 0.0, change)
         pose = PoseWithCovariance(now["pose"].copy(), now["pose_covariance"].copy())
         start, self._pose = self._pose or pose, pose
+        stretch = float(now["stretch"]), float(now["stretch_stddev"])
         before = self._displacement
         self._displacement = carry(before, rolling, self._contact, dt)
         if now["motion"] == Motion.STANDING:
             self._halted = True
             if self._segment is not None:
-                self._segment.set_end(pose)
+                self._segment.set_end(pose, *stretch)
             return SampleOutcome.STANDING
         thrust = float(now["force"].sum())
         straight = now["motion"] == Motion.STRAIGHT and math.isfinite(thrust)
@@ -101,7 +102,7 @@ class StrengthPosterior:
         if straight:
             self._segment = self._segment or StraightSegment(self._hypotheses, before, start)
             self._segment.add(dt, rolling, thrust)
-            self._segment.set_end(pose)
+            self._segment.set_end(pose, *stretch)
             is_long = self._segment.rolled >= self.parameters.longest_straight
             return self._evaluate_segment() if is_long else outcome
         return self._evaluate_turn(now, rolling) if now["motion"] == Motion.TURNING else outcome
