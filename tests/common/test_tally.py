@@ -53,3 +53,9 @@ def test_a_tally_is_read_while_another_thread_counts() -> None:
         sys.setswitchinterval(interval)
     assert failures == []
     assert seen + sum(tally.since_last_look().values()) == 30_000
+
+
+def test_what_did_not_occur_is_not_shown() -> None:
+    tally = Tally()
+    tally.add("imu", Reason.TEXT, 0)
+    assert tally.by_source() == {}

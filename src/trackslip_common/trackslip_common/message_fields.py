@@ -134,11 +134,12 @@ class PoseFields(NamedTuple):
 
 
 class OdometryFields(NamedTuple):
-    """Of nav_msgs/Odometry, the planar part and how well roll and pitch are known."""
+    """Of nav_msgs/Odometry: the planar part, height, orientation, and how well roll and pitch are known."""
 
     stamp_ns: StampNs
     x: Annotated[float, At("pose.pose.position.x")]  # m
     y: Annotated[float, At("pose.pose.position.y")]
+    z: Annotated[float, At("pose.pose.position.z")]
     qx: Annotated[float, At("pose.pose.orientation.x")]
     qy: Annotated[float, At("pose.pose.orientation.y")]
     qz: Annotated[float, At("pose.pose.orientation.z")]
@@ -328,6 +329,13 @@ def tilt_of(pose: Any) -> tuple[float, float]:
     roll = math.atan2(2.0 * (pose.qw * pose.qx + pose.qy * pose.qz), up)
     sine = 2.0 * (pose.qw * pose.qy - pose.qz * pose.qx)
     return roll, math.asin(min(max(sine, -1.0), 1.0))
+
+
+def tilts_of(rows: NDArray[np.void]) -> FloatArray:
+    """(n, 2) roll and pitch (nose down positive), rad, of rows with the same fields."""
+    x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return np.column_stack((roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))))
 
 
 def headings_of(rows: NDArray[np.void]) -> FloatArray:

@@ -18,7 +18,9 @@ class Tally:
         self._lock = Lock()
 
     def add(self, source: str, reason: Enum, count: int = 1) -> None:
-        """Count one or more occurrences; a reason reads as its text, or as its name where it is a number."""
+        """Count occurrences, if there are any; a reason reads as its text, or as its name where it is a number."""
+        if count == 0:
+            return
         text = reason.value if isinstance(reason.value, str) else reason.name.lower()
         with self._lock:
             self._total[source, text] += count

@@ -41,8 +41,8 @@ from trackslip_estimation.kalman.ekf import propagate_covariance
 
 FloatArray = NDArray[np.float64]
 
-_GRAVITY_DOUBT = 1.0  # m/s², by which the mean of what is felt may differ from gravity
-_UPRIGHT = 0.5 * GRAVITY  # m/s², least that its z axis shows of gravity
+GRAVITY_DOUBT = 1.0  # m/s², by which the mean of what is felt may differ from gravity
+UPRIGHT = 0.5 * GRAVITY  # m/s², least that its z axis shows of gravity
 _MEAN_TIME = 1.0  # s, of that mean
 _FIRST_NOISE = 1.0  # (m/s²)², before a sample tells
 _LONGEST = 0.5  # s, between samples of which one follows from the other
@@ -68,7 +68,7 @@ def feels_gravity(a: Any) -> bool:
     """Whether what the IMU shows on average is gravity, from below."""
     x, y, z = a.mean_force
     size = math.sqrt(x * x + y * y + z * z)
-    return bool(abs(size - GRAVITY) <= _GRAVITY_DOUBT and z >= _UPRIGHT)
+    return bool(abs(size - GRAVITY) <= GRAVITY_DOUBT and z >= UPRIGHT)
 
 
 @compiled
@@ -154,7 +154,11 @@ def _turn(a: Any, rates: tuple[float, float, float], dt: float, n: Any) -> None:
     """Roll and pitch after ``dt`` s, by the mean of the rates at both ends."""
     x, P, imu = a.mean, a.covariance, a.sample
     known = 0.5 if dt <= _LONGEST else 0.0
-    p, q, r = known * (rates[0] + a.rates[0]), known * (rates[1] + a.rates[1]), known * (rates[2] + a.rates[2])
+    p, q, r = (
+        known * (rates[0] + a.rates[0]),
+        known * (rates[1] + a.rates[1]),
+        known * (rates[2] + a.rates[2]),
+    )
     roll, pitch = x[ROLL], x[PITCH]
     sin, cos, tan = math.sin(roll), math.cos(roll), math.tan(pitch)
     half_roll = roll + (p + tan * (q * sin + r * cos)) * dt / 2.0
@@ -199,9 +203,7 @@ def _level_by(a: Any, motion: tuple[float, float], doubt: float, dt: float, n: A
 
 
 @compiled
-def _use(
-    a: Any, axis: int, innovation: float, h: FloatArray, sample: tuple[float, float], n: Any
-) -> None:
+def _use(a: Any, axis: int, innovation: float, h: FloatArray, sample: tuple[float, float], n: Any) -> None:
     """Update with one axis, whose noise is learned of the innovation where that is no doubt of the tilt."""
     x, P, stated = a.mean, a.covariance, a.sample.force_variance
     doubt, dt = sample

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The records of the attitude filter, which the slip estimator keeps in its own state.
 
-Frames follow REP-103: base_link x forward, y left, z up; ψ, θ, φ turn about z, y, x (ZYX), θ > 0 is nose down.
+base_link has x forward, y left, z up (REP-103); ψ, θ, φ turn about z, y, x (ZYX), θ > 0 is nose down.
 """
 
 import numpy as np
@@ -9,22 +9,24 @@ import numpy as np
 ROLL, PITCH, HEIGHT, BIAS_P, BIAS_Q, BIAS_X, BIAS_Y = range(7)  # rad, rad, m, rad/s, rad/s, m/s², m/s²
 SIZE = 7
 
-LEVEL = np.dtype(  # what the attitude does to a motion along the ground; all zero where it is flat, or not known
-    [
-        ("tilted", np.int64),  # 0 or 1: whether the rest counts
-        ("forward", np.float64),  # cos θ − 1
-        ("across", np.float64),  # sin φ sin θ
-        ("sideways", np.float64),  # cos φ − 1
-        ("turn", np.float64),  # cos φ / cos θ − 1
-        ("roll_over", np.float64),  # q sin φ / cos θ, rad/s
-        ("downhill_x", np.float64),  # sin θ
-        ("downhill_y", np.float64),  # −sin φ cos θ
-        ("lean_x", np.float64),  # cos φ sin θ: how far ahead something is that is 1 m above C
-        ("lean_y", np.float64),  # −sin φ: how far left
-        ("lean_variance", np.float64),  # of both
-        ("turn_variance", np.float64),  # density of the yaw rate's that comes of the attitude's, rad²/s
-    ],
-    align=True,
+LEVEL = (
+    np.dtype(  # what the attitude does to a motion along the ground; all zero where it is flat, or not known
+        [
+            ("tilted", np.int64),  # 0 or 1: whether the rest counts
+            ("forward", np.float64),  # cos θ − 1
+            ("across", np.float64),  # sin φ sin θ
+            ("sideways", np.float64),  # cos φ − 1
+            ("turn", np.float64),  # cos φ / cos θ − 1
+            ("roll_over", np.float64),  # q sin φ / cos θ, rad/s
+            ("downhill_x", np.float64),  # sin θ
+            ("downhill_y", np.float64),  # −sin φ cos θ
+            ("lean_x", np.float64),  # cos φ sin θ: how far ahead something is that is 1 m above C
+            ("lean_y", np.float64),  # −sin φ: how far left
+            ("lean_variance", np.float64),  # of both
+            ("turn_variance", np.float64),  # density of the yaw rate's that comes of the attitude's, rad²/s
+        ],
+        align=True,
+    )
 )
 
 IMU = np.dtype(  # one sample, along the axes of base_link

@@ -7,6 +7,7 @@ and replay share it.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -137,7 +138,13 @@ def fill_odometry(message: Any, estimate: Estimate) -> None:
 
 def quaternion_of(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
     """x, y, z, w of ZYX angles in rad."""
-    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a / 2.0), math.cos(a / 2.0)) for a in (roll, pitch, yaw))
+    x, y, z, w = quaternion_by([(math.sin(a / 2.0), math.cos(a / 2.0)) for a in (roll, pitch, yaw)])
+    return x, y, z, w
+
+
+def quaternion_by(halves: Sequence[tuple[Any, Any]]) -> tuple[Any, Any, Any, Any]:
+    """x, y, z, w of the sines and cosines of half of each angle: numbers, or columns."""
+    (sr, cr), (sp, cp), (sy, cy) = halves
     return (
         cy * cp * sr - sy * sp * cr,
         cy * sp * cr + sy * cp * sr,
@@ -190,7 +197,8 @@ def transforms(make: Make, estimate: Estimate, local: Estimate, frames: Frames) 
     return make(
         "tf2_msgs/msg/TFMessage",
         transforms=[
-            _transform(make, (estimate.stamp_ns, parent, child), pose, tilt) for parent, child, pose, tilt in chain
+            _transform(make, (estimate.stamp_ns, parent, child), pose, tilt)
+            for parent, child, pose, tilt in chain
         ],
     )
 

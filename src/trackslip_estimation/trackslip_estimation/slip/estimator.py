@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
 from trackslip_estimation.slip.measurements import (
@@ -109,6 +110,15 @@ class SlipEstimator:
         """The time of the estimate: newest stamp of the sprockets, or of what carries on in their silence."""
         clock = self.window.status["clock"][0]
         return int(clock["head_ns"]) if clock["running"] else None
+
+    @property
+    def attitude(self) -> str:
+        """Where the machine leans, or why the ground counts as flat."""
+        if not self.started:
+            return "flat: no estimate yet"
+        return attitude_text(
+            self.window.states[self.window.count - 1]["attitude"], self.parameters.tilt_source
+        )
 
     @property
     def learned(self) -> Learned | None:

@@ -2,7 +2,7 @@
 """The pose in the frame ``odom`` (REP-105): the integral of the estimated twist, which never jumps; compiled.
 
     x, y, ψ        pose in odom, from the first estimate on                m, m, rad
-    v_x, v_y, ω    mean of the twists at both ends of an interval Δt       m/s, m/s, rad/s (what is horizontal)
+    v_x, v_y, ω    mean of the horizontal twists at both ends of an interval Δt   m/s, m/s, rad/s
     x += (v_x cos ψ' − v_y sin ψ') Δt,  y += (v_x sin ψ' + v_y cos ψ') Δt,  ψ += ω Δt,  ψ' = ψ + ω Δt/2
     P = F P Fᵀ + T Σ Tᵀ τ Δt    Σ covariance of the twist, whose errors last τ
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a replay leaves behind: a bag of its estimates, a summary for people, and one for programs."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
     of_filter = result.scores.get("filter")
     rmse["heading"] = of_filter.heading if of_filter else None
     rmse["slip"] = result.slip_rmse
+    rmse["attitude"], rmse["height"] = result.attitude_rmse, result.height_rmse
     content = {
         "vehicle": result.vehicle,
         "duration_s": result.duration_s,
@@ -173,6 +175,9 @@ def _scores(result: Replay) -> list[str]:
         lines.append(f"  {label:<32}{numbers}")
     if result.slip_rmse is not None:
         lines.append(f"  slip RMSE {result.slip_rmse:.4f}")
+    if result.attitude_rmse is not None:
+        degrees = math.degrees(result.attitude_rmse)
+        lines.append(f"  attitude RMSE {degrees:.2f}°  height RMSE {result.height_rmse:.3f} m")
     if result.nees is not None:
         lines.append(f"  mean NEES of pose {result.nees:.2f} (3 if consistent)")
     elif result.nees_position is not None:

@@ -30,11 +30,13 @@ from trackslip_estimation.slip.models.icr import IcrNoise
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, VELOCITY_ERRORS, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.turning import TurningNoise
+from trackslip_estimation.slip.motion import Motion
 
 FloatArray = NDArray[np.float64]
 
 MODELS: dict[str, ModuleType] = {module.NAME: module for module in (turning, icr, free_slips)}
 COUPLED = YAW + 1  # rows of F that are not diagonal
+_IS_TURNING = int(Motion.TURNING)
 _FREE_SLIPS, _TURNING, _ICR = free_slips.CODE, turning.CODE, icr.CODE
 
 CONSTANTS = [
@@ -81,9 +83,7 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArr
 
 
 @compiled
-def body_twist(
-    x: FloatArray, left: float, right: float, drive: Any, c: Any
-) -> tuple[float, float, float]:
+def body_twist(x: FloatArray, left: float, right: float, drive: Any, c: Any) -> tuple[float, float, float]:
     """``twist`` on the ground as it lies, in the machine's axes."""
     return slope.slide(x, twist(x, left, right, c), (left, right), drive.attitude.level, c)
 
@@ -175,7 +175,8 @@ def linearize(
     v_x, v_y, rate = horizontal_twist(moved, left, right, drive, c)
     J = body_jacobian(moved, left, right, drive, c)
     slope.horizontal_jacobian(J, drive.attitude.level)
-    slope.set_slope_noise(Q, dt, drive.attitude.level)
+    turns = has_velocity_errors(c) and drive.motion.motion == _IS_TURNING
+    slope.set_slope_noise(Q, dt, turns, drive.attitude.level)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway) * dt, math.sin(halfway) * dt
     east, north = v_x * cos - v_y * sin, v_x * sin + v_y * cos
