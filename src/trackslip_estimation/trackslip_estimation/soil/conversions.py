@@ -47,7 +47,7 @@ def hydraulics(message: Any) -> Hydraulics:
 
 
 def odometry(message: Any) -> Odometry:
-    """From nav_msgs/Odometry: the planar part, and roll and pitch where their variance says that they are known."""
+    """From nav_msgs/Odometry: the planar part, and roll and pitch where their variance is that of a tilt."""
     m = read(OdometryFields, message)
     pose = PoseWithCovariance(np.array((m.x, m.y, heading_of(m))), m.covariance)
     lean = (tilt_of(m), (m.roll_variance, m.pitch_variance))

@@ -37,6 +37,7 @@ SPEED, RATE, MU_R, MU_L = range(4)
 _SIZE, _SEEN = 4, 2
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _LONGEST_STEP = 0.5  # s: over a longer one the forces are not known
+_CERTAIN = 0.9  # of an expected sign
 _ROUNDING = 1e-12  # (m/s)², (rad/s)²: nothing is measured better
 
 DYNAMICS = np.dtype([("mean", "f8", _SIZE), ("covariance", "f8", (_SIZE, _SIZE))])
@@ -92,6 +93,8 @@ def step(dynamics: Any, sample: Any, thrust: Any, load: Any, p: Any) -> None:
     dt, twist, covariance = sample.dt, sample.twist, sample.twist_covariance
     moves = sample.motion == _STRAIGHT or sample.motion == _TURNING
     is_modelled = thrust.is_known and moves and 0.0 < dt <= _LONGEST_STEP
+    held = _is_held(sample, load, p)
+    is_modelled = is_modelled and not held
     measured, noise = np.empty(_SEEN), np.empty((_SEEN, _SEEN))  # v_x, φ̇
     for i in range(_SEEN):
         measured[i] = twist[2 * i]
@@ -106,7 +109,7 @@ def step(dynamics: Any, sample: Any, thrust: Any, load: Any, p: Any) -> None:
     else:
         first_followed = SPEED
         for k in range(MU_R, MU_L + 1):
-            dynamics.covariance[k, k] += p.dynamics.unseen_walk**2 * dt if moves else 0.0
+            dynamics.covariance[k, k] += p.dynamics.unseen_walk**2 * dt if moves and not held else 0.0
     _follow(dynamics, first_followed, measured, noise)
     if is_modelled:
         lasting = max(p.dynamics.twist_error_time / dt, 1.0)
@@ -115,6 +118,14 @@ def step(dynamics: Any, sample: Any, thrust: Any, load: Any, p: Any) -> None:
                 noise[i, j] *= lasting
         _correct(dynamics, measured, noise)
     _bound(dynamics, p.dynamics)
+
+
+@compiled
+def _is_held(sample: Any, load: Any, p: Any) -> bool:
+    """Whether the ground may hold the machine on a slope: by how much, no track that stands on it tells."""
+    left, right = expected_signs(sample.twist, sample.twist_covariance, p)
+    steep = abs(load.pull) > p.load.level_share * (load.normal[0] + load.normal[1])
+    return bool(steep and min(abs(left), abs(right)) < _CERTAIN)
 
 
 @compiled

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the machine's weight does on a slope: it pulls along the ground, and loads the tracks unevenly. Compiled.
+"""What the weight does on a slope: it pulls along the ground, and loads the tracks unevenly. Compiled.
 
     θ, ϕ         pitch (nose down > 0), roll (left side up > 0)                 rad
     x_g, y_g, h  centre of gravity in base_link                                 m
     G            m g sin θ, the weight along the tracks, forward                N
     N_j          m g cos θ cos ϕ (½ ± y_N/B): + left, y_N = y_g - h tan ϕ       N
     x_N          x_g + h tan θ/cos ϕ: centre of pressure                        m
-    γ            share of F_max that is friction on level ground: W tan ϕ_s/(A c + W tan ϕ_s)   1
-    g_j          F_max of a track over that on level ground: 1 + γ (2 N_j/W - 1)                1
+    γ            share of F_max that is friction on level ground                1
+    g_j          F_max of a track over that on level ground: 1 + γ (2 N_j/W - 1)   1
     strength at x ahead of C over its mean: 1 + x γ 12 x_N/l², not below 0
 
-Of c and ϕ_s only their sum is known, so γ is not: its spread is in that of g_j. What acceleration adds to N_j and
-x_N is left out, for it comes and goes.
+γ = W tan ϕ_s/(A c + W tan ϕ_s); only the sum of both is known, so γ is not: its spread is in that of g_j.
+What acceleration adds to N_j and x_N is left out, for it comes and goes.
 """
 
 import math

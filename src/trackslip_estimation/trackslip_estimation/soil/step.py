@@ -16,8 +16,8 @@ from trackslip_common.vehicle import GRAVITY
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil import dynamics, pressure_watch, time_synchronizer
 from trackslip_estimation.soil.dynamics import DYNAMICS, MU_R, new_dynamics
-from trackslip_estimation.soil.ground_load import CENTRE, GROUND_LOAD, centre_of, set_load
 from trackslip_estimation.soil.flow_check import volumetric_efficiency
+from trackslip_estimation.soil.ground_load import CENTRE, GROUND_LOAD, centre_of, set_load
 from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, WATCH, PressureFault
 from trackslip_estimation.soil.records import FORCES, RESTARTED
 from trackslip_estimation.soil.reserve import Reserve, thrust_reserve

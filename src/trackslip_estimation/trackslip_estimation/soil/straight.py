@@ -96,7 +96,7 @@ class StraightSegment:
     def set_end(self, pose: PoseWithCovariance, stretch: float = 1.0, stretch_stddev: float = 0.0) -> None:
         """Be there, as is better known by now: a machine that stands is seen again and again.
 
-        ``stretch`` is the way along the ground over the horizontal one, ``stretch_stddev`` its relative error.
+        ``stretch``: way along the ground over the horizontal one; ``stretch_stddev``: its relative error.
         """
         way = stretch * self._end.distance_to(pose)
         self._travelled += way
@@ -173,7 +173,9 @@ def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, m
             j_x = before[e] + s_x * time[e]
             slid = min(math.sqrt(j_x * j_x + across[e] * across[e]), FARTHEST)
             sliding = max(math.sqrt(s_x * s_x + s_y[e] * s_y[e]), STILL)
-            shares[e] = np.divide(pulling.strength[e] * mobilised(slid * per_modulus), sliding)  # no look for 0
+            shares[e] = np.divide(
+                pulling.strength[e] * mobilised(slid * per_modulus), sliding
+            )  # no look for 0
         for e in range(n):
             total -= s_x * shares[e]
     return float(math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1]) * total / n)

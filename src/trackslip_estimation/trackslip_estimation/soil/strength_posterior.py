@@ -132,6 +132,8 @@ class StrengthPosterior:
         if segment is None or segment.rolled < p.shortest_straight:
             return SampleOutcome.GATHERED
         lost = segment.slip_distance()
+        if abs(lost.measured) > p.most_straight_slip * segment.rolled:
+            return SampleOutcome.GATHERED  # tracks that spin are at the limit of the soil: not K's doing
         bias = p.slip_bias_stddev * segment.rolled
         variance = lost.variance + p.way_stddev**2 + self._shared() * bias**2
         self._learn((lost.measured - lost.expected) ** 2 / variance, 1, 1.0)
