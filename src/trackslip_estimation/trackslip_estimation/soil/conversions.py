@@ -50,10 +50,11 @@ def odometry(message: Any) -> Odometry:
     """From nav_msgs/Odometry: the planar part, and roll and pitch where their variance is that of a tilt."""
     m = read(OdometryFields, message)
     pose = PoseWithCovariance(np.array((m.x, m.y, heading_of(m))), m.covariance)
-    lean = (tilt_of(m), (m.roll_variance, m.pitch_variance))
-    known = max(m.roll_variance, m.pitch_variance) < _TILT_UNKNOWN
     twist = np.array((m.v_x, m.v_y, m.yaw_rate))
-    return Odometry(m.stamp_ns, twist, m.twist_covariance, pose, *(lean if known else ()))
+    if not max(m.roll_variance, m.pitch_variance) < _TILT_UNKNOWN:
+        return Odometry(m.stamp_ns, twist, m.twist_covariance, pose)
+    variance = m.roll_variance, m.pitch_variance
+    return Odometry(m.stamp_ns, twist, m.twist_covariance, pose, tilt_of(m), variance)
 
 
 def slips(message: Any) -> Slips:

@@ -121,12 +121,12 @@ SoilInput: TypeAlias = Hydraulics | Odometry | Slips
 def inputs_of(estimate: Estimate) -> tuple[Odometry, Slips]:
     """What the slip estimator publishes of an estimate, as the soil estimator takes it."""
     of, pose = estimate.outputs, PoseWithCovariance(estimate.pose, estimate.pose_covariance)
-    lean: tuple[tuple[float, float], ...] = ()
+    tilt, variance = (0.0, 0.0), (0.0, 0.0)
     if of.tilt is not None:
         (roll, pitch, _), (of_roll, of_pitch, _) = of.tilt.tilt.tolist(), np.diag(of.tilt.covariance).tolist()
-        lean = (roll, pitch), (of_roll, of_pitch)
+        tilt, variance = (roll, pitch), (of_roll, of_pitch)
     return (
-        Odometry(estimate.stamp_ns, of.twist, of.twist_covariance, pose, *lean),
+        Odometry(estimate.stamp_ns, of.twist, of.twist_covariance, pose, tilt, variance),
         Slips(estimate.stamp_ns, of.slips, estimate.motion),
     )
 

@@ -149,9 +149,9 @@ def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Ge
     rates = at.yaw_rate + noise.gyro_bias + noise.gyro_stddev * random.standard_normal(len(at))
     others = _tilting(truth, at.t, setting, np.random.default_rng((trial.seed, 2)))
     of_rate, of_force = noise.gyro_stddev**2, noise.acceleration_stddev**2
-    for t, rate, (p_rate, q_rate, *force) in zip(at.t, rates.tolist(), others, strict=True):
-        seen = rate, of_rate, (p_rate, q_rate), (of_rate, of_rate), tuple(force), of_force
-        arrivals.append((t, 2, YawRate("imu/data_raw", _stamp(t), *seen)))
+    for t, rate, (p_rate, q_rate, f_x, f_y, f_z) in zip(at.t, rates.tolist(), others, strict=True):
+        turning = rate, of_rate, (p_rate, q_rate), (of_rate, of_rate)
+        arrivals.append((t, 2, YawRate("imu/data_raw", _stamp(t), *turning, (f_x, f_y, f_z), of_force)))
     at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / p.fix_rate))
     deviations = np.array((trial.sigma_xy, trial.sigma_xy, p.sigma_heading))
     poses = np.stack((at.x, at.y, at.yaw), axis=1) + deviations * random.standard_normal((len(at), 3))
