@@ -8,13 +8,14 @@ VEHICLE ?=
 OUTPUT ?=
 RUNS ?=
 FILES ?=
+SPEED ?=
 SEEDS ?=
 ARGS ?=
 VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars drives test soak lint bench fuzz bags figures clean
+.PHONY: help setup checks demo bars drives test faults soak lint bench fuzz bags figures clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -46,8 +47,11 @@ lint: checks ## ruff and mypy
 	$(VENV)/python -m ruff format --check .
 	$(VENV)/python -m mypy
 
-soak: checks ## a hundred faults in a row against the real nodes, for ten minutes and more
+faults: checks ## a hundred faults in a row against the real nodes, for ten minutes and more
 	@$(ENTER) exec $(VENV)/python -m pytest -s -m soak
+
+soak: setup ## the graph at ten times its speed, and what grows meanwhile; page in out/soak (DURATION=300, SPEED=10)
+	@$(ENTER) exec $(VENV)/python scripts/soak.py $(if $(DURATION),--duration '$(DURATION)') $(if $(SPEED),--speed '$(SPEED)')
 
 bench: setup ## speed of filters and drivers on this machine
 	@$(VENV)/python -m pip install -q -r requirements/bench.txt

@@ -83,7 +83,7 @@ def fault(_: Path) -> Reader:
         parse_fault(path.read_text(encoding="utf-8", errors="replace"), 1.0)
 
     texts = (
-        "{sensor: laser, kind: unplug, start: 2.0, duration: 3.0}",
+        "{sensor: sick, kind: unplug, start: 2.0, duration: 3.0}",
         "sensor: can, kind: bus_off, duration: 1",
     )
     return Reader([text.encode() for text in texts], read)

@@ -29,6 +29,7 @@ from trackslip_estimation.nodes.gnss_localizer import GnssLocalizerNode
 from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 from trackslip_sim.nodes.emulator import EmulatorNode
+from trackslip_tools.nodes.live import LiveNode
 
 pytestmark = pytest.mark.xdist_group("graph")
 
@@ -37,6 +38,7 @@ INCLUDE = "{http://www.w3.org/2001/XInclude}include"
 CONFIGURED = (
     *(CanDriverNode, WheelAdapterNode, WatsonNode, SickNode, NmeaNode),
     *(BoxLocalizerNode, GnssLocalizerNode, SlipEstimatorNode, SoilEstimatorNode, EmulatorNode),
+    LiveNode,
 )
 OF_PEOPLE = {"observer", "operator"}
 OPTIONAL = set() if find_spec("tf2_msgs") else {"/tf"}
@@ -87,6 +89,7 @@ def graph(domain: int, tmp_path: Path, udp_port: int) -> Iterator[Node]:
         "slip_estimator:heading_sources": "[heading]",
         "slip_estimator:slip_sources": "[slip_seed]",
         "emulator:device_directory": tmp_path / "devices",
+        "emulator:vehicle": "pc05_cab",
         "emulator:can_port": udp_port,
         "emulator:duration": 1.0,
         "record:output": tmp_path / "bag",
@@ -134,8 +137,13 @@ def test_what_somebody_steers_by_comes_from_one_node_alone() -> None:
     for topic in set(TOPICS) - {"diagnostics", *COMMANDS}:
         full = absolute("/tf" if topic == "tf" else topic, "")
         publishers = {name for name, rights in policy.items() if full in rights.publish}
-        expected = {"vehicle": {"slip_estimator", "emulator"}, "sprockets": {"can_driver", "wheel_adapter"}}
-        assert len(publishers) == len(expected.get(topic, {topic})), f"{topic}: {publishers}"
+        expected = {
+            "vehicle": {"slip_estimator", "emulator"},
+            "sprockets": {"can_driver", "wheel_adapter"},
+            "swing": {"can_driver", "emulator"},
+        }
+        assert publishers == expected.get(topic, publishers), topic
+        assert len(publishers) == len(expected.get(topic, {topic})), topic
     for topic in COMMANDS:
         assert {n for n, rights in policy.items() if f"/{topic}" in rights.publish} == {"operator"}
     assert {n for n, rights in policy.items() if "/odometry" in rights.publish} == {"slip_estimator"}

@@ -197,9 +197,8 @@ def from_flat(cls: type[T], values: Mapping[str, Any], where: str, prefix: str =
         InputError: a name is unknown or missing, or a value is refused.
     """
     known = dict.fromkeys(prefix + name for name in known_names(cls, values, where))
-    unknown = next((name for name in values if name not in known), None)
-    if unknown is not None:
-        raise InputError(f"{where}: unknown parameter '{unknown}'{_hint(str(unknown), list(known))}")
+    for unknown in (str(name) for name in values if name not in known):
+        raise InputError(f"{where}: unknown parameter '{unknown}'{_hint(unknown, list(known))}")
     groups = cls.groups_of(values, where)
     arguments: dict[str, Any] = {}
     for name, kind, spec in own_fields(cls):

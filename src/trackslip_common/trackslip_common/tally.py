@@ -18,7 +18,7 @@ class Tally:
         self._lock = Lock()
 
     def add(self, source: str, reason: Enum, count: int = 1) -> None:
-        """Count occurrences, if there are any; a reason reads as its text, or as its name where it is a number."""
+        """Count what occurred; a reason reads as its text, or as its name where it is a number."""
         if count == 0:
             return
         text = reason.value if isinstance(reason.value, str) else reason.name.lower()

@@ -12,8 +12,9 @@ from std_msgs.msg import String
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes import parameters as node_parameters
+from trackslip_common.nodes.compiling import compilation_reported
 from trackslip_common.nodes.guarded import GuardedNode
-from trackslip_common.nodes.health import OK, Health, diagnostics
+from trackslip_common.nodes.health import OK, WARN, Health, diagnostics
 from trackslip_common.nodes.inputs import Inputs
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
@@ -111,8 +112,14 @@ class TrackslipNode(GuardedNode, Generic[P]):
             self.callback_failures.add("health", error)
             entries = []
         entries += [*self.inputs.health(), *self.callback_failures.health(), *self.send_failures.health()]
+        self._report(entries)
+
+    def _report(self, entries: list[Health]) -> None:
         stamp = self.get_clock().now().to_msg()
         self._status.publish(diagnostics(self.full_name, stamp, entries, self.hardware()))
+
+    def _report_compilation(self, text: str) -> None:
+        self._report([Health(WARN, text)])
 
     def _configure(self) -> None:
         self.inputs.clear()
@@ -120,7 +127,8 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.has_run = False
         if self.parameters_topic:
             self._parameters_used = self.advertise(String, self.parameters_topic)
-        self.configure()
+        with compilation_reported(self.get_logger().info, self._report_compilation):
+            self.configure()
 
     def _activate(self) -> None:
         self._publish_parameters()

@@ -57,6 +57,10 @@ class Processes:
         """What a node has written."""
         return (self._logs / f"{name}.log").read_text(encoding="utf-8", errors="replace").strip()
 
+    def pids(self) -> dict[str, int]:
+        """Of those that were started."""
+        return {name: process.pid for name, process in self._running.items()}
+
     def ended(self) -> dict[str, int]:
         """Exit codes of those that are no longer running."""
         codes = {name: process.poll() for name, process in self._running.items()}

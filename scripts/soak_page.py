@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a soak has sampled, as a page: how much everything grows in an hour, with an interval.
+
+x_k    mean of a quantity over the k-th of n equal stretches of the run, its beginning left out
+b      slope of x over time, least squares; its interval is b ± t(0.975; n − 2) s_b
+
+Samples follow on each other closely and err alike; means over long stretches hardly do.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import linregress
+from scipy.stats import t as student
+
+FloatArray = NDArray[np.float64]
+
+STRETCHES = 10
+_SETTLING, _SETTLING_S = 0.1, 120.0  # of the run, or s: what is allocated once has been by then
+_CONFIDENCE = 0.95
+_HOUR = 3600.0  # s
+
+
+class Sample(NamedTuple):
+    """One look."""
+
+    time_s: float  # since the start
+    values: Mapping[tuple[str, str], float]  # (node, quantity) → value
+
+
+class Growth(NamedTuple):
+    """Of one quantity."""
+
+    first: float
+    last: float
+    per_hour: float
+    uncertainty: float  # half of the interval; nan where the run was too short
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the interval lies above zero."""
+        return self.per_hour - self.uncertainty > 0.0
+
+
+def growth(times_s: FloatArray, values: FloatArray) -> Growth:
+    """Slope of (n,) values over their times."""
+    length_s = times_s[-1] - times_s[0]
+    settled = times_s >= times_s[0] + max(_SETTLING * length_s, _SETTLING_S)
+    if np.count_nonzero(settled) < 2 * STRETCHES:
+        return Growth(float(values[0]), float(values[-1]), math.nan, math.nan)
+    times_s, values = times_s[settled], values[settled]
+    parts = zip(np.array_split(times_s, STRETCHES), np.array_split(values, STRETCHES), strict=True)
+    at_s, means = np.array([(t.mean(), v.mean()) for t, v in parts]).T
+    if np.ptp(means) == 0.0:
+        return Growth(float(means[0]), float(means[-1]), 0.0, 0.0)
+    fit = linregress(at_s, means)
+    quantile = student.ppf(0.5 + _CONFIDENCE / 2.0, STRETCHES - 2)
+    return Growth(
+        float(means[0]), float(means[-1]), _HOUR * float(fit.slope), _HOUR * float(quantile * fit.stderr)
+    )
+
+
+def growths(samples: Sequence[Sample]) -> dict[tuple[str, str], Growth]:
+    """Of everything that was there in all samples."""
+    names = [name for name in samples[0].values if all(name in sample.values for sample in samples)]
+    times_s = np.array([sample.time_s for sample in samples])
+    return {name: growth(times_s, np.array([s.values[name] for s in samples])) for name in names}
+
+
+def page(samples: Sequence[Sample], counts: Mapping[str, float], heading: str) -> str:
+    """Markdown; ``counts``: totals at the end."""
+    found = growths(samples)
+    lines = [
+        "# Soak",
+        "",
+        heading,
+        "",
+        *(f"- {name}: {value:g}" for name, value in counts.items()),
+        "",
+        "| node | quantity | at first | at last | growth in an hour (95 %) |",
+        "|---|---|--:|--:|--:|",
+    ]
+    for (node, quantity), g in found.items():
+        rate = (
+            "run too short"
+            if math.isnan(g.per_hour)
+            else f"{_rounded(g.per_hour)} ± {_rounded(g.uncertainty)}"
+        )
+        lines.append(f"| {node} | {quantity} | {_rounded(g.first)} | {_rounded(g.last)} | {rate} |")
+    return "\n".join(lines) + "\n"
+
+
+def _rounded(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 100.0 else f"{value:.0f}"

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Growth that a soak reports: a leak is found, noise is not taken for one."""
+
+import math
+
+import numpy as np
+import pytest
+
+from soak_page import Sample, growth, growths, page
+
+
+def series(leak_per_hour: float, seed: int, seconds: float = 3600.0) -> tuple[np.ndarray, np.ndarray]:
+    """RSS in MB, every 10 s: a leak, noise that lasts a minute, and what the first minutes allocate."""
+    draw = np.random.default_rng(seed)
+    times = np.arange(0.0, seconds, 10.0)
+    noise = np.zeros(times.size)
+    for k in range(1, times.size):
+        noise[k] = 0.85 * noise[k - 1] + draw.normal(0.0, 0.05)
+    start = 20.0 * np.exp(-times / 60.0)
+    return times, 200.0 - start + leak_per_hour * times / 3600.0 + noise
+
+
+@pytest.mark.parametrize("leak", [2.0, 30.0])
+def test_a_leak_is_found_and_its_rate_within_the_interval(leak: float) -> None:
+    inside = 0
+    for seed in range(40):
+        found = growth(*series(leak, seed))
+        assert found.is_certain
+        inside += abs(found.per_hour - leak) < found.uncertainty
+    assert inside >= 34  # of 38 expected
+
+
+def test_noise_is_no_leak() -> None:
+    certain = sum(growth(*series(0.0, seed)).is_certain for seed in range(100))
+    assert certain <= 10  # 2.5 expected, and what noise that lasts adds
+
+
+def test_a_short_run_claims_nothing() -> None:
+    found = growth(*series(1.0, 1, seconds=250.0))
+    assert math.isnan(found.per_hour)
+    assert not found.is_certain
+
+
+def test_what_never_changes_does_not_grow() -> None:
+    found = growth(np.arange(0.0, 600.0, 5.0), np.full(120, 18.0))
+    assert (found.first, found.last, found.per_hour, found.uncertainty) == (18.0, 18.0, 0.0, 0.0)
+
+
+def test_the_page_names_each_node_and_leaves_out_what_was_not_always_there() -> None:
+    samples = [
+        Sample(k * 10.0, {("slip_estimator", "RSS (MB)"): 200.0 + k, ("a", "b"): 1.0}) for k in range(40)
+    ]
+    samples[3] = Sample(30.0, {("slip_estimator", "RSS (MB)"): 203.0})
+    assert list(growths(samples)) == [("slip_estimator", "RSS (MB)")]
+    text = page(samples, {"messages lost": 0}, "forty samples")
+    assert "| slip_estimator | RSS (MB) | 213 | 238 | 360 ± " in text
+    assert "- messages lost: 0" in text
