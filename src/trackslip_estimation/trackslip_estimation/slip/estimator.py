@@ -201,7 +201,7 @@ def make_step(result: Any, source: str) -> Step:
 def make_estimate(record: Any) -> Estimate:
     """What a record of ``ESTIMATE`` says."""
     stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt, *slips, motion = record
-    known, *leaning = tilt
-    leans = Tilt(*leaning) if known else None
+    known, *of_tilt = tilt
+    leans = Tilt(*of_tilt) if known else None
     outputs = Outputs(twist, twist_covariance, horizontal, leans, *slips)
     return Estimate(int(stamp_ns), pose, pose_covariance, outputs, Motion(motion))

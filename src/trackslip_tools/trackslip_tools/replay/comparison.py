@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live estimates of a bag against the replayed ones, while both come: every number of the same stamp.
 
-Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance, twist_covariance,
-and for its tilt z; rows of ``track_slip`` have left_slip, right_slip, slip_angle, covariance. Replayed attitudes
-are to go through ``carried`` first.
+Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance,
+twist_covariance, and for its tilt z; rows of ``track_slip`` have left_slip, right_slip, slip_angle,
+covariance. Replayed attitudes are to go through ``carried`` first.
 """
 
 import math

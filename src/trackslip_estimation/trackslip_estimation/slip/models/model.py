@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
 GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its own
-DOWNHILL = 13
+DOWNHILL = 12  # of the models that know how the vehicle turns
 POSE = slice(X, YAW + 1)
 SIZE = 14  # of every state record; a model with a smaller state leaves the rest at zero
 

@@ -9,12 +9,13 @@
 
     v_x += (k U + 1.0 T) sin θ        v_y −= (k U + 0.35 T) sin φ cos θ
 
-Tracks hold a machine on a slope by sliding: with a force of their weight times sin θ more or less along them
-(uphill they slip more), sin φ across (it crabs downhill, without a turn). As long as the soil is far from its
-strength the shear is alike in both directions, and so is k; it grows as the strength comes near. In a turn all
-of the shear is mobilised, and slides whichever way is downhill: by how much hardly depends on the soil (both
-factors are measured on the shear truth at 15°, on sand, sandy loam and dry clay; ± 0.5). How the machine turns
-changes with its direction on the slope, too: κ, η and x_I walk there. Horizontal are
+Tracks hold a machine on a slope by sliding: with a force of their weight times sin θ more or less along
+them (uphill they slip more), sin φ across (it crabs downhill, without a turn). As long as the soil is
+far from its strength the shear is alike in both directions, and so is k; it grows as the strength comes
+near. In a turn all of the shear is mobilised, and slides whichever way is downhill: by how much hardly
+depends on the soil (both factors are measured on the shear truth at 15°, on sand, sandy loam and dry
+clay; ± 0.5). How the machine turns changes with its direction on the slope, too: κ, η and x_I walk
+there. Horizontal is
 
     v_x cos θ + v_y sin φ sin θ,  v_y cos φ        and        ψ̇ = (q sin φ + r cos φ)/cos θ
 """

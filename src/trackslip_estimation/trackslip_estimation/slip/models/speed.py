@@ -54,7 +54,7 @@ FloatArray = NDArray[np.float64]
 
 SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
 VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
-ACTIVE = SIZE  # numbers of the state, with those of ``model``
+ACTIVE = 13  # numbers of the state, with those of ``model``
 PARTS = (
     *COMMON,
     Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),

@@ -30,8 +30,8 @@ from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
 
-CODE, NAME, ACTIVE = 1, "turning", speed.ACTIVE
-EFFICIENCY, LOSS, ASYMMETRY = FIRST, SECOND, 12
+CODE, NAME, ACTIVE = 1, "turning", speed.ACTIVE + 1
+EFFICIENCY, LOSS, ASYMMETRY = FIRST, SECOND, speed.ACTIVE
 PARTS = (
     *speed.PARTS,
     Part("efficiency", slice(EFFICIENCY, EFFICIENCY + 1), "1", "turning efficiency κ"),
