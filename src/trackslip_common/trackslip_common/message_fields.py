@@ -134,7 +134,7 @@ class PoseFields(NamedTuple):
 
 
 class OdometryFields(NamedTuple):
-    """Of nav_msgs/Odometry: the planar part, height and orientation."""
+    """Of nav_msgs/Odometry: the planar part, height, orientation, and how well roll and pitch are known."""
 
     stamp_ns: StampNs
     x: Annotated[float, At("pose.pose.position.x")]  # m
@@ -145,6 +145,8 @@ class OdometryFields(NamedTuple):
     qz: Annotated[float, At("pose.pose.orientation.z")]
     qw: Annotated[float, At("pose.pose.orientation.w")]
     covariance: Plane  # of x, y, heading
+    roll_variance: Annotated[float, At("pose.covariance", (21,))]  # rad²
+    pitch_variance: Annotated[float, At("pose.covariance", (28,))]
     v_x: Annotated[float, At("twist.twist.linear.x")]  # m/s
     v_y: Annotated[float, At("twist.twist.linear.y")]
     yaw_rate: Annotated[float, At("twist.twist.angular.z")]  # rad/s
@@ -319,6 +321,14 @@ def heading_of(pose: Any) -> float:
     """Rotation about z, rad in (−π, π], of what has the quaternion ``qx qy qz qw``."""
     sine = 2.0 * (pose.qw * pose.qz + pose.qx * pose.qy)
     return math.atan2(sine, 1.0 - 2.0 * (pose.qy * pose.qy + pose.qz * pose.qz))
+
+
+def tilt_of(pose: Any) -> tuple[float, float]:
+    """Roll and pitch (ZYX, nose down > 0), rad, of what has the quaternion ``qx qy qz qw``."""
+    up = 1.0 - 2.0 * (pose.qx * pose.qx + pose.qy * pose.qy)
+    roll = math.atan2(2.0 * (pose.qw * pose.qx + pose.qy * pose.qz), up)
+    sine = 2.0 * (pose.qw * pose.qy - pose.qz * pose.qx)
+    return roll, math.asin(min(max(sine, -1.0), 1.0))
 
 
 def tilts_of(rows: NDArray[np.void]) -> FloatArray:

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from fixtures.soil_samples import Sample
+from fixtures.soil_samples import Sample, level_load
 
 from trackslip_common.soils import soil
 from trackslip_estimation.slip.motion import Motion
@@ -85,7 +85,7 @@ class Filter:
         tracks, covariance = np.array((0.0, twist[2])), stddev**2 * np.eye(3)
         moment = Sample(0.01, tracks, twist, covariance, forces, np.full(2, 100.0), motion)
         sample, thrust = moment.records()
-        step(self._state[0], sample[0], thrust[0], self._numbers[0])
+        step(self._state[0], sample[0], thrust[0], level_load(VEHICLE)[0], self._numbers[0])
 
 
 def steady(

@@ -3,6 +3,7 @@
 the slip distance alone.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -203,11 +204,33 @@ def test_a_straight_with_a_hole_tells_nothing_of_what_was_not_seen(spoil: str) -
     """Without the thrusts the distance so far counts; a sample that is not usable ends it uncounted."""
     strength = new_strength()
     before = strength.posterior.effective_samples
-    for _ in range(10):
-        strength.update(sample(0.0072, FORCE, Motion.STRAIGHT, pose_at(0.0)))
-    broken = sample(0.0072, FORCE, Motion.STRAIGHT, pose_at(0.0))
+    way = STEP * SPEED * (1.0 - 0.0072)
+    for k in range(10):
+        strength.update(sample(0.0072, FORCE, Motion.STRAIGHT, pose_at(k * way)))
+    broken = sample(0.0072, FORCE, Motion.STRAIGHT, pose_at(10 * way))
     none = np.full(2, np.nan)
     broken = replace(broken, thrusts=none) if spoil == "thrust" else replace(broken, tracks=none)
     assert strength.update(broken) is (SampleOutcome.USED if spoil == "thrust" else None)
     expected = before + (1.0 if spoil == "thrust" else 0.0)
-    assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.01)
+    assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.05)  # less what 0.8 m forget
+
+
+def test_spinning_tracks_tell_nothing_of_k() -> None:
+    """At the limit of the soil a machine loses any distance: that is F_max's doing."""
+    strength = new_strength()
+    before = strength.posterior.effective_samples
+    outcomes = {
+        strength.update(sample(0.5, FORCE, Motion.STRAIGHT, pose_at(0.5 * k * STEP * SPEED)))
+        for k in range(70)
+    }
+    assert outcomes == {SampleOutcome.GATHERED}
+    assert strength.posterior.effective_samples == pytest.approx(before, abs=0.01)
+
+
+def test_a_way_along_a_slope_is_longer_than_it_is_horizontally() -> None:
+    straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
+    rolled(straight, 4.0)
+    straight.set_end(pose_at(4.0 * math.cos(0.25)), 1.0 / math.cos(0.25), 0.001)
+    lost = straight.slip_distance()
+    assert lost.measured == pytest.approx(straight.rolled - 4.0, abs=1e-9)
+    assert lost.variance == pytest.approx((0.001 * 4.0) ** 2)

@@ -13,6 +13,7 @@ from trackslip_common.message_fields import (
     SlipFields,
     heading_of,
     read,
+    tilt_of,
 )
 from trackslip_estimation.slip.conversions import UNOBSERVED
 from trackslip_estimation.slip.motion import Motion
@@ -35,6 +36,7 @@ _PAIRS = (
     ("thrust_reserve", "reserve"),
 )
 _SIDES = ((0, "left"), (1, "right"))
+_TILT_UNKNOWN = 1.0  # rad²
 _MOTIONS = {int(state): state for state in Motion}
 FORCES, SOIL, SEED = "track_forces", "soil", "slip_seed"  # topics of the outputs
 
@@ -45,10 +47,14 @@ def hydraulics(message: Any) -> Hydraulics:
 
 
 def odometry(message: Any) -> Odometry:
-    """From nav_msgs/Odometry, the planar part."""
+    """From nav_msgs/Odometry: the planar part, and roll and pitch where their variance is that of a tilt."""
     m = read(OdometryFields, message)
     pose = PoseWithCovariance(np.array((m.x, m.y, heading_of(m))), m.covariance)
-    return Odometry(m.stamp_ns, np.array((m.v_x, m.v_y, m.yaw_rate)), m.twist_covariance, pose)
+    twist = np.array((m.v_x, m.v_y, m.yaw_rate))
+    if not max(m.roll_variance, m.pitch_variance) < _TILT_UNKNOWN:
+        return Odometry(m.stamp_ns, twist, m.twist_covariance, pose)
+    variance = m.roll_variance, m.pitch_variance
+    return Odometry(m.stamp_ns, twist, m.twist_covariance, pose, tilt_of(m), variance)
 
 
 def slips(message: Any) -> Slips:

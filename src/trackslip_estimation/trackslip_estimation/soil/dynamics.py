@@ -8,8 +8,10 @@
     s        sense of the turn: 1 left, −1 right, 0 straight on       1
     m, I_z, W, B, l   of ``Vehicle``
 
-    m (v̇_x − v_y φ̇) = F_L + F_R − ½ μ_r W (s_L + s_R)
-    I_z φ̈ = ½ B [F_R − F_L − ½ μ_r W (s_R − s_L)] − s μ_l W l/3
+    N_j, G   load on a track, weight along the tracks: ``ground_load``; ½ W and 0 on level ground   N
+
+    m (v̇_x − v_y φ̇) = F_L + F_R + G − μ_r (N_L s_L + N_R s_R)
+    I_z φ̈ = ½ B [F_R − F_L − μ_r (N_R s_R − N_L s_L)] − s μ_l (N_L + N_R) l/3
 
 The second line holds in turns. In straight motion φ̇ follows what is measured, and μ_l, the mobilised value,
 is held. What is not known of F, I_z and the signs is noise of the accelerations; it lasts, so that its
@@ -25,7 +27,6 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import GRAVITY
 from trackslip_estimation.kalman.linear_algebra import apply, sandwich
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.tracks import frame_speeds
@@ -36,6 +37,7 @@ SPEED, RATE, MU_R, MU_L = range(4)
 _SIZE, _SEEN = 4, 2
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _LONGEST_STEP = 0.5  # s: over a longer one the forces are not known
+_CERTAIN = 0.9  # of an expected sign
 _ROUNDING = 1e-12  # (m/s)², (rad/s)²: nothing is measured better
 
 DYNAMICS = np.dtype([("mean", "f8", _SIZE), ("covariance", "f8", (_SIZE, _SIZE))])
@@ -86,11 +88,13 @@ def _expected_sign(speed: float, variance: float) -> float:
 
 
 @compiled
-def step(dynamics: Any, sample: Any, thrust: Any, p: Any) -> None:
+def step(dynamics: Any, sample: Any, thrust: Any, load: Any, p: Any) -> None:
     """``sample.dt`` s on, to where the slip estimator says ``sample.twist``."""
     dt, twist, covariance = sample.dt, sample.twist, sample.twist_covariance
     moves = sample.motion == _STRAIGHT or sample.motion == _TURNING
     is_modelled = thrust.is_known and moves and 0.0 < dt <= _LONGEST_STEP
+    held = _is_held(sample, load, p)
+    is_modelled = is_modelled and not held
     measured, noise = np.empty(_SEEN), np.empty((_SEEN, _SEEN))  # v_x, φ̇
     for i in range(_SEEN):
         measured[i] = twist[2 * i]
@@ -101,11 +105,11 @@ def step(dynamics: Any, sample: Any, thrust: Any, p: Any) -> None:
         sense = 0.0
     first_followed = _SEEN if sense != 0.0 else RATE
     if is_modelled:
-        _predict(dynamics, sample, thrust, sense, p)
+        _predict(dynamics, sample, (thrust, load), sense, p)
     else:
         first_followed = SPEED
         for k in range(MU_R, MU_L + 1):
-            dynamics.covariance[k, k] += p.dynamics.unseen_walk**2 * dt if moves else 0.0
+            dynamics.covariance[k, k] += p.dynamics.unseen_walk**2 * dt if moves and not held else 0.0
     _follow(dynamics, first_followed, measured, noise)
     if is_modelled:
         lasting = max(p.dynamics.twist_error_time / dt, 1.0)
@@ -117,18 +121,27 @@ def step(dynamics: Any, sample: Any, thrust: Any, p: Any) -> None:
 
 
 @compiled
-def _predict(dynamics: Any, sample: Any, thrust: Any, sense: float, p: Any) -> None:
-    """Both lines of the model over dt."""
-    n, vehicle, dt = p.dynamics, p.vehicle, sample.dt
-    weight, half_tread, lever = vehicle.mass * GRAVITY, 0.5 * vehicle.tread, vehicle.contact_length / 3.0
+def _is_held(sample: Any, load: Any, p: Any) -> bool:
+    """Whether the ground may hold the machine on a slope: by how much, no track that stands on it tells."""
     left, right = expected_signs(sample.twist, sample.twist_covariance, p)
+    steep = abs(load.pull) > p.load.level_share * (load.normal[0] + load.normal[1])
+    return bool(steep and min(abs(left), abs(right)) < _CERTAIN)
+
+
+@compiled
+def _predict(dynamics: Any, sample: Any, forces: tuple[Any, Any], sense: float, p: Any) -> None:
+    """Both lines of the model over dt."""
+    n, vehicle, dt, (thrust, load) = p.dynamics, p.vehicle, sample.dt, forces
+    half_tread, lever = 0.5 * vehicle.tread, vehicle.contact_length / 3.0
+    left, right = expected_signs(sample.twist, sample.twist_covariance, p)
+    N_left, N_right = load.normal[0], load.normal[1]
     F, push = np.eye(_SIZE), np.zeros(_SIZE)
-    F[SPEED, MU_R] = -0.5 * weight * (left + right) / vehicle.mass * dt
+    F[SPEED, MU_R] = -(N_left * left + N_right * right) / vehicle.mass * dt
     crosswise = sample.twist[1] * sample.twist[2]
-    push[SPEED] = ((thrust.force[0] + thrust.force[1]) / vehicle.mass + crosswise) * dt
+    push[SPEED] = ((thrust.force[0] + thrust.force[1] + load.pull) / vehicle.mass + crosswise) * dt
     if sense != 0.0:
-        F[RATE, MU_R] = -0.5 * half_tread * weight * (right - left) / vehicle.yaw_inertia * dt
-        F[RATE, MU_L] = -sense * weight * lever / vehicle.yaw_inertia * dt
+        F[RATE, MU_R] = -half_tread * (N_right * right - N_left * left) / vehicle.yaw_inertia * dt
+        F[RATE, MU_L] = -sense * (N_left + N_right) * lever / vehicle.yaw_inertia * dt
         push[RATE] = half_tread * (thrust.force[1] - thrust.force[0]) / vehicle.yaw_inertia * dt
     before = dynamics.mean.copy()
     after = apply(F, before)
@@ -136,8 +149,8 @@ def _predict(dynamics: Any, sample: Any, thrust: Any, sense: float, p: Any) -> N
         after[i] += push[i]
     # A sign that is not certain leaves the resistance open.
     open_left, open_right = 1.0 - left**2, 1.0 - right**2
-    resistance = (0.5 * before[MU_R] * weight) ** 2
-    L, R = thrust.variance[0] + resistance * open_left, thrust.variance[1] + resistance * open_right
+    L = thrust.variance[0] + (before[MU_R] * N_left) ** 2 * open_left
+    R = thrust.variance[1] + (before[MU_R] * N_right) ** 2 * open_right
     by_speed, by_rate = 1.0 / vehicle.mass, half_tread / vehicle.yaw_inertia
     lasting = n.error_time * dt
     Q = np.zeros((_SIZE, _SIZE))

@@ -30,6 +30,8 @@ VALUES: list[Any] = [
     ("twist_covariance", "f8", (3, 3)),
     ("pose", "f8", 3),  # x m, y m, heading rad
     ("pose_covariance", "f8", (3, 3)),
+    ("tilt", "f8", 2),  # roll, pitch (nose down > 0), rad; 0 where the ground counts as level
+    ("tilt_variance", "f8", 2),
     ("slips", "f8", 3),  # track_slip: left, right, slip angle rad
     ("motion", "i8"),
 ]
@@ -37,6 +39,7 @@ VALUES: list[Any] = [
 SOIL_INPUT = np.dtype([("source", "i8"), *VALUES])
 
 _ROUNDING = 1e-9
+_STEEPEST = 1.5  # rad: beyond it nothing stands on its tracks
 _LARGEST = 1e12  # Pa, m/s, …: beyond it is no measurement
 
 
@@ -85,6 +88,8 @@ class Odometry:
     twist: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s
     twist_covariance: FloatArray  # (3, 3)
     pose: PoseWithCovariance
+    tilt: tuple[float, float] = (0.0, 0.0)  # roll, pitch (nose down > 0), rad
+    tilt_variance: tuple[float, float] = (0.0, 0.0)
     source: str = ODOMETRY
 
     def write_to(self, record: Any) -> None:
@@ -92,6 +97,7 @@ class Odometry:
         record["source"], record["stamp_ns"] = IS_ODOMETRY, self.stamp_ns
         record["twist"], record["twist_covariance"] = self.twist, self.twist_covariance
         record["pose"], record["pose_covariance"] = self.pose
+        record["tilt"], record["tilt_variance"] = self.tilt, self.tilt_variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +121,12 @@ SoilInput: TypeAlias = Hydraulics | Odometry | Slips
 def inputs_of(estimate: Estimate) -> tuple[Odometry, Slips]:
     """What the slip estimator publishes of an estimate, as the soil estimator takes it."""
     of, pose = estimate.outputs, PoseWithCovariance(estimate.pose, estimate.pose_covariance)
+    tilt, variance = (0.0, 0.0), (0.0, 0.0)
+    if of.tilt is not None:
+        (roll, pitch, _), (of_roll, of_pitch, _) = of.tilt.tilt.tolist(), np.diag(of.tilt.covariance).tolist()
+        tilt, variance = (roll, pitch), (of_roll, of_pitch)
     return (
-        Odometry(estimate.stamp_ns, of.twist, of.twist_covariance, pose),
+        Odometry(estimate.stamp_ns, of.twist, of.twist_covariance, pose, tilt, variance),
         Slips(estimate.stamp_ns, of.slips, estimate.motion),
     )
 
@@ -127,6 +137,7 @@ def copy_input(source: Any, to: Any) -> None:
     to.source, to.stamp_ns, to.motion = source.source, source.stamp_ns, source.motion
     for k in range(2):
         to.pressures[k], to.spools[k] = source.pressures[k], source.spools[k]
+        to.tilt[k], to.tilt_variance[k] = source.tilt[k], source.tilt_variance[k]
     for i in range(3):
         to.twist[i], to.pose[i], to.slips[i] = source.twist[i], source.pose[i], source.slips[i]
         for j in range(3):
@@ -145,6 +156,9 @@ def is_valid(given: Any) -> bool:
     C = given.twist_covariance
     for i in range(3):
         if not (_are_numbers(C[i]) and _are_numbers(given.pose_covariance[i])):
+            return False
+    for k in range(2):
+        if not (abs(given.tilt[k]) < _STEEPEST and 0.0 <= given.tilt_variance[k] < _LARGEST):
             return False
     limit = C[0, 0] * C[2, 2] * (1.0 + _ROUNDING)
     is_covariance = C[0, 0] >= 0.0 and C[2, 2] >= 0.0 and C[0, 2] ** 2 <= limit

@@ -7,7 +7,8 @@
     s        sliding velocity (v_x − φ̇ y_e − u, v_y + φ̇ x_e)                        m/s
     j        shear displacement, carried along the contact: dj = s dt, dt = dξ/|u|  m
     K        shear deformation modulus                                              m
-    q        F/F_max = mean over the contact of (1 − e^(−|j|/K)) (−s_x/|s|)         1
+    w        strength of an element over the mean, 1 + x_e lean ≥ 0: ``ground_load``  1
+    q        F/F_max = mean over the contact of w (1 − e^(−|j|/K)) (−s_x/|s|)       1
 
 In steady straight motion |j| = |i| ξ, and q is that of (3.3). In a turn the track slides sideways too, which
 takes part of the strength from the thrust; and for a track's length after any change the soil remembers.
@@ -42,6 +43,7 @@ class Rolling(NamedTuple):
 
     twist: FloatArray  # (3,)
     tracks: FloatArray  # (2,) u
+    lean: float = 0.0  # 1/m
 
 
 class Path(NamedTuple):
@@ -169,5 +171,6 @@ def shares(
             j_y = j[k, e, 1] + (error.across[0] + error.across[1] * middle) * time
             slid = math.hypot(j_x, j_y)
             share = -s_x / max(math.hypot(s_x, s_y), STILL) / n
+            share *= max(1.0 + rolling.lean * x_e[e], 0.0)
             for m in range(len(moduli)):
                 of_track[m] += share * mobilised(slid * per_modulus[m])

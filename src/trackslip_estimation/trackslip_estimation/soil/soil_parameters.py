@@ -10,6 +10,7 @@ from trackslip_common.parameters import from_flat, parameter, to_flat
 from trackslip_common.vehicle import WithVehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
+from trackslip_estimation.soil.ground_load import LoadParameters
 from trackslip_estimation.soil.pressure_watch import WatchParameters
 from trackslip_estimation.soil.slip_seed import SeedParameters
 from trackslip_estimation.soil.stall import StallParameters
@@ -30,6 +31,7 @@ class SoilEstimatorParameters(WithVehicle):
     thrust: ThrustParameters
     watch: WatchParameters
     stall: StallParameters
+    load: LoadParameters
     dynamics: DynamicsParameters
     strength: StrengthParameters
     classes: ClassesParameters

@@ -17,6 +17,7 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil import dynamics, pressure_watch, time_synchronizer
 from trackslip_estimation.soil.dynamics import DYNAMICS, MU_R, new_dynamics
 from trackslip_estimation.soil.flow_check import volumetric_efficiency
+from trackslip_estimation.soil.ground_load import CENTRE, GROUND_LOAD, centre_of, set_load
 from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, WATCH, PressureFault
 from trackslip_estimation.soil.records import FORCES, RESTARTED
 from trackslip_estimation.soil.reserve import Reserve, thrust_reserve
@@ -56,6 +57,8 @@ KNOWN = np.dtype(
         ("offsets", OFFSETS),
         ("thrust", THRUST),  # seen, or as it was last seen
         ("watch", WATCH),
+        ("centre", CENTRE),
+        ("load", GROUND_LOAD),
         ("dynamics", DYNAMICS),
         ("mu", "f8", 2),  # μ_r, mobilised μ_l
         ("mu_variance", "f8", 2),  # the error of the efficiency included
@@ -108,6 +111,7 @@ def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
     known, motor = np.zeros(1, KNOWN), motor_of(p.vehicle.whole())
     known["motor"], known["thrust"] = motor, unknown_thrust(motor[0])
     known["offsets"], known["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
+    known["centre"] = centre_of(p.vehicle.whole())
     known["volumetric_efficiency"] = np.nan
     return known
 
@@ -154,7 +158,9 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
     )
     fault = pressure_watch.evaluate(known.watch, sample, p.watch, p.vehicle.relief_pressure)
     is_closed = max(abs(sample.spools[0]), abs(sample.spools[1])) < p.thrust.closed_spool
-    stands = fault == NO_FAULT and is_closed and sample.motion == _STANDING
+    set_load(known.load, known.centre, sample, p)
+    is_level = abs(known.load.pull) < p.load.level_share * p.vehicle.mass * GRAVITY
+    stands = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
     update_offsets(known.offsets, sample.pressures, stands, sample.dt, p.thrust)
     if fault == NO_FAULT:
         _measure(known, sample, p)
@@ -163,11 +169,14 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
         hold_thrust(known.thrust, sample.dt, p.thrust, known.motor)
     for k in range(2):
         known.stalled[k] = stall_time(known.stalled[k], sample, k, p.stall, p.vehicle.relief_pressure)
-    dynamics.step(known.dynamics, sample, known.thrust, p)
+    dynamics.step(known.dynamics, sample, known.thrust, known.load, p)
     for k in range(2):
         mean, variance = known.dynamics.mean[MU_R + k], known.dynamics.covariance[MU_R + k, MU_R + k]
         known.mu[k], known.mu_variance[k] = mean, variance + (p.thrust.efficiency_stddev * mean) ** 2
-    known.gathered = gather(known.average, sample, known.thrust, p.strength)
+    normal = known.load.normal[0] + known.load.normal[1]
+    of_pull = known.load.pull_variance + (p.thrust.efficiency_stddev * known.load.pull) ** 2
+    known.mu_variance[0] += of_pull / max(normal, 1.0) ** 2  # they last, so that no filter averages them
+    known.gathered = gather(known.average, sample, known.thrust, known.load, p.strength)
     known.seed_due = is_seed_due(known.seeder, sample, known.thrust, p)
     known.soil_due = _passes(before_ns, sample.stamp_ns, p.soil_period)
     known.forces_due = _passes(before_ns, sample.stamp_ns, p.forces_period)
@@ -200,15 +209,16 @@ def _publish_forces(state: State, p: Any) -> None:
     sample, thrust, forces = known.sample, known.thrust, state.forces[known.forces]
     known.forces += 1
     forces.stamp_ns = sample.stamp_ns
-    half_weight = 0.5 * (p.vehicle.mass * GRAVITY)
     mu_r, variance = known.mu[0], known.mu_variance[0]
     for k, sign in enumerate(dynamics.expected_signs(sample.twist, sample.twist_covariance, p)):
         force = thrust.force[k]
         forces.thrust[k] = force
         forces.thrust_variance[k] = thrust.variance[k] + (p.thrust.efficiency_stddev * force) ** 2
-        forces.resistance[k] = half_weight * mu_r * sign
-        forces.resistance_variance[k] = half_weight**2 * (variance * sign**2 + mu_r**2 * (1.0 - sign**2))
-        reserve = _reserve(state, force, forces.thrust_variance[k], p)
+        normal, strength = known.load.normal[k], known.load.strength[k]
+        forces.resistance[k] = normal * mu_r * sign
+        forces.resistance_variance[k] = normal**2 * (variance * sign**2 + mu_r**2 * (1.0 - sign**2))
+        spread = forces.thrust_variance[k] + (force / strength) ** 2 * known.load.strength_variance[k]
+        reserve = _reserve(state, force / strength, spread / strength**2, p)
         forces.reserve[k] = reserve.share
         spins = abs(sample.slips[k]) > p.high_slip and reserve.exhausted > _LIKELY
         known.spinning[k] = evidence_time(known.spinning[k], spins, p.forces_period, p.stuck_time)

@@ -80,7 +80,7 @@ class StraightSegment:
         shape = tuple(map(len, hypotheses.soils))
         self._j = np.tile(displacement, (*shape, 1, 1, 1))
         self._expected = np.zeros(shape)
-        self._rolled = self._travelled = 0.0
+        self._rolled = self._travelled = self._doubt = 0.0
 
     @property
     def rolled(self) -> float:
@@ -93,16 +93,21 @@ class StraightSegment:
         self._expected += distance * drive(self._j, rolling, thrust, s.soils, s.contact, dt)
         self._rolled += distance
 
-    def set_end(self, pose: PoseWithCovariance) -> None:
-        """Be there, as is better known by now: a machine that stands is seen again and again."""
-        self._travelled += self._end.distance_to(pose)
+    def set_end(self, pose: PoseWithCovariance, stretch: float = 1.0, stretch_stddev: float = 0.0) -> None:
+        """Be there, as is better known by now: a machine that stands is seen again and again.
+
+        ``stretch``: way along the ground over the horizontal one; ``stretch_stddev``: its relative error.
+        """
+        way = stretch * self._end.distance_to(pose)
+        self._travelled += way
+        self._doubt += abs(way) * stretch_stddev
         self._end = pose
 
     def slip_distance(self) -> SlipDistance:
         """λ until now."""
         forward = math.copysign(1.0, self._rolled)
         expected = self._hypotheses.on_grid(forward * self._expected)
-        variance = self._start.variance_along() + self._end.variance_along()
+        variance = self._start.variance_along() + self._end.variance_along() + self._doubt**2
         return SlipDistance(forward * (self._rolled - self._travelled), expected, variance)
 
 
@@ -113,6 +118,7 @@ class _Pulling(NamedTuple):
     across: FloatArray  # j_y at the end of the step, m
     time: FloatArray  # for which the soil was under the track, s
     s_y: FloatArray  # m/s
+    strength: FloatArray  # (n,) w
     shares: FloatArray  # room for the elements' shares of q
 
 
@@ -124,7 +130,10 @@ def drive(
     n, half_tread = len(contact.x_e), contact.half_tread
     path = path_of(rolling.tracks, contact.x_e, dt)
     shape = (2, n)
-    pulling = _Pulling(np.empty(shape), np.empty(shape), path.time, np.empty(shape), np.empty(shape))
+    strength = np.maximum(1.0 + rolling.lean * contact.x_e, 0.0)
+    pulling = _Pulling(
+        np.empty(shape), np.empty(shape), path.time, np.empty(shape), strength, np.empty(shape)
+    )
     for k in range(2):
         for e in range(n):
             pulling.s_y[k, e] = rolling.twist[1] + rolling.twist[2] * contact.x_e[e]
@@ -164,7 +173,9 @@ def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, m
             j_x = before[e] + s_x * time[e]
             slid = min(math.sqrt(j_x * j_x + across[e] * across[e]), FARTHEST)
             sliding = max(math.sqrt(s_x * s_x + s_y[e] * s_y[e]), STILL)
-            shares[e] = np.divide(mobilised(slid * per_modulus), sliding)  # / would look for zeros
+            shares[e] = np.divide(
+                pulling.strength[e] * mobilised(slid * per_modulus), sliding
+            )  # no look for 0
         for e in range(n):
             total -= s_x * shares[e]
     return float(math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1]) * total / n)

@@ -19,8 +19,11 @@ AVERAGE = np.dtype(
         ("tracks", "f8", 2),  # m/s; while it is not complete, here and below sums over time
         ("twist", "f8", 3),
         ("twist_covariance", "f8", (3, 3)),
-        ("force", "f8", 2),  # N, nan where it is not known
+        ("force", "f8", 2),  # N, as it would be on level ground; nan where it is not known
         ("variance", "f8", 2),  # N²
+        ("lean", "f8"),  # see ``ground_load``, as the next two
+        ("stretch", "f8"),
+        ("stretch_stddev", "f8"),
         ("motion", "i8"),  # of the last sample in it, as its pose
         ("pose", "f8", 3),
         ("pose_covariance", "f8", (3, 3)),
@@ -30,8 +33,8 @@ GATHERING, COMPLETE, BROKEN, LOST = range(4)  # what became of a sample; see ``g
 
 
 @compiled
-def gather(average: Any, sample: Any, thrust: Any, p: Any) -> int:
-    """Add a SAMPLE with its THRUST to an AVERAGE; ``p``: record of StrengthParameters.
+def gather(average: Any, sample: Any, thrust: Any, load: Any, p: Any) -> int:
+    """Add a SAMPLE with its THRUST and GROUND_LOAD to an AVERAGE; ``p``: record of StrengthParameters.
 
     COMPLETE where the average is one now: it must be cleared before the next sample. BROKEN where the sample
     is not usable, LOST where what the tracks did since the one before is not known either; the average then
@@ -42,7 +45,7 @@ def gather(average: Any, sample: Any, thrust: Any, p: Any) -> int:
         if is_lost:
             clear(average)
         return LOST if is_lost else BROKEN
-    _add(average, sample, thrust)
+    _add(average, sample, thrust, load)
     if average.dt < p.interval * (1.0 - 1e-6):
         return GATHERING
     _complete(average, sample)
@@ -78,7 +81,7 @@ def _is_usable(sample: Any) -> bool:
 @compiled
 def clear(average: Any) -> None:
     """An AVERAGE of nothing."""
-    average.dt = 0.0
+    average.dt = average.lean = average.stretch = average.stretch_stddev = 0.0
     for k in range(2):
         average.tracks[k] = average.force[k] = average.variance[k] = 0.0
     for i in range(3):
@@ -88,14 +91,19 @@ def clear(average: Any) -> None:
 
 
 @compiled
-def _add(average: Any, sample: Any, thrust: Any) -> None:
-    """One more SAMPLE, with its THRUST."""
+def _add(average: Any, sample: Any, thrust: Any, load: Any) -> None:
+    """One more SAMPLE, with its THRUST over what a track bears more than on level ground."""
     dt = sample.dt
     average.dt += dt
+    average.lean += dt * load.lean
+    average.stretch += dt * load.stretch
+    average.stretch_stddev += dt * load.stretch_stddev
     for k in range(2):
+        force = thrust.force[k] / load.strength[k]
         average.tracks[k] += dt * sample.tracks[k]
-        average.force[k] += dt * (thrust.force[k] if thrust.is_known else math.nan)
-        average.variance[k] += dt * thrust.variance[k]
+        average.force[k] += dt * (force if thrust.is_known else math.nan)
+        spread = thrust.variance[k] + force**2 * load.strength_variance[k]
+        average.variance[k] += dt * spread / load.strength[k] ** 2
     for i in range(3):
         average.twist[i] += dt * sample.twist[i]
         for j in range(3):
@@ -107,6 +115,9 @@ def _complete(average: Any, sample: Any) -> None:
     """From sums to means."""
     dt = average.dt
     average.motion = sample.motion
+    average.lean /= dt
+    average.stretch /= dt
+    average.stretch_stddev /= dt
     for k in range(2):
         average.tracks[k] /= dt
         average.force[k] /= dt

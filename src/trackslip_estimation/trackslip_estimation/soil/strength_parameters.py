@@ -34,6 +34,7 @@ class StrengthParameters(Parameters):
         "straight from which on its slip distance is evaluated", unit="m", gt=0.0
     )
     longest_straight: float = parameter("straight that is evaluated at once", unit="m", gt=0.0)
+    most_straight_slip: float = parameter("mean slip up to which a straight is used", gt=0.0, le=1.0)
     way_stddev: float = parameter(
         "what the shear model leaves out of a straight's slip distance", unit="m", ge=0.0
     )

@@ -81,18 +81,19 @@ class StrengthPosterior:
 
     def update(self, now: Any) -> SampleOutcome:
         """Use one AVERAGE of slips and thrusts."""
-        rolling, dt = Rolling(now["twist"], now["tracks"]), float(now["dt"])
+        rolling, dt = Rolling(now["twist"], now["tracks"], float(now["lean"])), float(now["dt"])
         distance = abs(float(rolling.tracks.mean())) * dt
         change = -math.expm1(-distance / self.parameters.change_distance)
         self._bayes_update(self._nothing, 0.0, change)
         pose = PoseWithCovariance(now["pose"].copy(), now["pose_covariance"].copy())
         start, self._pose = self._pose or pose, pose
+        stretch = float(now["stretch"]), float(now["stretch_stddev"])
         before = self._displacement
         self._displacement = carry(before, rolling, self._contact, dt)
         if now["motion"] == Motion.STANDING:
             self._halted = True
             if self._segment is not None:
-                self._segment.set_end(pose)
+                self._segment.set_end(pose, *stretch)
             return SampleOutcome.STANDING
         thrust = float(now["force"].sum())
         straight = now["motion"] == Motion.STRAIGHT and math.isfinite(thrust)
@@ -101,7 +102,7 @@ class StrengthPosterior:
         if straight:
             self._segment = self._segment or StraightSegment(self._hypotheses, before, start)
             self._segment.add(dt, rolling, thrust)
-            self._segment.set_end(pose)
+            self._segment.set_end(pose, *stretch)
             is_long = self._segment.rolled >= self.parameters.longest_straight
             return self._evaluate_segment() if is_long else outcome
         return self._evaluate_turn(now, rolling) if now["motion"] == Motion.TURNING else outcome
@@ -131,6 +132,8 @@ class StrengthPosterior:
         if segment is None or segment.rolled < p.shortest_straight:
             return SampleOutcome.GATHERED
         lost = segment.slip_distance()
+        if abs(lost.measured) > p.most_straight_slip * segment.rolled:
+            return SampleOutcome.GATHERED  # tracks that spin are at the limit of the soil: not K's doing
         bias = p.slip_bias_stddev * segment.rolled
         variance = lost.variance + p.way_stddev**2 + self._shared() * bias**2
         self._learn((lost.measured - lost.expected) ** 2 / variance, 1, 1.0)

@@ -142,6 +142,8 @@ def pop_oldest(synchronizer: TimeSynchronizer, p: Any, sample: Any) -> None:
         for j in range(3):
             sample.twist_covariance[i, j] = odometry.twist_covariance[i, j]
             sample.pose_covariance[i, j] = odometry.pose_covariance[i, j]
+    for k in range(2):
+        sample.tilt[k], sample.tilt_variance[k] = odometry.tilt[k], odometry.tilt_variance[k]
     sample.motion = slips.motion
     sample.has_pressures = _interpolate(synchronizer, p, sample)
     _drop_first(pairs)

@@ -22,6 +22,7 @@ from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.vehicle import GRAVITY, UPPER, VehicleParameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_sim.machine.placement import Placement, about_z
+from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.window import TruthWindow
 
 FloatArray = NDArray[np.float64]
@@ -228,17 +229,21 @@ class MachineSensors:
         """The window's stretch as rows of ``Measurable``."""
         truth = self._window.truth
         named = [getattr(truth, name) for name in Measurable._fields[:-3]]
-        v_x_rate, v_y_rate = np.zeros(len(truth)), np.zeros(len(truth))
-        if len(truth) > 1:
-            v_x_rate, v_y_rate = np.gradient(truth.v_x, truth.t), np.gradient(truth.v_y, truth.t)
-        ahead, left = v_x_rate - truth.v_y * truth.yaw_rate, v_y_rate + truth.v_x * truth.yaw_rate
-        up = truth.v_y * truth.roll_rate - truth.v_x * truth.pitch_rate
         self._times: list[float] = truth.t.tolist()
-        self._table: FloatArray = np.column_stack([*named, ahead, left, up])
+        self._table: FloatArray = np.column_stack([*named, accelerations(truth)])
         self._looked_ns = None
 
     def _normal(self) -> FloatArray:
         return self._random.standard_normal(3)
+
+
+def accelerations(truth: Truth) -> FloatArray:
+    """(n, 3) v̇ + ω × v at C in the body frame, m/s²."""
+    v_x_rate, v_y_rate = np.zeros(len(truth)), np.zeros(len(truth))
+    if len(truth) > 1:
+        v_x_rate, v_y_rate = np.gradient(truth.v_x, truth.t), np.gradient(truth.v_y, truth.t)
+    ahead, left = v_x_rate - truth.v_y * truth.yaw_rate, v_y_rate + truth.v_x * truth.yaw_rate
+    return np.column_stack((ahead, left, truth.v_y * truth.roll_rate - truth.v_x * truth.pitch_rate))
 
 
 def _vector(values: FloatArray) -> tuple[float, float, float]:

@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sigma-heading", type=float, metavar="A", help="noise of the fixes' heading, rad")
     add("--seeds", type=int, metavar="N", help="runs of each cell")
     add("--scenario", nargs="+", metavar="NAME|FILE", help="what is driven; slip: one")
+    add("--terrain", nargs="+", metavar="NAME|FILE", help="soil: on what ground; default: the scenario's own")
     machine_options.add_vehicle(parser, "none")
     add("--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds")
     add("--settling", type=float, metavar="S", help="slip: seconds at the start that are not scored")

@@ -170,6 +170,9 @@ def estimate_inputs(estimates: Rows) -> Rows:
     odometry["source"], slips["source"] = IS_ODOMETRY, IS_SLIPS
     for name in ("twist", "twist_covariance", "pose", "pose_covariance"):
         odometry[name] = estimates[name]
+    tilt = estimates["tilt"]  # all zero where it is not known
+    odometry["tilt"] = tilt["tilt"][:, :2]
+    odometry["tilt_variance"] = np.diagonal(tilt["covariance"], axis1=1, axis2=2)[:, :2]
     slips["slips"], slips["motion"] = estimates["slips"], estimates["motion"]
     return found.ravel()
 

@@ -9,6 +9,7 @@ from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat, parameter
 from trackslip_common.soils import load_soils, soil
 from trackslip_sim.scenarios.scenario import Scenario, load_scenario
+from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.study.parameters import GridParameters
 from trackslip_sim.truth.ground import build_ground
 
@@ -20,6 +21,7 @@ class SoilStudyParameters(GridParameters):
     """The drives, their sensors, and the grid."""
 
     scenarios: tuple[str, ...] = parameter("names in config/scenarios, or files")
+    terrains: tuple[str, ...] = parameter("names in config/terrains, or files; empty: the scenario's own")
     duration: float = parameter("of each drive, repeated or cut; 0: as it is", unit="s", ge=0.0, le=3600.0)
     stand: float = parameter("standing before each drive", unit="s", ge=1.0, le=600.0)
     drawn: bool = parameter("also machines drawn from what the estimator expects")
@@ -36,6 +38,7 @@ class SoilCell:
     soil: str  # where the drive begins
     drawn: bool
     sigma_xy: float  # m
+    terrain: str = ""  # the scenario's own
 
 
 def load_soil_study_parameters(given: dict[str, object]) -> SoilStudyParameters:
@@ -51,7 +54,7 @@ def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:
     """The grid, what varies fastest last; a scenario with patches is driven on the soils it names.
 
     Raises:
-        InputError: a scenario or soil is unknown, or the soil lacks a value that the truth needs.
+        InputError: a scenario, terrain or soil is unknown, or the soil lacks a value that the truth needs.
     """
     machines = (False, True) if p.drawn else (False,)
     for name in p.scenarios:
@@ -59,8 +62,11 @@ def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:
         soils = (scenario.soil,) if scenario.patches else p.soils
         for base in soils:
             _check(base, scenario)
-        for combination in product(soils, machines, p.sigma_xy):
-            yield SoilCell(name, *combination)
+        for terrain in p.terrains:
+            if terrain:
+                load_terrain(terrain)
+            for combination in product(soils, machines, p.sigma_xy):
+                yield SoilCell(name, *combination, terrain)
 
 
 def _check(base: str, scenario: Scenario) -> None:

@@ -22,6 +22,7 @@ class SoilRow:
     soil: str
     drawn: bool
     sigma_xy: float  # m
+    terrain: str  # empty: the scenario's own
     seeds: int
     F_max_error: float
     F_max_worst: float
@@ -55,6 +56,7 @@ class ChangeRow:
     into: str
     drawn: bool
     sigma_xy: float  # m
+    terrain: str  # empty: the scenario's own
     seeds: int
     recognised: int  # runs
     recognised_after: float  # s; inf where more than half of the runs never did

@@ -18,6 +18,7 @@ from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_sim.machine import sensors
 from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.study.engine import Study
 from trackslip_sim.study.soil import score
 from trackslip_sim.study.soil.parameters import SoilCell, load_soil_study_parameters, soil_cells
@@ -29,7 +30,10 @@ from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_settings
 
-_GRID = ("scenarios", "duration", "stand", "soils", "drawn", "sigma_xy", "seeds")  # a trial has one of each
+_GRID = (  # a trial has one of each
+    *("scenarios", "duration", "stand", "soils", "drawn", "sigma_xy"),
+    *("terrains", "seeds"),
+)
 _DASH = "–"  # there was no such thing
 _SOIL_LEGEND = (
     "Errors over the truth, the median of the runs and, in brackets, the worst: F_max, K and μ_r at the end "
@@ -63,6 +67,7 @@ _MACHINE: Columns = {
     "machine": lambda row: "drawn" if row.drawn else "nominal",
     "σ_xy m": lambda row: f"{row.sigma_xy:g}",
 }
+_TERRAIN: Columns = {"terrain": lambda row: words(row.terrain) or _DASH}
 _SOIL: Columns = {
     "soil": lambda row: words(row.soil),
     **_MACHINE,
@@ -100,7 +105,7 @@ class SoilStudy(Study[Trial, Result]):
 
     UNIT: ClassVar[str] = "runs"
     PARAMETERS: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {"scenario": "scenarios", "soil": "soils"}
+        {"scenario": "scenarios", "soil": "soils", "terrain": "terrains"}
         | {name: name for name in ("duration", "drawn", "sigma_xy", "sigma_heading", "seeds")}
     )
     RESULT: ClassVar[type[Any]] = Result
@@ -116,7 +121,10 @@ class SoilStudy(Study[Trial, Result]):
         setting = self._setting = load_setting(p, slip, soil)
         self.cells = {
             cell: [
-                Trial(cell.soil, cell.sigma_xy, seed, cell.drawn, cell.scenario, p.duration, p.stand)
+                Trial(
+                    *(cell.soil, cell.sigma_xy, seed, cell.drawn, cell.scenario, p.duration, p.stand),
+                    terrain=cell.terrain,
+                )
                 for seed in range(p.seeds)
             ]
             for cell in soil_cells(p)
@@ -132,7 +140,8 @@ class SoilStudy(Study[Trial, Result]):
         }
 
     def rests_on(self, piece: Trial) -> Mapping[str, Any]:
-        return {**self._common, "scenario": self._scenarios[piece.scenario]}
+        terrain = repr(load_terrain(piece.terrain)) if piece.terrain else ""
+        return {**self._common, "scenario": self._scenarios[piece.scenario], "terrain": terrain}
 
     def compute(self, pieces: Sequence[Trial], jobs: int | None) -> Iterator[Result]:
         """As ``Study``; each run in a process."""
@@ -155,7 +164,13 @@ def _tables(rows: Sequence[AnyRow]) -> str:
     scenario = rows[0].scenario
     lines: list[str] = []
     if soils:
-        lines += [*table(_SOIL, soils, text_columns=2), "", _SOIL_LEGEND.format(scenario=scenario)]
+        on_terrain = any(row.terrain for row in soils)
+        columns = {**_TERRAIN, **_SOIL} if on_terrain else _SOIL
+        lines += [
+            *table(columns, soils, text_columns=2 + on_terrain),
+            "",
+            _SOIL_LEGEND.format(scenario=scenario),
+        ]
     if changes:
         legend = _CHANGE_LEGEND.format(scenario=scenario, certain=RECOGNISED)
         lines += [*table(_CHANGE, changes, text_columns=3), "", legend]

@@ -14,16 +14,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.vehicle import vehicle_layer
+from trackslip_common.vehicle import GRAVITY, vehicle_layer
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.soil.records import Hydraulics, inputs_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
-from trackslip_sim.machine.sensors import SensorNoise
+from trackslip_sim.machine.sensors import SensorNoise, accelerations
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
+from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.study.soil.parameters import SoilStudyParameters, load_soil_study_parameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import load_settings
@@ -45,6 +46,7 @@ class Trial:
     scenario: str = "field_trial"
     duration: float = 0.0  # s, the scenario repeated or cut; 0: as it is
     stand: float = 0.0  # s of standing before it
+    terrain: str = ""  # in config/terrains, or a file; empty: the scenario's own
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,8 @@ def _scenario_of(trial: Trial) -> Scenario:
     scenario = load_scenario(trial.scenario)
     if trial.duration > 0.0:
         scenario = scenario.stretched(trial.duration)
+    if trial.terrain:
+        scenario = dataclasses.replace(scenario, terrain=load_terrain(trial.terrain))
     standing = (Segment(trial.stand, 0.0, 0.0),) if trial.stand > 0.0 else ()
     return dataclasses.replace(scenario, segments=(*standing, *scenario.segments))
 
@@ -143,8 +147,11 @@ def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Ge
         arrivals.append((t, 1, Sprockets("sprockets", _stamp(t), float(v_l), float(v_r), (left, right))))
     at = truth.interpolate(np.arange(0.5 / p.gyro_rate, truth.duration, 1.0 / p.gyro_rate))
     rates = at.yaw_rate + noise.gyro_bias + noise.gyro_stddev * random.standard_normal(len(at))
-    for t, rate in zip(at.t, rates.tolist(), strict=True):
-        arrivals.append((t, 2, YawRate("imu/data_raw", _stamp(t), rate, noise.gyro_stddev**2)))
+    others = _tilting(truth, at.t, setting, np.random.default_rng((trial.seed, 2)))
+    of_rate, of_force = noise.gyro_stddev**2, noise.acceleration_stddev**2
+    for t, rate, (p_rate, q_rate, f_x, f_y, f_z) in zip(at.t, rates.tolist(), others, strict=True):
+        turning = rate, of_rate, (p_rate, q_rate), (of_rate, of_rate)
+        arrivals.append((t, 2, YawRate("imu/data_raw", _stamp(t), *turning, (f_x, f_y, f_z), of_force)))
     at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / p.fix_rate))
     deviations = np.array((trial.sigma_xy, trial.sigma_xy, p.sigma_heading))
     poses = np.stack((at.x, at.y, at.yaw), axis=1) + deviations * random.standard_normal((len(at), 3))
@@ -152,6 +159,22 @@ def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Ge
         fix = PoseFix("box_pose", _stamp(t), pose, np.diag(np.square(deviations)))
         arrivals.append((t + p.fix_delay if t > 0.0 else 0.0, 0, fix))
     return [measurement for _, _, measurement in sorted(arrivals, key=lambda arrival: arrival[:2])]
+
+
+def _tilting(
+    truth: Truth, times: FloatArray, setting: Setting, random: np.random.Generator
+) -> list[list[float]]:
+    """Rows of roll and pitch rate, rad/s, and of the specific force, m/s², as the inertial unit has them."""
+    noise, at = setting.noise, truth.interpolate(times)
+    moved = [np.interp(times, truth.t, column) for column in accelerations(truth).T]
+    down = np.cos(at.pitch)
+    gravity = (-np.sin(at.pitch), down * np.sin(at.roll), down * np.cos(at.roll))
+    biases = noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z
+    forces = [a + GRAVITY * g + b for a, g, b in zip(moved, gravity, biases, strict=True)]
+    rates = at.roll_rate + noise.gyro_bias_x, at.pitch_rate + noise.gyro_bias_y
+    stddevs = (*2 * (noise.gyro_stddev,), *3 * (noise.acceleration_stddev,))
+    rows = np.column_stack((*rates, *forces)) + stddevs * random.standard_normal((len(times), 5))
+    return list(rows.tolist())
 
 
 def _pressures(

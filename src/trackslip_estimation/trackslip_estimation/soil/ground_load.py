@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the weight does on a slope: it pulls along the ground, and loads the tracks unevenly. Compiled.
+
+    θ, ϕ         pitch (nose down > 0), roll (left side up > 0)                 rad
+    x_g, y_g, h  centre of gravity in base_link                                 m
+    G            m g sin θ, the weight along the tracks, forward                N
+    N_j          m g cos θ cos ϕ (½ ± y_N/B): + left, y_N = y_g - h tan ϕ       N
+    x_N          x_g + h tan θ/cos ϕ: centre of pressure                        m
+    γ            share of F_max that is friction on level ground                1
+    g_j          F_max of a track over that on level ground: 1 + γ (2 N_j/W - 1)   1
+    strength at x ahead of C over its mean: 1 + x γ 12 x_N/l², not below 0
+
+γ = W tan ϕ_s/(A c + W tan ϕ_s); only the sum of both is known, so γ is not: its spread is in that of g_j.
+What acceleration adds to N_j and x_N is left out, for it comes and goes.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.vehicle import GRAVITY, Vehicle
+
+CENTRE = np.dtype([("x", "f8"), ("y", "f8"), ("height", "f8"), ("height_variance", "f8")])  # m, m²
+GROUND_LOAD = np.dtype(
+    [
+        ("pull", "f8"),  # G, N
+        ("pull_variance", "f8"),  # N², of errors of the tilt, which last
+        ("normal", "f8", 2),  # N_j, N
+        ("strength", "f8", 2),  # g_j
+        ("strength_variance", "f8", 2),
+        ("lean", "f8"),  # γ 12 x_N/l², 1/m
+        ("stretch", "f8"),  # way along the ground over the horizontal one, 1/cos θ
+        ("stretch_stddev", "f8"),  # of it, relative
+    ]
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadParameters(Parameters):
+    """What is assumed of soil and machine on slopes."""
+
+    friction_share: float = parameter("share of F_max that is friction γ", ge=0.0, le=1.0)
+    friction_share_stddev: float = parameter("its standard deviation", ge=0.0, le=1.0)
+    level_share: float = parameter(
+        "pull over weight up to which pressures at rest are offsets", gt=0.0, le=1.0
+    )
+
+
+_LEAST = 0.05  # of g_j: a track that hardly touches the ground
+
+
+def centre_of(vehicle: Vehicle) -> NDArray[Any]:
+    """(1,) CENTRE; where it is not given, on the ground below C, give or take half the tread."""
+    centre = vehicle.centre_of_gravity
+    if centre is None:
+        return np.array([(0.0, 0.0, 0.0, (0.5 * vehicle.tread) ** 2)], CENTRE)
+    return np.array([(centre.x, centre.y, centre.z, 0.0)], CENTRE)
+
+
+@compiled
+def set_load(load: Any, centre: Any, sample: Any, p: Any) -> None:
+    """Fill a GROUND_LOAD at a SAMPLE; ``p``: record of SoilEstimatorParameters."""
+    vehicle, friction, spread = p.vehicle, p.load.friction_share, p.load.friction_share_stddev
+    roll, pitch = sample.tilt[0], sample.tilt[1]
+    weight, down = vehicle.mass * GRAVITY, math.cos(pitch) * math.cos(roll)
+    load.pull = weight * math.sin(pitch)
+    load.pull_variance = (weight * math.cos(pitch)) ** 2 * sample.tilt_variance[1]
+    x_N = centre.x + centre.height * math.tan(pitch) / math.cos(roll)
+    y_N = centre.y - centre.height * math.tan(roll)
+    uncertain = centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * sample.tilt_variance[0]
+    load.stretch = 1.0 / math.cos(pitch)
+    load.stretch_stddev = abs(math.tan(pitch)) * math.sqrt(sample.tilt_variance[1])
+    load.lean = friction * 12.0 * x_N / vehicle.contact_length**2
+    for k in range(2):
+        share = 0.5 + (1.0 - 2.0 * k) * y_N / vehicle.tread
+        load.normal[k] = weight * down * min(max(share, 0.0), 1.0)
+        more = 2.0 * load.normal[k] / weight - 1.0
+        load.strength[k] = max(1.0 + friction * more, _LEAST)
+        of_normal = (2.0 * down * friction / vehicle.tread) ** 2 * uncertain
+        load.strength_variance[k] = (spread * more) ** 2 + of_normal

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the weight does on a slope, against the truth's own loads and against its limits."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.vehicle import GRAVITY
+from trackslip_estimation.soil.ground_load import GROUND_LOAD, centre_of, set_load
+from trackslip_estimation.soil.parameter_record import record_of
+from trackslip_estimation.soil.shear_field import Contact, Rolling, SlidingError, element_places, shares
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_estimation.soil.time_synchronizer import SAMPLE
+
+P = load_soil_parameters()
+VEHICLE = P.vehicle.whole()
+NUMBERS = record_of(P)[0]
+CENTRE = VEHICLE.centre_of_gravity
+KNOWN = centre_of(VEHICLE)
+TILT = st.floats(-0.35, 0.35)
+
+
+def load_at(roll: float, pitch: float, variance: float = 0.0, centre: Any = KNOWN, p: Any = NUMBERS) -> Any:
+    sample, load = np.zeros(1, SAMPLE)[0], np.zeros(1, GROUND_LOAD)[0]
+    sample["tilt"], sample["tilt_variance"] = (roll, pitch), (variance, variance)
+    set_load(load, centre[0], sample, p)
+    return load
+
+
+def test_level_ground_halves_the_weight() -> None:
+    load = load_at(0.0, 0.0)
+    assert load["normal"].tolist() == pytest.approx([0.5 * VEHICLE.weight] * 2)
+    assert load["strength"].tolist() == [1.0, 1.0]
+    assert (load["pull"], load["lean"], load["stretch"]) == (0.0, 0.0, 1.0)
+    assert not load["strength_variance"].any()
+
+
+@given(roll=TILT, pitch=TILT)
+def test_loads_bear_the_weight_and_its_moments(roll: float, pitch: float) -> None:
+    assert CENTRE is not None
+    load, mass = load_at(roll, pitch), VEHICLE.mass
+    down = mass * GRAVITY * math.cos(pitch) * math.cos(roll)
+    assert load["normal"].sum() == pytest.approx(down)
+    assert load["pull"] == pytest.approx(mass * GRAVITY * math.sin(pitch), abs=1e-9)
+    aside = -mass * GRAVITY * math.cos(pitch) * math.sin(roll)
+    moment = 0.5 * VEHICLE.tread * (load["normal"][0] - load["normal"][1])
+    assert moment == pytest.approx(CENTRE.z * aside, abs=1e-6)
+
+
+def test_a_downhill_nose_is_pulled_forward_and_presses_in_front() -> None:
+    load = load_at(0.0, 0.2)
+    assert load["pull"] > 0.0
+    assert load["lean"] > 0.0
+    assert load["stretch"] == pytest.approx(1.0 / math.cos(0.2))
+
+
+def test_without_cohesion_the_strength_goes_with_the_load() -> None:
+    dry = load_soil_parameters({"load.friction_share": 1.0, "load.friction_share_stddev": 0.0})
+    load = load_at(0.25, 0.0, p=record_of(dry)[0])
+    assert load["strength"].tolist() == pytest.approx((2.0 * load["normal"] / VEHICLE.weight).tolist())
+    assert not load["strength_variance"].any()
+    assert load_at(0.25, 0.0)["strength_variance"].min() > 0.0
+
+
+def test_an_unknown_height_widens_what_tracks_bear() -> None:
+    unknown = centre_of(replace(VEHICLE, centre_of_gravity=None))
+    blind, known = load_at(0.2, 0.0, centre=unknown), load_at(0.2, 0.0)
+    assert blind["normal"][0] == pytest.approx(blind["normal"][1])
+    assert blind["strength_variance"].min() > 4.0 * known["strength_variance"].max()
+
+
+def test_an_uncertain_pitch_is_an_uncertain_pull() -> None:
+    assert load_at(0.0, 0.1, variance=1e-4)["pull_variance"] == pytest.approx(
+        (VEHICLE.weight * math.cos(0.1) * 0.01) ** 2
+    )
+
+
+def test_a_track_pressed_behind_pulls_more_at_the_same_small_slip() -> None:
+    """There the soil has sheared farthest: 1 - 2 x_N/l times as much."""
+    length, n = VEHICLE.contact_length, 200
+    contact = Contact(element_places(length, n), 0.5 * VEHICLE.tread)
+    speed, slip, centre = 0.35, 1e-4, -0.15
+    lean = 12.0 * centre / length**2
+    j = np.zeros((2, n, 2))
+    j[:, :, 0] = -slip * (0.5 * length - contact.x_e)
+    pulls = []
+    for of in (0.0, lean):
+        rolling, q = (
+            Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed), of),
+            np.zeros((2, 1)),
+        )
+        shares(j, rolling, SlidingError(np.zeros(2), np.zeros(2)), contact, np.array((0.01,)), q)
+        pulls.append(float(q[0, 0]))
+    assert pulls[1] / pulls[0] == pytest.approx(1.0 - 2.0 * centre / length, rel=5e-3)
