@@ -136,7 +136,7 @@ def _soak(duration_s: float, speed: float) -> int:
     with _running(domain, _estimators()) as fast, _running(domain + 50, _devices(duration_s)) as slow:
         monitor = Monitor(domain)
         player = ["replay", str(drive), "--publish", "--loop", "--rate", str(speed)]
-        player += ["--withhold", "box_pose"]  # the localizer's own are wanted
+        player += ["--remap", "box_pose:=recorded_box_pose"]  # the localizer makes its own
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
         with (OUT / "player.log").open("wb") as log:
             playing = subprocess.Popen([*_TRACKSLIP, *player], env=environment, stdout=log, stderr=log)

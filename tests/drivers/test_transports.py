@@ -267,7 +267,8 @@ def test_frames_from_the_network_are_not_the_machines(received, start_link):
         pytest.skip("no network here")
     with stranger, socket.socket(fileno=os.dup(stranger.fileno())) as sending:
         outward = sending.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)
-        start_link(partial(CanBus, "udp_multicast", GROUP, {"port": UDP_PORT}))
+        link = start_link(partial(CanBus, "udp_multicast", GROUP, {"port": UDP_PORT}))
+        wait_for(lambda: link.state().connected)
         own = CanBus("udp_multicast", GROUP, {"port": UDP_PORT})
         assert outward == socket.inet_aton("0.0.0.0")  # as the route says
         for n in range(100):

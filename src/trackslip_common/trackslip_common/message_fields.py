@@ -134,11 +134,12 @@ class PoseFields(NamedTuple):
 
 
 class OdometryFields(NamedTuple):
-    """Of nav_msgs/Odometry, the planar part."""
+    """Of nav_msgs/Odometry: the planar part, height and orientation."""
 
     stamp_ns: StampNs
     x: Annotated[float, At("pose.pose.position.x")]  # m
     y: Annotated[float, At("pose.pose.position.y")]
+    z: Annotated[float, At("pose.pose.position.z")]
     qx: Annotated[float, At("pose.pose.orientation.x")]
     qy: Annotated[float, At("pose.pose.orientation.y")]
     qz: Annotated[float, At("pose.pose.orientation.z")]
@@ -318,6 +319,13 @@ def heading_of(pose: Any) -> float:
     """Rotation about z, rad in (−π, π], of what has the quaternion ``qx qy qz qw``."""
     sine = 2.0 * (pose.qw * pose.qz + pose.qx * pose.qy)
     return math.atan2(sine, 1.0 - 2.0 * (pose.qy * pose.qy + pose.qz * pose.qz))
+
+
+def tilts_of(rows: NDArray[np.void]) -> FloatArray:
+    """(n, 2) roll and pitch (nose down positive), rad, of rows with the same fields."""
+    x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return np.column_stack((roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))))
 
 
 def headings_of(rows: NDArray[np.void]) -> FloatArray:

@@ -5,9 +5,11 @@ import importlib
 import os
 import signal
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from trackslip_common.errors import ExitCode
+
+_AGAIN = 0.1  # s
 
 
 def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
@@ -17,5 +19,29 @@ def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
     """
     signal.signal(signal.SIGINT, lambda *_: os._exit(interrupted))  # nothing is open yet
     main = importlib.import_module(module).main
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    repeat_lost_interrupts()
     sys.exit(main())
+
+
+def repeat_lost_interrupts() -> None:
+    """Ctrl-C is not lost where a library calls back from machine code, as compilers do, or ends an object.
+
+    There Python only prints that it ignored the exception: it is raised again a moment later, and what such
+    places print of objects that were half made is not shown.
+    """
+    shown, asked = sys.unraisablehook, False
+
+    def interrupt(*_: object) -> None:
+        nonlocal asked
+        asked = True
+        raise KeyboardInterrupt
+
+    def unraisable(lost: Any) -> None:
+        if lost.exc_type is KeyboardInterrupt:
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        elif not asked:
+            shown(lost)
+
+    signal.signal(signal.SIGINT, interrupt)
+    signal.signal(signal.SIGALRM, interrupt)
+    sys.unraisablehook = unraisable

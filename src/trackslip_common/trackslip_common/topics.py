@@ -35,6 +35,7 @@ TOPICS = {
     "gnss_localizer/datum": Topic("sensor_msgs/msg/NavSatFix", Flow.LATCHED),
     "odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "odometry/local": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
+    "attitude": Topic("sensor_msgs/msg/Imu", Flow.RELIABLE),
     "track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),
     "soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),

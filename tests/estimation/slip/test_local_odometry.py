@@ -23,7 +23,7 @@ STEP_NS = 10_000_000
 def twists(*values: tuple[float, float, float], step_ns: int = STEP_NS) -> NDArray[np.void]:
     records = np.zeros(len(values), TWIST)
     records["stamp_ns"] = 1 + step_ns * np.arange(len(values))
-    records["twist"] = values
+    records["horizontal"] = values
     records["twist_covariance"] = np.diag((1e-4, 1e-6, 1e-5))
     return records
 

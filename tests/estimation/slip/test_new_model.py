@@ -68,7 +68,10 @@ def twist_jacobian(x, left, right, c):
 '''
 
 DISPATCH = (  # what stands there, and what stands there with one more model
-    ("import free_slips, icr, speed, turning\n", "import free_slips, icr, speed, toy, turning\n"),
+    (
+        "import free_slips, icr, slope, speed, turning\n",
+        "import free_slips, icr, slope, speed, toy, turning\n",
+    ),
     ("(turning, icr, free_slips)}\n", "(turning, icr, free_slips, toy)}\n"),
     *(
         (before, before + f"    if c.model == toy.CODE:\n        return toy.{name}(x, left, right, c)\n")

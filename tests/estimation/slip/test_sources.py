@@ -15,7 +15,7 @@ from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.observation import observed, shows_heading, to_sensor
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.slip.records import to_records
+from trackslip_estimation.slip.records import STATE, to_records
 
 S = 1_000_000_000
 LEVER = (0.8, -0.4)
@@ -185,7 +185,7 @@ def test_nobody_is_believed_better_than_the_floors() -> None:
     wide, narrow = np.diag((1.0, 2.0, 0.05)), np.diag((1e-12, 2.0, 1e-12))
     for R, used in ((wide, wide), (narrow, np.diag((1e-6, 2.0, 1e-6)))):
         fix = to_records((PoseFix("box_pose", S, np.ones(3), R),), names)[0]
-        z, noise = observed(fix, False, c)
+        z, noise = observed(fix, np.zeros(1, STATE)[0], c)
         np.testing.assert_array_equal(z, 1.0)
         np.testing.assert_allclose(noise, used)
 
@@ -202,7 +202,7 @@ def test_nobody_is_believed_better_than_the_floors() -> None:
             {"sources.rtk.lever_arm_x": 1.0},
             "unknown parameter 'sources.rtk.lever_arm_x'; accepted: sources.box_pose, sources.imu_data_raw",
         ),
-        ({"sources.imu_data_raw.lever_arm_x": 1.0}, "unknown parameter 'sources.imu_data_raw.lever_arm_x'"),
+        ({"sources.imu_data_raw.use_heading": True}, "unknown parameter 'sources.imu_data_raw.use_heading'"),
         (
             {"sources.box_pose": 1.0},
             "unknown parameter 'sources.box_pose'; accepted: sources.box_pose.timeout",
@@ -254,14 +254,14 @@ def test_a_doubtful_heading_is_not_a_measurement() -> None:
     ]
     records = to_records(fixes, {"box_pose": 0})
     assert [shows_heading(record, c) for record in records] == [True, True, False, False]
-    assert [len(observed(record, False, c)[0]) for record in records] == [3, 3, 2, 2]
+    assert [len(observed(record, np.zeros(1, STATE)[0], c)[0]) for record in records] == [3, 3, 2, 2]
 
 
 def test_what_is_said_of_a_source_that_another_layer_takes_away_is_no_mistake() -> None:
     told = {"pose_sources": ["rtk"], "sources.rtk.lever_arm_x": 0.3}
     p = load_slip_parameters(told)
     assert list(p.sources) == ["rtk", "imu_data_raw"]
-    assert (p.poses()["rtk"].lever, p.poses()["rtk"].stamp_error) == ((0.3, 0.0), 0.03)
+    assert (p.poses()["rtk"].lever, p.poses()["rtk"].stamp_error) == ((0.3, 0.0, 0.0), 0.03)
     assert list(load_slip_parameters(told, {"pose_sources": [""]}).sources) == ["imu_data_raw"]
     assert list(p.changed({"pose_sources": ["box_pose"]}).sources) == ["box_pose", "imu_data_raw"]
 
@@ -276,7 +276,8 @@ def test_the_antenna_is_where_the_vehicle_has_it_unless_the_source_says_otherwis
     p = load_slip_parameters(given)
     assert p.vehicle.sensors is not None
     assert p.vehicle.sensors.antenna is not None
-    assert p.poses()["gnss_pose"].lever == (p.vehicle.sensors.antenna.x, p.vehicle.sensors.antenna.y)
-    assert p.poses()["box_pose"].lever == (0.0, 0.0)
+    antenna = p.vehicle.sensors.antenna
+    assert p.poses()["gnss_pose"].lever == (antenna.x, antenna.y, antenna.z)
+    assert p.poses()["box_pose"].lever == (0.0, 0.0, 0.0)
     own = load_slip_parameters(given, {"sources.gnss_pose.lever_arm_x": 0.5}).poses()["gnss_pose"]
-    assert own.lever == (0.5, p.vehicle.sensors.antenna.y)
+    assert own.lever == (0.5, antenna.y, antenna.z)

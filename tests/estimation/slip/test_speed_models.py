@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models import dispatch
-from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, POSE, SIZE, YAW
+from trackslip_estimation.slip.models.model import DOWNHILL, FIX_DELAY, GYRO_BIAS, POSE, SIZE, YAW
 from trackslip_estimation.slip.models.speed import (
     COMMON_SLIP,
     FIRST,
@@ -56,7 +56,7 @@ states = st.tuples(
     *[st.floats(-1.0, 1.0)] * 2,
     st.floats(0.2, 2.0),
     st.floats(-2.0, -0.2),
-    *[st.floats(-0.3, 0.3)] * 5,
+    *[st.floats(-0.3, 0.3)] * 6,
 ).map(np.array)
 speeds = st.floats(-4.0, 4.0)
 times = st.floats(0.0, 0.5)
@@ -247,8 +247,8 @@ def test_process_noise_does_not_depend_on_the_steps(model: str, motion: Motion) 
     ("motion", "moving"),
     [
         (Motion.STANDING, []),
-        (Motion.STRAIGHT, [COMMON_SLIP]),
-        (Motion.TURNING, [FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET]),
+        (Motion.STRAIGHT, [COMMON_SLIP, DOWNHILL]),
+        (Motion.TURNING, [FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET, DOWNHILL]),
     ],
 )
 def test_what_shows_in_turns_only_changes_in_turns_only(

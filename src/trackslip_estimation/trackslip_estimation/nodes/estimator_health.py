@@ -18,7 +18,7 @@ def estimator_health(
 ) -> Health:
     """``silent``: seconds since a sprocket sample came, None before the first one."""
     p, now_ns = estimator.parameters, estimator.newest_ns or 0
-    values = {**counts, "restarts": estimator.restarts}
+    values = {**counts, "restarts": estimator.restarts, "attitude": estimator.attitude}
     values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
     values |= {found.form.label: found.sentence for found in findings(estimator.learned, estimator.meaning)}
     if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):

@@ -66,6 +66,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._pose_and_twist = conversions.blank_odometry(make, self._frames.map, self._frames.base)
         self._local, self._local_odometry = LocalOdometry(), self.advertise(topic_class(LOCAL), LOCAL)
         self._local_message = conversions.blank_odometry(make, self._frames.odom, self._frames.base)
+        self._attitude = self.advertise(topic_class("attitude"), "attitude") if p.tilt_source else None
+        self._attitude_message = conversions.blank_attitude(make, self._frames.base)
         self._track_slip = self.advertise(topic_class("track_slip"), "track_slip")
         self._vehicle = self.advertise(topic_class(VEHICLE), VEHICLE)
         self._reports = self.advertise(topic_class("measurement_reports"), "measurement_reports")
@@ -190,6 +192,10 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         conversions.fill_odometry(self._pose_and_twist, estimate)
         self._odometry.publish(self._pose_and_twist)
         self._track_slip.publish(conversions.track_slip(make, estimate, self._frames.base))
+        tilt = estimate.outputs.tilt
+        if self._attitude is not None and tilt is not None:
+            conversions.fill_attitude(self._attitude_message, estimate, tilt)
+            self._attitude.publish(self._attitude_message)
         local = self._local.after(estimate)
         conversions.fill_odometry(self._local_message, local)
         self._local_odometry.publish(self._local_message)

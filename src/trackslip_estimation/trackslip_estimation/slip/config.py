@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from trackslip_common.clock_monitor import CLOCK_LIMITS
+from trackslip_estimation.attitude.parameters import constants as attitude_constants
+from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANTS
 from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.coasting import motion_limits
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
@@ -51,7 +53,7 @@ CONFIG = np.dtype(
         ("gate_relaxation", np.float64),
         ("gate_confirmations", np.int64),
         ("timeouts_ns", np.int64, (MOST_SOURCES,)),  # of each source, as all below
-        ("levers", np.float64, (MOST_SOURCES, 2)),  # m
+        ("levers", np.float64, (MOST_SOURCES, 3)),  # m
         ("rate_scale", np.float64, (MOST_SOURCES,)),  # what a gyro shows of 1 rad/s
         ("stamp_errors", np.float64, (MOST_SOURCES,)),  # σ_t, s
         ("use_heading", np.int64, (MOST_SOURCES,)),  # 0 or 1
@@ -60,6 +62,9 @@ CONFIG = np.dtype(
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_offset", np.float64, (MOST_SOURCES,)),  # rad
         ("correlation_times", np.float64, (MOST_SOURCES,)),  # s
+        ("tilt_source", np.int64),  # the IMU that tells the attitude; −1: none, the ground is flat
+        ("tilt_lever", np.float64, (3,)),  # its place, m
+        ("attitude", ATTITUDE_CONSTANTS),
     ],
     align=True,
 )
@@ -129,3 +134,6 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
         c["stamp_errors"][k] = compass.stamp_error
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale
+    c["attitude"], c["tilt_source"] = attitude_constants(p.attitude), -1
+    if p.tilt_source is not None:
+        c["tilt_source"], c["tilt_lever"] = numbers[p.tilt_source], p.gyros()[p.tilt_source].lever

@@ -7,6 +7,7 @@ and replay share it.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ from trackslip_common.message_fields import (
     heading_of,
     read,
 )
-from trackslip_estimation.slip.estimator import Estimate
+from trackslip_estimation.slip.estimator import Estimate, Tilt
 from trackslip_estimation.slip.measurements import HeadingFix, PoseFix, Report, SlipFix, Sprockets, YawRate
 from trackslip_estimation.slip.mounting import turned, turned_variances
 from trackslip_estimation.slip.sources import Refusal, YawRateSource
@@ -44,6 +45,9 @@ class Frames(NamedTuple):
 UNOBSERVED = 1e6  # variance of what a planar estimate does not contain
 _BLANK_36 = np.diag(np.full(6, UNOBSERVED)).ravel()
 _PLANE_IN_36 = np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel()
+_TILT_IN_36 = np.arange(36).reshape(6, 6)[np.ix_((3, 4, 2), (3, 4, 2))].ravel()  # roll, pitch, z
+_RATES_IN_36 = np.array((3, 4)) * 7  # variances about x and y
+_FLAT, _NO_RATES = np.diag(np.full(3, UNOBSERVED)), np.full(2, UNOBSERVED)
 
 
 def sprockets(message: Any, source: str) -> Sprockets:
@@ -118,34 +122,97 @@ def blank_odometry(make: Make, parent_frame: str, base_frame: str) -> Any:
 def fill_odometry(message: Any, estimate: Estimate) -> None:
     """Put another estimate into the message."""
     set_stamp(message, estimate.stamp_ns)
-    pose, twist = message.pose.pose, message.twist.twist
+    pose, twist, tilt = message.pose.pose, message.twist.twist, estimate.outputs.tilt
     pose.position.x, pose.position.y, heading = estimate.pose.tolist()
-    pose.orientation.z, pose.orientation.w = math.sin(heading / 2.0), math.cos(heading / 2.0)
+    roll, pitch, pose.position.z = (0.0, 0.0, 0.0) if tilt is None else tilt.tilt.tolist()
+    turn = pose.orientation
+    turn.x, turn.y, turn.z, turn.w = quaternion_of(roll, pitch, heading)
     twist.linear.x, twist.linear.y, twist.angular.z = estimate.outputs.twist.tolist()
     message.pose.covariance[_PLANE_IN_36] = estimate.pose_covariance.ravel()
     message.twist.covariance[_PLANE_IN_36] = estimate.outputs.twist_covariance.ravel()
+    twist.angular.x, twist.angular.y = (0.0, 0.0) if tilt is None else tilt.rates[:2].tolist()
+    of_tilt, of_rates = (_FLAT, _NO_RATES) if tilt is None else (tilt.covariance, tilt.rate_variances[:2])
+    message.pose.covariance[_TILT_IN_36] = of_tilt.ravel()
+    message.twist.covariance[_RATES_IN_36] = of_rates
+
+
+def quaternion_of(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """x, y, z, w of ZYX angles in rad."""
+    x, y, z, w = quaternion_by([(math.sin(a / 2.0), math.cos(a / 2.0)) for a in (roll, pitch, yaw)])
+    return x, y, z, w
+
+
+def quaternion_by(halves: Sequence[tuple[Any, Any]]) -> tuple[Any, Any, Any, Any]:
+    """x, y, z, w of the sines and cosines of half of each angle: numbers, or columns."""
+    (sr, cr), (sp, cp), (sy, cy) = halves
+    return (
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+        cy * cp * cr + sy * sp * sr,
+    )
+
+
+def attitude(make: Make, estimate: Estimate, base_frame: str) -> Any:
+    """sensor_msgs/Imu of an estimate that has a tilt."""
+    message = blank_attitude(make, base_frame)
+    if estimate.outputs.tilt is not None:
+        fill_attitude(message, estimate, estimate.outputs.tilt)
+    return message
+
+
+def blank_attitude(make: Make, base_frame: str) -> Any:
+    """sensor_msgs/Imu for ``fill_attitude``."""
+    return make("sensor_msgs/msg/Imu", header=header(make, 0, base_frame))
+
+
+def fill_attitude(message: Any, estimate: Estimate, tilt: Tilt) -> None:
+    """Orientation of base_link in the map, rates without bias, and the IMU's forces along its axes."""
+    set_stamp(message, estimate.stamp_ns)
+    roll, pitch, _ = tilt.tilt.tolist()
+    turn, yaw = message.orientation, float(estimate.pose[2])
+    turn.x, turn.y, turn.z, turn.w = quaternion_of(roll, pitch, yaw)
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2], covariance[2, 2] = tilt.covariance[:2, :2], estimate.pose_covariance[2, 2]
+    message.orientation_covariance = covariance.ravel()
+    rates, force = message.angular_velocity, message.linear_acceleration
+    rates.x, rates.y, rates.z = tilt.rates.tolist()
+    message.angular_velocity_covariance = np.diag(tilt.rate_variances).ravel()
+    force.x, force.y, force.z = tilt.force.tolist()
+    message.linear_acceleration_covariance = np.diag(np.full(3, tilt.force_variance)).ravel()
 
 
 def transforms(make: Make, estimate: Estimate, local: Estimate, frames: Frames) -> Any:
     """tf2_msgs/TFMessage of an estimate and of its pose in odom: map → odom → base_link."""
     turn = estimate.pose[2] - local.pose[2]
+    roll, pitch, height = (0.0, 0.0, 0.0) if local.outputs.tilt is None else local.outputs.tilt.tilt.tolist()
     c, s = math.cos(turn), math.sin(turn)
     x, y, _ = local.pose
     map_odom = np.array((estimate.pose[0] - c * x + s * y, estimate.pose[1] - s * x - c * y, turn))
-    chain = ((frames.map, frames.odom, map_odom), (frames.odom, frames.base, local.pose))
+    level = (0.0, 0.0, 0.0)
+    chain = (
+        (frames.map, frames.odom, map_odom, level),
+        (frames.odom, frames.base, local.pose, (roll, pitch, height)),
+    )
     return make(
         "tf2_msgs/msg/TFMessage",
-        transforms=[_transform(make, estimate.stamp_ns, *link) for link in chain],
+        transforms=[
+            _transform(make, (estimate.stamp_ns, parent, child), pose, tilt)
+            for parent, child, pose, tilt in chain
+        ],
     )
 
 
-def _transform(make: Make, stamp_ns: int, parent: str, child: str, pose: FloatArray) -> Any:
-    """geometry_msgs/TransformStamped of (3,) x, y, heading."""
-    placed = planar_pose_message(make, pose)
+def _transform(
+    make: Make, heads: tuple[int, str, str], pose: FloatArray, tilt: tuple[float, float, float]
+) -> Any:
+    """geometry_msgs/TransformStamped of (3,) x, y, heading, and of roll, pitch, height."""
+    (stamp_ns, parent, child), (x, y, heading) = heads, map(float, pose)
+    turn = dict(zip("xyzw", quaternion_of(tilt[0], tilt[1], heading), strict=True))
     transform = make(
         "geometry_msgs/msg/Transform",
-        translation=_vector(make, placed.position.x, placed.position.y, 0.0),
-        rotation=placed.orientation,
+        translation=_vector(make, x, y, tilt[2]),
+        rotation=make("geometry_msgs/msg/Quaternion", **turn),
     )
     return make(
         "geometry_msgs/msg/TransformStamped",

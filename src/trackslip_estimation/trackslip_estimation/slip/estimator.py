@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
 from trackslip_estimation.slip.measurements import (
@@ -37,11 +38,25 @@ _CAPACITY = 512  # entries of a window at first: some seconds
 
 
 @dataclass(frozen=True, eq=False)
+class Tilt:
+    """How the machine leans, and how high it is."""
+
+    tilt: FloatArray  # (3,) roll rad, pitch rad (nose down positive), height m
+    covariance: FloatArray  # (3, 3)
+    rates: FloatArray  # (3,) about x, y, z, rad/s
+    rate_variances: FloatArray  # (3,)
+    force: FloatArray  # (3,) specific force, upward at rest, m/s²
+    force_variance: float  # of each axis
+
+
+@dataclass(frozen=True, eq=False)
 class Outputs:
     """What a state means, with covariances."""
 
-    twist: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s at C
+    twist: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s at C, in the machine's axes
     twist_covariance: FloatArray  # (3, 3)
+    horizontal: FloatArray  # (3,) what of it is: along the heading, to its left, rate of the heading
+    tilt: Tilt | None  # None: the ground counts as flat
     slips: FloatArray  # (3,) left slip, right slip, slip angle rad
     slip_covariance: FloatArray  # (3, 3)
 
@@ -95,6 +110,15 @@ class SlipEstimator:
         """The time of the estimate: newest stamp of the sprockets, or of what carries on in their silence."""
         clock = self.window.status["clock"][0]
         return int(clock["head_ns"]) if clock["running"] else None
+
+    @property
+    def attitude(self) -> str:
+        """Where the machine leans, or why the ground counts as flat."""
+        if not self.started:
+            return "flat: no estimate yet"
+        return attitude_text(
+            self.window.states[self.window.count - 1]["attitude"], self.parameters.tilt_source
+        )
 
     @property
     def learned(self) -> Learned | None:
@@ -176,6 +200,8 @@ def make_step(result: Any, source: str) -> Step:
 
 def make_estimate(record: Any) -> Estimate:
     """What a record of ``ESTIMATE`` says."""
-    stamp_ns, pose, pose_covariance, twist, twist_covariance, slips, slip_covariance, motion = record
-    outputs = Outputs(twist, twist_covariance, slips, slip_covariance)
+    stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt, *slips, motion = record
+    known, *of_tilt = tilt
+    leans = Tilt(*of_tilt) if known else None
+    outputs = Outputs(twist, twist_covariance, horizontal, leans, *slips)
     return Estimate(int(stamp_ns), pose, pose_covariance, outputs, Motion(motion))

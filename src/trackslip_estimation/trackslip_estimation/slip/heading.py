@@ -22,7 +22,7 @@ from trackslip_estimation.slip.alignment import RigidMotion, keep_refused, move_
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.observation import observed, stamp_shift, to_delayed, to_sensor
+from trackslip_estimation.slip.observation import observed, sensor_place, stamp_shift, to_delayed, to_sensor
 from trackslip_estimation.slip.records import HEADING
 from trackslip_estimation.slip.update import correct, width_of
 
@@ -34,7 +34,7 @@ def use_heading(state: Any, measurement: Any, c: Any, update: Any) -> None:
     """See the top of the module; arguments as in ``update``."""
     source, limit = measurement.source, c.gate_limits[1]
     soft = c.adaptation.soft_gate * limit
-    z, stated = observed(measurement, state.coasting, c)
+    z, stated = observed(measurement, state, c)
     x, P, shift = state.mean.copy(), state.covariance.copy(), stamp_shift(state, source, c)
     to_delayed(x, P, shift, 1.0)
     innovation = np.array((wrap(z[0] - x[YAW]),))
@@ -71,7 +71,7 @@ def _align(state: Any, rotation: float, variance: float, c: Any) -> None:
     """The heading is found: the pose turns by ``rotation`` about the latest fix of an antenna."""
     if state.refused_count == 0:  # none since the start
         x, P = state.mean.copy(), state.covariance.copy()
-        lever = c.levers[_latest(state, c)]
+        lever = sensor_place(state, _latest(state, c), c)
         to_sensor(x, P, lever, 1.0)
         variance_of_fix = max((P[X, X] + P[Y, Y]) / 2.0 - lever[0] ** 2 - lever[1] ** 2, 0.0)
         keep_refused(state, (x[X], x[Y]), (x[X], x[Y]), variance_of_fix)

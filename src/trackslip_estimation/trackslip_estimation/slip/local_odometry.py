@@ -2,7 +2,7 @@
 """The pose in the frame ``odom`` (REP-105): the integral of the estimated twist, which never jumps; compiled.
 
     x, y, ψ        pose in odom, from the first estimate on                m, m, rad
-    v_x, v_y, ω    mean of the twists at both ends of an interval Δt       m/s, m/s, rad/s
+    v_x, v_y, ω    mean of the horizontal twists at both ends of an interval Δt   m/s, m/s, rad/s
     x += (v_x cos ψ' − v_y sin ψ') Δt,  y += (v_x sin ψ' + v_y cos ψ') Δt,  ψ += ω Δt,  ψ' = ψ + ω Δt/2
     P = F P Fᵀ + T Σ Tᵀ τ Δt    Σ covariance of the twist, whose errors last τ
 
@@ -26,7 +26,7 @@ _LONGEST = 1.0  # s, interval that a twist is taken to last
 _CORRELATION = 1.0  # s, τ
 
 TWIST = np.dtype(
-    [("stamp_ns", np.int64), ("twist", np.float64, (3,)), ("twist_covariance", np.float64, (3, 3))],
+    [("stamp_ns", np.int64), ("horizontal", np.float64, (3,)), ("twist_covariance", np.float64, (3, 3))],
     align=True,
 )
 LOCAL = np.dtype(
@@ -34,7 +34,7 @@ LOCAL = np.dtype(
         ("stamp_ns", np.int64),
         ("pose", np.float64, (3,)),
         ("pose_covariance", np.float64, (3, 3)),
-        ("twist", np.float64, (3,)),
+        ("horizontal", np.float64, (3,)),
         ("begun", np.int64),  # 0 or 1
     ],
     align=True,
@@ -60,7 +60,7 @@ class LocalOdometry:
     def after(self, estimate: Estimate) -> Estimate:
         """The estimate with its pose in ``odom``."""
         twist = np.zeros(1, TWIST)
-        twist[0] = (estimate.stamp_ns, estimate.outputs.twist, estimate.outputs.twist_covariance)
+        twist[0] = (estimate.stamp_ns, estimate.outputs.horizontal, estimate.outputs.twist_covariance)
         local = self.advance(twist)[0]
         return replace(estimate, pose=local["pose"], pose_covariance=local["pose_covariance"])
 
@@ -75,18 +75,18 @@ def integrate(known: Records, twists: Records, found: Records) -> None:
         if local.begun == 1 and 0.0 < dt <= _LONGEST:
             _move(local, given, dt)
         local.begun, local.stamp_ns = 1, given.stamp_ns
-        local.twist[:] = given.twist
+        local.horizontal[:] = given.horizontal
         found[k].begun, found[k].stamp_ns = 1, given.stamp_ns
-        found[k].twist[:], found[k].pose[:] = local.twist, local.pose
+        found[k].horizontal[:], found[k].pose[:] = local.horizontal, local.pose
         found[k].pose_covariance[:] = local.pose_covariance
 
 
 @compiled
 def _move(local: Any, given: Any, dt: float) -> None:
     """Over one interval."""
-    v_x = 0.5 * (local.twist[0] + given.twist[0])
-    v_y = 0.5 * (local.twist[1] + given.twist[1])
-    rate = 0.5 * (local.twist[2] + given.twist[2])
+    v_x = 0.5 * (local.horizontal[0] + given.horizontal[0])
+    v_y = 0.5 * (local.horizontal[1] + given.horizontal[1])
+    rate = 0.5 * (local.horizontal[2] + given.horizontal[2])
     middle = local.pose[2] + 0.5 * rate * dt
     c, s = math.cos(middle), math.sin(middle)
     dx, dy = (v_x * c - v_y * s) * dt, (v_x * s + v_y * c) * dt

@@ -3,7 +3,7 @@
 
     z, R   measurement and its covariance, as used       (m,), (m, m)
     h, H   predicted measurement, its Jacobian           (m,), (m, n)
-    l      place of a sensor in base_link                (2,), m
+    l      place of a sensor beside C, seen from above   (2,), m
     c      record of ``config.CONFIG``
 
 Yaw rate: z = s_g φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L,
@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import sandwich
-from trackslip_estimation.slip.models.dispatch import slips, slips_jacobian, twist, twist_jacobian
+from trackslip_estimation.slip.models.dispatch import (
+    body_jacobian,
+    body_twist,
+    horizontal_twist,
+    slips,
+    slips_jacobian,
+    twist,
+    twist_jacobian,
+)
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE, YAW, X, Y
 from trackslip_estimation.slip.motion import rounding, steady_speeds
 from trackslip_estimation.slip.records import HEADING, POSE, SLIPS, YAW_RATE
@@ -27,18 +35,18 @@ FloatArray = NDArray[np.float64]
 
 
 @compiled
-def observed(measurement: Any, coasting: bool, c: Any) -> tuple[FloatArray, FloatArray]:
+def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArray]:
     """z and R as the source's parameters want them: in true units, no better than its floors."""
     source, kind = measurement.source, measurement.kind
     if kind == YAW_RATE:
         scale = c.rate_scale[source]
         variance = measurement.noise[0, 0] / (scale * scale)
-        if coasting:  # a gyro then shows nothing of its bias
+        if state.coasting:  # a gyro then shows nothing of its bias
             variance += c.unseen_yaw_rate**2
         return np.array((measurement.value[0] / scale,)), np.array(((variance,),))
     if kind == HEADING:
         variance = max(measurement.noise[0, 0], c.heading_floor[source] ** 2)
-        return np.array((measurement.value[0] - c.heading_offset[source],)), np.array(((variance,),))
+        return np.array((measurement.value[0] - compass_offset(state, source, c),)), np.array(((variance,),))
     if kind == SLIPS:
         return measurement.value[:2].copy(), measurement.noise[:2, :2].copy()
     rows = 3 if shows_heading(measurement, c) else 2
@@ -46,6 +54,8 @@ def observed(measurement: Any, coasting: bool, c: Any) -> tuple[FloatArray, Floa
     for i in range(rows):
         floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
         R[i, i] = max(R[i, i], floor * floor)
+    for i in range(2):
+        R[i, i] += c.levers[source, 2] ** 2 * state.attitude.level.lean_variance
     return z, R
 
 
@@ -113,10 +123,10 @@ def add_rounding(kind: int, x: FloatArray, R: FloatArray, state: Any, c: Any) ->
 
 
 @compiled
-def _outputs(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+def _outputs(state: Any, left: float, right: float, c: Any) -> FloatArray:
     """(6,) v_x, v_y, yaw rate; left slip, right slip, slip angle."""
-    found = np.empty(6)
-    twist_ = twist(x, left, right, c)
+    found, x = np.empty(6), state.mean
+    twist_ = body_twist(x, left, right, state, c)
     found[0], found[1], found[2] = twist_
     found[3:] = slips(x, twist_, left, right, c)
     return found
@@ -127,20 +137,42 @@ def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
     """Twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
     x, P = state.mean, state.covariance
     left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
-    found = _outputs(x, left, right, c)
+    found = _outputs(state, left, right, c)
     twist_ = (found[0], found[1], found[2])
-    J = twist_jacobian(x, left, right, c)
+    J = body_jacobian(x, left, right, state, c)
     twist_covariance = sandwich(J, P)
     slip_covariance = sandwich(slips_jacobian(twist_, J, left, right, c), P)
     if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
         e = rounding(interval, c.encoder_resolution)
-        by_left = (_outputs(x, left + e, right, c) - _outputs(x, left - e, right, c)) / 2.0
-        by_right = (_outputs(x, left, right + e, c) - _outputs(x, left, right - e, c)) / 2.0
+        by_left = (_outputs(state, left + e, right, c) - _outputs(state, left - e, right, c)) / 2.0
+        by_right = (_outputs(state, left, right + e, c) - _outputs(state, left, right - e, c)) / 2.0
         for by in (by_left, by_right):
             twist_covariance += np.outer(by[:3], by[:3])
             slip_covariance += np.outer(by[3:], by[3:])
     estimate.twist[:], estimate.slips[:] = found[:3], found[3:]
+    horizontal = horizontal_twist(x, left, right, state, c)
+    for i in range(3):
+        estimate.horizontal[i] = horizontal[i]
     estimate.twist_covariance[:], estimate.slip_covariance[:] = twist_covariance, slip_covariance
+
+
+@compiled
+def sensor_place(state: Any, source: int, c: Any) -> FloatArray:
+    """(2,) l: how far a sensor is ahead of C and to its left, seen from above, as the machine leans."""
+    x, y, z = c.levers[source]
+    level = state.attitude.level
+    ahead = x * (1.0 + level.forward) + y * level.across + z * level.lean_x
+    return np.array((ahead, y * (1.0 + level.sideways) + z * level.lean_y))
+
+
+@compiled
+def compass_offset(state: Any, source: int, c: Any) -> float:
+    """Direction that a compass shows, from that of the machine, seen from above, rad."""
+    offset, level = c.heading_offset[source], state.attitude.level
+    if level.tilted == 0:
+        return float(offset)
+    cos, sin = np.cos(offset), np.sin(offset)
+    return float(np.arctan2(sin * (1.0 + level.sideways), cos * (1.0 + level.forward) + sin * level.across))
 
 
 @compiled
@@ -180,8 +212,9 @@ def to_delayed(x: FloatArray, P: FloatArray, shift: tuple[float, float, float], 
 def stamp_shift(state: Any, source: int, c: Any) -> tuple[float, float, float]:
     """How the pose of a source's sensor changes in its σ_t; nothing while nobody knows how fast it does."""
     seconds = 0.0 if state.coasting else c.stamp_errors[source]
-    v_x, v_y, rate = twist(state.mean, state.speeds.left, state.speeds.right, c)
-    v_x -= rate * c.levers[source, 1]
-    v_y += rate * c.levers[source, 0]
+    v_x, v_y, rate = horizontal_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
+    place = sensor_place(state, source, c)
+    v_x -= rate * place[1]
+    v_y += rate * place[0]
     cos, sin = np.cos(state.mean[YAW]), np.sin(state.mean[YAW])
     return (cos * v_x - sin * v_y) * seconds, (sin * v_x + cos * v_y) * seconds, rate * seconds

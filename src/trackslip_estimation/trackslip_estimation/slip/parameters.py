@@ -13,6 +13,7 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, checked, from_flat, parameter, to_flat
 from trackslip_common.vehicle import WithVehicle
+from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.motion import MotionParameters
@@ -42,6 +43,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
     motion: MotionParameters
     adaptation: AdaptationParameters
+    attitude: AttitudeParameters
+    use_attitude: bool = parameter("whether roll and pitch are estimated; else the ground counts as flat")
     filter: str = parameter("extended Kalman filter, or the thesis' Fig. 4.3", choices=("ekf", "daf"))
     kappa: float = parameter("of the daf: scales the higher moments of its points", gt=-7.0, le=100.0)
     map_frame: str = parameter("site frame of the estimate and of the pose sources")
@@ -156,6 +159,12 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     def gyros(self) -> dict[str, YawRateSource]:
         """By topic."""
         return self.of_kind("yaw_rate_sources")
+
+    @property
+    def tilt_source(self) -> str | None:
+        """Topic of the IMU that tells the attitude; None: the ground counts as flat."""
+        able = (topic for topic, imu in self.gyros().items() if imu.use_acceleration)
+        return next(able, None) if self.use_attitude else None
 
     def compasses(self) -> dict[str, HeadingSource]:
         """By topic."""

@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.attitude.filter import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.observation import fill_outputs, to_sensor
+from trackslip_estimation.slip.observation import fill_outputs, sensor_place, to_sensor
 from trackslip_estimation.slip.records import HEADING, MANUAL, MOST_SOURCES, POSE, SLIPS, SPROCKETS
 from trackslip_estimation.slip.sprockets import remember, stand_still
+from trackslip_estimation.slip.tilt import fill_tilt
 from trackslip_estimation.slip.window import (
     SPARE,
     Records,
@@ -223,6 +225,7 @@ def _start(window: Window, measurement: Any, c: Any) -> int:
 def _set_start(state: Any, measurement: Any, c: Any) -> None:
     """The state at the start; a heading that a fix does not have is that of the parameters."""
     x, P, stamp_ns = state.mean, state.covariance, measurement.stamp_ns
+    forget_attitude(state.attitude)
     x[:] = c.prior_mean
     P[:] = c.prior_covariance
     x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance
@@ -237,7 +240,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
             for i in range(rows):
                 floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
                 P[i, i] = max(P[i, i], floor * floor)
-            to_sensor(x, P, c.levers[source], -1.0)
+            to_sensor(x, P, sensor_place(state, source, c), -1.0)
         if source != MANUAL and P[YAW, YAW] > UNKNOWN_HEADING**2:  # to any side, which no tangent shows
             for i in range(YAW):
                 P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
@@ -270,6 +273,7 @@ def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) 
 def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
     """What is published of a state, into a record of ``ESTIMATE``."""
     fill_outputs(state, c, estimate)
+    fill_tilt(state, estimate.tilt, c)
     estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
     if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.attitude.records import ATTITUDE
 from trackslip_estimation.slip.adaptation import FIX_FACTORS, RATE_FACTORS, TRACK_ERRORS
 from trackslip_estimation.slip.alignment import CAPACITY
 from trackslip_estimation.slip.measurements import (
@@ -102,6 +103,7 @@ STATE = np.dtype(
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
         ("adaptation", ADAPTATION),
+        ("attitude", ATTITUDE),
         ("aligning", np.bool_),  # the heading is not known yet
         ("refused_count", np.int64),  # since a fix was inside its gate
         ("refused", REFUSED, (CAPACITY,)),
@@ -123,6 +125,19 @@ UPDATE = np.dtype(
     align=True,
 )
 
+TILT = np.dtype(  # of an estimate
+    [
+        ("known", np.int64),  # 0 or 1; the rest is zero where it is not
+        ("tilt", np.float64, (3,)),  # roll rad, pitch rad, height m
+        ("covariance", np.float64, (3, 3)),
+        ("rates", np.float64, (3,)),  # p, q, r, rad/s
+        ("rate_variances", np.float64, (3,)),
+        ("force", np.float64, (3,)),  # specific force along the machine's axes, m/s²
+        ("force_variance", np.float64),
+    ],
+    align=True,
+)
+
 ESTIMATE = np.dtype(
     [
         ("stamp_ns", np.int64),
@@ -130,6 +145,8 @@ ESTIMATE = np.dtype(
         ("pose_covariance", np.float64, (3, 3)),
         ("twist", np.float64, (3,)),  # v_x, v_y m/s, yaw rate rad/s at C
         ("twist_covariance", np.float64, (3, 3)),
+        ("horizontal", np.float64, (3,)),  # what of the twist is: along the heading, to its left, rate of it
+        ("tilt", TILT),
         ("slips", np.float64, (3,)),  # left slip, right slip, slip angle rad
         ("slip_covariance", np.float64, (3, 3)),
         ("motion", np.int64),

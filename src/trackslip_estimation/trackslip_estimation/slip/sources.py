@@ -41,7 +41,7 @@ class PoseSource(Source):
     lever_arm_x: float = parameter("place of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0)
     lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
     lever_arm_z: float = parameter(
-        "above the ground; of no effect as long as tilt is not estimated", unit="m", ge=-100.0, le=100.0
+        "above the ground: how far it moves as the machine leans", unit="m", ge=-100.0, le=100.0
     )
     position_floor: float = parameter(
         "smallest standard deviation of x and y that is believed", unit="m", gt=0.0
@@ -67,9 +67,9 @@ class PoseSource(Source):
     )
 
     @property
-    def lever(self) -> tuple[float, float]:
+    def lever(self) -> tuple[float, float, float]:
         """Place of the sensor in base_link, m."""
-        return self.lever_arm_x, self.lever_arm_y
+        return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +90,18 @@ class YawRateSource(Source):
     scale: float = parameter("what it shows of 1 rad/s: its scale times the cosine of its tilt", gt=0.0)
     stddev: float = parameter("where its message gives no variance", unit="rad/s", gt=0.0)
     acceleration_stddev: float = parameter("where its message gives no variance", unit="m/s²", gt=0.0)
+
+    use_acceleration: bool = parameter(
+        "whether its accelerations tell roll and pitch; of several such IMUs the first one's do"
+    )
+    lever_arm_x: float = parameter("its place in base_link, forward", unit="m", ge=-100.0, le=100.0)
+    lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
+    lever_arm_z: float = parameter("above the ground", unit="m", ge=-100.0, le=100.0)
+
+    @property
+    def lever(self) -> tuple[float, float, float]:
+        """Its place in base_link, m."""
+        return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
 
     @property
     def mounting(self) -> Rotation | None:

@@ -34,6 +34,7 @@ from trackslip_estimation.slip.models.model import SIZE, YAW
 from trackslip_estimation.slip.motion import Motion, update_motion
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS, YAW_RATE
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
+from trackslip_estimation.slip.tilt import rise, tilt_by
 from trackslip_estimation.slip.update import use_pose, use_rate, use_slips
 
 _ACCEPTED, _JUMPED, _UNKNOWN = int(Outcome.ACCEPTED), int(Outcome.JUMPED), int(Motion.UNKNOWN)
@@ -56,6 +57,8 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     elif measurement.kind == POSE:
         use_pose(state, measurement, c, update)
     elif measurement.kind == YAW_RATE:
+        if measurement.source == c.tilt_source:
+            tilt_by(state, measurement, c)
         use_rate(state, measurement, c, update)
     elif measurement.kind == HEADING:
         use_heading(state, measurement, c, update)
@@ -106,6 +109,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
 def propagate(state: Any, dt: float, c: Any) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
     x, P = state.mean, state.covariance
+    rise(state, dt, c)
     if has_velocity_errors(c):
         pass_time(state, dt, c)
     moved, F, Q = linearize(x, P, state, dt, c)

@@ -33,6 +33,7 @@ from trackslip_estimation.slip.observation import (
     expected,
     jacobian,
     observed,
+    sensor_place,
     stamp_shift,
     to_delayed,
     to_sensor,
@@ -48,7 +49,7 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
     """Slips: taken inside their gate, which widens while they and the state disagree."""
     source = measurement.source
-    z, R = observed(measurement, state.coasting, c)
+    z, R = observed(measurement, state, c)
     left, right, _ = comparable_speeds(SLIPS, state, c)
     limit, update.dof = c.gate_limits[z.size], z.size
     update.gate = limit * width_of(state, measurement, c)
@@ -75,7 +76,7 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     Beyond that it is refused, until several agree on other ground, or the gate has widened (``gate``).
     """
     source = measurement.source
-    z, R = observed(measurement, state.coasting, c)
+    z, R = observed(measurement, state, c)
     stated = R[0, 0]
     R *= state.adaptation.rate_factor
     left, right, _ = comparable_speeds(YAW_RATE, state, c)
@@ -152,11 +153,12 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     refused moves the pose where it agrees with others that were (``alignment``).
     """
     source = measurement.source
-    z, R = observed(measurement, state.coasting, c)
+    z, R = observed(measurement, state, c)
     m, limit = z.size, c.gate_limits[z.size]
     x, P = state.mean.copy(), state.covariance.copy()
     shift = stamp_shift(state, source, c)
-    to_sensor(x, P, c.levers[source], 1.0)
+    lever = sensor_place(state, source, c)
+    to_sensor(x, P, lever, 1.0)
     to_delayed(x, P, shift, 1.0)
     innovation, predicted = z - x[:m], P[:m, :m].copy()
     if m > YAW:
@@ -192,7 +194,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     correct(POSE, x, P, (z, known * R), (0.0, 0.0), c)
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
-    to_sensor(x, P, c.levers[source], -1.0)
+    to_sensor(x, P, lever, -1.0)
     state.mean[:], state.covariance[:] = x, P
     state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
 

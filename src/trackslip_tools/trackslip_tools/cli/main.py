@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from trackslip_common.errors import ExitCode, InputError, did_you_mean, printable
+from trackslip_common.start import repeat_lost_interrupts
 from trackslip_tools.cli.commands import Command, commands
 
 
@@ -33,6 +34,8 @@ class _Version(argparse.Action):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
+    if argv is None:  # a process of its own
+        repeat_lost_interrupts()
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
         code: int = args.run(args)

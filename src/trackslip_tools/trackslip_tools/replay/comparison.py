@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live estimates of a bag against the replayed ones, while both come: every number of the same stamp.
 
-Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance, twist_covariance;
-rows of ``track_slip`` have left_slip, right_slip, slip_angle, covariance. Replayed headings are to go through
-``carried_headings`` first.
+Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance,
+twist_covariance, and for its tilt z; rows of ``track_slip`` have left_slip, right_slip, slip_angle,
+covariance. Replayed attitudes are to go through ``carried`` first.
 """
 
 import math
@@ -13,12 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.message_fields import headings_of
+from trackslip_common.message_fields import headings_of, tilts_of
+from trackslip_estimation.slip.conversions import quaternion_by
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import Rows
 
 TOLERANCE = 1e-9  # between a live and a replayed number
 _ODOMETRY = ("x", "y", "heading", "v_x", "v_y", "yaw_rate", "covariance", "twist_covariance")
+_TILT = ("roll", "pitch", "z")
+_QUATERNION = ("qx", "qy", "qz", "qw")
 _SLIPS = ("left_slip", "right_slip", "slip_angle", "covariance")
 _SHAPES = {"covariance": (3, 3), "twist_covariance": (3, 3)}
 
@@ -100,10 +103,15 @@ class LiveComparer:
 
     def __init__(self) -> None:
         self._odometry, self._slips, self._local = TopicComparison(), TopicComparison(), TopicComparison()
+        self._tilt = TopicComparison()
 
     def add_odometry(self, live: Rows, replayed: Rows) -> None:
         """More of ``odometry``, either may be empty."""
         self._odometry.add(_picked(live, _ODOMETRY), _picked(replayed, _ODOMETRY))
+
+    def add_tilt(self, live: Rows, replayed: Rows) -> None:
+        """More of the tilt and height in ``odometry``, either may be empty."""
+        self._tilt.add(_picked(live, _TILT), _picked(replayed, _TILT))
 
     def add_local(self, live: Rows, replayed: Rows) -> None:
         """More of ``odometry/local``, either may be empty."""
@@ -115,7 +123,8 @@ class LiveComparer:
 
     def result(self, counts: JournalCounts) -> LiveComparison:
         """When all was added; ``counts`` are those of the whole journal."""
-        all_of_them, end_ns = (self._odometry, self._slips, self._local), counts.last_sprockets_ns
+        all_of_them = (self._odometry, self._slips, self._local, self._tilt)
+        end_ns = counts.last_sprockets_ns
         return LiveComparison(
             max(one.compared_until(end_ns) for one in all_of_them),
             sum(one.unmatched(end_ns) for one in all_of_them),
@@ -135,16 +144,29 @@ def odometry_rows(estimates: Rows, poses: Rows) -> Rows:
     rows["twist_covariance"] = estimates["twist_covariance"]
     for k, (place, speed) in enumerate((("x", "v_x"), ("y", "v_y"), ("heading", "yaw_rate"))):
         rows[place], rows[speed] = poses["pose"][:, k], estimates["twist"][:, k]
-    rows["heading"] = carried_headings(rows["heading"])
+    rows["heading"] = headings_of(carried(estimates, rows["heading"]))
     return rows
 
 
-def carried_headings(headings: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) as a message carries them, by a quaternion: equal to live ones to the last bit."""
-    halves = (headings / 2.0).tolist()
-    quaternions = np.zeros(len(halves), [(name, np.float64) for name in ("qx", "qy", "qz", "qw")])
-    quaternions["qz"], quaternions["qw"] = list(map(math.sin, halves)), list(map(math.cos, halves))
-    return headings_of(quaternions)
+def tilt_rows(estimates: Rows) -> Rows:
+    """(n,) roll, pitch and height of odometry for (n,) of ``ESTIMATE``."""
+    quaternions = carried(estimates, estimates["pose"][:, 2])
+    rows = np.zeros(len(estimates), _dtype((*_TILT[2:], *_QUATERNION)))
+    rows["stamp_ns"], rows["z"] = estimates["stamp_ns"], estimates["tilt"]["tilt"][:, 2]
+    for name in _QUATERNION:
+        rows[name] = quaternions[name]
+    return rows
+
+
+def carried(estimates: Rows, headings: NDArray[np.float64]) -> Rows:
+    """(n,) quaternions as messages carry the attitude: equal to live ones to the last bit."""
+    tilts = estimates["tilt"]["tilt"]
+    halves = [(angles / 2.0).tolist() for angles in (tilts[:, 0], tilts[:, 1], headings)]
+    columns = [(np.array(list(map(math.sin, h))), np.array(list(map(math.cos, h)))) for h in halves]
+    quaternions = np.zeros(len(estimates), [(name, np.float64) for name in _QUATERNION])
+    for name, values in zip(_QUATERNION, quaternion_by(columns), strict=True):
+        quaternions[name] = values
+    return quaternions
 
 
 def slip_rows(estimates: Rows) -> Rows:
@@ -164,9 +186,14 @@ def _dtype(names: Sequence[str]) -> np.dtype[np.void]:
 def _picked(rows: Rows, names: Sequence[str]) -> Rows:
     """The columns to compare, by stamp; of several rows with one stamp the last."""
     found = np.zeros(len(rows), _dtype(names))
+    known = rows.dtype.names or ()
     for name in ("stamp_ns", *names) if len(rows) else ():
-        is_turned = name == "heading" and "heading" not in (rows.dtype.names or ())
-        found[name] = headings_of(rows) if is_turned else rows[name]
+        if name in known:
+            found[name] = rows[name]
+        elif name == "heading":
+            found[name] = headings_of(rows)
+        else:
+            found[name] = tilts_of(rows)[:, _TILT.index(name)]
     return _unique(found)
 
 

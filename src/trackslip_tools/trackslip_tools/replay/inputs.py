@@ -58,7 +58,7 @@ from trackslip_tools.replay.live_order import LINE, JournalCounts, LiveOrder
 from trackslip_tools.replay.series import Series, SeriesCollector
 
 SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
-LOCAL_ODOMETRY = "odometry/local"
+LOCAL_ODOMETRY, ATTITUDE = "odometry/local", "attitude"
 
 _COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
 

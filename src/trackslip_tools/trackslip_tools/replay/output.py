@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a replay leaves behind: a bag of its estimates, a summary for people, and one for programs."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from trackslip_estimation.slip.learned_text import lines_of, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, REPORTS, TRACK_SLIP
+from trackslip_tools.replay.inputs import ATTITUDE, LOCAL_ODOMETRY, ODOMETRY, REPORTS, TRACK_SLIP
 from trackslip_tools.replay.run import Part, Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
@@ -64,6 +65,8 @@ class EstimateWriter:
             if estimate is not None:
                 for topic in (ODOMETRY, TRACK_SLIP):
                     self._write(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
+                if estimate.outputs.tilt is not None:
+                    self._write(ATTITUDE, message_of(ATTITUDE, estimate, self._p), estimate.stamp_ns)
                 message = message_of(LOCAL_ODOMETRY, self._local.after(estimate), self._p)
                 self._write(LOCAL_ODOMETRY, message, estimate.stamp_ns)
 
@@ -91,6 +94,8 @@ def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> An
     if topic in (ODOMETRY, LOCAL_ODOMETRY):
         parent = frames.map if topic == ODOMETRY else frames.odom
         return conversions.odometry(make, estimate, parent, frames.base)
+    if topic == ATTITUDE:
+        return conversions.attitude(make, estimate, frames.base)
     return conversions.track_slip(make, estimate, frames.base)
 
 
@@ -109,6 +114,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
     if result.withheld:
         last = result.withheld[-1].as_dict()
         rmse["withheld"] = {"rmse": last["rmse"], "end": last["end"]}
+    rmse["attitude"], rmse["height"] = result.attitude_rmse, result.height_rmse
     content = {
         "vehicle": result.vehicle,
         "duration_s": result.duration_s,
@@ -181,6 +187,9 @@ def _scores(result: Replay) -> list[str]:
         lines.append(f"  {label:<32}{numbers}")
     if result.slip_rmse is not None:
         lines.append(f"  slip RMSE {result.slip_rmse:.4f}")
+    if result.attitude_rmse is not None:
+        degrees = math.degrees(result.attitude_rmse)
+        lines.append(f"  attitude RMSE {degrees:.2f}°  height RMSE {result.height_rmse:.3f} m")
     if result.nees is not None:
         lines.append(f"  mean NEES of pose {result.nees:.2f} (3 if consistent)")
     elif result.nees_position is not None:

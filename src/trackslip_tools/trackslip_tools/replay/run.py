@@ -25,7 +25,13 @@ from trackslip_estimation.slip.records import ESTIMATE, RESULT
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, Rows, to_measurements
-from trackslip_tools.replay.comparison import LiveComparer, LiveComparison, odometry_rows, slip_rows
+from trackslip_tools.replay.comparison import (
+    LiveComparer,
+    LiveComparison,
+    odometry_rows,
+    slip_rows,
+    tilt_rows,
+)
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
@@ -36,6 +42,7 @@ from trackslip_tools.replay.scoring import Score, in_order, path_of, reference_p
 from trackslip_tools.replay.series import Series, SeriesCollector, reduced
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilReplay, SoilRun
 from trackslip_tools.replay.start import learned_before
+from trackslip_tools.replay.tilt import TiltErrors
 from trackslip_tools.replay.withheld import Withheld, WithheldErrors
 
 TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
@@ -89,6 +96,8 @@ class Replay:
     nees: float | None = None  # of the pose, where the reference has headings
     nees_position: float | None = None
     slip_rmse: float | None = None
+    attitude_rmse: float | None = None  # of roll and of pitch, rad
+    height_rmse: float | None = None  # m
     live: LiveComparison | None = None
     paths: dict[str, Path] = field(default_factory=dict)
     soil: SoilReplay | None = None  # where the bag has hydraulics
@@ -185,7 +194,7 @@ class _Collector:
         self._scored = _scored(reference)
         self._estimates, self._series = GrowingRows(KEPT, MOST_DRAWN), SeriesCollector(most=MOST_DRAWN)
         self._last, self._rejected = np.empty(0, KEPT), stream.refused
-        self._errors, self._slips = PathErrors(), SlipErrors(vehicle.tread)
+        self._errors, self._slips, self._tilt = PathErrors(), SlipErrors(vehicle.tread), TiltErrors()
         self._reckonings = {
             name: Reckoning(vehicle, with_gyro=name == "encoder_gyro")
             for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
@@ -209,6 +218,7 @@ class _Collector:
         for topic, rows in tables.items():
             self._series.add(topic, rows)
         self._slips.add(estimates, *(tables.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY)))
+        self._tilt.add(estimates, tables.get(TRUE_ODOMETRY))
         if self._reference is not None:
             known = tables.get(self._reference)
             reference = None if known is None else reduced(known)
@@ -227,6 +237,7 @@ class _Collector:
         )
         found.reference, found.series = self._reference, self._series.series()
         found.slip_rmse = self._slips.rmse
+        found.attitude_rmse, found.height_rmse = self._tilt.attitude, self._tilt.height
         if len(found.estimates):
             found.paths["filter"] = path_of(in_order(found.estimates))
         if self._reference is not None and self._reference in found.series:
@@ -261,6 +272,7 @@ class _Collector:
         if ODOMETRY in self._stream.topics:
             live = tables[ODOMETRY].rows if ODOMETRY in tables else nothing
             self._comparer.add_odometry(live, odometry_rows(estimates, estimates))
+            self._comparer.add_tilt(live, tilt_rows(estimates))
         if LOCAL_ODOMETRY in self._stream.topics:
             live = tables[LOCAL_ODOMETRY].rows if LOCAL_ODOMETRY in tables else nothing
             self._comparer.add_local(live, odometry_rows(estimates, self._local.advance(estimates)))

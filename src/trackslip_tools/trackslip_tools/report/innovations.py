@@ -176,7 +176,7 @@ def _whitened(fixes: Rows, source: PoseSource) -> FloatArray:
 def _at_sensor(poses: FloatArray, P: FloatArray, source: PoseSource) -> tuple[FloatArray, FloatArray]:
     """(n, 3) poses and covariances (n, 3, 3) of base_link, as those of the sensor."""
     c, s = np.cos(poses[:, YAW]), np.sin(poses[:, YAW])
-    x, y = source.lever
+    x, y = source.lever[:2]
     offset = np.column_stack((c * x - s * y, s * x + c * y))
     moved, J = poses.copy(), np.tile(np.eye(3), (len(poses), 1, 1))
     moved[:, :2] += offset

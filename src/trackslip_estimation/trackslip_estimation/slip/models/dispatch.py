@@ -5,7 +5,8 @@
     f, F       where the state is after dt seconds, its Jacobian     (n,), (n, n)
     Q          process noise of a step                               (n, n)
     ω_L, ω_R   sprocket speeds ``left`` and ``right``                rad/s
-    drive      record with ``speeds``, ``motion``, ``adaptation``: what the sprockets did, and how they err
+    drive      record with ``speeds``, ``motion``, ``adaptation``: what the sprockets did, and how they err;
+               ``attitude``: how the ground lies
     c          record of ``config.CONFIG``
 
 Noise densities are in continuous time, so that splitting a step does not change what it adds. F is diagonal
@@ -23,17 +24,19 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.kalman.linear_algebra import sandwich, times, wrap
-from trackslip_estimation.slip.models import free_slips, icr, speed, turning
+from trackslip_estimation.slip.models import free_slips, icr, slope, speed, turning
 from trackslip_estimation.slip.models.free_slips import SlipNoise
 from trackslip_estimation.slip.models.icr import IcrNoise
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, VELOCITY_ERRORS, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.turning import TurningNoise
+from trackslip_estimation.slip.motion import Motion
 
 FloatArray = NDArray[np.float64]
 
 MODELS: dict[str, ModuleType] = {module.NAME: module for module in (turning, icr, free_slips)}
 COUPLED = YAW + 1  # rows of F that are not diagonal
+_IS_TURNING = int(Motion.TURNING)
 _FREE_SLIPS, _TURNING, _ICR = free_slips.CODE, turning.CODE, icr.CODE
 
 CONSTANTS = [
@@ -80,6 +83,28 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArr
 
 
 @compiled
+def body_twist(x: FloatArray, left: float, right: float, drive: Any, c: Any) -> tuple[float, float, float]:
+    """``twist`` on the ground as it lies, in the machine's axes."""
+    return slope.slide(x, twist(x, left, right, c), (left, right), drive.attitude.level, c)
+
+
+@compiled
+def body_jacobian(x: FloatArray, left: float, right: float, drive: Any, c: Any) -> FloatArray:
+    """(3, n) derivative of ``body_twist`` by the state."""
+    J = twist_jacobian(x, left, right, c)
+    slope.slide_jacobian(J, (left, right), drive.attitude.level, c)
+    return J
+
+
+@compiled
+def horizontal_twist(
+    x: FloatArray, left: float, right: float, drive: Any, c: Any
+) -> tuple[float, float, float]:
+    """What of it is horizontal: speeds along the heading and to its left, and rate of the heading."""
+    return slope.horizontal(body_twist(x, left, right, drive, c), drive.attitude.level)
+
+
+@compiled
 def slips(x: FloatArray, twist_: tuple[float, float, float], left: float, right: float, c: Any) -> FloatArray:
     """(3,) left slip, right slip, slip angle, where the twist is ``twist_``."""
     if c.model == _FREE_SLIPS:
@@ -116,7 +141,7 @@ def move(x: FloatArray, drive: Any, dt: float, c: Any) -> FloatArray:
     moved = x.copy()
     if has_velocity_errors(c):
         moved[VELOCITY_ERRORS] *= share  # as they are on average over the step
-    v_x, v_y, rate = twist(moved, drive.speeds.left, drive.speeds.right, c)
+    v_x, v_y, rate = horizontal_twist(moved, drive.speeds.left, drive.speeds.right, drive, c)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway), math.sin(halfway)
     moved[X] += (v_x * cos - v_y * sin) * dt
@@ -147,8 +172,11 @@ def linearize(
     kept, share = _persistence(dt, drive, c)
     if has_velocity_errors(c):
         moved[VELOCITY_ERRORS] *= share
-    v_x, v_y, rate = twist(moved, left, right, c)
-    J = twist_jacobian(moved, left, right, c)
+    v_x, v_y, rate = horizontal_twist(moved, left, right, drive, c)
+    J = body_jacobian(moved, left, right, drive, c)
+    slope.horizontal_jacobian(J, drive.attitude.level)
+    turns = has_velocity_errors(c) and drive.motion.motion == _IS_TURNING
+    slope.set_slope_noise(Q, dt, turns, drive.attitude.level)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway) * dt, math.sin(halfway) * dt
     east, north = v_x * cos - v_y * sin, v_x * sin + v_y * cos

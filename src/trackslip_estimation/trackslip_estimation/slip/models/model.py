@@ -15,8 +15,9 @@ FloatArray = NDArray[np.float64]
 
 X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
 GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its own
+DOWNHILL = 12  # of the models that know how the vehicle turns
 POSE = slice(X, YAW + 1)
-SIZE = 13  # of every state record; a model with a smaller state leaves the rest at zero
+SIZE = 14  # of every state record; a model with a smaller state leaves the rest at zero
 
 
 class Part(NamedTuple):

@@ -38,6 +38,7 @@ from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.slip.models.model import (
     COMMON,
+    DOWNHILL,
     FIX_DELAY,
     GYRO_BIAS,
     GYRO_SCALE,
@@ -53,12 +54,13 @@ FloatArray = NDArray[np.float64]
 
 SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
 VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
-ACTIVE = 12  # numbers of the state, with those of ``model``
+ACTIVE = 13  # numbers of the state, with those of ``model``
 PARTS = (
     *COMMON,
     Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),
     Part("common_slip", slice(COMMON_SLIP, COMMON_SLIP + 1), "1", "slip common to both tracks"),
     Part("rotation_offset", slice(ROTATION_OFFSET, ROTATION_OFFSET + 1), "m", "centre of rotation x_I"),
+    Part("downhill_slip", slice(DOWNHILL, DOWNHILL + 1), "1", "speed downhill over that of the tracks, k"),
 )
 CONSTANTS = np.dtype(
     [
@@ -99,6 +101,9 @@ class SpeedNoise(Parameters):
     initial_rotation_offset_stddev: float = parameter(
         "standard deviation of x_I at the start", unit="m", gt=0.0
     )
+    downhill_slip: float = parameter("random walk of k, while driving on a slope", unit="1/√s", ge=0.0)
+    initial_downhill_slip: float = parameter("k before the first slope", ge=0.0)
+    initial_downhill_slip_stddev: float = parameter("its standard deviation", ge=0.0)
     initial_gyro_bias_stddev: float = parameter(
         "standard deviation of b_g at the start", unit="rad/s", gt=0.0
     )
@@ -112,8 +117,10 @@ def prior(n: SpeedNoise, tread: float) -> Prior:
     stddev[COMMON_SLIP] = n.initial_common_slip_stddev
     stddev[ROTATION_OFFSET] = n.initial_rotation_offset_stddev
     stddev[GYRO_BIAS], stddev[GYRO_SCALE] = n.initial_gyro_bias_stddev, n.initial_gyro_scale_stddev
-    stddev[FIX_DELAY] = 1.0
-    return Prior(np.zeros(SIZE), stddev)
+    stddev[FIX_DELAY], stddev[DOWNHILL] = 1.0, n.initial_downhill_slip_stddev
+    mean = np.zeros(SIZE)
+    mean[DOWNHILL] = n.initial_downhill_slip
+    return Prior(mean, stddev)
 
 
 def process_noise_density(n: SpeedNoise, motion: MotionState) -> FloatArray:
@@ -121,7 +128,7 @@ def process_noise_density(n: SpeedNoise, motion: MotionState) -> FloatArray:
     density = np.zeros(SIZE)
     density[GYRO_BIAS], density[FIX_DELAY] = n.gyro_bias, _DELAY_WALK
     if motion.motion is not Motion.STANDING:
-        density[COMMON_SLIP] = n.common_slip
+        density[COMMON_SLIP], density[DOWNHILL] = n.common_slip, n.downhill_slip
     if motion.motion is Motion.TURNING:
         density[ROTATION_OFFSET] = n.rotation_offset * noise_scale(n, motion)
     return density

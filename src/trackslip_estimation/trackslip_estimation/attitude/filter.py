@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The attitude filter: gyro and accelerometers of one IMU, with the speed of the tracks; compiled.
+
+    φ, θ, z       roll, pitch (nose down positive), height of C                  rad, rad, m
+    p, q, r       body rates, less their biases b_p, b_q                         rad/s
+    f             specific force at the IMU, with biases b_x, b_y                m/s²
+    u             velocity of the IMU's place, v + ω × l, in the machine's axes  m/s
+    v_x, v_y      of C along the ground                                          m/s
+
+    φ̇ = p + tan θ (q sin φ + r cos φ)        θ̇ = q cos φ − r sin φ        ż = −v_x sin θ + v_y sin φ cos θ
+    f_x = u̇_x + (ω × u)_x − g sin θ + b_x    f_y = u̇_y + (ω × u)_y + g sin φ cos θ + b_y
+
+An extended Kalman filter of (φ, θ, z, b_p, b_q, b_x, b_y). u̇ is differenced between two samples of the IMU:
+what rounding adds to one it takes from the next. A constant bias of an accelerometer looks like a tilt; it is
+a state, whose variance stays in that of the tilt until turns show it: the ground does not turn along.
+
+The noise of the accelerometers finds its own size: a mean of ν² − H P Hᵀ over the last seconds, no less than
+stated; a shaken machine then goes by its gyro. What the IMU shows without gravity, or with gravity from
+aside or below, is not used: it has no accelerometers that feel it, or is not mounted as stated.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_common.vehicle import GRAVITY
+from trackslip_estimation.attitude.records import (
+    BIAS_P,
+    BIAS_Q,
+    BIAS_X,
+    BIAS_Y,
+    HEIGHT,
+    PITCH,
+    ROLL,
+    SIZE,
+)
+from trackslip_estimation.kalman.ekf import propagate_covariance
+
+FloatArray = NDArray[np.float64]
+
+GRAVITY_DOUBT = 1.0  # m/s², by which the mean of what is felt may differ from gravity
+UPRIGHT = 0.5 * GRAVITY  # m/s², least that its z axis shows of gravity
+_MEAN_TIME = 1.0  # s, of that mean
+_FIRST_NOISE = 1.0  # (m/s²)², before a sample tells
+_LONGEST = 0.5  # s, between samples of which one follows from the other
+_LOST = 0.3  # rad, beyond which a roll or pitch is not known any more
+_SURPRISE = 25.0  # ν²/S beyond which a sample counts for less
+_UNKNOWN_ACCELERATION = 1.0  # m/s², of a machine whose tracks nobody hears of
+_RATE_UNKNOWN = 1.0  # (rad/s)², variance beyond which a rate says nothing (an axis that was not measured)
+_SCALE_TIME = 1.0  # s, for which a gyro that shows too much does so to one side
+_DOUBT_TIMES = 1.0, 10.0  # s, for which the tilt errs to one side, and the gyro's bias
+
+
+@compiled
+def forget_attitude(a: Any) -> None:
+    """The record ``a`` of ``ATTITUDE`` as nobody has seen anything."""
+    a.known = a.seen = a.stamp_ns = 0
+    a.mean[:], a.covariance[:] = 0.0, 0.0
+    a.rates[:], a.mean_force[:], a.velocity[:], a.sample.force[:] = 0.0, 0.0, 0.0, np.nan
+    _set_level(a)
+
+
+@compiled
+def feels_gravity(a: Any) -> bool:
+    """Whether what the IMU shows on average is gravity, from below."""
+    x, y, z = a.mean_force
+    size = math.sqrt(x * x + y * y + z * z)
+    return bool(abs(size - GRAVITY) <= GRAVITY_DOUBT and z >= UPRIGHT)
+
+
+@compiled
+def use_sample(a: Any, n: Any) -> None:
+    """The record ``a`` of ``ATTITUDE`` at the stamp of its new ``sample``; ``n``: ``CONSTANTS``."""
+    imu = a.sample
+    dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
+    follows = 0.0 < dt <= _LONGEST
+    if a.known == 1 and dt > 0.0:
+        _turn(a, _rates(a), dt, n)
+        if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > _LOST**2:
+            a.known = 0
+    if _follow_force(a, dt) and feels_gravity(a):
+        if a.known == 0:
+            _begin(a, n)
+        rates = _rates(a)
+        u = _velocity_at(imu, rates)
+        w_x, w_y, doubt = -rates[2] * u[1], rates[2] * u[0], _UNKNOWN_ACCELERATION**2
+        if follows and imu.known_velocity == 1:
+            w_x, w_y, doubt = w_x + (u[0] - a.velocity[0]) / dt, w_y + (u[1] - a.velocity[1]) / dt, 0.0
+        _level_by(a, (w_x, w_y), doubt, dt if follows else 0.0, n)
+    a.rates[0], a.rates[1], a.rates[2] = _rates(a)
+    a.velocity[0], a.velocity[1] = _velocity_at(imu, _rates(a))
+    a.stamp_ns, a.seen = imu.stamp_ns, 1
+    _set_level(a)
+
+
+@compiled
+def _has_rates(imu: Any) -> bool:
+    """Whether the IMU has a gyro about x and y."""
+    p, q = imu.rates[0], imu.rates[1]
+    return math.isfinite(p + q) and max(imu.rate_variances[0], imu.rate_variances[1]) < _RATE_UNKNOWN
+
+
+@compiled
+def _rates(a: Any) -> tuple[float, float, float]:
+    """p, q, r without bias; an IMU that has no p and q is taken to show none."""
+    rates = a.sample.rates
+    if not _has_rates(a.sample):
+        return 0.0, 0.0, rates[2]
+    return rates[0] - a.mean[BIAS_P], rates[1] - a.mean[BIAS_Q], rates[2]
+
+
+@compiled
+def _follow_force(a: Any, dt: float) -> bool:
+    """Low-pass the force; whether there is one."""
+    force = a.sample.force
+    if not math.isfinite(force[0] + force[1] + force[2]):
+        return False
+    share = 1.0 if a.seen == 0 or dt > _LONGEST else -math.expm1(-dt / _MEAN_TIME)
+    for i in range(3):
+        a.mean_force[i] += share * (force[i] - a.mean_force[i])
+    return True
+
+
+@compiled
+def _velocity_at(imu: Any, rates: tuple[float, float, float]) -> tuple[float, float]:
+    """u along x and y."""
+    p, q, r = rates
+    l_x, l_y, l_z = imu.lever
+    return imu.velocity[0] - r * l_y + q * l_z, imu.velocity[1] + r * l_x - p * l_z
+
+
+@compiled
+def _begin(a: Any, n: Any) -> None:
+    """As gravity lies, with all of its variance still to come; height and biases stay."""
+    x, P = a.mean, a.covariance
+    f_x, f_y, f_z = a.mean_force
+    for i in range(SIZE):
+        if P[BIAS_X, BIAS_X] == 0.0 and i != BIAS_X:
+            P[i, i] = n.initial[i] ** 2
+        for j in range(PITCH + 1):
+            P[i, j] = P[j, i] = 0.0
+    P[BIAS_X, BIAS_X] = max(P[BIAS_X, BIAS_X], n.initial[BIAS_X] ** 2)
+    P[ROLL, ROLL], P[PITCH, PITCH] = n.initial[ROLL] ** 2, n.initial[PITCH] ** 2
+    x[ROLL] = math.atan2(f_y - x[BIAS_Y], f_z)
+    x[PITCH] = math.atan2(x[BIAS_X] - f_x, math.sqrt(f_y * f_y + f_z * f_z))
+    a.noise[:], a.noise_count[:], a.known = _FIRST_NOISE, 1.0, 1
+
+
+@compiled
+def _turn(a: Any, rates: tuple[float, float, float], dt: float, n: Any) -> None:
+    """Roll and pitch after ``dt`` s, by the mean of the rates at both ends."""
+    x, P, imu = a.mean, a.covariance, a.sample
+    known = 0.5 if dt <= _LONGEST else 0.0
+    p, q, r = (
+        known * (rates[0] + a.rates[0]),
+        known * (rates[1] + a.rates[1]),
+        known * (rates[2] + a.rates[2]),
+    )
+    roll, pitch = x[ROLL], x[PITCH]
+    sin, cos, tan = math.sin(roll), math.cos(roll), math.tan(pitch)
+    half_roll = roll + (p + tan * (q * sin + r * cos)) * dt / 2.0
+    half_pitch = pitch + (q * cos - r * sin) * dt / 2.0
+    sin, cos, tan = math.sin(half_roll), math.cos(half_roll), math.tan(half_pitch)
+    of_roll, of_pitch = p + tan * (q * sin + r * cos), q * cos - r * sin
+    F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
+    F[ROLL, ROLL] += tan * (q * cos - r * sin) * dt
+    F[ROLL, PITCH] = (1.0 + tan * tan) * (q * sin + r * cos) * dt
+    F[ROLL, BIAS_P], F[ROLL, BIAS_Q] = -dt, -tan * sin * dt
+    F[PITCH, ROLL], F[PITCH, BIAS_Q] = -(q * sin + r * cos) * dt, -cos * dt
+    for i in range(SIZE):
+        Q[i, i] = n.walk[i] * dt
+    by_roll = by_pitch = n.unknown_rate**2 * _SCALE_TIME
+    if known > 0.0 and _has_rates(imu):
+        by_scale = n.rate_scale**2 * _SCALE_TIME
+        by_roll = imu.rate_variances[0] * dt + by_scale * of_roll**2
+        by_pitch = imu.rate_variances[1] * dt + by_scale * of_pitch**2
+    Q[ROLL, ROLL] += by_roll * dt
+    Q[PITCH, PITCH] += by_pitch * dt
+    x[ROLL] += of_roll * dt
+    x[PITCH] += of_pitch * dt
+    propagate_covariance(P, F, Q, PITCH + 1)
+
+
+@compiled
+def _level_by(a: Any, motion: tuple[float, float], doubt: float, dt: float, n: Any) -> None:
+    """Update with both horizontal axes.
+
+    ``motion``: what the motion itself accelerates them by, m/s²; ``doubt``: variance of that. ``dt``: s since
+    the sample before, 0 where there is none.
+    """
+    x, force, h = a.mean, a.sample.force, np.zeros(SIZE)
+    sin, cos = math.sin(x[PITCH]), math.cos(x[PITCH])
+    h[PITCH], h[BIAS_X] = -GRAVITY * cos, 1.0
+    _use(a, 0, force[0] - motion[0] + GRAVITY * sin - x[BIAS_X], h, (doubt, dt), n)
+    sin, cos = math.sin(x[PITCH]), math.cos(x[PITCH])
+    up, aside = math.cos(x[ROLL]), math.sin(x[ROLL])
+    h[PITCH], h[BIAS_X] = -GRAVITY * aside * sin, 0.0
+    h[ROLL], h[BIAS_Y] = GRAVITY * up * cos, 1.0
+    _use(a, 1, force[1] - motion[1] - GRAVITY * aside * cos - x[BIAS_Y], h, (doubt, dt), n)
+
+
+@compiled
+def _use(a: Any, axis: int, innovation: float, h: FloatArray, sample: tuple[float, float], n: Any) -> None:
+    """Update with one axis, whose noise is learned of the innovation where that is no doubt of the tilt."""
+    x, P, stated = a.mean, a.covariance, a.sample.force_variance
+    doubt, dt = sample
+    Ph, predicted = np.zeros(SIZE), 0.0
+    for i in range(SIZE):
+        for j in range(SIZE):
+            Ph[i] += P[i, j] * h[j]
+        predicted += h[i] * Ph[i]
+    noise = max(a.noise[axis], stated)
+    share = noise / (predicted + noise + doubt)
+    shown = min(innovation * innovation, _SURPRISE * (predicted + noise)) - predicted
+    a.noise[axis] = max(a.noise[axis] + share * (shown - a.noise[axis]) / (a.noise_count[axis] + 1.0), 0.0)
+    R, most = max(a.noise[axis], stated), 1.0
+    if dt > 0.0:
+        R, most = R * max(n.correlation_time / dt, 1.0), max(n.noise_time / dt, 1.0)
+    a.noise_count[axis] = min(a.noise_count[axis] + share, most)
+    S = predicted + R + doubt
+    if innovation * innovation > _SURPRISE * S:
+        S = innovation * innovation / _SURPRISE
+    for i in range(SIZE):
+        x[i] += Ph[i] * innovation / S
+        for j in range(SIZE):
+            P[i, j] -= Ph[i] * Ph[j] / S
+
+
+@compiled
+def climb(a: Any, v_x: float, v_y: float, dt: float) -> None:
+    """The height after ``dt`` s with these speeds along the ground."""
+    if a.known == 0:
+        return
+    x, P = a.mean, a.covariance
+    sin, cos = math.sin(x[ROLL]), math.cos(x[ROLL])
+    sin_pitch, cos_pitch = math.sin(x[PITCH]), math.cos(x[PITCH])
+    x[HEIGHT] += (-v_x * sin_pitch + v_y * sin * cos_pitch) * dt
+    by_roll = v_y * cos * cos_pitch * dt
+    by_pitch = -(v_x * cos_pitch + v_y * sin * sin_pitch) * dt
+    for j in range(SIZE):
+        P[HEIGHT, j] += by_roll * P[ROLL, j] + by_pitch * P[PITCH, j]
+    for i in range(SIZE):
+        P[i, HEIGHT] += by_roll * P[i, ROLL] + by_pitch * P[i, PITCH]
+
+
+@compiled
+def _set_level(a: Any) -> None:
+    """What the attitude does to a motion along the ground."""
+    level, P = a.level, a.covariance
+    level.tilted = a.known
+    roll, pitch = (a.mean[ROLL], a.mean[PITCH]) if a.known == 1 else (0.0, 0.0)
+    sin, cos, sin_pitch, cos_pitch = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
+    level.forward, level.sideways, level.across = cos_pitch - 1.0, cos - 1.0, sin * sin_pitch
+    level.turn, level.roll_over = cos / cos_pitch - 1.0, a.rates[1] * sin / cos_pitch
+    level.downhill_x, level.downhill_y = sin_pitch, -sin * cos_pitch
+    level.lean_x, level.lean_y = cos * sin_pitch, -sin
+    level.lean_variance = max(P[ROLL, ROLL], P[PITCH, PITCH]) if a.known == 1 else 0.0
+    by_roll = (a.rates[1] * cos - a.rates[2] * sin) / cos_pitch
+    of_tilt, of_bias = _DOUBT_TIMES
+    level.turn_variance = 0.0
+    if a.known == 1:
+        level.turn_variance = by_roll**2 * P[ROLL, ROLL] * of_tilt
+        level.turn_variance += (sin / cos_pitch) ** 2 * P[BIAS_Q, BIAS_Q] * of_bias

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of the attitude filter: classes of gyros and accelerometers, not those of one unit."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.attitude.records import BIAS_P, BIAS_Q, BIAS_X, BIAS_Y, CONSTANTS, PITCH, ROLL
+
+_TILT = 1.0  # rad, before the first sample
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttitudeParameters(Parameters):
+    """What is known of the IMU beforehand."""
+
+    initial_gyro_bias_stddev: float = parameter("of roll and pitch rate at the start", unit="rad/s", gt=0.0)
+    gyro_bias: float = parameter("random walk of both", unit="rad/s/√s", ge=0.0)
+    gyro_scale_stddev: float = parameter("of what the gyro shows of 1 rad/s, about all axes", ge=0.0)
+    accelerometer_bias_stddev: float = parameter(
+        "bias of the accelerometers, with what the mounting angles err by: 0.05 m/s² are 0.3° of tilt",
+        unit="m/s²",
+        gt=0.0,
+    )
+    accelerometer_bias: float = parameter("random walk of it", unit="m/s²/√s", ge=0.0)
+    noise_time: float = parameter("over which the accelerometers' noise finds its size", unit="s", gt=0.0)
+    correlation_time: float = parameter(
+        "for which a shake lasts: samples that follow each other faster count for less", unit="s", ge=0.0
+    )
+    ground_rate: float = parameter(
+        "how fast the ground tilts the machine while no gyro shows it", unit="rad/s", gt=0.0
+    )
+
+
+def constants(p: AttitudeParameters) -> Any:
+    """A record of ``CONSTANTS``."""
+    found = np.zeros(1, CONSTANTS)[0]
+    found["initial"][[ROLL, PITCH]] = _TILT
+    found["initial"][[BIAS_P, BIAS_Q]] = p.initial_gyro_bias_stddev
+    found["initial"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias_stddev
+    found["walk"][[BIAS_P, BIAS_Q]] = p.gyro_bias**2
+    found["walk"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias**2
+    found["rate_scale"], found["unknown_rate"] = p.gyro_scale_stddev, p.ground_rate
+    found["noise_time"], found["correlation_time"] = p.noise_time, p.correlation_time
+    return found

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The records of the attitude filter, which the slip estimator keeps in its own state.
+
+base_link has x forward, y left, z up (REP-103); ψ, θ, φ turn about z, y, x (ZYX), θ > 0 is nose down.
+"""
+
+import numpy as np
+
+ROLL, PITCH, HEIGHT, BIAS_P, BIAS_Q, BIAS_X, BIAS_Y = range(7)  # rad, rad, m, rad/s, rad/s, m/s², m/s²
+SIZE = 7
+
+LEVEL = (
+    np.dtype(  # what the attitude does to a motion along the ground; all zero where it is flat, or not known
+        [
+            ("tilted", np.int64),  # 0 or 1: whether the rest counts
+            ("forward", np.float64),  # cos θ − 1
+            ("across", np.float64),  # sin φ sin θ
+            ("sideways", np.float64),  # cos φ − 1
+            ("turn", np.float64),  # cos φ / cos θ − 1
+            ("roll_over", np.float64),  # q sin φ / cos θ, rad/s
+            ("downhill_x", np.float64),  # sin θ
+            ("downhill_y", np.float64),  # −sin φ cos θ
+            ("lean_x", np.float64),  # cos φ sin θ: how far ahead something is that is 1 m above C
+            ("lean_y", np.float64),  # −sin φ: how far left
+            ("lean_variance", np.float64),  # of both
+            ("turn_variance", np.float64),  # density of the yaw rate's that comes of the attitude's, rad²/s
+        ],
+        align=True,
+    )
+)
+
+IMU = np.dtype(  # one sample, along the axes of base_link
+    [
+        ("stamp_ns", np.int64),
+        ("rates", np.float64, (3,)),  # p, q, r: rad/s; p and q nan where there are none
+        ("rate_variances", np.float64, (3,)),
+        ("force", np.float64, (3,)),  # specific force: upward at rest, m/s²; nan where there is none
+        ("force_variance", np.float64),
+        ("velocity", np.float64, (2,)),  # of C along the tracks, m/s
+        ("known_velocity", np.int64),  # 0 or 1
+        ("lever", np.float64, (3,)),  # place of the IMU in base_link, m
+    ],
+    align=True,
+)
+
+ATTITUDE = np.dtype(
+    [
+        ("known", np.int64),  # 0 or 1
+        ("seen", np.int64),  # whether the IMU has sent anything
+        ("stamp_ns", np.int64),  # of its last sample
+        ("sample", IMU),  # that one
+        ("mean", np.float64, (SIZE,)),
+        ("covariance", np.float64, (SIZE, SIZE)),
+        ("rates", np.float64, (3,)),  # p, q, r of that sample less their biases, rad/s
+        ("mean_force", np.float64, (3,)),  # low-passed, m/s²
+        ("velocity", np.float64, (2,)),  # of the IMU's place along the tracks at that sample, m/s
+        ("noise", np.float64, (2,)),  # variance of what both horizontal axes show beyond the model, (m/s²)²
+        ("noise_count", np.float64, (2,)),  # samples in it
+        ("level", LEVEL),
+    ],
+    align=True,
+)
+
+CONSTANTS = np.dtype(
+    [
+        ("initial", np.float64, (SIZE,)),  # standard deviations
+        ("walk", np.float64, (SIZE,)),  # variance per s
+        ("rate_scale", np.float64),  # standard deviation of the gyro's scale about p and q
+        ("noise_time", np.float64),  # s
+        ("correlation_time", np.float64),  # s
+        ("unknown_rate", np.float64),  # rad/s, of ground whose tilt changes while no gyro sees it
+    ],
+    align=True,
+)

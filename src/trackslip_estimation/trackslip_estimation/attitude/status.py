@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of the attitude: where the machine leans, or why the ground counts as flat."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.vehicle import GRAVITY
+from trackslip_estimation.attitude.filter import GRAVITY_DOUBT, UPRIGHT
+from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL
+
+_OFF = 0.1  # m/s², of a bias that is worth a word, where it is
+_SIGNIFICANT = 3.0  # standard deviations
+
+
+def attitude_text(a: Any, source: str | None) -> str:
+    """Of a record of ``ATTITUDE`` that the IMU of a topic feeds; None: nobody is to."""
+    if source is None:
+        return "flat: no IMU is to tell (use_attitude, yaw_rate_sources)"
+    if int(a["known"]) == 0:
+        return f"flat: {_lacking(a, source)}"
+    roll, pitch, height = (float(a["mean"][k]) for k in (ROLL, PITCH, HEIGHT))
+    of_roll, of_pitch, of_height = (math.sqrt(float(a["covariance"][k, k])) for k in (ROLL, PITCH, HEIGHT))
+    tilt = f"roll {math.degrees(roll):.1f}° ± {math.degrees(of_roll):.1f}"
+    tilt += f", pitch {math.degrees(pitch):.1f}° ± {math.degrees(of_pitch):.1f} (nose down positive)"
+    return f"{tilt}, height {height:.2f} m ± {of_height:.2f}{_tilted(a, source)}"
+
+
+def _lacking(a: Any, source: str) -> str:
+    """Why it is not known."""
+    if int(a["seen"]) == 0:
+        return f"nothing of {source} yet"
+    if not np.isfinite(a["sample"]["force"]).all():
+        return f"{source} has no accelerations"
+    force = a["mean_force"]
+    size = float(np.linalg.norm(force))
+    if abs(size - GRAVITY) > GRAVITY_DOUBT:
+        return (
+            f"accelerations of {source} are refused: {size:.2f} m/s² on average, and gravity is {GRAVITY:.2f}"
+        )
+    if force[2] < UPRIGHT:
+        x, y, z = (f"{value:.1f}" for value in force.tolist())
+        where = f"{source} feels gravity along ({x}, {y}, {z}) m/s²"
+        return f"accelerations are refused: {where}, and not along z; its mounting is to be stated"
+    return f"{source} is silent"
+
+
+def _tilted(a: Any, source: str) -> str:
+    """What turns on the spot show of how the IMU sits."""
+    for k, name in ((BIAS_X, "pitch"), (BIAS_Y, "roll")):
+        bias, stddev = float(a["mean"][k]), math.sqrt(float(a["covariance"][k, k]))
+        if abs(bias) > max(_OFF, _SIGNIFICANT * stddev):
+            degrees = math.degrees(abs(bias) / GRAVITY)
+            return f"; {source} is tilted {degrees:.1f}° in {name}, or its accelerometer errs as much"
+    return ""

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between the slip estimator and the attitude filter, which is part of its state; compiled.
+
+One IMU of the gyros tells the attitude (``config.tilt_source``); its samples pass in the order of stamps with
+all other measurements, so that the attitude too is a function of their set.
+"""
+
+from typing import Any
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.attitude.filter import climb, use_sample
+from trackslip_estimation.attitude.records import HEIGHT, ROLL
+from trackslip_estimation.slip.models.dispatch import body_twist, has_velocity_errors
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
+
+
+@compiled
+def tilt_by(state: Any, measurement: Any, c: Any) -> None:
+    """The attitude at the stamp of a sample of its IMU."""
+    imu, a, source = state.attitude.sample, state.attitude, measurement.source
+    scale = c.rate_scale[source]
+    r = (measurement.value[0] / scale - state.mean[GYRO_BIAS]) / (1.0 + state.mean[GYRO_SCALE])
+    imu.rates[0], imu.rates[1], imu.rates[2] = measurement.value[1], measurement.value[2], r
+    factor = state.adaptation.rate_factor
+    for k in range(3):
+        imu.rate_variances[k] = factor * measurement.noise[(k + 1) % 3, (k + 1) % 3]
+    imu.stamp_ns, imu.force[:] = measurement.stamp_ns, measurement.acceleration
+    imu.force_variance, imu.lever[:] = measurement.acceleration_variance, c.tilt_lever
+    v_x, v_y, _ = body_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
+    imu.velocity[0], imu.velocity[1] = v_x, v_y
+    imu.known_velocity = 0 if state.coasting else 1
+    use_sample(a, c.attitude)
+
+
+@compiled
+def rise(state: Any, dt: float, c: Any) -> None:
+    """The height ``dt`` s later, with the state's speeds."""
+    if state.attitude.known == 1 and dt > 0.0:
+        v_x, v_y, _ = body_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
+        climb(state.attitude, v_x, v_y, dt)
+
+
+@compiled
+def fill_tilt(state: Any, tilt: Any, c: Any) -> None:
+    """What is published of the attitude, into a record of ``TILT``.
+
+    The height errs by the share of it that the tracks slip more than is known.
+    """
+    a = state.attitude
+    tilt.known = a.known
+    if a.known == 0:
+        tilt.tilt[:], tilt.covariance[:], tilt.rates[:], tilt.rate_variances[:] = 0.0, 0.0, 0.0, 0.0
+        tilt.force[:], tilt.force_variance = 0.0, 0.0
+        return
+    for i in range(3):
+        tilt.tilt[i], tilt.rates[i] = a.mean[ROLL + i], a.rates[i]
+        tilt.rate_variances[i], tilt.force[i] = a.sample.rate_variances[i], a.sample.force[i]
+        for j in range(3):
+            tilt.covariance[i, j] = a.covariance[ROLL + i, ROLL + j]
+    if has_velocity_errors(c):
+        tilt.covariance[HEIGHT, HEIGHT] += state.covariance[COMMON_SLIP, COMMON_SLIP] * a.mean[HEIGHT] ** 2
+    tilt.force_variance = a.sample.force_variance

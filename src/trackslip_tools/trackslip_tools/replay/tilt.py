@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of roll, pitch and height, of a machine that estimates them."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.message_fields import tilts_of
+from trackslip_tools.replay.errors import Waiting
+
+Rows = NDArray[np.void]
+
+
+class TiltErrors:
+    """Of estimates that come piece by piece, against true odometry that is never behind them."""
+
+    def __init__(self) -> None:
+        self._truth, self._estimates = Waiting(), Waiting()
+        self._tilt = self._height = 0.0  # sums of squares
+        self._count = 0
+
+    def add(self, estimates: Rows, truth: Rows | None) -> None:
+        """More of both: records of ``ESTIMATE``, and rows of odometry."""
+        self._truth.add(truth)
+        known = estimates[estimates["tilt"]["known"] == 1]
+        rows = np.zeros(len(known), [("stamp_ns", np.int64), ("tilt", np.float64, (3,))])
+        rows["stamp_ns"], rows["tilt"] = known["stamp_ns"], known["tilt"]["tilt"]
+        self._estimates.add(rows)
+        until_ns = min(self._estimates.last_ns, self._truth.last_ns)
+        found, true = self._estimates.due(until_ns), self._truth.due(until_ns)
+        if found is None or true is None:
+            return
+        inside = (found["stamp_ns"] >= true["stamp_ns"][0]) & (found["stamp_ns"] <= true["stamp_ns"][-1])
+        found = found[inside]
+        expected = (*tilts_of(true).T, true["z"])
+        errors = np.column_stack(
+            [
+                found["tilt"][:, k] - np.interp(found["stamp_ns"], true["stamp_ns"], values)
+                for k, values in enumerate(expected)
+            ]
+        )
+        self._tilt += float(np.sum(errors[:, :2] ** 2)) / 2.0
+        self._height += float(np.sum(errors[:, 2] ** 2))
+        self._count += len(found)
+
+    @property
+    def attitude(self) -> float | None:
+        """RMS of roll and of pitch, rad; None where nothing was compared."""
+        return math.sqrt(self._tilt / self._count) if self._count else None
+
+    @property
+    def height(self) -> float | None:
+        """RMS, m; None where nothing was compared."""
+        return math.sqrt(self._height / self._count) if self._count else None

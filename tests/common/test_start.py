@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ctrl-C at moments at which Python would lose it."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+LOSING = {
+    "a_callback": """
+import ctypes
+CALLBACK = ctypes.CFUNCTYPE(None)
+@CALLBACK
+def callback():
+    print("here", flush=True)
+    time.sleep(60.0)
+callback()
+""",
+    "the_end_of_an_object": """
+class Object:
+    def __del__(self):
+        print("here", flush=True)
+        time.sleep(60.0)
+made = Object()
+del made
+""",
+}
+PROGRAM = """
+import sys, time
+from trackslip_common.start import repeat_lost_interrupts
+repeat_lost_interrupts()
+try:
+{body}
+    time.sleep(60.0)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize("place", LOSING)
+def test_ctrl_c_in_a_place_that_loses_it_ended_nothing(place: str) -> None:
+    """A study that compiled went on, and a traceback was shown."""
+    body = "\n".join(f"    {line}" for line in LOSING[place].splitlines())
+    command = [sys.executable, "-c", PROGRAM.format(body=body)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "here\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30.0) == 130
+        assert process.stderr.read() == ""

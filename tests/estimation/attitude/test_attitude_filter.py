@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The attitude filter on made-up motions: standing, turning, driving off, shaken, and without gravity."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_common.vehicle import GRAVITY
+from trackslip_estimation.attitude.filter import climb, forget_attitude, use_sample
+from trackslip_estimation.attitude.parameters import constants
+from trackslip_estimation.attitude.records import ATTITUDE, BIAS_X, CONSTANTS, HEIGHT, IMU, PITCH, ROLL
+from trackslip_estimation.attitude.status import attitude_text
+from trackslip_estimation.slip.parameters import load_slip_parameters
+
+FloatArray = NDArray[np.float64]
+N = np.zeros(1, CONSTANTS)
+N[0] = constants(load_slip_parameters().attitude)
+TOPIC = "imu/data_raw"
+
+
+@compiled
+def follow(attitude: Any, samples: Any, n: Any, found: FloatArray) -> None:
+    """The filter over all samples; ``found`` (k, 7) are its means."""
+    for k in range(samples.size):
+        climb(attitude[0], samples[k].velocity[0], samples[k].velocity[1], 0.01)
+        attitude[0].sample = samples[k]
+        use_sample(attitude[0], n[0])
+        found[k] = attitude[0].mean
+
+
+@compiled
+def forget(attitude: Any) -> None:
+    forget_attitude(attitude[0])
+
+
+class Ride:
+    """100 Hz of an IMU on a machine whose roll, pitch, yaw rate and speed are given over time."""
+
+    def __init__(self, seconds: float, seed: int = 0, **of_time: Any) -> None:
+        self.t = np.arange(round(seconds * 100)) * 0.01
+        zero = np.zeros_like(self.t)
+        given = {name: np.broadcast_to(value, zero.shape) for name, value in of_time.items()}
+        self.roll, self.pitch = given.get("roll", zero), given.get("pitch", zero)
+        self.yaw_rate, self.speed = given.get("yaw_rate", zero), given.get("speed", zero)
+        self.random = np.random.default_rng(seed)
+
+    def samples(
+        self, noise: float = 0.05, gyro: float = 0.003, gyro_bias: float = 0.0, bias: float = 0.0
+    ) -> NDArray[np.void]:
+        """(n,) of ``IMU``; rates follow from the angles (ZYX), forces from the motion."""
+        found = np.zeros(len(self.t), IMU)
+        sin, cos = np.sin(self.roll), np.cos(self.roll)
+        of_roll, of_pitch = np.gradient(self.roll, 0.01), np.gradient(self.pitch, 0.01)
+        p = of_roll - self.yaw_rate * np.sin(self.pitch)
+        q = of_pitch * cos + self.yaw_rate * sin * np.cos(self.pitch)
+        r = self.yaw_rate * cos * np.cos(self.pitch) - of_pitch * sin
+        found["stamp_ns"] = np.round(self.t * 1e9).astype(np.int64) + 1
+        found["rates"] = np.column_stack((p + gyro_bias, q - gyro_bias, r))
+        found["rates"][:, :2] += self.random.normal(0.0, gyro, (len(self.t), 2))
+        found["rate_variances"] = gyro**2
+        force = np.column_stack((-np.sin(self.pitch), sin * np.cos(self.pitch), cos * np.cos(self.pitch)))
+        force *= GRAVITY
+        force[:, 0] += np.gradient(self.speed, 0.01) + bias
+        force[:, 1] += r * self.speed
+        force[:, 2] -= q * self.speed
+        found["force"] = force + self.random.normal(0.0, noise, force.shape)
+        found["force_variance"] = 0.05**2
+        found["velocity"][:, 0], found["known_velocity"] = self.speed, 1
+        return found
+
+
+def run(samples: NDArray[np.void]) -> tuple[Any, FloatArray]:
+    attitude, found = np.zeros(1, ATTITUDE), np.empty((len(samples), 7))
+    forget(attitude)
+    follow(attitude, samples, N, found)
+    return attitude[0], found
+
+
+def errors(ride: Ride, found: FloatArray, after: float = 5.0) -> float:
+    """RMS of roll and of pitch, degrees."""
+    late = ride.t > after
+    both = np.column_stack((found[:, ROLL] - ride.roll, found[:, PITCH] - ride.pitch))[late]
+    return math.degrees(float(np.sqrt((both**2).mean())))
+
+
+def spread(attitude: Any, k: int) -> float:
+    return float(np.sqrt(attitude["covariance"][k, k]))
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.26, 0.0), (0.0, -0.26), (-0.2, 0.3)])
+def test_a_machine_that_stands(roll: float, pitch: float) -> None:
+    ride = Ride(20.0, roll=roll, pitch=pitch)
+    attitude, found = run(ride.samples(gyro_bias=0.008))
+    assert errors(ride, found) < 0.2
+    assert spread(attitude, ROLL) > math.radians(0.25)  # a bias of 0.05 m/s² looks the same
+
+
+def test_a_bias_is_within_what_is_stated() -> None:
+    ride = Ride(20.0, pitch=0.1)
+    attitude, found = run(ride.samples(bias=0.05))
+    off = abs(found[-1, PITCH] - 0.1)
+    assert off == pytest.approx(0.05 / GRAVITY, rel=0.3)
+    assert off < 2.0 * spread(attitude, PITCH)
+
+
+def test_turns_tell_a_bias_from_a_tilt() -> None:
+    """The ground does not turn along."""
+    seconds = 60.0
+    t = np.arange(round(seconds * 100)) * 0.01
+    turned = 0.2 * np.clip(t - 10.0, 0.0, None)
+    ride = Ride(
+        seconds,
+        yaw_rate=np.where(t > 10.0, 0.2, 0.0),
+        roll=np.arcsin(0.2 * np.sin(turned)),
+        pitch=np.arctan(-math.tan(math.asin(0.2)) * np.cos(turned)),
+    )
+    attitude, _ = run(ride.samples(bias=0.05))
+    assert attitude["mean"][BIAS_X] == pytest.approx(0.05, abs=0.02)
+    assert spread(attitude, PITCH) < math.radians(0.2)
+
+
+def test_driving_off_and_turning_is_no_tilt() -> None:
+    t = np.arange(4000) * 0.01
+    ride = Ride(40.0, speed=0.5 * np.abs(np.sin(0.5 * t)), yaw_rate=0.4 * np.sin(0.3 * t))
+    _, found = run(ride.samples())
+    assert errors(ride, found) < 0.2
+
+
+def test_a_hill_at_a_walk() -> None:
+    t = np.arange(6000) * 0.01
+    ride = Ride(
+        60.0, speed=np.where(t > 5.0, 0.5, 0.0), pitch=-0.26 * np.sin(0.2 * np.clip(t - 8.0, 0.0, None))
+    )
+    _, found = run(ride.samples())
+    assert errors(ride, found) < 0.5
+    climbed = np.cumsum(-ride.speed * np.sin(ride.pitch)) * 0.01
+    assert np.abs(found[:, HEIGHT] - climbed).max() < 0.01 * float(np.abs(climbed).max()) + 0.01
+
+
+def test_a_shaken_machine_goes_by_its_gyro() -> None:
+    t = np.arange(6000) * 0.01
+    ride = Ride(60.0, roll=0.2 * np.sin(0.2 * t), pitch=0.1 * np.sin(0.3 * t))
+    attitude, found = run(ride.samples(noise=3.0))
+    assert errors(ride, found, after=10.0) < 0.5
+    assert attitude["noise"] == pytest.approx(9.0, rel=0.5)
+
+
+def test_without_a_gyro_about_x_and_y_the_accelerometers_do() -> None:
+    ride = Ride(20.0, roll=0.1)
+    samples = ride.samples()
+    samples["rates"][:, :2] = np.nan
+    assert errors(ride, run(samples)[1]) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("force", "words"),
+    [
+        ((math.nan, math.nan, math.nan), "has no accelerations"),
+        ((0.0, 0.0, 0.0), "are refused: 0.00 m/s² on average, and gravity is 9.81"),
+        ((0.1, 0.0, 0.3), "are refused: 0.32 m/s²"),
+        ((0.0, 0.0, -9.6), "its mounting is to be stated"),
+        ((9.8, 0.0, 0.1), "its mounting is to be stated"),
+    ],
+)
+def test_what_is_not_gravity_from_below_leaves_the_ground_flat(force: Any, words: str) -> None:
+    samples = Ride(5.0).samples()
+    samples["force"] = force
+    attitude, found = run(samples)
+    assert attitude["known"] == attitude["level"]["tilted"] == 0
+    assert not found.any()
+    text = attitude_text(attitude, TOPIC)
+    assert text.startswith("flat: ")
+    assert words in text
+    assert TOPIC in text
+
+
+def test_an_accelerometer_that_falls_silent_leaves_the_gyro_with_what_it_loses() -> None:
+    ride = Ride(100.0, roll=0.2)
+    samples = ride.samples(gyro_bias=0.005)
+    samples["force"][1000:] = np.nan
+    attitude, found = run(samples)
+    before = run(samples[:1000])[0]
+    assert spread(attitude, ROLL) > 2.0 * spread(before, ROLL)
+    assert abs(found[-1, ROLL] - 0.2) < 3.0 * spread(attitude, ROLL)
+
+
+def test_no_imu_no_words() -> None:
+    assert attitude_text(np.zeros(1, ATTITUDE)[0], None).startswith("flat: no IMU")
+
+
+def test_a_tilted_mounting_is_told_after_turns() -> None:
+    seconds = 90.0
+    t = np.arange(round(seconds * 100)) * 0.01
+    ride = Ride(seconds, yaw_rate=np.where(t > 5.0, 0.3, 0.0))
+    attitude, _ = run(ride.samples(bias=0.4))
+    assert "imu/data_raw is tilted 2." in attitude_text(attitude, TOPIC)

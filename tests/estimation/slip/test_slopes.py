@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The slip estimator on slopes: along the ground, in any order, with sensors high above it, and on none."""
+
+import math
+import random
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_common.nodes.messages import make
+from trackslip_common.vehicle import GRAVITY
+from trackslip_estimation.slip.conversions import fill_attitude, fill_odometry, odometry, quaternion_of
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.local_odometry import LocalOdometry
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.parameters import load_slip_parameters
+
+FloatArray = NDArray[np.float64]
+MS, R = 1_000_000, 0.159
+HEIGHT = 2.0  # m, of an antenna
+UP = "sources.box_pose."
+
+
+def across(heading: float, slope: float) -> tuple[float, float]:
+    """Roll and pitch of a machine on a plane that rises by ``slope`` to the north (y)."""
+    n = np.array((0.0, -math.sin(slope), math.cos(slope)))
+    c, s = math.cos(heading), math.sin(heading)
+    ahead, left = n[0] * c + n[1] * s, n[1] * c - n[0] * s
+    return math.atan2(-left, n[2]), math.atan2(ahead, math.hypot(left, n[2]))
+
+
+def drive(heading: float, slope: float, seconds: float = 20.0, antenna: float = 0.0) -> list[Measurement]:
+    """5 s of standing, then straight on at 0.4 m/s without slip; 20 Hz, fixes once a second."""
+    rng, found = np.random.default_rng(3), []
+    roll, pitch = across(heading, slope)
+    lean = np.array((math.cos(roll) * math.sin(pitch), -math.sin(roll))) * antenna
+    c, s = math.cos(heading), math.sin(heading)
+    offset = np.array((c * lean[0] - s * lean[1], s * lean[0] + c * lean[1]))
+    force = GRAVITY * np.array(
+        (-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch))
+    )
+    for k in range(round(seconds * 20)):
+        stamp_ns, way = (k + 1) * 50 * MS, 0.4 * max(k * 0.05 - 5.0, 0.0)
+        f_x, f_y, f_z = (force + rng.normal(0.0, 0.05, 3)).tolist()
+        p, q, r = rng.normal(0.0, 0.003, 3).tolist()
+        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (way / R, way / R)))
+        found.append(
+            YawRate("imu/data_raw", stamp_ns, r, 9e-6, (p, q), (9e-6, 9e-6), (f_x, f_y, f_z), 0.0025)
+        )
+        if k % 20 == 0:
+            pose = np.array((*(way * math.cos(pitch) * np.array((c, s)) + offset), heading))
+            found.append(PoseFix("box_pose", stamp_ns, pose, np.diag((4e-4, 4e-4, 1e-4))))
+    return found
+
+
+def estimator(**changed: Any) -> SlipEstimator:
+    return SlipEstimator(load_slip_parameters({k.replace("__", "."): v for k, v in changed.items()}))
+
+
+def end_of(measurements: list[Measurement], **changed: Any) -> tuple[Any, list[Outcome]]:
+    own = estimator(**changed)
+    outcomes = [report.outcome for report, _ in own.process_all(measurements)]
+    return own.estimate(), outcomes
+
+
+@pytest.mark.parametrize("heading", [0.0, math.pi / 2.0, -math.pi / 2.0, 0.8])
+def test_up_down_and_across_a_slope_the_way_is_the_horizontal_one(heading: float) -> None:
+    slope = math.radians(15.0)
+    roll, pitch = across(heading, slope)
+    end, outcomes = end_of(drive(heading, slope))
+    way = 0.4 * 14.95
+    tilt = end.outputs.tilt
+    np.testing.assert_allclose(tilt.tilt[:2], (roll, pitch), atol=math.radians(0.3))
+    assert abs(tilt.tilt[2] - way * math.sin(-pitch)) < 0.01 * way
+    expected = way * math.cos(pitch) * np.array((math.cos(heading), math.sin(heading)))
+    np.testing.assert_allclose(end.pose[:2], expected, atol=0.03)
+    assert Outcome.GATED not in outcomes
+
+
+def test_the_order_of_arrival_does_not_matter() -> None:
+    measurements = drive(0.8, math.radians(15.0))
+    in_order, _ = end_of(measurements)
+    begin, rest = measurements[:3], measurements[3:]
+    shuffler = random.Random(5)
+    late = sorted(rest, key=lambda m: m.stamp_ns + shuffler.randrange(800) * MS)
+    other, outcomes = end_of([*begin, *late])
+    assert Outcome.TOO_LATE not in outcomes
+    np.testing.assert_array_equal(other.pose, in_order.pose)
+    np.testing.assert_array_equal(other.outputs.tilt.tilt, in_order.outputs.tilt.tilt)
+    np.testing.assert_array_equal(other.outputs.tilt.covariance, in_order.outputs.tilt.covariance)
+
+
+def test_an_antenna_leans_with_the_machine() -> None:
+    slope = math.radians(15.0)
+    measurements = drive(0.8, slope, antenna=HEIGHT)
+    found, _ = end_of(measurements, **{f"{UP}lever_arm_z": HEIGHT})
+    expected, _ = end_of(drive(0.8, slope))
+    np.testing.assert_allclose(found.pose[:2], expected.pose[:2], atol=0.02)
+    ignored, _ = end_of(measurements)
+    assert np.hypot(*(ignored.pose - expected.pose)[:2]) > 0.3
+
+
+def without_force(measurements: list[Measurement]) -> list[Measurement]:
+    nothing = (math.nan, math.nan, math.nan)
+    return [replace(m, acceleration=nothing) if isinstance(m, YawRate) else m for m in measurements]
+
+
+def test_without_accelerations_all_is_as_on_flat_ground() -> None:
+    """To the last bit: with nothing from accelerometers, and with ``use_attitude: false``."""
+    measurements = drive(0.8, math.radians(10.0))
+    flat, _ = end_of(without_force(measurements))
+    off, _ = end_of(measurements, use_attitude=False)
+    assert flat.outputs.tilt is None
+    assert off.outputs.tilt is None
+    np.testing.assert_array_equal(flat.pose, off.pose)
+    np.testing.assert_array_equal(flat.pose_covariance, off.pose_covariance)
+    np.testing.assert_array_equal(flat.outputs.twist, off.outputs.horizontal)
+
+
+def test_the_first_imu_that_may_tells_the_tilt() -> None:
+    both = {"yaw_rate_sources": ["one", "two"], "sources.one.use_acceleration": False}
+    assert load_slip_parameters(both).tilt_source == "two"
+    assert load_slip_parameters({**both, "sources.two.use_acceleration": False}).tilt_source is None
+    assert load_slip_parameters({**both, "use_attitude": False}).tilt_source is None
+
+
+def test_messages_carry_the_tilt() -> None:
+    end, _ = end_of(drive(0.8, math.radians(15.0)))
+    message = odometry(make, end, "map", "base_link")
+    roll, pitch, height = end.outputs.tilt.tilt.tolist()
+    turn = message.pose.pose.orientation
+    assert (turn.x, turn.y, turn.z, turn.w) == quaternion_of(roll, pitch, float(end.pose[2]))
+    assert message.pose.pose.position.z == height
+    assert message.pose.covariance[14] == end.outputs.tilt.covariance[2, 2]
+    imu = make("sensor_msgs/msg/Imu")
+    fill_attitude(imu, end, end.outputs.tilt)
+    assert imu.orientation == turn
+    assert imu.orientation_covariance[0] == end.outputs.tilt.covariance[0, 0]
+    level = replace(end, outputs=replace(end.outputs, tilt=None))
+    fill_odometry(message, level)
+    assert (turn.x, turn.y, message.pose.pose.position.z) == (0.0, 0.0, 0.0)
+    assert message.pose.covariance[14] == message.pose.covariance[21] == 1e6
+
+
+def test_local_odometry_runs_along_the_ground_too() -> None:
+    own, local, last = estimator(), LocalOdometry(), None
+    for _, estimate in own.process_all(drive(0.0, 0.0)):
+        last = local.after(estimate) if estimate is not None else last
+    assert last is not None
+    own, local, tilted = estimator(), LocalOdometry(), None
+    for _, estimate in own.process_all(drive(math.pi / 2.0, math.radians(15.0))):
+        tilted = local.after(estimate) if estimate is not None else tilted
+    assert tilted is not None
+    assert np.hypot(*tilted.pose[:2]) == pytest.approx(
+        math.cos(math.radians(15.0)) * np.hypot(*last.pose[:2]), rel=0.01
+    )
