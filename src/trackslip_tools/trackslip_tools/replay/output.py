@@ -111,10 +111,10 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
     of_filter = result.scores.get("filter")
     rmse["heading"] = of_filter.heading if of_filter else None
     rmse["slip"] = result.slip_rmse
+    rmse["attitude"], rmse["height"] = result.attitude_rmse, result.height_rmse
     if result.withheld:
         last = result.withheld[-1].as_dict()
         rmse["withheld"] = {"rmse": last["rmse"], "end": last["end"]}
-    rmse["attitude"], rmse["height"] = result.attitude_rmse, result.height_rmse
     content = {
         "vehicle": result.vehicle,
         "duration_s": result.duration_s,
