@@ -27,7 +27,7 @@ def test_json_has_the_promised_keys(tmp_path: Path, capsys: pytest.CaptureFixtur
     report = json.loads(file.read_text())
     assert set(report) == {"vehicle", "final", "duration_s", "elapsed_s"}
     assert set(report["final"]) == {
-        *("x", "y", "yaw", "v_x", "yaw_rate"),
+        *("x", "y", "z", "yaw", "pitch", "roll", "v_x", "yaw_rate"),
         *("left_slip", "right_slip", "left_thrust", "right_thrust"),
     }
     assert report["duration_s"] == pytest.approx(20.0)

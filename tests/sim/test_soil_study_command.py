@@ -3,6 +3,7 @@
 
 import json
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -17,6 +18,7 @@ from trackslip_sim.study.soil.results import ChangeRow, SoilRow
 from trackslip_sim.study.soil.score import Result
 from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
 from trackslip_tools.cli.main import main
+from trackslip_tools.terminal_text import WIDTH, for_terminal
 
 COMMAND = ["study", "--estimator", "soil", "--soil", "sand", "dry_clay", "--sigma-xy", "0.05", "--seeds", "2"]
 
@@ -66,14 +68,21 @@ def test_it_writes_rows_and_tables(
     assert (rows[0]["F_max_inside"], rows[0]["seeds"]) == (2, 2)
     assert rows[4]["recognised_after"] is None  # never: JSON knows no infinity
     shown, error = capsys.readouterr()
-    assert shown == "vehicle: pc05\n\n" + (tmp_path / "soil_table.md").read_text()
+    whole = (tmp_path / "soil_table.md").read_text()
+    assert shown.startswith("vehicle: pc05\n\n" + for_terminal(whole))
+    assert max(map(len, shown.splitlines())) <= WIDTH
     assert error == ""
-    lines = [line for line in shown.splitlines() if line.startswith("|")]
+    lines = [line for line in whole.splitlines() if line.startswith("|")]
     assert len(lines) == 2 + 4 + 2 + 2
     assert len({len(line) for line in lines[:6]}) == len({len(line) for line in lines[6:]}) == 1
     assert " 2/2 " in lines[2]
     assert " never " in lines[8].replace("(", " ").replace(")", " ")
     assert len(counted.trials) == 6 * 2
+
+
+def timeless(shown: str) -> list[str]:
+    """Its lines, but for the one that has the time which the study took."""
+    return [line for line in shown.splitlines() if not re.fullmatch(r"\d+ .* in [\d.]+ s", line)]
 
 
 def trials_of(
@@ -92,9 +101,9 @@ def test_an_interrupted_study_goes_on_run_by_run(
     second, third = trials_of(command, monkeypatch), trials_of(command, monkeypatch)
     assert (len(first), len(second), len(third)) == (3, 3, 0)
     assert len({*first, *second}) == 6
-    whole = capsys.readouterr().out
+    whole = timeless(capsys.readouterr().out)
     assert len(trials_of([*command, "--fresh"], monkeypatch)) == 6
-    assert whole == 2 * capsys.readouterr().out
+    assert whole == 2 * timeless(capsys.readouterr().out)
     more = trials_of([*command, "--seeds", "3"], monkeypatch)
     assert [trial.seed for trial in more] == [2, 2, 2]
 

@@ -17,6 +17,7 @@ from trackslip_sim.study.slip.parameters import Cell, cells, load_study_paramete
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
+from trackslip_tools.terminal_text import WIDTH, for_terminal
 
 KEYS = {
     *("truth", "soil", "filter", "sigma_xy", "sigma_omega", "seeds"),
@@ -57,7 +58,9 @@ def test_it_writes_rows_table_and_figures(
     assert all(row.keys() >= KEYS and row["soil"] == "sand" and row["seeds"] == 2 for row in rows)
     assert all(0.0 < row["position_rmse"] < 10.0 * row["position_bound"] for row in rows)
     shown, error = capsys.readouterr()
-    assert shown == "vehicle: pc05\n\n" + (tmp_path / "study_table.md").read_text()
+    whole = (tmp_path / "study_table.md").read_text()
+    assert shown.startswith("vehicle: pc05\n\n" + for_terminal(whole))
+    assert max(map(len, shown.splitlines())) <= WIDTH
     assert error == ""  # no progress bar in a pipe
     drawn = {path.name for path in (tmp_path / "figures").iterdir()}
     assert drawn == {

@@ -16,7 +16,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import YawRate
 from trackslip_estimation.slip.observation import observed
 from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
-from trackslip_estimation.slip.records import to_records
+from trackslip_estimation.slip.records import STATE, to_records
 from trackslip_tools.calibration.calibrate import Calibration, calibrate
 from trackslip_tools.calibration.finding import Finding
 from trackslip_tools.calibration.output import summary, text, write_parameters
@@ -295,7 +295,7 @@ def test_a_scaled_gyro_is_read_in_true_units() -> None:
         load_slip_parameters({"sources.imu_data_raw.sign": -1, "sources.imu_data_raw.scale": 0.5})
     )
     records = to_records([YawRate("imu/data_raw", 1, 0.2, 4e-6)], estimator.sources)
-    z, R = observed(records[0], False, estimator.config[0])
+    z, R = observed(records[0], np.zeros(1, STATE)[0], estimator.config[0])
     assert (z[0], R[0, 0]) == (pytest.approx(-0.4), pytest.approx(16e-6))
 
 

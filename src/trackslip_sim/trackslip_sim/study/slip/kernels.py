@@ -87,7 +87,7 @@ def bound(
         before, stamp_ns = states[k].copy(), measurement.stamp_ns
         kind = measurement.kind
         if kind != SPROCKETS:
-            z, R = observed(measurement, False, c)
+            z, R = observed(measurement, drive, c)
             left, right, _ = comparable_speeds(kind, drive, c)
             add_rounding(kind, before, R, drive, c)
             H = jacobian(kind, before, z.size, (left, right), c)
@@ -122,7 +122,7 @@ def draw(
         states[k], stamp_ns = x, measurement.stamp_ns
         kind = measurement.kind
         if kind != SPROCKETS:
-            z, R = observed(measurement, False, c)
+            z, R = observed(measurement, drive, c)
             m = z.size
             speeds = drive.speeds.left, drive.speeds.right
             values[k, :m] = expected(kind, x, m, speeds, c) + apply(root(R), normals[k, n : n + m])
