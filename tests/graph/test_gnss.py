@@ -79,7 +79,7 @@ def test_what_befalls_a_receiver_is_reported_and_passes(machine, observer):
         found = latest(name)
         return found is not None and getattr(found, part) == value
 
-    for kind, level in (("unplug", b"\2"), ("wrong_baud", b"\3"), ("no_fix", b"\3")):
+    for kind, level in (("unplug", b"\2"), ("wrong_baud", b"\2"), ("no_fix", b"\1")):
         before = len(poses)
         fault.publish(String(data=f"{{sensor: gnss, kind: {kind}, duration: 3.0}}"))
         observer.wait(lambda level=level: reports("nmea_gnss", "level", level), f"{kind} to be reported")

@@ -4,7 +4,9 @@
 import math
 import time
 from collections import defaultdict
+from collections.abc import Mapping
 from datetime import datetime, timezone
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from rclpy.clock import Clock, ClockType
@@ -52,6 +54,7 @@ class DriverNode(TrackslipNode[P]):
     device = "sensor"  # what the crew calls it
     carries = "bytes"
     advice = "check power and port"  # where nothing comes
+    passing: Mapping[str, str] = MappingProxyType({})  # reasons that are no fault of the link → what to do
     period = 1.0  # s between messages when all is well
     silence = math.inf  # s without a byte or frame after which the port is opened anew
 
@@ -173,6 +176,8 @@ class DriverNode(TrackslipNode[P]):
         if state.silent_s > 0.5 * limit_s:
             return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"
         reason = self.tally.latest or "nothing whole yet"
+        if reason in self.passing:
+            return WARN, f"{where}: {reason}{talk}; {self.passing[reason]}"
         return (
             ERROR,
             f"{where}: {self.carries} come, but nothing of use: {reason}{talk}; check rate and format",

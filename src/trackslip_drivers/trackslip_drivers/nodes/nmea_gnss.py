@@ -3,6 +3,7 @@
 
 import sys
 from collections.abc import Iterable
+from types import MappingProxyType
 
 from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, topic_class
@@ -19,6 +20,7 @@ class NmeaNode(DriverNode[NmeaParameters]):
     """Bytes in, ``fix`` and ``heading`` out."""
 
     device = "GNSS receiver"
+    passing = MappingProxyType({"no fix": "give the antenna sight of the sky"})
     silence = 10.0  # a receiver that is told to start cold needs longer, but then speaks of no fix
 
     def __init__(self) -> None:
