@@ -25,7 +25,7 @@ def test_lists_become_groups() -> None:
     }
     p = load_slip_parameters(current_names(stated))
     assert [source.use_heading for source in p.poses().values()] == [True, False]
-    assert [source.lever for source in p.poses().values()] == [(0.0, 0.0), (0.4, 0.0)]
+    assert [source.lever for source in p.poses().values()] == [(0.0, 0.0, 0.0), (0.4, 0.0, 0.0)]
     assert [source.timeout for source in p.poses().values()] == [2.0, 2.0]
     gyro = p.gyros()["imu/data_raw"]
     assert (gyro.sign, gyro.stddev) == (-1, 0.01)

@@ -93,7 +93,7 @@ def measurements(recording: Recording) -> Iterator[Measurement]:
 
 @cache
 def calibrated(machine: Machine) -> Calibration:
-    return calibrate([recorded(machine)], P, SOURCES)
+    return calibrate([recorded(machine)], P, SOURCES, everything=True)
 
 
 @cache

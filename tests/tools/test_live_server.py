@@ -126,7 +126,7 @@ def test_a_page_that_does_not_read_costs_nothing_and_later_gets_all_anew(
             received.append(json.loads(await lazy.read_message()))
             server.push({"number": 100})
         assert len(received) < 60
-        assert received[-1]["run"] == "a" or any("run" in one for one in received[1:])
+        assert received[-1].get("run") == "a" or any("run" in one for one in received[1:])
         lazy.close()
 
     talk(conversation)

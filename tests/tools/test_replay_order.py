@@ -135,7 +135,8 @@ def test_stretches_are_ordered_as_the_whole_is(seed: int) -> None:
     whole, counts = ordered(arrivals, lines)
     cuts = tuple(np.sort(rng.integers(0, 200 * step, 40)).tolist())
     found, counts_of_cuts = ordered(arrivals, lines, cuts)
-    np.testing.assert_array_equal(found, whole)
+    for name in whole.dtype.names:  # by fields: nan is what was not measured
+        np.testing.assert_array_equal(found[name], whole[name])
     assert counts_of_cuts == counts
     assert counts.lost_inputs > 0
 
