@@ -262,7 +262,7 @@ BAD_LOGS = {
     "no row of": LOG.replace(",180,", ",,").replace(",360,", ",,"),
     "no rows below the header": LOG.splitlines()[0] + "\n",
     "no column 't'; the columns are: none": "",
-    "no column 't'; the columns are: tt, wl": LOG.replace("t,", "tt,", 1),
+    "no column 't', did you mean 'tt'?": LOG.replace("t,", "tt,", 1),
 }
 
 

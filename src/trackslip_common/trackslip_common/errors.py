@@ -6,7 +6,7 @@ from enum import IntEnum
 from typing import TextIO
 
 _LONGEST_LINE = 900  # characters
-_LIKE = 0.75  # of 1: how near a word must be to one that was mistyped
+_LIKE = 0.66  # of 1: how near a word must be to one that was mistyped
 _MOST_NAMES = 12  # that are listed
 
 
