@@ -254,11 +254,11 @@ class Observer:
 
         self.wait(all_there, f"{nodes} on {topic}")
 
-    def wait_for_recorder(self, healths: list[Any], *topics: str) -> None:
-        """Until the recorder itself has found a publisher of each of these topics."""
+    def wait_for_recorder(self, healths: list[Any], *topics: str, recorder: str = "record") -> None:
+        """Until a recorder itself has found a publisher of each of these topics."""
 
         def found() -> bool:
-            reports = [health for health in healths if health.name == "record: publishers"][-1:]
+            reports = [health for health in healths if health.name == f"{recorder}: publishers"][-1:]
             counts = {pair.key: int(pair.value) for health in reports for pair in health.values}
             return all(counts.get(f"/{topic}", 0) > 0 for topic in topics)
 
