@@ -36,7 +36,13 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
-from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal, YawRateSource, named
+from trackslip_estimation.slip.sources import (
+    HEADING_MESSAGES,
+    OdometrySource,
+    Refusal,
+    YawRateSource,
+    named,
+)
 
 LOCAL = "odometry/local"
 
@@ -84,6 +90,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         for source, compass in p.compasses().items():
             on_heading = partial(self._on_heading, source=source, variance=compass.stddev**2)
             self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
+        for source, stated in p.odometries().items():
+            on_odometry = partial(self._on_odometry, source=source, stated=stated)
+            self._listen(topic_class("odometry"), source, on_odometry)
         for source in named(p.slip_sources):
             self._listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
@@ -142,6 +151,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_heading(self, message: Any, source: str, variance: float) -> None:
         self._use(source, conversions.heading_fix(message, source, variance))
+
+    def _on_odometry(self, message: Any, source: str, stated: OdometrySource) -> None:
+        self._use(source, conversions.odometry_pose(message, source, stated))
 
     def _on_slips(self, message: Any, source: str) -> None:
         self._process(conversions.slip_fix(message, source))

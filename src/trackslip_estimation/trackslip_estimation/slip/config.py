@@ -13,10 +13,11 @@ from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANT
 from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.coasting import motion_limits
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
-from trackslip_estimation.slip.models.model import SIZE
+from trackslip_estimation.slip.models.model import SENSOR_ERRORS, SIZE
 from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ADAPTATION, MOST_SOURCES
+from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME
 
 ConfigRecord = NDArray[np.void]
 
@@ -62,6 +63,12 @@ CONFIG = np.dtype(
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_offset", np.float64, (MOST_SOURCES,)),  # rad
         ("correlation_times", np.float64, (MOST_SOURCES,)),  # s
+        ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
+        ("mountings", np.float64, (MOST_SOURCES, 4)),  # of odometry: from its axes to base_link's, x, y, z, w
+        ("odometry_number", np.int64, (MOST_SOURCES,)),  # among those
+        ("odometry_noise", np.int64, (MOST_SOURCES,)),  # of ``increments``: where its covariance comes from
+        ("odometry_variances", np.float64, (MOST_SOURCES, 2)),  # where it has none, (m/s)², (rad/s)²
+        ("odometry_gap", np.float64, (MOST_SOURCES,)),  # s
         ("tilt_source", np.int64),  # the IMU that tells the attitude; −1: none, the ground is flat
         ("tilt_lever", np.float64, (3,)),  # its place, m
         ("attitude", ATTITUDE_CONSTANTS),
@@ -90,6 +97,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["clock"] = (round(p.max_gap * 1e9), p.jump_confirmations, c["sprocket_timeout_ns"])
     _set_model(c, p)
     _set_sources(c, p)
+    _set_odometry(c, p)
     return config
 
 
@@ -137,3 +145,19 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
     c["attitude"], c["tilt_source"] = attitude_constants(p.attitude), -1
     if p.tilt_source is not None:
         c["tilt_source"], c["tilt_lever"] = numbers[p.tilt_source], p.gyros()[p.tilt_source].lever
+
+
+def _set_odometry(c: Any, p: SlipEstimatorParameters) -> None:
+    """Each has a number of its own in the state: by how much its lengths err."""
+    c["own_errors"] = -1
+    numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
+    for own, (name, odometry) in enumerate(p.odometries().items()):
+        k, place = numbers[name], SENSOR_ERRORS + own
+        c["own_errors"][k], c["odometry_number"][k] = place, own
+        c["levers"][k], c["mountings"][k] = odometry.lever, odometry.mounting
+        c["odometry_noise"][k] = COVARIANCES.index(odometry.covariance)
+        c["odometry_variances"][k] = odometry.velocity_stddev**2, odometry.yaw_rate_stddev**2
+        c["odometry_gap"][k] = odometry.max_gap
+        c["prior_variance"][place] = c["prior_covariance"][place, place] = odometry.drift**2
+        c["process_noise"][..., place] = odometry.drift**2 / DRIFT_TIME
+        c["active"] = place + 1

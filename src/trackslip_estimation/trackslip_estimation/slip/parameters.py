@@ -17,10 +17,11 @@ from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.motion import MotionParameters
-from trackslip_estimation.slip.records import MOST_SOURCES
+from trackslip_estimation.slip.records import MOST_ODOMETRIES, MOST_SOURCES
 from trackslip_estimation.slip.sources import (
     KINDS,
     HeadingSource,
+    OdometrySource,
     PoseSource,
     Source,
     YawRateSource,
@@ -62,6 +63,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     heading_sources: tuple[str, ...] = parameter(
         "topics of headings, such as a pair of antennas shows; '' names none. With one and start: first_fix, "
         "the start heading is what it says"
+    )
+    odometry_sources: tuple[str, ...] = parameter(
+        "topics of Odometry of a laser or camera, of which what it moved counts, never where it believes to be; "
+        "'' names none"
     )
     sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
@@ -120,6 +125,12 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
                 f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}"
             )
 
+        if len(self.odometries()) > MOST_ODOMETRIES:
+            there = len(self.odometries())
+            raise InputError(
+                f"{NODE}: odometry_sources: {there} sources; accepted: at most {MOST_ODOMETRIES}"
+            )
+
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
         """One for each source that the lists name.
@@ -169,6 +180,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     def compasses(self) -> dict[str, HeadingSource]:
         """By topic."""
         return self.of_kind("heading_sources")
+
+    def odometries(self) -> dict[str, OdometrySource]:
+        """By topic."""
+        return self.of_kind("odometry_sources")
 
     def timeouts_ns(self) -> dict[str, int]:
         """Of each source but the sprockets, by topic."""
