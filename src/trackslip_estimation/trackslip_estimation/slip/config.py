@@ -65,6 +65,7 @@ CONFIG = np.dtype(
         ("correlation_times", np.float64, (MOST_SOURCES,)),  # s
         ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
         ("mountings", np.float64, (MOST_SOURCES, 4)),  # of odometry: from its axes to base_link's, x, y, z, w
+        ("odometries", np.int64),  # how many there are
         ("odometry_number", np.int64, (MOST_SOURCES,)),  # among those
         ("odometry_noise", np.int64, (MOST_SOURCES,)),  # of ``increments``: where its covariance comes from
         ("odometry_variances", np.float64, (MOST_SOURCES, 2)),  # where it has none, (m/s)², (rad/s)²
@@ -150,6 +151,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
 def _set_odometry(c: Any, p: SlipEstimatorParameters) -> None:
     """Each has a number of its own in the state: by how much its lengths err."""
     c["own_errors"] = -1
+    c["odometries"] = len(p.odometries())
     numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
     for own, (name, odometry) in enumerate(p.odometries().items()):
         k, place = numbers[name], SENSOR_ERRORS + own

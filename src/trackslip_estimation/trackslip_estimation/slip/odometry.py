@@ -5,14 +5,15 @@
     T       time between two poses of the source                                            s
     s_o     by how much its lengths err: a state of each source                             1
     m       velocity errors (``speed``)                                                     m/s, rad/s
-    D       variance of z that m at the end of T leaves open                                (3,)
-    C       covariance of the pose with it                                                  (n, 3)
+    D       variance of the mean of m over T that m at its end leaves open                  (3,)
+    C       covariance of the pose with that                                                (n, 3)
     f       factor of R (``adaptation``)                                                    1
 
-Where a source believes to be drifts, and is never used; what it moved between two poses is. The motion model
-says as much of the sprockets' mean speeds over T; m at its end tells of its mean. What it leaves open has
-moved the pose too: by C the update takes that back, so that a way that the tracks slipped and a camera has
-not seen was not driven. A fix since the first pose has done so already; then there is no C.
+Where a source believes to be drifts, and is never used; what it moved between two poses is. It is held
+against what the filter predicted meanwhile. That errs by the slow states, and by the mean of m: in part as m
+does at the end of T. The rest has moved the pose too: by C the update takes that back, so that a way that the
+tracks slipped and a camera has not seen was not driven. A fix since the first pose has done so already; then
+there is no C.
 
 Odometry and tracks show nothing of s_o, which fixes do: it stays as it was (Schmidt). Inside the gate an
 increment is used in full; with less weight where only the largest track error explains it; beyond it is
@@ -52,21 +53,41 @@ FloatArray = NDArray[np.float64]
 _GATED, _BEGUN, _STANDING = int(Outcome.GATED), int(Outcome.BEGUN), int(Motion.STANDING)
 _LATE = 2.0  # s of increments that agree on other ground
 _SLOWEST = 0.02  # m/s of the tracks, below which nothing is said of slip
+_SIGNIFICANT = 3.0  # standard deviations of a slip that differs
 _LASTS = 1.0  # s for which an unknown speed lasts, as in ``coasting``
 
 
 @compiled
 def _agree_on_nothing(before: Any) -> None:
     before.slip_weight = before.slip_sum = before.slip_way = 0.0
+    before.slip_ns = before.stamp_ns
 
 
 @compiled
 def begin_odometry(state: Any) -> None:
     """At the start of the estimate."""
-    state.driven[:], state.fixed_ns = 0.0, state.stamp_ns
+    state.driven[:], state.moved[:], state.fixed_ns = 0.0, 0.0, state.stamp_ns
     for k in range(state.odometry.size):
         state.odometry[k].known = False
         _agree_on_nothing(state.odometry[k])
+
+
+@compiled
+def follow_motion(state: Any, dt: float, c: Any) -> None:
+    """What is predicted to move in the next ``dt`` s, before it does."""
+    if c.odometries == 0:
+        return
+    left, right, x = state.speeds.left, state.speeds.right, state.mean.copy()
+    if has_velocity_errors(c):
+        share = speed.persistence(dt, state.motion.motion, c)[1]
+        x[SPEED_ERROR] *= share
+        x[YAW_RATE_ERROR] *= share
+    v_x, v_y, rate = body_twist(x, left, right, state, c)
+    state.driven[0] += left * dt
+    state.driven[1] += right * dt
+    state.moved[0] += v_x * dt
+    state.moved[1] += v_y * dt
+    state.moved[2] += rate * dt
 
 
 @inlined
@@ -85,7 +106,9 @@ def use_odometry(state: Any, measurement: Any, c: Any, update: Any) -> None:
         update.outcome = _BEGUN
     before.known, before.coasting, before.stamp_ns = True, state.coasting, measurement.stamp_ns
     before.frame, before.place[:], before.turn[:] = measurement.frame, measurement.value, measurement.turn
-    before.noise[:], before.driven[:] = measurement.noise, state.driven
+    before.noise[:], before.driven[:], before.moved[:] = measurement.noise, state.driven, state.moved
+    before.errors[0] = state.covariance[SPEED_ERROR, SPEED_ERROR]
+    before.errors[1] = state.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR]
 
 
 @compiled
@@ -97,11 +120,10 @@ def _use(
     limit, factors = c.gate_limits[3], a.fix_factors
     before = state.odometry[c.odometry_number[source]]
     left, right = (state.driven[0] - before.driven[0]) / T, (state.driven[1] - before.driven[1]) / T
-    h, H = _expected(state, (left, right, T), source, c)
-    open_, D = _left_open(state, (left, right, T), c), np.zeros((3, 3))
-    for k in range(3):
-        D[k, k] = open_[k]
-    _add_rounding(state, (left, right, T), source, c, D)
+    share, open_ = _by_errors(state, before, (left, right, T), c)
+    h, H = _expected(state, before, (left, right, T), (source, share), c)
+    D = np.diag(open_)
+    _add_rounding(state, (left, right, T), c, D)
     innovation = z - h
     if has_velocity_errors(c) and not state.coasting:
         of_errors = H[0, SPEED_ERROR] ** 2 * state.covariance[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
@@ -112,8 +134,7 @@ def _use(
     update.dof, update.gate = 3, limit * width_of(state, measurement, c)
     most, by_tracks = S.copy(), np.zeros(3)
     if has_velocity_errors(c) and not state.coasting:
-        share = speed.persistence(T, state.motion.motion, c)[1]
-        by_tracks[:] = _by_tracks(state, (left, right, T), share, c)
+        by_tracks[:] = _by_tracks(state, (left, right, T), c)
         lacking = c.adaptation.track_variances[-1] - a.track_variance
         for k in range(3):
             most[k, k] += lacking * by_tracks[k]
@@ -152,7 +173,7 @@ def _weigh_slip(
     """
     (innovation, track, T), (H, own) = shown, expected
     x, P = state.mean, state.covariance
-    if abs(track) < _SLOWEST:
+    if abs(track) < max(_SLOWEST, abs(innovation)):  # no ground does that
         return
     slow = H[:1].copy()
     slow[0, SPEED_ERROR] = slow[0, YAW_RATE_ERROR] = 0.0
@@ -160,10 +181,12 @@ def _weigh_slip(
     kept = math.exp(-T / _LATE)
     before.slip_weight = kept * before.slip_weight + track * track / own
     before.slip_sum = kept * before.slip_sum - track * innovation / own
-    before.slip_way = kept * before.slip_way + track * T
-    off = before.slip_sum / before.slip_weight
-    if off * off > c.gate_limits[1] * (1.0 / before.slip_weight + known / (track * track)):
-        way = before.slip_way if state.fixed_ns < before.stamp_ns - round(_LATE * 1e9) else 0.0
+    before.slip_way += track * T
+    off, variance = before.slip_sum / before.slip_weight, 1.0 / before.slip_weight + known / (track * track)
+    if off * off <= variance:
+        before.slip_way, before.slip_ns = 0.0, before.stamp_ns
+    elif off * off > _SIGNIFICANT**2 * variance:
+        way = before.slip_way if state.fixed_ns < before.slip_ns else 0.0
         by = np.zeros(P.shape[0])
         by[COMMON_SLIP], by[X], by[Y] = off, -off * way * math.cos(x[YAW]), -off * way * math.sin(x[YAW])
         P += np.outer(by, by)
@@ -172,42 +195,62 @@ def _weigh_slip(
 
 @compiled
 def _expected(
-    state: Any, drive: tuple[float, float, float], source: int, c: Any
+    state: Any, before: Any, drive: tuple[float, float, float], of: tuple[int, tuple[float, float]], c: Any
 ) -> tuple[FloatArray, FloatArray]:
-    """h (3,) and H (3, n); ``drive``: mean sprocket speeds over T, rad/s, and T."""
-    (left, right, T), x, share = drive, state.mean.copy(), 1.0
-    if has_velocity_errors(c):
-        share = 0.0 if state.coasting else speed.persistence(T, state.motion.motion, c)[1]
-        x[SPEED_ERROR] *= share
-        x[YAW_RATE_ERROR] *= 1.0 if state.coasting else share
-    v_x, v_y, rate = body_twist(x, left, right, state, c)
-    H, own = body_jacobian(x, left, right, state, c), c.own_errors[source]
-    if has_velocity_errors(c):
-        for i in range(3):
-            H[i, SPEED_ERROR] *= share
-            H[i, YAW_RATE_ERROR] *= 1.0 if state.coasting else share
-    scale = 1.0 + (x[own] if own >= 0 else 0.0)
-    for j in range(x.size):
-        H[0, j] *= scale
-        H[1, j] *= scale
-    if own >= 0:
-        H[0, own], H[1, own] = v_x, v_y
-    return np.array((scale * v_x, scale * v_y, rate)), H
+    """h (3,) and H (3, n).
+
+    ``drive``: mean sprocket speeds over T, rad/s, and T. ``of``: number of the source, and by how much the
+    means of both velocity errors err as they do now.
+    """
+    (left, right, T), (source, share) = drive, of
+    own, h = c.own_errors[source], (state.moved - before.moved) / T
+    scale = 1.0 + (state.mean[own] if own >= 0 else 0.0)
+    H = body_jacobian(state.mean, left, right, state, c)
+    for i in range(3):
+        if has_velocity_errors(c):
+            H[i, SPEED_ERROR] *= share[0]
+            H[i, YAW_RATE_ERROR] *= share[1]
+        if i < YAW:
+            for j in range(state.mean.size):
+                H[i, j] *= scale
+            if own >= 0:
+                H[i, own] = h[i]
+            h[i] *= scale
+    return h, H
 
 
 @compiled
-def _left_open(state: Any, drive: tuple[float, float, float], c: Any) -> FloatArray:
-    """D. Where the sprockets are silent the machine may go as fast as it can."""
-    (left, right, T), found = drive, np.zeros(3)
+def _by_errors(
+    state: Any, before: Any, drive: tuple[float, float, float], c: Any
+) -> tuple[tuple[float, float], FloatArray]:
+    """By how much the means of both velocity errors over T err as they do at its end, and D (3,).
+
+    Where the sprockets are silent the machine may go as fast as it can.
+    """
+    (left, right, T), D = drive, np.zeros(3)
     if state.coasting:
-        found[0] = found[1] = 2.0 * _LASTS * c.speed_limit**2 / T
-        return found
-    if has_velocity_errors(c):
-        variances = speed.error_variances(state.mean, state.covariance, state, c)
-        of_mean = speed.error_growth(T, state.motion.motion, c)[0]
-        found[0], found[2] = of_mean * variances[0], of_mean * variances[1]
-        found[1] = state.adaptation.track_variance * _sideways(left, right, T, c)
-    return found
+        D[0] = D[1] = 2.0 * _LASTS * c.speed_limit**2 / T
+        return (0.0, 1.0), D
+    if not has_velocity_errors(c):
+        return (0.0, 0.0), D
+    variances = speed.error_variances(state.mean, state.covariance, state, c)
+    kept, mean = speed.persistence(T, state.motion.motion, c)
+    of_mean, of_both, of_end = speed.error_growth(T, state.motion.motion, c)
+    ahead, D[0] = _split(before.errors[0], variances[0], (kept, mean), (of_mean, of_both, of_end))
+    turned, D[2] = _split(before.errors[1], variances[1], (kept, mean), (of_mean, of_both, of_end))
+    D[1] = state.adaptation.track_variance * _sideways(left, right, T, c)
+    return (ahead, turned), D
+
+
+@compiled
+def _split(
+    first: float, own: float, persistence: tuple[float, float], growth: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Of the mean over T of an error whose variance was ``first``: factor of that at the end, and the rest."""
+    (kept, mean), (of_mean, of_both, of_end) = persistence, growth
+    both, end = kept * mean * first + of_both * own, kept * kept * first + of_end * own
+    factor = both / end if end > 0.0 else 0.0
+    return factor, max(mean * mean * first + of_mean * own - factor * both, 0.0)
 
 
 @compiled
@@ -218,27 +261,26 @@ def _sideways(left: float, right: float, T: float, c: Any) -> float:
 
 
 @compiled
-def _by_tracks(state: Any, drive: tuple[float, float, float], share: float, c: Any) -> FloatArray:
+def _by_tracks(state: Any, drive: tuple[float, float, float], c: Any) -> FloatArray:
     """(3,) what of S is the tracks', for a track error of 1."""
     left, right, T = drive
-    a, of_mean = state.adaptation, speed.error_growth(T, state.motion.motion, c)[0]
+    share, of_mean = speed.persistence(T, state.motion.motion, c)[1], speed.error_growth(T, state.motion.motion, c)[0]
     U = speed.track_exposure(state, c)
-    ahead = c.adaptation.forward**2 / 4.0 * (share**2 * a.speed_exposure + of_mean * U)
+    ahead = c.adaptation.forward**2 / 4.0 * (share**2 * state.adaptation.speed_exposure + of_mean * U)
     return np.array((ahead, _sideways(left, right, T, c), of_mean * U / c.tread**2))
 
 
 @compiled
-def _add_rounding(state: Any, drive: tuple[float, float, float], source: int, c: Any, D: FloatArray) -> None:
+def _add_rounding(state: Any, drive: tuple[float, float, float], c: Any, D: FloatArray) -> None:
     """What the rounding of the counts adds to the expected means."""
     if not state.speeds.differenced or c.encoder_resolution == 0.0:
         return
     left, right, T = drive
-    e = rounding(T, c.encoder_resolution)
-    by_left = _expected(state, (left + e, right, T), source, c)[0]
-    by_left -= _expected(state, (left - e, right, T), source, c)[0]
-    by_right = _expected(state, (left, right + e, T), source, c)[0]
-    by_right -= _expected(state, (left, right - e, T), source, c)[0]
-    D += (np.outer(by_left, by_left) + np.outer(by_right, by_right)) / 4.0
+    e, x = rounding(T, c.encoder_resolution), state.mean
+    for on_left, on_right in ((e, 0.0), (0.0, e)):
+        more = np.array(body_twist(x, left + on_left, right + on_right, state, c))
+        less = np.array(body_twist(x, left - on_left, right - on_right, state, c))
+        D += np.outer(more - less, more - less) / 4.0
 
 
 @compiled

@@ -95,10 +95,13 @@ ODOMETRY_POSE = np.dtype(  # of a source, at the begin of its next increment
         ("place", np.float64, (3,)),
         ("turn", np.float64, (4,)),
         ("noise", np.float64, (3, 3)),
-        ("driven", np.float64, (2,)),  # by the sprockets, rad
+        ("driven", np.float64, (2,)),  # of the state then
+        ("moved", np.float64, (3,)),  # as well
+        ("errors", np.float64, (2,)),  # variances of the velocity errors then, (m/s)², (rad/s)²
         ("slip_weight", np.float64),  # of what increments of late say that i₀ is off by, 1/variance
         ("slip_sum", np.float64),  # that times its weight
-        ("slip_way", np.float64),  # that the tracks have gone meanwhile, m
+        ("slip_way", np.float64),  # that the tracks have gone since it is, m
+        ("slip_ns", np.int64),  # stamp since when
     ],
     align=True,
 )
@@ -129,6 +132,7 @@ STATE = np.dtype(
         ("attitude", ATTITUDE),
         ("odometry", ODOMETRY_POSE, (MOST_ODOMETRIES,)),
         ("driven", np.float64, (2,)),  # by left and right sprocket since the start, rad
+        ("moved", np.float64, (3,)),  # ∫ of the twist as it was predicted, since the start: m, m, rad
         ("fixed_ns", np.int64),  # stamp of the last fix
         ("aligning", np.bool_),  # the heading is not known yet
         ("refused_count", np.int64),  # since a fix was inside its gate

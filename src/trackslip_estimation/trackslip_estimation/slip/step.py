@@ -32,7 +32,7 @@ from trackslip_estimation.slip.models.dispatch import (
 )
 from trackslip_estimation.slip.models.model import SIZE, YAW
 from trackslip_estimation.slip.motion import Motion, update_motion
-from trackslip_estimation.slip.odometry import use_odometry
+from trackslip_estimation.slip.odometry import follow_motion, use_odometry
 from trackslip_estimation.slip.records import HEADING, MANUAL, ODOMETRY, POSE, SPROCKETS, YAW_RATE
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
 from trackslip_estimation.slip.tilt import rise, tilt_by
@@ -114,8 +114,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
 def propagate(state: Any, dt: float, c: Any) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
     x, P = state.mean, state.covariance
-    state.driven[0] += state.speeds.left * dt
-    state.driven[1] += state.speeds.right * dt
+    follow_motion(state, dt, c)
     rise(state, dt, c)
     if has_velocity_errors(c):
         pass_time(state, dt, c)
