@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Odometry of a camera as increments: what it moved, on ground that slips; jumps, gaps, and what it states."""
+"""Odometry of a camera as increments: what it moved on ground that slips; jumps, gaps, what it states."""
 
 import random
 from dataclasses import replace
@@ -16,7 +16,14 @@ from trackslip_common.nodes.messages import make
 from trackslip_estimation.slip.conversions import odometry_pose
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.increments import POSE_GROWTH, TWIST, increment, variances_stated
-from trackslip_estimation.slip.measurements import Measurement, OdometryPose, Outcome, PoseFix, Report, Sprockets
+from trackslip_estimation.slip.measurements import (
+    Measurement,
+    OdometryPose,
+    Outcome,
+    PoseFix,
+    Report,
+    Sprockets,
+)
 from trackslip_estimation.slip.mounting import quaternion_of
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Refusal
@@ -179,9 +186,9 @@ def test_covariance_is_the_twists_or_the_growth_of_the_poses_or_declared() -> No
         return variances_stated.py_func(SimpleNamespace(noise=before), measured, 0.5, c)
 
     nothing, twist = np.zeros((2, 3)), np.array(((1e-4, 4e-4, 0.0), (0.0, 0.0, 1e-6)))
-    by_turn = np.array((4e-6, 1e-6, 0.0))
-    np.testing.assert_allclose(stated(TWIST, nothing, twist), (4e-4, 1e-4, 1e-6) + by_turn, rtol=1e-9)
-    grown = twist + ((2e-4, 4e-4, 0.0), (0.0, 0.0, 1e-6))
+    by_turn, twist_there = np.array((4e-6, 1e-6, 0.0)), np.array((4e-4, 1e-4, 1e-6))
+    np.testing.assert_allclose(stated(TWIST, nothing, twist), by_turn + twist_there, rtol=1e-9)
+    grown = twist + np.array(((2e-4, 4e-4, 0.0), (0.0, 0.0, 1e-6)))
     np.testing.assert_allclose(
         stated(POSE_GROWTH, twist, grown), (1.2e-3, 1.2e-3, 4e-6) + 4.0 * by_turn, rtol=1e-9
     )

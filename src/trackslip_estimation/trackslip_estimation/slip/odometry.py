@@ -97,7 +97,7 @@ def use_odometry(state: Any, measurement: Any, c: Any, update: Any) -> None:
     before = state.odometry[c.odometry_number[source]]
     T = (measurement.stamp_ns - before.stamp_ns) * 1e-9
     if before.known and before.frame == measurement.frame and before.coasting == state.coasting:
-        if T <= c.odometry_gap[source]:
+        if c.odometry_gap[source] >= T:
             z, stated = increment(before, measurement, T, c), variances_stated(before, measurement, T, c)
             _use(state, (z, np.diag(stated), T), measurement, c, update)
         else:
@@ -246,7 +246,7 @@ def _by_errors(
 def _split(
     first: float, own: float, persistence: tuple[float, float], growth: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """Of the mean over T of an error whose variance was ``first``: factor of that at the end, and the rest."""
+    """Of the mean over T of an error that had the variance ``first``: factor of that at its end; the rest."""
     (kept, mean), (of_mean, of_both, of_end) = persistence, growth
     both, end = kept * mean * first + of_both * own, kept * kept * first + of_end * own
     factor = both / end if end > 0.0 else 0.0
@@ -264,7 +264,10 @@ def _sideways(left: float, right: float, T: float, c: Any) -> float:
 def _by_tracks(state: Any, drive: tuple[float, float, float], c: Any) -> FloatArray:
     """(3,) what of S is the tracks', for a track error of 1."""
     left, right, T = drive
-    share, of_mean = speed.persistence(T, state.motion.motion, c)[1], speed.error_growth(T, state.motion.motion, c)[0]
+    share, of_mean = (
+        speed.persistence(T, state.motion.motion, c)[1],
+        speed.error_growth(T, state.motion.motion, c)[0],
+    )
     U = speed.track_exposure(state, c)
     ahead = c.adaptation.forward**2 / 4.0 * (share**2 * state.adaptation.speed_exposure + of_mean * U)
     return np.array((ahead, _sideways(left, right, T, c), of_mean * U / c.tread**2))
@@ -301,7 +304,7 @@ def _shared(state: Any, since_ns: int, T: float, open_: FloatArray) -> FloatArra
 def _correct(
     state: Any, given: tuple[FloatArray, FloatArray], H: FloatArray, C: FloatArray, own: int
 ) -> None:
-    """Kalman update with an innovation (3,) and R (3, 3), whose errors have the covariance C with the state's.
+    """Update with an innovation (3,) and R (3, 3), whose errors have the covariance C with the state's.
 
     K = (P Hᵀ + C) S⁻¹,  P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ − C Kᵀ − K Cᵀ, for H C = 0: H has no pose.
     """

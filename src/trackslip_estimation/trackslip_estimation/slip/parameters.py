@@ -65,8 +65,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         "the start heading is what it says"
     )
     odometry_sources: tuple[str, ...] = parameter(
-        "topics of Odometry of a laser or camera, of which what it moved counts, never where it believes to be; "
-        "'' names none"
+        "topics of Odometry of a laser or camera: what it moved counts, never where it is; '' names none"
     )
     sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)

@@ -15,10 +15,10 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.attitude.filter import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
+from trackslip_estimation.slip.increments import is_pose
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.increments import is_pose
 from trackslip_estimation.slip.observation import fill_outputs, sensor_place, to_sensor
 from trackslip_estimation.slip.odometry import begin_odometry
 from trackslip_estimation.slip.records import (

@@ -152,10 +152,10 @@ class HeadingSource(Source):
 
 
 COVARIANCES = ("twist", "pose", "declared")  # in the order of ``increments``
-ODOMETRY_FIELDS = {  # by those: what is read of a message; what of it says that there is none, and what that is
+ODOMETRY_FIELDS = {  # by those: what is read of a message, what of it says that there is none, refusal then
     "twist": ("twist_variances", "twist_absent", Refusal.NO_VELOCITY),
     "pose": ("pose_variances", "pose_absent", Refusal.NO_POSE),
-    "declared": ("", "", None),
+    "declared": ("", "", Refusal.NO_POSE),
 }
 DRIFT_TIME = 60.0  # s in which the drift of an odometry has become another, by as much as it is
 

@@ -300,7 +300,8 @@ def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, 
 def _frames(table: TopicTable) -> NDArray[np.int64]:
     """(n,) the number of each message's frame_id, as the live node has it."""
     numbers = table.rows(FrameFields)["frame"]
-    return np.array([frame_number(text) for text in table.texts], np.int64)[numbers]
+    of_texts: NDArray[np.int64] = np.array([frame_number(text) for text in table.texts], np.int64)
+    return np.asarray(of_texts[numbers])
 
 
 def _require_types(
