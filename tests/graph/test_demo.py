@@ -105,7 +105,7 @@ def answers(address):
         return False
 
 
-def test_the_page_comes_at_another_port_where_its_own_is_taken_and_its_end_is_not_the_demos(programs, observer):
+def test_the_page_comes_at_another_port_where_its_own_is_taken_and_may_end_alone(programs, observer):
     with socket.socket() as taken:
         with suppress(OSError):  # somebody else has it: just as well
             taken.bind(("127.0.0.1", 5006))
