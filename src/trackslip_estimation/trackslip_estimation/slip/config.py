@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All numbers of the compiled estimator in one record, made from its parameters."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANT
 from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.coasting import motion_limits
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
-from trackslip_estimation.slip.models.model import SENSOR_ERRORS, SIZE
+from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, SIZE
 from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ADAPTATION, MOST_SOURCES
@@ -98,7 +99,9 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["clock"] = (round(p.max_gap * 1e9), p.jump_confirmations, c["sprocket_timeout_ns"])
     _set_model(c, p)
     _set_sources(c, p)
-    _set_odometry(c, p)
+    numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
+    _set_odometry(c, p, numbers)
+    _set_own_errors(c, p, numbers)
     return config
 
 
@@ -148,18 +151,24 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
         c["tilt_source"], c["tilt_lever"] = numbers[p.tilt_source], p.gyros()[p.tilt_source].lever
 
 
-def _set_odometry(c: Any, p: SlipEstimatorParameters) -> None:
-    """Each has a number of its own in the state: by how much its lengths err."""
-    c["own_errors"] = -1
+def _set_odometry(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     c["odometries"] = len(p.odometries())
-    numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
-    for own, (name, odometry) in enumerate(p.odometries().items()):
-        k, place = numbers[name], SENSOR_ERRORS + own
-        c["own_errors"][k], c["odometry_number"][k] = place, own
+    for number, (name, odometry) in enumerate(p.odometries().items()):
+        k = numbers[name]
+        c["odometry_number"][k], c["odometry_noise"][k] = number, COVARIANCES.index(odometry.covariance)
         c["levers"][k], c["mountings"][k] = odometry.lever, odometry.mounting
-        c["odometry_noise"][k] = COVARIANCES.index(odometry.covariance)
         c["odometry_variances"][k] = odometry.velocity_stddev**2, odometry.yaw_rate_stddev**2
         c["odometry_gap"][k] = odometry.max_gap
-        c["prior_variance"][place] = c["prior_covariance"][place, place] = odometry.drift**2
-        c["process_noise"][..., place] = odometry.drift**2 / DRIFT_TIME
+
+
+def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
+    """The bias of each gyro after the first, and by how much the lengths of each odometry err."""
+    c["own_errors"] = -1
+    bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
+    errors = dict.fromkeys(list(p.gyros())[1:], bias)
+    errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
+    for place, (name, (variance, walk)) in enumerate(errors.items(), SENSOR_ERRORS):
+        c["own_errors"][numbers[name]] = place
+        c["prior_variance"][place] = c["prior_covariance"][place, place] = variance
+        c["process_noise"][..., place] = walk
         c["active"] = place + 1

@@ -16,6 +16,7 @@ from trackslip_common.vehicle import WithVehicle
 from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
+from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 from trackslip_estimation.slip.motion import MotionParameters
 from trackslip_estimation.slip.records import MOST_ODOMETRIES, MOST_SOURCES
 from trackslip_estimation.slip.sources import (
@@ -124,11 +125,14 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
                 f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}"
             )
 
-        if len(self.odometries()) > MOST_ODOMETRIES:
-            there = len(self.odometries())
+        odometries, own = len(self.odometries()), len(self.odometries()) + max(len(self.gyros()) - 1, 0)
+        if odometries > MOST_ODOMETRIES:
             raise InputError(
-                f"{NODE}: odometry_sources: {there} sources; accepted: at most {MOST_ODOMETRIES}"
+                f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"
             )
+        if own > MOST_SENSOR_ERRORS:
+            accepted = f"at most {MOST_SENSOR_ERRORS} together"
+            raise InputError(f"{NODE}: {own} gyros after the first one and odometries; accepted: {accepted}")
 
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:

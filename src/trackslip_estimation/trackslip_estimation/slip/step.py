@@ -33,6 +33,7 @@ from trackslip_estimation.slip.models.dispatch import (
 from trackslip_estimation.slip.models.model import SIZE, YAW
 from trackslip_estimation.slip.motion import Motion, update_motion
 from trackslip_estimation.slip.odometry import follow_motion, use_odometry
+from trackslip_estimation.slip.own_errors import exchange_bias
 from trackslip_estimation.slip.records import HEADING, MANUAL, ODOMETRY, POSE, SPROCKETS, YAW_RATE
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
 from trackslip_estimation.slip.tilt import rise, tilt_by
@@ -60,9 +61,12 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     elif measurement.kind == POSE:
         use_pose(state, measurement, c, update)
     elif measurement.kind == YAW_RATE:
+        own = c.own_errors[measurement.source]
+        exchange_bias(state, update, own)
         if measurement.source == c.tilt_source:
             tilt_by(state, measurement, c)
         use_rate(state, measurement, c, update)
+        exchange_bias(state, update, own)
     elif measurement.kind == HEADING:
         use_heading(state, measurement, c, update)
     elif measurement.kind == ODOMETRY:
