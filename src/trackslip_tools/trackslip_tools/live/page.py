@@ -94,7 +94,6 @@ def _strip(panel: Panel, number: int, first: int) -> figure:
     still(plot)
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
     plot.title.text = panel.title.partition(":")[0]
-    plot.legend.visible = len(panel.curves) > 1
     plot.xaxis.ticker, plot.xaxis.formatter = (
         DatetimeTicker(desired_num_ticks=4),
         DatetimeTickFormatter(**_CLOCK),
@@ -108,7 +107,6 @@ def _strip(panel: Panel, number: int, first: int) -> figure:
 def still(plot: figure) -> None:
     """Without tools."""
     plot.toolbar_location, plot.toolbar.tools = None, []
-    plot.toolbar.active_drag = plot.toolbar.active_scroll = None
     plot.js_event_callbacks = {}
 
 

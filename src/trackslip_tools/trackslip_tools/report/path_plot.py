@@ -46,16 +46,21 @@ class PathPlot(NamedTuple):
 
 def path_plot(runs: Sequence[Run], samples: int) -> PathPlot:
     """All runs in one plot; of each path at most so many samples are drawn."""
-    zoom, wheel = BoxZoomTool(match_aspect=True), WheelZoomTool(modifiers={"ctrl": True})
     plot = figure(
         name="path",
         title="Path, ellipses at 2σ",
         match_aspect=True,
         height=_HEIGHT,
         sizing_mode="stretch_width",
-        tools=[zoom, wheel, PanTool(), ResetTool(), SaveTool()],
-        active_drag=zoom,
-        active_scroll=wheel,
+        tools=[
+            BoxZoomTool(match_aspect=True),
+            WheelZoomTool(modifiers={"ctrl": True}),
+            PanTool(),
+            ResetTool(),
+            SaveTool(),
+        ],
+        active_drag=None,  # as in plots.time_figure
+        active_scroll=None,
         x_axis_label="x, m",
         y_axis_label="y, m",
         min_border_left=60,

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from trackslip_common.errors import printable
-from trackslip_tools.live.lights import Level, Light
+from trackslip_tools.report.lights import Level, Light
 
 MOST = 200  # events that are kept
 _MOST_VALUES = 500  # of one light, and of what is remembered of them
@@ -57,7 +57,7 @@ class Events:
         conditions = {light.name: (light.level, light.message) for light in lights}
         for name, (level, message) in conditions.items():
             before = self._conditions.get(name, (Level.OK, ""))
-            if level == before[0] and (level is Level.OK or _same(message, before[1])):
+            if level == before[0] and (level is Level.OK or same_text(message, before[1])):
                 continue
             self.add(level, _said(name, level, message, before[1]), now_s, time_ms)
         for name, (level, _) in self._conditions.items():
@@ -97,7 +97,8 @@ class Events:
                 self._refused_s[source] = now_s
 
 
-def _same(message: str, other: str) -> bool:
+def same_text(message: str, other: str) -> bool:
+    """Whether two texts differ in nothing but numbers."""
     return _NUMBERS.sub("#", message) == _NUMBERS.sub("#", other)
 
 
