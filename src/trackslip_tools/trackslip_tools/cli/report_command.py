@@ -58,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     several = (len(args.bags) > 1, len(files) > 1)
     pairs = [(path, name) for path in args.bags for name in files]
+    names = distinct(args.bags)
     recordings: dict[Path, Recording] = {}
     runs = []
     require_writable(output=args.output)
@@ -72,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
             details = Details()
             result = replay(bag, p, filters, reference, of_soil, details.add)
             smoothed = _smoothed(bag, p, filters) if args.smooth else None
-        label = _label(path, name, *several)
+        label = _label(names[path], name, *several)
         runs.append(Run(label, recordings[path], p, filters, result, details, smoothed))
     page = _page(runs, limits)
     _write(args.output, page)
@@ -87,11 +88,21 @@ def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Ro
     return found.rows()
 
 
-def _label(path: Path, name: str, bags: bool, files: bool) -> str:
+def distinct(paths: Sequence[Path]) -> dict[Path, str]:
+    """The end of each of several paths, long enough to tell it from the others; a single one is whole."""
+    known = list(dict.fromkeys(paths))
+    for count in range(1, max(len(path.parts) for path in known)) if len(known) > 1 else ():
+        ends = {path: str(Path(*path.parts[-count:])) for path in known}
+        if len(set(ends.values())) == len(known):
+            return ends
+    return {path: str(path) for path in known}
+
+
+def _label(bag: str, name: str, bags: bool, files: bool) -> str:
     """What distinguishes this run from the others."""
     if files and not bags:
         return name
-    return str(path) if name == _OWN and not files else f"{path}, {name}"
+    return bag if name == _OWN and not files else f"{bag}, {name}"
 
 
 def _page(runs: Sequence[Run], limits: VerdictLimits) -> str:

@@ -14,7 +14,7 @@ MOST = 200  # events that are kept
 _MOST_VALUES = 500  # of one light, and of what is remembered of them
 _REPEAT_S = 10.0  # s in which the same is not said again
 _CLEAR_S = 5.0  # s without a refusal, after which the gate has calmed down
-_SURE = 0.6  # probability from which on a soil counts as found
+SURE = 0.6  # probability from which on a soil counts as found
 _NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 _DURATIONS = re.compile(r" for \d+(\.\d+)? s")
 _LOST = "nothing accepted of "
@@ -79,7 +79,7 @@ class Events:
     def see_soil(self, classes: Mapping[str, float], now_s: float, time_ms: float) -> None:
         """The likeliest soil, where it is likely enough to be called one."""
         name, chance = max(classes.items(), key=lambda item: item[1], default=("", 0.0))
-        if chance >= _SURE and name != self._soil:
+        if chance >= SURE and name != self._soil:
             what = "soil changed to" if self._soil else "soil found:"
             self._soil = name
             self.add(Level.OK, f"{what} {name}, {100 * chance:.0f} %", now_s, time_ms)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_estimation.slip.motion import Motion
-from trackslip_tools.report.events import Event
+from trackslip_tools.report.events import SURE, Event
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.limits import VerdictLimits
 from trackslip_tools.report.quantities import PERCENT, SOIL
@@ -47,7 +47,9 @@ def travel_of(run: Run) -> Travel:
     return Travel(float((speeds * dt)[states.moving[:-1]].sum()), seconds)
 
 
-def facts_of(run: Run, limits: VerdictLimits, checks: Mapping[str, Verdict], events: Sequence[Event]) -> list[Fact]:
+def facts_of(
+    run: Run, limits: VerdictLimits, checks: Mapping[str, Verdict], events: Sequence[Event]
+) -> list[Fact]:
     """All, in the order in which they are shown."""
     travel = travel_of(run)
     straight, turning = (travel.seconds[motion] for motion in (Motion.STRAIGHT, Motion.TURNING))
@@ -90,7 +92,9 @@ def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
     at_s = run.recording.seconds(states.path.stamps_ns[k : k + 1])[0]
     spread = 2.0 * PERCENT * sigmas[k, side]
     return Fact(
-        name, f"{PERCENT * states.slips[k, side]:.0f} %", f"{SIDES[side]} track at {at_s:.1f} s, ± {spread:.0f} %"
+        name,
+        f"{PERCENT * states.slips[k, side]:.0f} %",
+        f"{SIDES[side]} track at {at_s:.1f} s, ± {spread:.0f} %",
     )
 
 
@@ -112,7 +116,10 @@ def _soil(run: Run) -> Fact:
     if not chances:
         return Fact("Soil", "not classified", note)
     likely = max(chances, key=lambda name: chances[name])
-    return Fact("Soil", f"{likely.replace('_', ' ')}, {PERCENT * chances[likely]:.0f} %", note)
+    found = f"{likely.replace('_', ' ')}, {PERCENT * chances[likely]:.0f} %"
+    if chances[likely] < SURE:
+        return Fact("Soil", "not told apart", f"likeliest: {found}; {note}")
+    return Fact("Soil", found, note)
 
 
 def _events(events: Sequence[Event]) -> Fact:

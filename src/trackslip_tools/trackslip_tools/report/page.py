@@ -26,8 +26,8 @@ from trackslip_tools.report.run import Run, aligned, recordings
 from trackslip_tools.report.story import events_of, message_strips, strips
 from trackslip_tools.report.tables import (
     differing,
-    parameter_rows,
     event_rows,
+    parameter_rows,
     rejection_rows,
     run_facts,
     topic_rows,
@@ -41,7 +41,7 @@ _TIME, _TIME_OF_DRIVING = "time, s", "time from the start of driving, s"
 
 
 def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
-    """The page about one run, or about several side by side, those of several bags from where they drive on."""
+    """The page about one run, or about several side by side; several bags from the start of driving."""
     runs = aligned(runs)
     samples = _SAMPLES * _SHARING // max(len(runs), _SHARING)
     x_range = time_range([run.recording for run in runs])
@@ -96,7 +96,9 @@ def _on_pointer(plot: figure, callback: CustomJS) -> None:
         plot.js_on_event(event, callback)
 
 
-def _variables(runs: Sequence[Run], limits: VerdictLimits, sections: dict[str, list[figure]]) -> dict[str, Any]:
+def _variables(
+    runs: Sequence[Run], limits: VerdictLimits, sections: dict[str, list[figure]]
+) -> dict[str, Any]:
     parameters = parameter_rows(runs)
     checks = [verdicts(run, limits) for run in runs]
     events = [events_of(run) for run in runs]

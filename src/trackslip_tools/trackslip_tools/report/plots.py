@@ -38,7 +38,7 @@ _INNER, _MIDDLE = (0.5, 99.5), (10.0, 90.0)  # percentiles of values and of band
 _LEGEND_WIDTH, _LEGEND_ROW = 100, 20  # characters, pixels
 _INSIDE = 165  # pixels of a plot's height that its frame has
 _TITLE, _LABEL, _ROW_NAME = 90, 32, 20  # characters that are shown of titles, labels, names of rows
-_STRIP_HEAD, _STRIP_ROW = 86, 20  # pixels
+_STRIP_HEAD, _STRIP_ROW, _BORDER = 86, 20, 112  # pixels; names of rows have room in the border
 _ROOM = 0.1  # about the values, share of their span
 
 
@@ -72,7 +72,7 @@ def strip_plot(strip: Strip, x_range: Range1d, samples: int) -> figure:
     for row, name in enumerate(names):
         for bar in strip.rows[name]:
             by_look.setdefault(bar.look, []).append((row, bar.spell))
-    for look, placed in by_look.items():
+    for look, placed in sorted(by_look.items(), key=lambda item: item[1][0][1].state):
         chosen = placed[:samples]
         columns = {
             "row": [row for row, _ in chosen],
@@ -114,7 +114,7 @@ def time_figure(
         active_drag=None,  # page.js makes them active for a mouse: a finger is to scroll the page
         active_scroll=None,
         y_axis_label=axis,
-        min_border_left=78,
+        min_border_left=_BORDER,
         min_border_right=12,
     )
     plot.js_on_event("doubletap", CustomJS(args={"range": x_range}, code="range.reset()"))

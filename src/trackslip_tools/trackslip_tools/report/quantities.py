@@ -43,8 +43,12 @@ class Quantity(NamedTuple):
 
 
 QUANTITIES = (
-    Quantity("Slip of the left track", "slip, %", "slips", "slip_covariances", 0, TRUE_SLIP, "left_slip", PERCENT),
-    Quantity("Slip of the right track", "slip, %", "slips", "slip_covariances", 1, TRUE_SLIP, "right_slip", PERCENT),
+    Quantity(
+        "Slip of the left track", "slip, %", "slips", "slip_covariances", 0, TRUE_SLIP, "left_slip", PERCENT
+    ),
+    Quantity(
+        "Slip of the right track", "slip, %", "slips", "slip_covariances", 1, TRUE_SLIP, "right_slip", PERCENT
+    ),
     Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, "slip_angle", _DEGREES),
     Quantity("Speed", "v_x, m/s", "twists", "twist_covariances", 0, TRUE_ODOMETRY, "v_x"),
     Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, "yaw_rate", _DEGREES),

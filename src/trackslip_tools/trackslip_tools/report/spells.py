@@ -52,15 +52,13 @@ def bars(found: Iterable[Spell], looks: Mapping[int, Look]) -> list[Bar]:
 
 
 def spells(times: FloatArray, states: NDArray[Any]) -> list[Spell]:
-    """Of (n,) rising times and whole numbers; each spell lasts until the next begins, the last until the end."""
+    """Of (n,) rising times and whole numbers; a spell lasts until the next begins, the last until the end."""
     if not len(times):
         return []
     begins = np.concatenate(((0,), np.flatnonzero(np.diff(states)) + 1))
     starts = times[begins]
     stops = np.append(starts[1:], times[-1])
-    return [
-        Spell(float(a), float(b), int(s)) for a, b, s in zip(starts, stops, states[begins], strict=True)
-    ]
+    return [Spell(float(a), float(b), int(s)) for a, b, s in zip(starts, stops, states[begins], strict=True)]
 
 
 def lasting(found: Iterable[Spell], state: int) -> float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened in a run: how it moved, tracks in trouble, lost fixes, refusals of the gate, soils, lights."""
+"""What happened in a run: motion, tracks in trouble, lost fixes, refusals of the gate, soils, lights."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -97,7 +97,9 @@ def message_strips(runs: Sequence[Run]) -> list[Strip]:
     for run in recordings(runs):
         of = "" if len(runs) == 1 else f", {run.label}"
         timings = {name: timing for name, timing in run.recording.timings.items() if len(timing.times)}
-        found.append(Strip(f"Messages{of}", {name: _message_bars(timing) for name, timing in timings.items()}))
+        found.append(
+            Strip(f"Messages{of}", {name: _message_bars(timing) for name, timing in timings.items()})
+        )
     return found
 
 
@@ -137,7 +139,9 @@ def _fixes(run: Run) -> Iterator[Event]:
         end = max(run.recording.stop_s, times[-1])
         for start, stop in zip(times, np.append(times[1:], end), strict=True):
             if stop - start > limit:
-                yield _event(start, Level.WARN, f"fix lost: nothing accepted of {source} for {stop - start:.1f} s")
+                yield _event(
+                    start, Level.WARN, f"fix lost: nothing accepted of {source} for {stop - start:.1f} s"
+                )
 
 
 def _refusals(run: Run) -> Iterator[Event]:

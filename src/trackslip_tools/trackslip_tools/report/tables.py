@@ -23,7 +23,9 @@ def run_facts(runs: Sequence[Run]) -> list[dict[str, str]]:
 
 def event_rows(events: Sequence[Event]) -> list[Row]:
     """Level in lower case, time in s, what happened: of very many the first."""
-    return [(event.level.name.lower(), f"{1e-3 * event.time_ms:.1f} s", event.text) for event in events[:MOST]]
+    return [
+        (event.level.name.lower(), f"{1e-3 * event.time_ms:.1f} s", event.text) for event in events[:MOST]
+    ]
 
 
 def topic_rows(run: Run) -> list[Row]:

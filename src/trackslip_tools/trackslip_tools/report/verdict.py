@@ -215,7 +215,7 @@ def _rejections(run: Run, limits: VerdictLimits) -> Verdict:
 
 
 def _refused(run: Run) -> dict[str, dict[str, int]]:
-    """Source → reason → count, of both estimators; a measurement that was used all the same does not count."""
+    """Source → reason → count, of both estimators; without measurements that were used all the same."""
     found = run.replay.rejected.by_source()
     if run.replay.soil is not None:
         found = {**found, **run.replay.soil.rejected.by_source()}

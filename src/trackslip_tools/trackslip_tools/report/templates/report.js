@@ -2,7 +2,8 @@
 // What a report does beside showing its plots: the first ones are there at once and the others follow one by one;
 // a mouse drags to zoom, while a finger scrolls the page and zooms by the buttons.
 
-const NARROW = 760, LOW = 380 // pixels: on a narrow page the path is lower
+const NARROW = 760, LOW = 380, BORDER = 52 // pixels: on a narrow page the path is lower, and axes are closer
+const CHARACTER = 6.2, SYMBOL = 34 // pixels of a legend's letters and of its symbols
 const BETWEEN = 20 // ms between two plots that are shown
 const DRAGGED = ["BoxZoomTool", "WheelZoomTool"]
 
@@ -17,6 +18,17 @@ function reveal() {
   }
   model(hidden).visible = true
   setTimeout(reveal, BETWEEN)
+}
+
+function narrow() {
+  model("path").height = LOW
+  const width = document.querySelector(".times").clientWidth - BORDER
+  for (const each of Bokeh.documents[0].all_models) {
+    if (each.type === "Figure") each.min_border_left = BORDER
+    if (each.type !== "Legend") continue
+    const longest = Math.max(...each.items.map(({label}) => label.value.length))
+    each.ncols = Math.min(each.ncols, Math.max(1, Math.floor(width / (CHARACTER * longest + SYMBOL))))
+  }
 }
 
 function use_tools(active) {
@@ -66,7 +78,7 @@ for (const [id, act] of [["time-zoom", zoom_time], ["path-zoom", zoom_path]]) {
 const there = setInterval(() => {
   if (Bokeh.documents.length === 0 || !Bokeh.documents[0].is_idle) return
   clearInterval(there)
-  if (innerWidth < NARROW) model("path").height = LOW
+  if (innerWidth < NARROW) narrow()
   let is_mouse = null
   addEventListener("pointerover", ({pointerType}) => {
     if (is_mouse === (pointerType === "mouse")) return
