@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.models import (
     BoxZoomTool,
     ColumnDataSource,
@@ -35,9 +36,9 @@ FloatArray = NDArray[np.float64]
 _HEIGHT = 230
 _DASHES = {Form.LINE: "solid", Form.DASHED: "dashed", Form.DOTTED: "dotted"}
 _INNER, _MIDDLE = (0.5, 99.5), (10.0, 90.0)  # percentiles of values and of band edges that stay in sight
-_LEGEND_WIDTH, _LEGEND_ROW = 100, 20  # characters, pixels
+_LEGEND_WIDTH, _LEGEND_ROW = 100, 22  # characters, pixels
 _INSIDE = 165  # pixels of a plot's height that its frame has
-_TITLE, _LABEL, _ROW_NAME = 90, 32, 20  # characters that are shown of titles, labels, names of rows
+_TITLE, _LABEL, _ROW_NAME = 70, 32, 18  # characters that are shown of titles, labels, names of rows
 _STRIP_HEAD, _STRIP_ROW, _BORDER = 86, 20, 112  # pixels; names of rows have room in the border
 _ROOM = 0.1  # about the values, share of their span
 
@@ -87,6 +88,7 @@ def strip_plot(strip: Strip, x_range: Range1d, samples: int) -> figure:
         tips = "<div><b>$name</b> @text</div>"
         plot.add_tools(HoverTool(renderers=[drawn], tooltips=tips, visible=False))
     plot.yaxis.ticker = FixedTicker(ticks=list(range(len(names))))
+    plot.yaxis.major_label_text_font_size = "10px"
     plot.yaxis.major_label_overrides = {row: plot_text(name, _ROW_NAME) for row, name in enumerate(names)}
     dress(plot)
     plot.y_range = Range1d(-0.7, len(names) + 0.7)
@@ -140,14 +142,16 @@ def dress(plot: figure) -> None:
 def _dress_legend(plot: figure) -> None:
     """Inside the plot, in the room that ``visible`` leaves for it above the curves."""
     legend = plot.legend[0]
+    for item in legend.items:
+        item.label = value(plot_text(item.label.value))
     labels = [item.label.value for item in legend.items]
     legend.visible = len(labels) > 1
     legend.location, legend.orientation, legend.click_policy = "top_left", "horizontal", "hide"
     legend.label_text_color, legend.label_text_font_size = INK, "11px"
     legend.background_fill_color, legend.background_fill_alpha = PAPER, 0.7
     legend.border_line_color = None
-    legend.padding, legend.margin, legend.spacing = 1, 2, 10
-    legend.label_height = legend.glyph_height = _LEGEND_ROW - 4
+    legend.padding, legend.margin, legend.spacing = 1, 2, 6
+    legend.label_height = legend.glyph_height = _LEGEND_ROW - 6
     legend.ncols = _legend_columns(labels)
     plot.height += _LEGEND_ROW * (legend_rows(labels) - 1)
 
@@ -180,7 +184,7 @@ def _draw(plot: figure, curve: Curve, samples: int, band_alpha: float) -> GlyphR
     if curve.band is not None:
         columns["low"], columns["high"] = (edge[kept] for edge in curve.band)
     source = ColumnDataSource({name: column.astype(np.float32) for name, column in columns.items()})
-    look = {"legend_label": plot_text(curve.label), "source": source, "name": curve.label}
+    look = {"legend_label": curve.label, "source": source, "name": curve.label}
     if curve.band is not None:
         plot.varea("t", "low", "high", fill_color=curve.colour, fill_alpha=band_alpha, **look)
     look["color"] = curve.colour

@@ -2,7 +2,7 @@
 // What a report does beside showing its plots: the first ones are there at once and the others follow one by one;
 // a mouse drags to zoom, while a finger scrolls the page and zooms by the buttons.
 
-const NARROW = 760, LOW = 380, BORDER = 52 // pixels: on a narrow page the path is lower, and axes are closer
+const NARROW = 760, LOW = 380, BORDER = 66 // pixels: on a narrow page the path is lower, and axes are closer
 const CHARACTER = 6.2, SYMBOL = 34 // pixels of a legend's letters and of its symbols
 const BETWEEN = 20 // ms between two plots that are shown
 const DRAGGED = ["BoxZoomTool", "WheelZoomTool"]
