@@ -6,6 +6,7 @@ from importlib import resources
 from itertools import repeat
 from typing import Any
 
+from bokeh.document import Document
 from bokeh.embed import file_html
 from bokeh.events import MouseMove, Tap
 from bokeh.models import CustomJS, Span
@@ -66,8 +67,12 @@ def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
         plot.name, plot.visible = f"time-{number}", number < _AT_ONCE
     _link(time_plots, path)
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
+    document = Document()
+    with document.models.freeze():  # else, for each plot, Bokeh walks anew through all that the cursor links
+        for plot in (path.plot, *time_plots):
+            document.add_root(plot)
     page: str = file_html(
-        [path.plot, *time_plots],
+        document,
         INLINE,
         title=f"Trackslip: {', '.join(run.label for run in runs)}",
         template=environment.get_template("page.html"),
