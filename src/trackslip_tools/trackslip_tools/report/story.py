@@ -87,7 +87,7 @@ def strips(runs: Sequence[Run]) -> list[Strip]:
         of = "" if len(runs) == 1 else f", {run.label}"
         rows = {name: bars(own, _LIGHTS) for name, own in run.recording.lights.items()}
         if rows:
-            found.append(Strip(f"Lights of sensors and nodes, as recorded{of}", rows))
+            found.append(Strip(f"Lights of sensors and nodes{of}", rows))
     return found
 
 

@@ -3,7 +3,8 @@
 // a mouse drags to zoom, while a finger scrolls the page and zooms by the buttons.
 
 const NARROW = 760, LOW = 380, BORDER = 66 // pixels: on a narrow page the path is lower, and axes are closer
-const CHARACTER = 6.2, SYMBOL = 34 // pixels of a legend's letters and of its symbols
+const CHARACTER = 6.2, SYMBOL = 34, LEGEND_ROW = 22 // pixels of a legend's letters, symbols and rows
+const AROUND = 65 // pixels of a plot's height that its title and axis take
 const BETWEEN = 20 // ms between two plots that are shown
 const DRAGGED = ["BoxZoomTool", "WheelZoomTool"]
 
@@ -23,12 +24,22 @@ function reveal() {
 function narrow() {
   model("path").height = LOW
   const width = document.querySelector(".times").clientWidth - BORDER
-  for (const each of Bokeh.documents[0].all_models) {
-    if (each.type === "Figure") each.min_border_left = BORDER
-    if (each.type !== "Legend") continue
-    const longest = Math.max(...each.items.map(({label}) => label.value.length))
-    each.ncols = Math.min(each.ncols, Math.max(1, Math.floor(width / (CHARACTER * longest + SYMBOL))))
+  for (const plot of Bokeh.documents[0].roots()) {
+    plot.min_border_left = BORDER
+    for (const part of plot.center) if (part.type === "Legend" && part.visible) wrap(plot, part, width)
   }
+}
+
+// The legend in as many columns as there is room for, and the plot higher by the rows that this takes
+function wrap(plot, legend, width) {
+  const {items, ncols} = legend
+  const longest = Math.max(...items.map(({label}) => label.value.length))
+  legend.ncols = Math.min(ncols, Math.max(1, Math.floor(width / (CHARACTER * longest + SYMBOL))))
+  const more = LEGEND_ROW * (Math.ceil(items.length / legend.ncols) - Math.ceil(items.length / ncols))
+  if (more === 0 || plot.name === "path") return
+  const {start, end} = plot.y_range, share = more / (plot.height - AROUND)
+  plot.y_range.end = plot.y_scale.type === "LogScale" ? end * (end / start) ** share : end + share * (end - start)
+  plot.height += more
 }
 
 function use_tools(active) {
