@@ -21,6 +21,7 @@ from trackslip_tools.report.numbers import numbers_of
 from trackslip_tools.report.outlines import boxes, ellipses
 from trackslip_tools.report.page import render
 from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
+from trackslip_tools.report.path_plot import path_plot
 from trackslip_tools.report.recording import FORCES, SOIL, TRUE_SOIL, Timing
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.tables import differing, parameter_rows, topic_rows
@@ -84,7 +85,8 @@ def test_the_smoother_is_shown_beside_the_filter(run: Run) -> None:
     assert (estimate.label, smoothed.label, smoothed.form) == ("estimate", "smoothed", Form.DASHED)
     np.testing.assert_array_equal(smoothed.values, estimate.values[1000:])
     assert [curve.label for curve in error_panels([both])[0].curves] == ["estimate", "smoothed"]
-    assert "smoothed" in render([both], load_limits())
+    labels = [item.label.value for item in path_plot([both], 100).plot.legend[0].items]
+    assert "smoothed" in labels
 
 
 def test_ellipses_lie_two_standard_deviations_away(run: Run) -> None:

@@ -104,13 +104,16 @@ def test_a_zoom_in_one_plot_zooms_all_and_a_double_click_ends_it(
 ) -> None:
     show(page, one_run)
     whole = shown_range(page, "time-0")
-    x, y, width = middle(page, 2)
-    page.mouse.move(x - 0.1 * width, y)
-    page.mouse.down()
-    page.mouse.move(x + 0.1 * width, y, steps=5)
-    page.mouse.up()
-    page.wait_for_function(f"Bokeh.documents[0].get_model_by_name('time-0').x_range.end < {whole[1]}")
-    start, end = shown_range(page, "time-0")
+    for _ in range(5):  # on a busy machine a plot may still move away below the mouse
+        x, y, width = middle(page, 2)
+        page.mouse.move(x - 0.1 * width, y)
+        page.mouse.down()
+        page.mouse.move(x + 0.1 * width, y, steps=5)
+        page.mouse.up()
+        page.wait_for_timeout(300)
+        start, end = shown_range(page, "time-0")
+        if (start, end) != whole:
+            break
     assert whole[0] < start < end < whole[1]
     assert end - start == pytest.approx(0.22 * (whole[1] - whole[0]), rel=0.2)
     assert shown_range(page, "time-5") == (start, end)

@@ -5,7 +5,6 @@
 const NARROW = 760, LOW = 380, BORDER = 66 // pixels: on a narrow page the path is lower, and axes are closer
 const CHARACTER = 6.2, SYMBOL = 34, LEGEND_ROW = 22 // pixels of a legend's letters, symbols and rows
 const AROUND = 65 // pixels of a plot's height that its title and axis take
-const BETWEEN = 20 // ms between two plots that are shown
 const DRAGGED = ["BoxZoomTool", "WheelZoomTool"]
 
 const model = name => Bokeh.documents[0].get_model_by_name(name)
@@ -18,7 +17,7 @@ function reveal() {
     return
   }
   model(hidden).visible = true
-  setTimeout(reveal, BETWEEN)
+  requestAnimationFrame(() => setTimeout(reveal))
 }
 
 function narrow() {
