@@ -24,10 +24,10 @@ from trackslip_tools.report.lights import SILENT_S, Level
 from trackslip_tools.report.limits import load_limits
 from trackslip_tools.report.motion_panels import motion_panels
 from trackslip_tools.report.plots import plot_text
-from trackslip_tools.report.recording import read_recording
+from trackslip_tools.report.recording import Timing, read_recording
 from trackslip_tools.report.run import Run, aligned
 from trackslip_tools.report.spells import Spell, lasting, spells
-from trackslip_tools.report.story import events_of, message_strips, strips
+from trackslip_tools.report.story import events_of, message_strips, strips, timeouts_of
 from trackslip_tools.report.verdict import State, verdicts
 
 SECOND_NS = 1_000_000_000
@@ -109,6 +109,16 @@ def test_lost_fixes_and_refusals_of_the_gate_are_events(emulated_run: Run) -> No
     assert len(told) == 2
     assert any(text.startswith("fix lost: nothing accepted of box_pose for 6.") for text in told)
     assert any(text.startswith(f"gate refuses {lost.sum()} of box_pose within") for text in told)
+
+
+def test_a_silent_gyro_is_an_event(emulated_run: Run) -> None:
+    times = emulated_run.recording.timings["imu/data_raw"].times
+    limit = timeouts_of(emulated_run)["imu/data_raw"]
+    silent = Timing(times[(times < 10.0) | (times > 11.0 + limit)])
+    timings = {**emulated_run.recording.timings, "imu/data_raw": silent}
+    recording = dataclasses.replace(emulated_run.recording, timings=timings)
+    (event,) = events_of(dataclasses.replace(emulated_run, recording=recording))
+    assert event.text == f"imu/data_raw silent for {limit + 1.1:.1f} s"
 
 
 # Lights

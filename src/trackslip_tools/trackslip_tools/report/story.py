@@ -10,6 +10,7 @@ from trackslip_common.errors import printable
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.stall import Trouble
+from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.report.events import Event, Events
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
@@ -73,6 +74,12 @@ def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
     return "; ".join(told)
 
 
+def timeouts_of(run: Run) -> dict[str, float]:
+    """Source of the slip estimator → s for which it may be silent."""
+    known = {name: timeout_ns * 1e-9 for name, timeout_ns in run.parameters.timeouts_ns().items()}
+    return known | {SPROCKETS: run.parameters.sprocket_timeout}
+
+
 def strips(runs: Sequence[Run]) -> list[Strip]:
     """How each run moved with its tracks' troubles, and the lights of each bag that has them."""
     found = []
@@ -112,7 +119,8 @@ def _message_bars(timing: Timing) -> list[Bar]:
 
 def events_of(run: Run) -> list[Event]:
     """All, in the order of their times (ms); ``number`` is meaningless."""
-    found = [*_troubles(run), *_fixes(run), *_refusals(run), *_soils(run), *run.recording.events]
+    replayed = (*_troubles(run), *_fixes(run), *_silences(run), *_refusals(run), *_soils(run))
+    found = [*replayed, *run.recording.events]
     return sorted(found, key=lambda event: event.time_ms)
 
 
@@ -129,12 +137,12 @@ def _troubles(run: Run) -> Iterator[Event]:
 
 def _fixes(run: Run) -> Iterator[Event]:
     """Sources of poses from which nothing was accepted for longer than their timeouts."""
-    fixes, timeouts_ns = run.details.fixes, run.parameters.timeouts_ns()
+    fixes, allowed = run.details.fixes, timeouts_of(run)
     for number, source in enumerate(run.details.sources):
         own = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
         times = np.sort(run.recording.seconds(fixes["stamp_ns"][own]))
-        limit = timeouts_ns.get(source, 0) * 1e-9
-        if not limit or not len(times):
+        limit = allowed.get(source)
+        if limit is None or not len(times):
             continue
         end = max(run.recording.stop_s, times[-1])
         for start, stop in zip(times, np.append(times[1:], end), strict=True):
@@ -142,6 +150,16 @@ def _fixes(run: Run) -> Iterator[Event]:
                 yield _event(
                     start, Level.WARN, f"fix lost: nothing accepted of {source} for {stop - start:.1f} s"
                 )
+
+
+def _silences(run: Run) -> Iterator[Event]:
+    """Other sources, silent for longer than their timeouts."""
+    fixes = {run.details.sources[number] for number in np.unique(run.details.fixes["source"])}
+    for source, limit in timeouts_of(run).items():
+        timing = run.recording.timings.get(source)
+        for gap in timing.gaps if timing is not None and source not in fixes else ():
+            if gap.stop - gap.start > limit:
+                yield _event(gap.start, Level.WARN, f"{source} silent for {gap.stop - gap.start:.1f} s")
 
 
 def _refusals(run: Run) -> Iterator[Event]:

@@ -9,12 +9,11 @@ from enum import Enum
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import SENSOR_TOPICS
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.report.innovations import innovations_of
 from trackslip_tools.report.limits import VerdictLimits
 from trackslip_tools.report.quantities import PERCENT, SOIL
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.story import trouble_spells, troubles_text
+from trackslip_tools.report.story import timeouts_of, trouble_spells, troubles_text
 
 _WAITING = Outcome.WAITING.name.lower()
 _USED = tuple(outcome.name.lower() for outcome in Outcome if not outcome.refused)
@@ -183,9 +182,7 @@ def _rates(run: Run, limits: VerdictLimits) -> Verdict:
 
 def _gaps(run: Run, _: VerdictLimits) -> Verdict:
     """Silence longer than the estimator's own timeouts."""
-    p, timings = run.parameters, run.recording.timings
-    allowed = {name: timeout_ns * 1e-9 for name, timeout_ns in p.timeouts_ns().items()}
-    allowed[SPROCKETS] = p.sprocket_timeout
+    timings, allowed = run.recording.timings, timeouts_of(run)
     longest = {name: timings[name].longest for name in allowed if name in timings and timings[name].gaps}
     if not longest:
         return _checked(True, "none", "No source of the estimator was silent.")
