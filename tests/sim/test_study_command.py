@@ -30,7 +30,7 @@ SHORT = ["--scenario", "slalom", "--duration", "9", "--settling", "6", "--seeds"
 
 @pytest.fixture
 def command(tmp_path: Path) -> list[str]:
-    return ["study", *SHORT, "--cache", str(tmp_path / "cells.jsonl")]
+    return ["study", *SHORT, "--workers", "1", "--cache", str(tmp_path / "cells.jsonl")]
 
 
 class Counted:
@@ -111,7 +111,7 @@ def test_what_is_remembered_is_what_was_computed(tmp_path: Path, monkeypatch: py
         (["--seeds", "0"], "seeds"),
         (["--settling", "9"], "settling: 9 s is refused; accepted: up to 1 s less than the duration, 9 s"),
         (["--filter", "ukf"], "--filter"),
-        (["--jobs", "0"], "--jobs"),
+        (["--workers", "0"], "--workers"),
         (["--set", "slip_estimator.mass=3"], "mass"),
         (["--json", "/nowhere/rows.json"], "no such folder"),
         (["--output", "/dev/null/x"], "--output"),

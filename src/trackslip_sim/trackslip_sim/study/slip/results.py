@@ -25,6 +25,7 @@ BoolArray = NDArray[np.bool_]
 Interval = tuple[float, float]
 
 CONFIDENCE = 0.95
+IGNORING = ("position_rmse", "turning_slip_rmse", "nees_pose")
 _POSITION, _HEADING, _SLIPS, _ALPHA = slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6)
 
 
@@ -60,6 +61,10 @@ class Row:
     nis_pose_bounds: Interval
     nis_yaw_rate: float
     nis_yaw_rate_bounds: Interval
+    terrain: str = ""
+    ignoring_position_rmse: float | None = None  # of a filter to which the ground is flat, on a terrain
+    ignoring_turning_slip_rmse: float | None = None
+    ignoring_nees_pose: float | None = None
 
 
 class Sums(NamedTuple):

@@ -2,11 +2,9 @@
 """The soil estimator's study; a piece of it is a run, and a process's work."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from types import MappingProxyType, ModuleType
 from typing import Any, ClassVar
-
-from joblib import Parallel, delayed
 
 from trackslip_common.parameters import to_flat
 from trackslip_common.soils import load_soils
@@ -19,12 +17,12 @@ from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_sim.machine import sensors
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
-from trackslip_sim.study.engine import Study
+from trackslip_sim.study.engine import Study, Workers, spread
 from trackslip_sim.study.soil import score
 from trackslip_sim.study.soil.parameters import SoilCell, load_soil_study_parameters, soil_cells
 from trackslip_sim.study.soil.results import AnyRow, ChangeRow, SoilRow, summary
 from trackslip_sim.study.soil.score import RECOGNISED, Result, run
-from trackslip_sim.study.soil.trial import Trial, load_setting
+from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
 from trackslip_sim.study.table import Columns, table, words
 from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
@@ -143,10 +141,8 @@ class SoilStudy(Study[Trial, Result]):
         terrain = repr(load_terrain(piece.terrain)) if piece.terrain else ""
         return {**self._common, "scenario": self._scenarios[piece.scenario], "terrain": terrain}
 
-    def compute(self, pieces: Sequence[Trial], jobs: int | None) -> Iterator[Result]:
-        """As ``Study``; each run in a process."""
-        with Parallel(jobs, return_as="generator") as pool:
-            yield from pool(delayed(run)(trial, self._setting) for trial in pieces)
+    def compute(self, pieces: Sequence[Trial], workers: Workers) -> Generator[Result, None, None]:
+        return spread(_run, self._setting, pieces, workers)
 
     def row(self, cell: SoilCell, results: Sequence[Result]) -> AnyRow:
         return summary(cell, results)
@@ -155,6 +151,10 @@ class SoilStudy(Study[Trial, Result]):
         """A table of each scenario, and what it means."""
         scenarios = dict.fromkeys(row.scenario for row in rows)
         return "\n".join(_tables([row for row in rows if row.scenario == name]) for name in scenarios)
+
+
+def _run(setting: Setting, trial: Trial) -> Result:
+    return run(trial, setting)
 
 
 def _tables(rows: Sequence[AnyRow]) -> str:
