@@ -135,13 +135,14 @@ def test_the_table_marks_what_is_outside() -> None:
     assert "↑" not in lines[3]
 
 
-def _row(**values: float) -> Row:
+def _row(**values: Any) -> Row:
     numbers: dict[str, Any] = dict.fromkeys(Row.__dataclass_fields__, 1.0) | {
         "truth": "matched",
         "soil": "sand",
         "filter": "ekf",
         "scenario": "thesis",
         "seeds": 100,
+        "terrain": "",
         **{f"{name}_bounds": (2.5, 3.5) for name in ("nees_pose", "nees_slip", "nis_pose", "nis_yaw_rate")},
     }
     return Row(**(numbers | values))
@@ -158,3 +159,16 @@ def test_the_grid_has_every_combination_once() -> None:
     p = load_study_parameters({"sigma_omega": [0.01, 0.1]})
     grid = list(cells(p))
     assert len(grid) == len(set(grid)) == 2 * 4 * 2 * 4 * 2
+
+
+def test_a_row_on_terrain_has_a_table_of_its_own_beside_those_without() -> None:
+    sloping = {"terrain": "slope_15", "ignoring_nees_pose": 9.0}
+    shown = SlipStudy({}, []).markdown([_row(), _row(**sloping), _row(**sloping, slip_bound=float("nan"))])
+    assert "slope 15" in shown
+    assert "flat: position ×" in shown
+    assert "9.0" in shown
+
+
+def test_what_cannot_move_has_no_slips_in_the_table() -> None:
+    stuck = _row(terrain="slope_15", turning_slip_rmse=float("nan"), turning_slip_bound=float("nan"))
+    assert "–" in SlipStudy({}, []).markdown([stuck])

@@ -108,10 +108,15 @@ def summary(cell: Cell, p: StudyParameters, sums: Sums, drive: Drive) -> Row:
     values |= {f"{name}_bounds": interval for name, interval in intervals.items()}
     for name, found in (("nees_pose", nees[:, 0]), ("nees_slip", nees[drive.moving, 1])):
         low, high = intervals[name]
-        values[name] = float(np.mean(found))
-        values[f"{name}_inside"] = float(np.mean((low <= found) & (found <= high)))
+        values[name] = _mean(found)
+        values[f"{name}_inside"] = _mean((low <= found) & (found <= high))
     values["nis_pose"], values["nis_yaw_rate"] = map(float, nis)
     return Row(**values)
+
+
+def _mean(values: NDArray[Any]) -> float:
+    """Nan over no time."""
+    return float(np.mean(values)) if values.size else float("nan")
 
 
 def _root_mean(squares: FloatArray, tracks: int) -> float:

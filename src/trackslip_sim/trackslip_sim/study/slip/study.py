@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slip estimator's study; a piece of it is a cell, whose runs share the cores: kernels hold no lock."""
 
+import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, ModuleType
@@ -20,7 +21,7 @@ from trackslip_sim.study.slip.drive import Drive, make_drive
 from trackslip_sim.study.slip.evaluate import evaluate
 from trackslip_sim.study.slip.parameters import Cell, StudyParameters, cells, load_study_parameters
 from trackslip_sim.study.slip.results import Row
-from trackslip_sim.study.table import Columns, table, words
+from trackslip_sim.study.table import NOTHING, Columns, table, words
 from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_set
@@ -37,7 +38,7 @@ _LEGEND = (
 def _error(name: str, scale: float, digits: int = 2) -> Callable[[Row], str]:
     def show(row: Row) -> str:
         rmse, bound = (scale * getattr(row, f"{name}_{what}") for what in ("rmse", "bound"))
-        return f"{rmse:.{digits}f} ({bound:.{digits}f})"
+        return NOTHING if math.isnan(rmse) else f"{rmse:.{digits}f} ({bound:.{digits}f})"
 
     return show
 
@@ -45,6 +46,8 @@ def _error(name: str, scale: float, digits: int = 2) -> Callable[[Row], str]:
 def _within(name: str) -> Callable[[Row], str]:
     def show(row: Row) -> str:
         value, (low, high) = getattr(row, name), getattr(row, f"{name}_bounds")
+        if math.isnan(value):
+            return NOTHING
         return f"{value:.2f}" + (" ↑" if value > high else " ↓" if value < low else "")
 
     return show
@@ -55,7 +58,7 @@ def _ratio(name: str, of: str = "") -> Callable[[Row], str]:
 
     def show(row: Row) -> str:
         least = getattr(row, name.removesuffix("rmse") + "bound")
-        return f"{getattr(row, of + name) / least:.2f}"
+        return NOTHING if math.isnan(least) else f"{getattr(row, of + name) / least:.2f}"
 
     return show
 

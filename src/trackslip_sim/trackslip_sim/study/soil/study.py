@@ -23,7 +23,7 @@ from trackslip_sim.study.soil.parameters import SoilCell, load_soil_study_parame
 from trackslip_sim.study.soil.results import AnyRow, ChangeRow, SoilRow, summary
 from trackslip_sim.study.soil.score import RECOGNISED, Result, run
 from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
-from trackslip_sim.study.table import Columns, table, words
+from trackslip_sim.study.table import NOTHING, Columns, table, words
 from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_settings
@@ -32,7 +32,6 @@ _GRID = (  # a trial has one of each
     *("scenarios", "duration", "stand", "soils", "drawn", "sigma_xy"),
     *("terrains", "seeds"),
 )
-_DASH = "–"  # there was no such thing
 _SOIL_LEGEND = (
     "Errors over the truth, the median of the runs and, in brackets, the worst: F_max, K and μ_r at the end "
     "of `{scenario}`, M_r in steady turns and F, the thrust, as RMS over that of the truth. in: runs whose "
@@ -49,7 +48,7 @@ _CHANGE_LEGEND = (
 def _spread(median: float, worst: float, scale: float = 100.0) -> str:
     """Median and worst; – for what there was not."""
     if math.isnan(median):
-        return _DASH
+        return NOTHING
     return f"{scale * median:.1f} ({scale * worst:.1f})".replace("inf", "never")
 
 
@@ -65,7 +64,7 @@ _MACHINE: Columns = {
     "machine": lambda row: "drawn" if row.drawn else "nominal",
     "σ_xy m": lambda row: f"{row.sigma_xy:g}",
 }
-_TERRAIN: Columns = {"terrain": lambda row: words(row.terrain) or _DASH}
+_TERRAIN: Columns = {"terrain": lambda row: words(row.terrain) or NOTHING}
 _SOIL: Columns = {
     "soil": lambda row: words(row.soil),
     **_MACHINE,
@@ -79,7 +78,7 @@ _SOIL: Columns = {
     "μ_r %": _error("mu_r"),
     "in  ": _count("mu_r_inside"),
     "M_r %": _error("M_r"),
-    "in   ": lambda row: _DASH if math.isnan(row.M_r_error) else f"{row.M_r_inside}/{row.seeds}",
+    "in   ": lambda row: NOTHING if math.isnan(row.M_r_error) else f"{row.M_r_inside}/{row.seeds}",
     "F driving %": _error("driving_thrust"),
     "F braking %": _error("braking_thrust"),
     "offset kPa": lambda row: _spread(row.offset_residue, row.offset_residue_worst, 1e-3),
