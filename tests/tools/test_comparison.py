@@ -102,8 +102,8 @@ def test_memory_is_bounded_where_one_side_is_missing() -> None:
 
 
 def test_a_replay_that_waits_for_its_whole_horizon_finds_its_partners() -> None:
-    """It waits so long where the journal lacks a line; `make demo DURATION=420` then failed as another run."""
-    rows, batch = odometry(range(0, 3 * HORIZON_NS // STEP_NS)), 500
+    """It waits so long where the journal lacks a line; ``make demo DURATION=420`` failed then."""
+    rows, batch = odometry(range(3 * HORIZON_NS // STEP_NS)), 500
     behind = HORIZON_NS // STEP_NS + batch
     comparer = LiveComparer()
     for end in range(batch, len(rows) + behind + batch, batch):
