@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from trackslip_bags.reader import open_bag
 
@@ -92,7 +93,7 @@ class Graph:
         """Topics that are silent, and what the recorder complains of."""
         silent = [topic for topic, heard in self._heard.items() if not _is_later(heard, began_ns)]
         reports = [health for health in self._healths if health.name == "record"]
-        wrong = [] if any(report.level == b"\0" for report in reports) else ["record"]
+        wrong = [] if any(report.level < DiagnosticStatus.ERROR for report in reports) else ["record"]
         return silent + wrong + [report.message for report in reports[-1:] if wrong]
 
     def worst(self):

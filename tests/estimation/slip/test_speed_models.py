@@ -56,7 +56,7 @@ states = st.tuples(
     *[st.floats(-1.0, 1.0)] * 2,
     st.floats(0.2, 2.0),
     st.floats(-2.0, -0.2),
-    *[st.floats(-0.3, 0.3)] * 6,
+    *[st.floats(-0.3, 0.3)] * 9,
 ).map(np.array)
 speeds = st.floats(-4.0, 4.0)
 times = st.floats(0.0, 0.5)

@@ -17,6 +17,7 @@ from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.nodes.state_keeper import StateKeeper
+from trackslip_estimation.nodes.static_mountings import StaticMountings
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry
@@ -36,7 +37,12 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
-from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal, YawRateSource, named
+from trackslip_estimation.slip.sources import (
+    HEADING_MESSAGES,
+    OdometrySource,
+    Refusal,
+    named,
+)
 
 LOCAL = "odometry/local"
 
@@ -76,14 +82,17 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._pose_set = self.advertise(topic_class(POSE_SET), POSE_SET)
         self.subscribe(topic_class(SET_POSE), SET_POSE, self._on_set_pose)
         self._frames_of_sources = p.frames_of_sources()
-        for source, imu in p.gyros().items():
-            on_imu = partial(self._on_imu, source=source, imu=imu)
-            self._listen(topic_class("imu/data_raw"), source, on_imu)
+        self._mountings = StaticMountings(self, self._frames.base, p.gyros())
+        for source in p.gyros():
+            self._listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
         for source in named(p.pose_sources):
             self._listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source, compass in p.compasses().items():
             on_heading = partial(self._on_heading, source=source, variance=compass.stddev**2)
             self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
+        for source, stated in p.odometries().items():
+            on_odometry = partial(self._on_odometry, source=source, stated=stated)
+            self._listen(topic_class("odometry"), source, on_odometry)
         for source in named(p.slip_sources):
             self._listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
@@ -129,8 +138,12 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._heard = time.monotonic()
         self._process(conversions.sprockets(message, "sprockets"))
 
-    def _on_imu(self, message: Any, source: str, imu: YawRateSource) -> None:
-        self._use(source, conversions.yaw_rate(message, source, imu))
+    def _on_imu(self, message: Any, source: str) -> None:
+        imu, found = self._mountings.imu(source, message.header.frame_id)
+        if found:  # a bag has them from now on
+            self.settings = self.settings.changed(found)
+            self.publish_parameters()
+        self._use(source, Refusal.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu))
 
     def _on_pose(self, message: Any, source: str) -> None:
         self._process(conversions.pose_fix(message, source))
@@ -142,6 +155,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_heading(self, message: Any, source: str, variance: float) -> None:
         self._use(source, conversions.heading_fix(message, source, variance))
+
+    def _on_odometry(self, message: Any, source: str, stated: OdometrySource) -> None:
+        self._use(source, conversions.odometry_pose(message, source, stated))
 
     def _on_slips(self, message: Any, source: str) -> None:
         self._process(conversions.slip_fix(message, source))

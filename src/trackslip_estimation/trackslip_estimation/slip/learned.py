@@ -100,7 +100,11 @@ def _machine_digest(p: SlipEstimatorParameters) -> str:
         "model": p.model,
         "poses": {name: (source.lever[:2], source.stamp_error) for name, source in p.poses().items()},
         "gyros": {
-            name: (imu.sign, imu.scale, *((imu.mounting,) if imu.mounting else ()))
+            name: (
+                imu.sign,
+                imu.scale,
+                *((imu.mounting,) if imu.mounting and not imu.mounting_from_tf else ()),
+            )
             for name, imu in p.gyros().items()
         },
         "least_track_error": p.adaptation.least_track_error,

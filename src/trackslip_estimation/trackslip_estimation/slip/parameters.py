@@ -16,11 +16,13 @@ from trackslip_common.vehicle import WithVehicle
 from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
+from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 from trackslip_estimation.slip.motion import MotionParameters
-from trackslip_estimation.slip.records import MOST_SOURCES
+from trackslip_estimation.slip.records import MOST_ODOMETRIES, MOST_SOURCES
 from trackslip_estimation.slip.sources import (
     KINDS,
     HeadingSource,
+    OdometrySource,
     PoseSource,
     Source,
     YawRateSource,
@@ -62,6 +64,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     heading_sources: tuple[str, ...] = parameter(
         "topics of headings, such as a pair of antennas shows; '' names none. With one and start: first_fix, "
         "the start heading is what it says"
+    )
+    odometry_sources: tuple[str, ...] = parameter(
+        "topics of Odometry of a laser or camera: what it moved counts, never where it is; '' names none"
     )
     sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
@@ -120,6 +125,15 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
                 f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}"
             )
 
+        odometries, own = len(self.odometries()), len(self.odometries()) + max(len(self.gyros()) - 1, 0)
+        if odometries > MOST_ODOMETRIES:
+            raise InputError(
+                f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"
+            )
+        if own > MOST_SENSOR_ERRORS:
+            accepted = f"at most {MOST_SENSOR_ERRORS} together"
+            raise InputError(f"{NODE}: {own} gyros after the first one and odometries; accepted: {accepted}")
+
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
         """One for each source that the lists name.
@@ -169,6 +183,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     def compasses(self) -> dict[str, HeadingSource]:
         """By topic."""
         return self.of_kind("heading_sources")
+
+    def odometries(self) -> dict[str, OdometrySource]:
+        """By topic."""
+        return self.of_kind("odometry_sources")
 
     def timeouts_ns(self) -> dict[str, int]:
         """Of each source but the sprockets, by topic."""

@@ -194,6 +194,7 @@ def _content(path: Path) -> str:
 
 
 def digest(body: str) -> str:
+    """Checksum of a text, in hexadecimal digits."""
     return hashlib.sha256(body.encode(errors="replace")).hexdigest()[:32]
 
 

@@ -20,6 +20,7 @@ from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.run import Part, Replay, Watch, replay
 from trackslip_tools.report.details import Details
+from trackslip_tools.report.limits import VerdictLimits, load_limits
 from trackslip_tools.report.panel import MOST_RUNS
 from trackslip_tools.report.recording import Recording, read_recording
 from trackslip_tools.report.run import Run
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     replay_options.add_options(parser)
     add("--smooth", action="store_true", help="show beside each estimate what the smoother makes of it")
+    add("--limits", metavar="FILE", action="append", help="limits of the verdict over config/report.yaml")
     add(
         "--output",
         metavar="HTML",
@@ -60,7 +62,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: a bag, a parameter or an option cannot be used.
     """
-    replay_options.filters_of(args)  # refused before the work
+    replay_options.filters_of(args)  # refused before the work, like the limits
+    limits = load_limits(args.limits or ())
     files = args.params or [_OWN]
     if any(map(is_folder, args.bags)):
         return _pages(args, files)
@@ -69,13 +72,15 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"{count} runs (bags × --params) in one report; accepted: at most {MOST_RUNS}")
     several = (len(args.bags) > 1, len(files) > 1)
     pairs = [(path, name) for path in args.bags for name in files]
+    names = distinct(args.bags)
     recordings: dict[Path, Recording] = {}
     runs = []
     require_writable(output=args.output)
     for path, name in shown(pairs, "replaying"):
-        runs.append(_run(args, path, name, recordings.get(path), _label(path, name, *several)))
+        label = _label(names[path], name, *several)
+        runs.append(_run(args, path, name, recordings.get(path), label))
         recordings[path] = runs[-1].recording
-    page = _page(runs)
+    page = _page(runs, limits)
     _write(args.output, page)
     show(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
     return ExitCode.DONE if not all(one.replay.no_estimate for one in runs) else ExitCode.FAILED
@@ -91,7 +96,7 @@ def _run(
         p = replay_options.parameters_of(bag, *given, args.vehicle)
         of_soil = replay_options.soil_parameters_of(bag, p, *given)
         replay_options.require_named(bag, p, filters, reference)
-        recording = recording or read_recording(bag, filters)
+        recording = recording or read_recording(bag, filters, args.namespace)
         details = Details()
 
         def watch(part: Part) -> None:
@@ -120,7 +125,7 @@ def _entry(args: argparse.Namespace, path: Path) -> Entry:
     def replayed(watch: Watch) -> tuple[Replay, str]:
         (name,) = args.params or [_OWN]
         one = _run(args, path, name, None, path.name, watch)
-        return one.replay, _page([one])
+        return one.replay, _page([one], load_limits(args.limits or ()))
 
     return entry_of(path, replayed)
 
@@ -132,17 +137,27 @@ def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Ro
     return found.rows()
 
 
-def _label(path: Path, name: str, bags: bool, files: bool) -> str:
+def distinct(paths: Sequence[Path]) -> dict[Path, str]:
+    """The end of each of several paths, long enough to tell it from the others; a single one is whole."""
+    known = list(dict.fromkeys(paths))
+    for count in range(1, max(len(path.parts) for path in known)) if len(known) > 1 else ():
+        ends = {path: str(Path(*path.parts[-count:])) for path in known}
+        if len(set(ends.values())) == len(known):
+            return ends
+    return {path: str(path) for path in known}
+
+
+def _label(bag: str, name: str, bags: bool, files: bool) -> str:
     """What distinguishes this run from the others."""
     if files and not bags:
         return name
-    return str(path) if name == _OWN and not files else f"{path}, {name}"
+    return bag if name == _OWN and not files else f"{bag}, {name}"
 
 
-def _page(runs: Sequence[Run]) -> str:
+def _page(runs: Sequence[Run], limits: VerdictLimits) -> str:
     from trackslip_tools.report.page import render  # Bokeh: half a second that other commands spare
 
-    return render(runs)
+    return render(runs, limits)
 
 
 def _write(path: Path, page: str) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from trackslip_common.message_fields import (
     ABSENT,
     ImuFields,
+    OdometryPoseFields,
     OrientationFields,
     PoseFields,
     QuaternionFields,
@@ -30,12 +31,28 @@ from trackslip_common.message_fields import (
 )
 from trackslip_estimation.slip.measurements import SET_POSE
 from trackslip_estimation.slip.mounting import turned, turned_variances
-from trackslip_estimation.slip.records import HEADING, MANUAL, MEASUREMENT, POSE, SLIPS, SPROCKETS, YAW_RATE
-from trackslip_estimation.slip.sources import HEADING_MESSAGES, HeadingSource, Refusal, YawRateSource
+from trackslip_estimation.slip.records import (
+    HEADING,
+    MANUAL,
+    MEASUREMENT,
+    ODOMETRY,
+    POSE,
+    SLIPS,
+    SPROCKETS,
+    YAW_RATE,
+)
+from trackslip_estimation.slip.sources import (
+    HEADING_MESSAGES,
+    ODOMETRY_FIELDS,
+    HeadingSource,
+    OdometrySource,
+    Refusal,
+    YawRateSource,
+)
 
 Rows = NDArray[np.void]
 
-IS_COMMAND, IS_RELOAD = HEADING + 1, HEADING + 2  # more kinds: its source is the command; new parameters
+IS_COMMAND, IS_RELOAD = ODOMETRY + 1, ODOMETRY + 2  # more kinds: its source is the command; new parameters
 
 _FIELDS = MEASUREMENT.names or ()
 ARRIVAL = np.dtype(
@@ -74,6 +91,12 @@ def heading_reader(type_name: str, compass: HeadingSource) -> SourceReader:
     if type_name == HEADING_MESSAGES["imu"]:
         return SourceReader(HEADING, OrientationFields, compass, ("absent", Refusal.NO_ORIENTATION))
     return SourceReader(HEADING, QuaternionFields, compass)
+
+
+def odometry_reader(odometry: OdometrySource) -> SourceReader:
+    """Of the odometry of a laser or camera; the numbers of frames are still to be filled in."""
+    _, field, refusal = ODOMETRY_FIELDS[odometry.covariance]
+    return SourceReader(ODOMETRY, OdometryPoseFields, odometry, (field, refusal) if field else None)
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:
@@ -125,10 +148,19 @@ def _fill_headings(rows: Rows, read: Rows, compass: HeadingSource) -> None:
         rows["noise"][stated, 0, 0] = read["variance_z"][stated]
 
 
+def _fill_odometry(rows: Rows, read: Rows, odometry: OdometrySource) -> None:
+    rows["value"] = np.column_stack([read[name] for name in "xyz"])
+    rows["turn"] = np.column_stack([read[f"q{axis}"] for axis in "xyzw"])
+    name = ODOMETRY_FIELDS[odometry.covariance][0]
+    if name:
+        rows["noise"][:, :2] = read[name]
+
+
 _FILL: dict[int, Callable[[Rows, Rows, Any], None]] = {
     SPROCKETS: _fill_sprockets,
     YAW_RATE: _fill_yaw_rates,
     POSE: _fill_poses,
     SLIPS: _fill_slips,
     HEADING: _fill_headings,
+    ODOMETRY: _fill_odometry,
 }

@@ -25,7 +25,7 @@ from trackslip_bags.parameters import bag_parameters, read_parameters
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
-from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields
+from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields, frame_number
 from trackslip_common.parameters import reloadable
 from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
@@ -39,6 +39,7 @@ from trackslip_estimation.slip.measurements import (
     Reload,
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import ODOMETRY as ODOMETRY_KIND
 from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal
 from trackslip_tools.replay.arrivals import (
     ARRIVAL,
@@ -50,6 +51,7 @@ from trackslip_tools.replay.arrivals import (
     Rows,
     SourceReader,
     heading_reader,
+    odometry_reader,
     to_measurements,
     yaw_rate_reader,
 )
@@ -176,6 +178,8 @@ class InputStream:
             if reader is not None:
                 read = table.rows(reader.fields)
                 rows = reader.rows(read)
+                if reader.kind == ODOMETRY_KIND:
+                    rows["frame"] = _frames(table)
                 rows["source"], rows["log_time_ns"] = self.sources.index(name), table.log_times_ns
                 usable = self._in_frame(name, table)
                 usable &= self._present(name, reader, read, usable)
@@ -288,8 +292,16 @@ def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, 
     readers |= {topic: yaw_rate_reader(imu) for topic, imu in p.gyros().items()}
     for topic, compass in p.compasses().items():
         readers[topic] = heading_reader(types.get(topic, ""), compass)
+    readers |= {topic: odometry_reader(odometry) for topic, odometry in p.odometries().items()}
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
+
+
+def _frames(table: TopicTable) -> NDArray[np.int64]:
+    """(n,) the number of each message's frame_id, as the live node has it."""
+    numbers = table.rows(FrameFields)["frame"]
+    of_texts: NDArray[np.int64] = np.array([frame_number(text) for text in table.texts], np.int64)
+    return np.asarray(of_texts[numbers])
 
 
 def _require_types(
@@ -299,6 +311,7 @@ def _require_types(
     expected = dict.fromkeys(p.yaw_rate_sources, "imu/data_raw")
     expected |= dict.fromkeys(("reference_pose", *p.pose_sources), "box_pose")
     expected |= dict.fromkeys(p.slip_sources, TRACK_SLIP)
+    expected |= dict.fromkeys(p.odometry_sources, ODOMETRY)
     require_one_type(bag, names)
     for topic, name in names.items():
         known, found = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name

@@ -17,7 +17,11 @@ X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
 GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its own
 DOWNHILL = 12  # of the models that know how the vehicle turns
 POSE = slice(X, YAW + 1)
-SIZE = 14  # of every state record; a model with a smaller state leaves the rest at zero
+SENSOR_ERRORS, MOST_SENSOR_ERRORS = (
+    14,
+    3,
+)  # one number of each source that has an error of its own (``config``)
+SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; what a model has not is zero
 
 
 class Part(NamedTuple):
