@@ -87,8 +87,18 @@ class HeadingFix:
     variance: float  # rad²
 
 
-Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix | HeadingFix
-KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix)  # of measurements, for isinstance
+@dataclass(frozen=True)
+class SwingAngle:
+    """Angle of the upper structure against the undercarriage, by a sensor of the swing."""
+
+    source: str
+    stamp_ns: int
+    angle: float  # rad, counter-clockwise; nan: the message has none
+    variance: float  # rad²
+
+
+Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix | HeadingFix | SwingAngle
+KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix, SwingAngle)  # of measurements, for isinstance
 
 
 @dataclass(frozen=True)

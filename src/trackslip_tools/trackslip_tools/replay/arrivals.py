@@ -25,17 +25,33 @@ from trackslip_common.message_fields import (
     RecordClass,
     SlipFields,
     SprocketFields,
+    SwingFields,
     headings_of,
     poses_of,
 )
 from trackslip_estimation.slip.measurements import SET_POSE
 from trackslip_estimation.slip.mounting import turned, turned_variances
-from trackslip_estimation.slip.records import HEADING, MANUAL, MEASUREMENT, POSE, SLIPS, SPROCKETS, YAW_RATE
-from trackslip_estimation.slip.sources import HEADING_MESSAGES, HeadingSource, Refusal, YawRateSource
+from trackslip_estimation.slip.records import (
+    HEADING,
+    MANUAL,
+    MEASUREMENT,
+    ON_SWING,
+    POSE,
+    SLIPS,
+    SPROCKETS,
+    YAW_RATE,
+)
+from trackslip_estimation.slip.sources import (
+    HEADING_MESSAGES,
+    HeadingSource,
+    Refusal,
+    SwingSource,
+    YawRateSource,
+)
 
 Rows = NDArray[np.void]
 
-IS_COMMAND, IS_RELOAD = HEADING + 1, HEADING + 2  # more kinds: its source is the command; new parameters
+IS_COMMAND, IS_RELOAD = ON_SWING + 1, ON_SWING + 2  # more kinds: its source is the command; new parameters
 
 _FIELDS = MEASUREMENT.names or ()
 ARRIVAL = np.dtype(
@@ -74,6 +90,11 @@ def heading_reader(type_name: str, compass: HeadingSource) -> SourceReader:
     if type_name == HEADING_MESSAGES["imu"]:
         return SourceReader(HEADING, OrientationFields, compass, ("absent", Refusal.NO_ORIENTATION))
     return SourceReader(HEADING, QuaternionFields, compass)
+
+
+def swing_reader(angle: SwingSource) -> SourceReader:
+    """Of a sensor of the swing."""
+    return SourceReader(ON_SWING, SwingFields, angle)
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:
@@ -125,10 +146,15 @@ def _fill_headings(rows: Rows, read: Rows, compass: HeadingSource) -> None:
         rows["noise"][stated, 0, 0] = read["variance_z"][stated]
 
 
+def _fill_swings(rows: Rows, read: Rows, angle: SwingSource) -> None:
+    rows["value"][:, 0], rows["noise"][:, 0, 0] = read["angle"], angle.stddev**2
+
+
 _FILL: dict[int, Callable[[Rows, Rows, Any], None]] = {
     SPROCKETS: _fill_sprockets,
     YAW_RATE: _fill_yaw_rates,
     POSE: _fill_poses,
     SLIPS: _fill_slips,
     HEADING: _fill_headings,
+    ON_SWING: _fill_swings,
 }

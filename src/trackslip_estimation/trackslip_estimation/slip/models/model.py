@@ -17,7 +17,9 @@ X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
 GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its own
 DOWNHILL = 12  # of the models that know how the vehicle turns
 POSE = slice(X, YAW + 1)
-SIZE = 14  # of every state record; a model with a smaller state leaves the rest at zero
+BELOW = 14  # numbers of a machine that nothing swings on: the rest stays zero, and is not looked at
+SWING, SWING_RATE = 14, 15  # σ and σ̇ of the upper structure, see ``swing``; rad, rad/s
+SIZE = 16  # of every state record; a model with a smaller state leaves the rest at zero
 
 
 class Part(NamedTuple):
