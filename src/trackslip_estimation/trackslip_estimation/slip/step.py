@@ -31,7 +31,7 @@ from trackslip_estimation.slip.models.dispatch import (
     twist,
     twist_jacobian,
 )
-from trackslip_estimation.slip.models.model import SIZE, SWING, SWING_RATE, YAW
+from trackslip_estimation.slip.models.model import SIZE, YAW
 from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import Motion, update_motion
 from trackslip_estimation.slip.records import HEADING, MANUAL, ON_SWING, POSE, SPROCKETS, YAW_RATE
@@ -128,7 +128,7 @@ def propagate(state: Any, dt: float, c: Any) -> None:
     if not c.sigma_points:
         x[:] = moved
         if c.swings:
-            shear(P, F[SWING, SWING_RATE])
+            shear(P, F)
         ekf.propagate_covariance(P, F, Q, COUPLED)
         return
     own = P[: x.size, : x.size].copy()

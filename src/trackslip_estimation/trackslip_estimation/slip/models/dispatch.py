@@ -10,7 +10,7 @@
     c          record of ``config.CONFIG``
 
 Noise densities are in continuous time, so that splitting a step does not change what it adds. F is diagonal
-below the pose, but for what the swing has of its rate.
+below the pose, but for what the swing moves.
 """
 
 import math
