@@ -77,6 +77,8 @@ def feels_gravity(a: Any) -> bool:
 def use_sample(a: Any, n: Any) -> None:
     """The record ``a`` of ``ATTITUDE`` at the stamp of its new ``sample``; ``n``: ``CONSTANTS``."""
     imu = a.sample
+    if imu.lost == 1 and a.seen == 0:
+        return
     imu.cos, imu.sin = math.cos(imu.turn), math.sin(imu.turn)
     dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
     follows = 0.0 < dt <= _LONGEST

@@ -24,6 +24,7 @@ from trackslip_estimation.slip.models.model import FIX_DELAY, SWING, SWING_RATE,
 from trackslip_estimation.slip.models.speed import YAW_RATE_ERROR
 
 FloatArray = NDArray[np.float64]
+_UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which there is none
 Place = tuple[float, float, float, float]
 
 
@@ -31,6 +32,14 @@ Place = tuple[float, float, float, float]
 def arm_of(source: int, c: Any) -> tuple[float, float]:
     """l − a of a sensor above, from the swing axis to it, seen from above."""
     return c.levers[source, 0] - c.swing_axis[0], c.levers[source, 1] - c.swing_axis[1]
+
+
+@compiled
+def unknown_arm(P: FloatArray, source: int, c: Any) -> float:
+    """Variance of its place along each axis, m², where nobody knows σ: no derivative reaches around a circle."""
+    x, y = arm_of(source, c)
+    known = P[SWING, SWING] <= _UNKNOWN_SWING**2
+    return 0.0 if known else float(x * x + y * y)
 
 
 @compiled

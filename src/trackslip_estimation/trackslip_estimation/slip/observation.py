@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import sandwich
-from trackslip_estimation.slip.levers import compass_offset
+from trackslip_estimation.slip.levers import compass_offset, unknown_arm
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
     body_twist,
@@ -59,6 +59,8 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
         R[i, i] = max(R[i, i], floor * floor)
     for i in range(2):
         R[i, i] += c.levers[source, 2] ** 2 * state.attitude.level.lean_variance
+        if c.above[source] == 1:
+            R[i, i] += unknown_arm(state.covariance, source, c)
     return z, R
 
 
