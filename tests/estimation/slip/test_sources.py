@@ -11,8 +11,8 @@ from fixtures.filter_steps import Gaussian, config_of
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.levers import move_place
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.observation import observed, shows_heading
 from trackslip_estimation.slip.parameters import load_slip_parameters

@@ -28,8 +28,6 @@ from trackslip_estimation.slip.models.model import (
     SWING,
     SWING_RATE,
     YAW,
-    X,
-    Y,
 )
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import expected, jacobian
@@ -50,7 +48,7 @@ def estimates(measurements: list[Measurement], p: SlipEstimatorParameters) -> li
 
 
 def errors(found: list[Estimate], truth: Recording) -> FloatArray:
-    """(k, 8) time, errors of x, y, heading and swing, and three standard deviations of x, heading and swing."""
+    """(k, 8) time, errors of x, y, heading and swing, and 3 standard deviations of x, heading, swing."""
     rows = []
     for e in found:
         t = e.stamp_ns * 1e-9 - 1.0
@@ -59,7 +57,9 @@ def errors(found: list[Estimate], truth: Recording) -> FloatArray:
         off = (*(e.pose - true[:3]), e.outputs.swing.angle - true[3])
         P = e.pose_covariance
         spread = 3.0 * np.sqrt((max(P[0, 0], P[1, 1]), P[2, 2], e.outputs.swing.covariance[0, 0]))
-        rows.append((t, *off[:2], math.remainder(off[2], math.tau), math.remainder(off[3], math.tau), *spread))
+        rows.append(
+            (t, *off[:2], math.remainder(off[2], math.tau), math.remainder(off[3], math.tau), *spread)
+        )
     return np.array(rows)
 
 
@@ -163,11 +163,13 @@ def test_transition_of_the_swing(motion: Motion, rate: float) -> None:
 
 def test_nothing_above_costs_nothing() -> None:
     """The same bits as the machine without a cab; the two states are not looked at."""
-    below = dict.fromkeys((f"vehicle.sensors.mounts.{name}" for name in ("box", "antenna", "imu")), "undercarriage")
+    below = dict.fromkeys(
+        (f"vehicle.sensors.mounts.{name}" for name in ("box", "antenna", "imu")), "undercarriage"
+    )
     p, plain = load_slip_parameters(WITH, below), load_slip_parameters()
     assert (p.swings, p.angles(), p.initial_pose()[0][2]) == (False, {}, 0.0)
     assert config_of(WITH, below)[0]["size"] == BELOW < config_of(WITH)[0]["size"] == SIZE
-    taken = [m for m in record(dig(), Cab(encoder=False)).measurements]
+    taken = record(dig(), Cab(encoder=False)).measurements
     own, other = SlipEstimator(p), SlipEstimator(plain)
     for (_, a), (_, b) in zip(own.process_all(taken), other.process_all(taken), strict=True):
         assert (a is None) == (b is None)
@@ -301,7 +303,9 @@ def test_the_order_of_arrival_does_not_matter() -> None:
 
 def leaning(recording: Recording, roll: float, pitch: float) -> list[Measurement]:
     """The same on a slope, for the IMU alone."""
-    below = GRAVITY * np.array((-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch)))
+    below = GRAVITY * np.array(
+        (-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch))
+    )
     found: list[Measurement] = []
     for m in recording.measurements:
         if isinstance(m, YawRate):
@@ -337,7 +341,7 @@ def test_the_vehicle_says_what_sits_above() -> None:
         "heading": True,
     }
     assert p.angles()[ENCODER].stddev == 0.002
-    assert of_cab(**{"sources__box_pose__mount": "undercarriage"}).poses()[FIX].above is False
+    assert of_cab(sources__box_pose__mount="undercarriage").poses()[FIX].above is False
     assert load_slip_parameters({"sources.box_pose.mount": "upper"}).angles() == {}  # no encoder in its file
     other = {name: value for name, value in vehicle_layer(CAB).items() if "swing_encoder" not in name}
     assert load_slip_parameters(other).angles() == {}
@@ -364,7 +368,9 @@ def test_messages_carry_the_swing() -> None:
     assert list(message.position) == [swing.angle, math.sqrt(swing.covariance[0, 0])]
     assert list(message.velocity) == [swing.rate, math.sqrt(swing.covariance[1, 1])]
     assert swing_angle(message, ENCODER, 1e-4).angle == swing.angle
-    nameless = make("sensor_msgs/msg/JointState", header=header(make, 10**9, ""), name=["boom"], position=[1.0])
+    nameless = make(
+        "sensor_msgs/msg/JointState", header=header(make, 10**9, ""), name=["boom"], position=[1.0]
+    )
     own = SlipEstimator(of_cab())
     report, _ = own.process(swing_angle(nameless, ENCODER, 1e-4))
     assert report.outcome is Outcome.INVALID

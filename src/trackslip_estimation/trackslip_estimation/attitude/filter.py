@@ -105,7 +105,11 @@ def use_sample(a: Any, n: Any) -> None:
 def _has_rates(imu: Any) -> bool:
     """Whether the IMU has a gyro about x and y."""
     p, q = imu.rates[0], imu.rates[1]
-    return imu.lost == 0 and math.isfinite(p + q) and max(imu.rate_variances[0], imu.rate_variances[1]) < _RATE_UNKNOWN
+    return (
+        imu.lost == 0
+        and math.isfinite(p + q)
+        and max(imu.rate_variances[0], imu.rate_variances[1]) < _RATE_UNKNOWN
+    )
 
 
 @compiled

@@ -116,7 +116,7 @@ def heading_fix(message: Any, source: str, default_variance: float) -> HeadingFi
 
 
 def swing_angle(message: Any, source: str, variance: float) -> SwingAngle:
-    """From sensor_msgs/JointState, which has no variance. A joint that is missing reads nan, and is refused."""
+    """From sensor_msgs/JointState, without a variance. A joint that is missing reads nan, and is refused."""
     m = read(SwingFields, message)
     return SwingAngle(source, m.stamp_ns, m.angle, variance)
 

@@ -210,11 +210,11 @@ def make_step(result: Any, source: str) -> Step:
 
 def make_estimate(record: Any) -> Estimate:
     """What a record of ``ESTIMATE`` says."""
-    stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt, *slips, motion, swing = record
+    stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt, *rest = record
+    slips, slip_covariance, motion, swing = rest
     known, *of_tilt = tilt
     leans = Tilt(*of_tilt) if known else None
     swings, *of_swing = swing
-    outputs = Outputs(
-        twist, twist_covariance, horizontal, leans, *slips, Swing(*of_swing) if swings else None
-    )
+    swung = Swing(*of_swing) if swings else None
+    outputs = Outputs(twist, twist_covariance, horizontal, leans, slips, slip_covariance, swung)
     return Estimate(int(stamp_ns), pose, pose_covariance, outputs, Motion(motion))

@@ -100,7 +100,8 @@ def _machine_digest(p: SlipEstimatorParameters) -> str:
         "vehicle": to_flat(p.vehicle),
         "model": p.model,
         "poses": {
-            name: (source.lever[:2], source.stamp_error, *_mount(source)) for name, source in p.poses().items()
+            name: (source.lever[:2], source.stamp_error, *_mount(source))
+            for name, source in p.poses().items()
         },
         "gyros": {
             name: (imu.sign, imu.scale, *((imu.mounting,) if imu.mounting else ()), *_mount(imu))

@@ -9,7 +9,7 @@
     x, P       mean and covariance of the state; c: record of ``config.CONFIG``
 
 A sensor above sees φ + σ, its gyro ω + σ̇. Instead of another observation for each kind of sensor the state
-is put in other coordinates, those of the sensor, and back after the update: there every sensor is at base_link.
+is put in the coordinates of the sensor, and back after the update: there every sensor is at base_link.
 """
 
 from typing import Any
@@ -36,7 +36,7 @@ def arm_of(source: int, c: Any) -> tuple[float, float]:
 
 @compiled
 def unknown_arm(P: FloatArray, source: int, c: Any) -> float:
-    """Variance of its place along each axis, m², where nobody knows σ: no derivative reaches around a circle."""
+    """Variance of its place along an axis, m², where nobody knows σ: no derivative goes round a circle."""
     x, y = arm_of(source, c)
     known = P[SWING, SWING] <= _UNKNOWN_SWING**2
     return 0.0 if known else float(x * x + y * y)
@@ -60,7 +60,7 @@ def sensor_place(level: Any, swing: float, source: int, c: Any) -> Place:
 
 @compiled
 def swing_lever(imu: Any, swing_rate: float, c: Any) -> None:
-    """Place and velocity of an IMU above, into its record, which holds σ and those that it would have below."""
+    """Place and velocity of an IMU above, into its record, which has σ and what they would be below."""
     arm_x, arm_y = imu.lever[0] - c.swing_axis[0], imu.lever[1] - c.swing_axis[1]
     cos, sin = np.cos(imu.turn), np.sin(imu.turn)
     x, y = cos * arm_x - sin * arm_y, sin * arm_x + cos * arm_y
@@ -89,7 +89,7 @@ def compass_offset(state: Any, source: int, c: Any) -> float:
 
 @compiled
 def to_sensor(x: FloatArray, P: FloatArray, level: Any, source: int, sign: float, c: Any) -> None:
-    """The state with the pose of a sensor for that of base_link (``sign`` 1), or back again (−1); in place."""
+    """The state with a sensor's pose for that of base_link (``sign`` 1), or back again (−1); in place."""
     above = c.above[source] == 1
     if above and sign < 0.0:
         _turn_heading(x, P, level, sign)

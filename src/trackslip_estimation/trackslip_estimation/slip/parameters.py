@@ -39,7 +39,12 @@ NODE = "slip_estimator"
 DEFAULT_FILES = ("slip_estimator.yaml",)
 GNSS_POSE = "gnss_pose"  # the topic whose lever arm the vehicle states
 _ANTENNA = "vehicle.sensors.antenna"
-_MOUNTS = {"box_pose": "box", GNSS_POSE: "antenna", "heading": "antenna", "imu/data_raw": "imu"}  # topics of them
+_MOUNTS = {
+    "box_pose": "box",
+    GNSS_POSE: "antenna",
+    "heading": "antenna",
+    "imu/data_raw": "imu",
+}  # topics of them
 _ENCODER = "vehicle.sensors.swing_encoder.stddev"
 
 
@@ -71,8 +76,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         "the start heading is what it says"
     )
     swing_sources: tuple[str, ...] = parameter(
-        "topics of JointState whose joint 'swing' is the angle of the upper structure; '' names none. Used where "
-        "the vehicle has a sensors.swing_encoder, and something sits above"
+        "topics of JointState whose joint 'swing' is the angle of the upper structure; '' names none. Used "
+        "where the vehicle has a sensors.swing_encoder, and something sits above"
     )
     sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
@@ -145,7 +150,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         """
         lists = {kind: checked(cls, kind, values[kind], where) for kind in KINDS if kind in values}
         antenna = {f"lever_arm_{axis}": values.get(f"{_ANTENNA}.{axis}") for axis in "xyz"}
-        mounted = {topic: {"mount": values.get(f"vehicle.sensors.mounts.{of}")} for topic, of in _MOUNTS.items()}
+        mounted = {
+            topic: {"mount": values.get(f"vehicle.sensors.mounts.{of}")} for topic, of in _MOUNTS.items()
+        }
         mounted[GNSS_POSE] |= antenna
         mounted |= {topic: {"stddev": values.get(_ENCODER)} for topic in lists.get(SWINGS, ())}
         mounted = {

@@ -27,7 +27,9 @@ from trackslip_estimation.slip.motion import MOTION, SPEEDS
 
 MOST_SOURCES = 12  # gyros, poses and slips together
 
-SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING, ON_SWING = range(6)  # kinds of measurement, in the order at one stamp
+SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING, ON_SWING = range(
+    6
+)  # kinds of measurement, in the order at one stamp
 
 MEASUREMENT = np.dtype(
     [

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the upper structure swings: two states of a machine that has sensors above; compiled.
 
-    σ, σ̇   angle of the upper structure against the undercarriage, counter-clockwise, and its rate   rad, rad/s
-    ω̂, a    fastest that it swings, at which it starts and brakes                                     rad/s, rad/s²
-    T, q    how long such an acceleration passes for white noise, its density a² T                    s, rad²/s³
-    τ, ρ    time after which σ̇ is forgotten, e^(−dt/τ)                                                s, 1
-    x_I     centre of rotation ahead of C (``speed``)                                                 m
-    g       how far the centre of gravity goes back while it turns by π/2, m_u c/m                    m
+    σ, σ̇    angle of the upper structure against the undercarriage, counter-clockwise    rad, rad/s
+    ω̂, a    fastest that it swings, at which it starts and brakes                        rad/s, rad/s²
+    T, q    how long such an acceleration passes for white noise, its density a² T       s, rad²/s³
+    τ, ρ    time after which σ̇ is forgotten, e^(−dt/τ)                                   s, 1
+    x_I     centre of rotation ahead of C (``speed``)                                    m
+    g       how far the centre of gravity goes back as it turns by π/2, m_u c/m          m
 
 While the tracks stand, or nobody hears of them, it may swing: σ̇ is driven by noise of density q, and its
 standard deviation without any sensor grows to ω̂, τ = 2 ω̂²/q. While they drive, the brake holds it: σ̇ goes
 to zero within ω̂/a, and stays there but for a little. One that still swings as they start to drive does so
 until it is seen to stop.
 
-Tracks turn about where they are loaded: x_I goes with the centre of gravity, by g (cos σ' − cos σ), and errs by
-what arm and bucket do meanwhile (measured on the shear truth: x_I goes as far).
+Tracks turn about where they are loaded: x_I goes with the centre of gravity, by g (cos σ' − cos σ), and errs
+by what arm and bucket do meanwhile (measured on the shear truth: x_I goes as far).
 """
 
 import math
@@ -54,18 +54,24 @@ _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 class SwingParameters(Parameters):
     """Of the upper structure, where sensors sit on it."""
 
-    rate: float = parameter("fastest that it swings, where the vehicle has no drive of it", unit="rad/s", gt=0.0)
+    rate: float = parameter(
+        "fastest that it swings, where the vehicle has no drive of it", unit="rad/s", gt=0.0
+    )
     acceleration: float = parameter(
         "at which it starts and brakes, where the vehicle has none", unit="rad/s²", gt=0.0
     )
     acceleration_time: float = parameter("for which that passes for white noise", unit="s", gt=0.0, le=10.0)
-    held_rate: float = parameter("standard deviation of its rate while the tracks drive", unit="rad/s", ge=0.0)
+    held_rate: float = parameter(
+        "standard deviation of its rate while the tracks drive", unit="rad/s", ge=0.0
+    )
     balance_error: float = parameter(
-        "by which the centre of rotation errs after 1 rad, beyond what the vehicle's masses say", unit="m/√rad", ge=0.0
+        "by which the centre of rotation errs after 1 rad, beyond what the vehicle's masses say",
+        unit="m/√rad",
+        ge=0.0,
     )
     repeat_time: float = parameter(
-        "correlation_time that fixes of what sits above have at the least: its place against the swing axis errs "
-        "alike from one to the next",
+        "correlation_time that fixes of what sits above have at the least: its place against the swing "
+        "axis errs alike from one to the next",
         unit="s",
         ge=0.0,
         le=600.0,
@@ -154,7 +160,11 @@ def linearize_swing(x: FloatArray, F: FloatArray, Q: FloatArray, dt: float, driv
 @compiled
 def shear(P: FloatArray, F: FloatArray) -> None:
     """P after what of F is not diagonal: x_I goes with σ and σ̇, σ with σ̇."""
-    of_angle, of_rate, seconds = F[ROTATION_OFFSET, SWING], F[ROTATION_OFFSET, SWING_RATE], F[SWING, SWING_RATE]
+    of_angle, of_rate, seconds = (
+        F[ROTATION_OFFSET, SWING],
+        F[ROTATION_OFFSET, SWING_RATE],
+        F[SWING, SWING_RATE],
+    )
     for j in range(P.shape[1]):
         P[ROTATION_OFFSET, j] += of_angle * P[SWING, j] + of_rate * P[SWING_RATE, j]
     for i in range(P.shape[0]):
