@@ -67,7 +67,11 @@ _enter()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """``make test``, which runs other tests beside these, tries a failed one again and reports it."""
+    """``make test`` begins with the group ``graph``, the longest of what runs one after the other.
+
+    It runs other tests beside these, so it tries a failed one again and reports it.
+    """
+    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is None)
     if hasattr(config, "workerinput"):
         for item in items:
             if item.path.is_relative_to(Path(__file__).parent):

@@ -105,19 +105,20 @@ def answers(address):
         return False
 
 
-def test_the_page_comes_at_another_port_where_its_own_is_taken_and_its_end_is_not_the_demos(programs):
+def test_the_page_comes_at_another_port_where_its_own_is_taken_and_may_end_alone(programs, observer):
     with socket.socket() as taken:
         with suppress(OSError):  # somebody else has it: just as well
             taken.bind(("127.0.0.1", 5006))
             taken.listen()
-        program = demo(programs, "--duration", "8")
+        program = demo(programs, "--duration", "60")
         program.until(lambda: "http://" in program.stdout, "the address")
         address = re.search(r"http://\S+", program.stdout)[0]
         assert ":5006" not in address
         program.until(lambda: answers(address), "the page")
         (page,) = (pid for pid, command in programs.alive().items() if "trackslip_tools/live" in command)
         os.kill(page, signal.SIGKILL)
-        assert program.wait(150.0) == 0, program.stdout + program.stderr
+        wait_for_drive(observer)
+        ends_at_once(programs, program)
 
 
 def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):

@@ -52,6 +52,7 @@ class Graph:
         self.healths = observer.healths()
 
     def begin(self, bag, **changes):
+        self.healths.clear()  # what the recorder of the run before had found says nothing of this one
         self.recorder = self.programs.node("record", output=bag)
         self.estimator = self.programs.node("slip_estimator", **{**PARAMETERS, **changes})
         for topic in self.topics:

@@ -126,7 +126,7 @@ def test_ctrl_c_while_a_node_starts(programs, node, moment):
 def test_ctrl_c_while_the_emulator_compiles(programs, observer):
     programs.environment["NUMBA_CACHE_DIR"] = str(programs.folder / "empty")
     program = programs.node("emulator", device_directory=str(programs.folder / "dev"))
-    observer.wait_for_ends("/diagnostics", "emulator")
+    program.until(lambda: program.stderr.endswith("\n"), "its first line")
     code, seconds = program.end()
     assert code == 0
     (line,) = program.stderr.splitlines()

@@ -49,7 +49,9 @@ def test_two_machines_side_by_side(programs, observer):
         for topic in ("sprockets", "box_pose"):
             observer.wait_for_ends(f"/{name}/{topic}", *NODES)
     for name in MACHINES:
-        published = [f"{name}/{topic}" for topic in ("odometry", "track_slip", "measurement_reports", "vehicle")]
+        published = [
+            f"{name}/{topic}" for topic in ("odometry", "track_slip", "measurement_reports", "vehicle")
+        ]
         observer.wait_for_recorder(healths, *published, recorder=f"{name}/record")
     for step in range(STEPS):
         for name, speed in MACHINES.items():

@@ -27,6 +27,7 @@ _TICK = 0.002  # s, how late a message may be
 _LONGEST_TICK = 0.05  # s of publishing, before the executor has its turn
 _CLOCK_PERIOD = 0.01  # s on the wall
 _QUIET = 1.0  # s without a new subscriber: then all have found us
+_ALONE = 4.0  # s without any: then there is none, for on a busy machine the first may take some seconds
 _LONGEST_ACK = 2.0  # s, for what is on its way at the end
 _PAUSE_KEY = " "
 
@@ -96,7 +97,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
         matched = sum(publisher.get_subscription_count() for publisher in self._outlets.values())
         if matched != self._matched:
             self._matched, self._quiet_since = matched, now_s
-        self._is_open = now_s - self._quiet_since >= _QUIET
+        self._is_open = now_s - self._quiet_since >= (_QUIET if matched else _ALONE)
         if self._is_open:
             self._warn_of_others()
         return self._is_open

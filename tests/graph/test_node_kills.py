@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes of a driving graph are killed or held, and started again as a launch file would do it."""
+
+import os
+import random
+import signal
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_bags.reader import open_bag
+
+pytestmark = pytest.mark.xdist_group("graph")
+
+KILLS = 100
+WHOLE_AGAIN_S = 10.0
+HELD_S = 5.0
+WORST_SIGMAS = 4.0
+DRIVE_S = 3600.0  # the longest there is
+VICTIMS = (
+    *("can_driver", "watson_imu", "sick_pls"),
+    *("box_localizer", "slip_estimator", "soil_estimator", "record"),
+)
+OUTPUTS = ("sprockets", "imu/data_raw", "scan", "box_pose", "odometry", "soil")
+
+
+@dataclass(frozen=True)
+class Node:
+    """How a node is started."""
+
+    executable: str
+    parameters: dict[str, Any]
+
+
+class Graph:
+    """The whole graph driving; what each node sent last."""
+
+    def __init__(self, programs, observer, udp_port):
+        self._programs, self._observer = programs, observer
+        can = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2", "can_port": udp_port}
+        devices = programs.folder / "devices"
+        self._nodes = {
+            "can_driver": Node("can_driver", can),
+            "watson_imu": Node("watson_imu", {"serial_port": str(devices / "watson")}),
+            "sick_pls": Node("sick_pls", {"serial_port": str(devices / "sick")}),
+            "box_localizer": Node("box_localizer", {}),
+            "slip_estimator": Node("slip_estimator", {"state_file": str(programs.folder / "learned.yaml")}),
+            "soil_estimator": Node("soil_estimator", {}),
+            "record": Node("record", {}),
+        }
+        self._heard = {topic: observer.subscribe(topic) for topic in OUTPUTS}
+        self._truth, self._healths = observer.subscribe("truth/odometry"), observer.healths()
+        self.estimates = self._heard["odometry"]
+        programs.node(
+            "emulator", scenario="field_trial", duration=DRIVE_S, device_directory=str(devices), **can
+        )
+        observer.wait(lambda: (devices / "sick").exists(), "the devices")
+        self._running = {name: self._start(name) for name in VICTIMS}
+        self.wait_until_whole("the start", 60.0)
+
+    def _start(self, name):
+        node = self._nodes[name]
+        return self._programs.node(node.executable, **node.parameters)
+
+    def kill(self, name):
+        """End the node without notice and start it again."""
+        self._running[name].asked = True
+        self._running[name].process.kill()
+        self._running[name].process.wait()
+        self._running[name] = self._start(name)
+
+    def hold(self, name):
+        """Stop the node for some seconds, then let it go on."""
+        process = self._running[name].process
+        process.send_signal(signal.SIGSTOP)
+        until = time.monotonic() + HELD_S
+        self._observer.wait(lambda: time.monotonic() > until, "the node held")
+        process.send_signal(signal.SIGCONT)
+
+    def wait_until_whole(self, what, limit_s=WHOLE_AGAIN_S):
+        """Until all topics carry messages of the present and the recorder reports that it writes."""
+        began_ns = time.time_ns()
+        self._healths.clear()
+
+        def whole():
+            recorded = any(health.name == "record" and health.level == b"\0" for health in self._healths)
+            return recorded and all(_is_later(heard, began_ns) for heard in self._heard.values())
+
+        self._observer.wait(whole, f"a whole graph after {what}", limit_s)
+
+    def worst(self):
+        """Of all estimates since the last call: the largest error in x, y, yaw by its standard deviation."""
+        truth = np.array([(_stamp_ns(m), *_pose(m)) for m in self._truth])
+        found = np.array([(_stamp_ns(m), *_pose(m), *_deviations(m)) for m in self.estimates])
+        known = (found[:, 0] >= truth[0, 0]) & (found[:, 0] <= truth[-1, 0])
+        found, since = found[known], truth[0, 0]
+        actual = np.column_stack(
+            [
+                np.interp(found[:, 0] - since, truth[:, 0] - since, values)
+                for values in (truth[:, 1], truth[:, 2], np.unwrap(truth[:, 3]))
+            ]
+        )
+        error = found[:, 1:4] - actual
+        error[:, 2] = np.arctan2(np.sin(error[:, 2]), np.cos(error[:, 2]))
+        del self._truth[:-100]
+        self.estimates.clear()
+        return float(np.max(np.abs(error) / found[:, 4:]))
+
+
+def _is_later(messages, than_ns):
+    return bool(messages) and _stamp_ns(messages[-1]) > than_ns
+
+
+def _stamp_ns(message):
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
+def _pose(message):
+    position, q = message.pose.pose.position, message.pose.pose.orientation
+    yaw = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return position.x, position.y, yaw
+
+
+def _deviations(message):
+    return np.sqrt(np.reshape(message.pose.covariance, (6, 6)).diagonal()[[0, 1, 5]])
+
+
+def _survives(graph, programs, choose, times):
+    worst = {}
+    for number in range(times):
+        name, how = choose.choice(VICTIMS), choose.choice((graph.kill, graph.hold))
+        what = f"{number}: {how.__name__} {name}"
+        how(name)
+        graph.wait_until_whole(what)
+        worst[what] = graph.worst()
+        print(what, f"{worst[what]:.2f} sigma", flush=True)
+    for file in sorted(programs.folder.glob("trackslip_*")):
+        with open_bag(file) as bag:
+            assert sum(info.count for info in bag.topics.values()) > 0, file
+    assert max(worst.values()) < WORST_SIGMAS, worst
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(3600)
+def test_a_hundred_kills_in_a_row(programs, observer, udp_port):
+    graph = Graph(programs, observer, udp_port)
+    _survives(graph, programs, random.Random(int(os.environ.get("TRACKSLIP_SEED", "1"))), KILLS)
