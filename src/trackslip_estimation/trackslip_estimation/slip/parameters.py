@@ -154,6 +154,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             topic: {"mount": values.get(f"vehicle.sensors.mounts.{of}")} for topic, of in _MOUNTS.items()
         }
         mounted[GNSS_POSE] |= antenna
+        if _ENCODER not in values:  # nothing is stated of what there is not
+            lists.pop(SWINGS, None)
         mounted |= {topic: {"stddev": values.get(_ENCODER)} for topic in lists.get(SWINGS, ())}
         mounted = {
             topic: {key: value for key, value in stated.items() if value is not None}
