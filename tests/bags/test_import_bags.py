@@ -12,6 +12,7 @@ import yaml
 from fixtures.robot_logs import (
     EPOCH_NS,
     IMU_LATE_NS,
+    ODOM_COVARIANCE,
     POSE_LATE_NS,
     RADIUS,
     TREAD,
@@ -127,6 +128,18 @@ def test_speeds_of_a_base_controller_serve(log: Path, tmp_path: Path) -> None:
     sprockets = {"from": "/odom", "geometry": GEOMETRY}
     _, messages = imported(log, tmp_path, changed(sprockets=sprockets))
     np.testing.assert_allclose([m.velocity for _, m in messages["/sprockets"]], TRUTH.wheels, atol=1e-12)
+
+
+def test_odometry_keeps_pose_variances_and_frame(log: Path, tmp_path: Path) -> None:
+    _, messages = imported(log, tmp_path, changed(camera={"role": "odometry", "from": "/odom"}))
+    found = [m for _, m in messages["/camera"]]
+    places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in found]
+    np.testing.assert_array_equal(places, TRUTH.pose[:, :2])
+    turns = [2.0 * math.atan2(m.pose.pose.orientation.z, m.pose.pose.orientation.w) for m in found]
+    np.testing.assert_allclose(turns, TRUTH.pose[:, 2], atol=1e-12)
+    np.testing.assert_array_equal(found[0].twist.covariance, ODOM_COVARIANCE)
+    assert not found[0].pose.covariance.any()
+    assert {m.header.frame_id for m in found} == {"odom"}
 
 
 def test_a_reference_of_positions_has_no_heading(log: Path, tmp_path: Path) -> None:

@@ -71,6 +71,17 @@ def test_several_files_have_their_own_columns_times_and_rates(tmp_path: Path) ->
     assert [stamp_ns_of(m) // 1_000_000 for m in messages["imu/data_raw"]] == [1000, 1010, 1020]
 
 
+def test_odometry_of_a_log_has_no_variance(tmp_path: Path) -> None:
+    yaw = {"yaw": {"column": "yaw", "unit": "deg"}}
+    _, messages = imported(tmp_path, "t,x,y,yaw\n1,2,3,90\n", {"camera": {"role": "odometry", **XY, **yaw}})
+    (m,) = messages["camera"]
+    place, turn = m.pose.pose.position, m.pose.pose.orientation
+    assert (place.x, place.y, place.z) == (2.0, 3.0, 0.0)
+    assert (turn.z, turn.w) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
+    assert not m.pose.covariance.any()
+    assert not m.twist.covariance.any()
+
+
 def test_a_directory_stands_for_its_files(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "wheels.csv").write_text("t,l,r\n1,2,3\n", encoding="utf-8")

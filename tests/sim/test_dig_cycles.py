@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""dig_cycles on the shear truth: all sensors on a cab that swings by half turns, with its encoder and without."""
+"""dig_cycles on the shear truth: all sensors on a cab that swings by half turns, with and without encoder."""
 
 import json
 from pathlib import Path

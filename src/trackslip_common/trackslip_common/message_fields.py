@@ -13,6 +13,7 @@ of a message is one line here.
 """
 
 import math
+import zlib
 from collections.abc import Callable
 from functools import cache
 from operator import attrgetter
@@ -29,6 +30,7 @@ RecordClass = Any  # a NamedTuple class of this module; mypy takes no type[Any] 
 
 PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
 _PLANE_IN_36 = tuple(np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel().tolist())
+_DIAGONAL_IN_36 = tuple(range(0, 36, 7))
 _SLIPS_IN_9 = (0, 1, 3, 4)  # left and right among left, right, slip angle
 ABSENT = -1.0  # first element of a covariance in sensor_msgs/Imu: there is no such vector (REP-145)
 _NS_PER_S = 1_000_000_000
@@ -158,6 +160,23 @@ class OdometryFields(NamedTuple):
     v_y: Annotated[float, At("twist.twist.linear.y")]
     yaw_rate: Annotated[float, At("twist.twist.angular.z")]  # rad/s
     twist_covariance: Annotated[FloatArray, At("twist.covariance", _PLANE_IN_36, (3, 3))]
+
+
+class OdometryPoseFields(NamedTuple):
+    """Of nav_msgs/Odometry as a source: the whole pose, and the variances of pose and twist."""
+
+    stamp_ns: StampNs
+    x: Annotated[float, At("pose.pose.position.x")]  # m
+    y: Annotated[float, At("pose.pose.position.y")]
+    z: Annotated[float, At("pose.pose.position.z")]
+    qx: Annotated[float, At("pose.pose.orientation.x")]
+    qy: Annotated[float, At("pose.pose.orientation.y")]
+    qz: Annotated[float, At("pose.pose.orientation.z")]
+    qw: Annotated[float, At("pose.pose.orientation.w")]
+    pose_variances: Annotated[FloatArray, At("pose.covariance", _DIAGONAL_IN_36, (2, 3))]  # m², rad²
+    twist_variances: Annotated[FloatArray, At("twist.covariance", _DIAGONAL_IN_36, (2, 3))]
+    pose_absent: Annotated[float, At("pose.covariance", (0,))]  # −1: there is none
+    twist_absent: Annotated[float, At("twist.covariance", (0,))]
 
 
 class NavSatFields(NamedTuple):
@@ -328,6 +347,11 @@ def heading_of(pose: Any) -> float:
     """Rotation about z, rad in (−π, π], of what has the quaternion ``qx qy qz qw``."""
     sine = 2.0 * (pose.qw * pose.qz + pose.qx * pose.qy)
     return math.atan2(sine, 1.0 - 2.0 * (pose.qy * pose.qy + pose.qz * pose.qz))
+
+
+def frame_number(text: str) -> int:
+    """Of a frame_id: the same wherever it is read."""
+    return zlib.crc32(text.encode())
 
 
 def tilt_of(pose: Any) -> tuple[float, float]:

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from trackslip_common.nodes.messages import make
 from trackslip_common.vehicle import GRAVITY
-from trackslip_estimation.slip.conversions import fill_attitude, fill_odometry, odometry, quaternion_of
+from trackslip_estimation.slip.conversions import fill_attitude, fill_odometry, odometry
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.mounting import quaternion_of
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 FloatArray = NDArray[np.float64]

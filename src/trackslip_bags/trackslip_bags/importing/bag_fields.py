@@ -142,6 +142,17 @@ def _fix(message: Any, topic: BagTopic) -> Iterator[Reading]:
     yield Reading(message.header, row, NO_FIX if without or not finite else "")
 
 
+def _odometry(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    """Place, quaternion, and the variances of pose and of twist, six each."""
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    variances = [
+        np.asarray(part.covariance, np.float64)[::7].tolist() for part in (message.pose, message.twist)
+    ]
+    row = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w, *variances[0], *variances[1])
+    finite = all(map(math.isfinite, row[:7]))
+    yield Reading(message.header, tuple(map(float, row)), "" if finite else "holds no such numbers")
+
+
 def _hydraulics(message: Any, topic: BagTopic) -> Iterator[Reading]:
     yield Reading(message.header, tuple(float(getattr(message, n)) for n in ROLES["hydraulics"].fields))
 
@@ -154,6 +165,7 @@ READERS: Mapping[tuple[str, str], Reader] = {
     **{("pose", name): _transform for name in (TRANSFORM, *TRANSFORMS)},
     ("pose", FIX): _fix,
     ("fix", FIX): _fix,
+    ("odometry", ODOMETRY): _odometry,
     ("hydraulics", HYDRAULICS): _hydraulics,
 }
 """(role, message type) → what reads it."""
@@ -174,6 +186,8 @@ def values_of(
             return _imu_values(rows, topic)
         case "pose":
             return _pose_values(rows, topic, type_name, local)
+        case "odometry":
+            return {"place": rows[:, :3], "turn": rows[:, 3:7], "variances": rows[:, 7:]}
         case "fix":
             covariance = rows[:, 3:12].reshape(-1, 3, 3)
             return {

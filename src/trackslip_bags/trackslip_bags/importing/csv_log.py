@@ -137,6 +137,8 @@ def _values(
             return _pose(columns, spreads, local)
         case "fix":
             return _fix(columns, spreads)
+        case "odometry":
+            return _odometry(columns)
         case _:
             nothing = np.full(len(stamps_ns), np.nan)
             return {name: columns.get(name, nothing) for name in ROLES[topic.role].fields}
@@ -310,6 +312,17 @@ def _fix(columns: Values, spreads: Values) -> Values:
         "kind": kind.astype(np.float64),
         "status": np.nan_to_num(status, nan=-1.0),
     }
+
+
+def _odometry(columns: Values) -> Values:
+    """Its variances are unknown."""
+    level = np.zeros(len(columns["x"]))
+    if "qw" in columns:
+        turn = np.column_stack([columns[name] for name in ("qx", "qy", "qz", "qw")])
+    else:
+        turn = np.column_stack((level, level, np.sin(columns["yaw"] / 2.0), np.cos(columns["yaw"] / 2.0)))
+    place = np.column_stack((columns["x"], columns["y"], columns.get("z", level)))
+    return {"place": place, "turn": turn, "variances": np.zeros((len(level), 12))}
 
 
 def _place(columns: Values) -> FloatArray:

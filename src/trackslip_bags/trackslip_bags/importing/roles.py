@@ -129,6 +129,19 @@ ROLES: Mapping[str, Role] = {
         axes={"x": "length", "y": "length", "z": "length"},
         optional=("altitude", "quality", "status"),
     ),
+    "odometry": Role(
+        type_name=ODOMETRY,
+        frame="odom",
+        fields={
+            **dict.fromkeys(("x", "y", "z"), _POSITION),
+            "yaw": _ANGLE,
+            **dict.fromkeys(_QUATERNION, NUMBER),
+        },
+        choices=((("x", "y"), ("x", "y", "z")), (("yaw",), _QUATERNION)),
+        messages=(ODOMETRY,),
+        axes={},
+        optional=("z",),
+    ),
     "hydraulics": Role(
         type_name=HYDRAULICS,
         frame="",

@@ -6,6 +6,7 @@
     pose         pose (n, 3): x, y, yaw; covariance (n, 3, 3)                       m, m, rad
     fix          place (n, 3): latitude, longitude, altitude; covariance (n, 3, 3);
                  kind, status (n,)                                                  rad, rad, m
+    odometry     place (n, 3), turn (n, 4): x, y, z, w; variances (n, 12) of pose and of twist   m, 1
     hydraulics   left_pressure … supply_pressure (n,)                               Pa, 1
 
 What is not known is nan; of an Imu's covariance then the first element is −1 (REP-145), and of a pose's
@@ -145,9 +146,21 @@ def _hydraulics(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     return {name: float(value) for name, value in values.items()}
 
 
+def _odometry(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+    place = make("geometry_msgs/msg/Point", **dict(zip("xyz", values["place"].tolist(), strict=True)))
+    turn = make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", values["turn"].tolist(), strict=True)))
+    pose = make("geometry_msgs/msg/Pose", position=place, orientation=turn)
+    of_pose, of_twist = (np.diag(part).ravel() for part in np.split(values["variances"], 2))
+    return {
+        "pose": make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=of_pose),
+        "twist": make("geometry_msgs/msg/TwistWithCovariance", covariance=of_twist),
+    }
+
+
 _BUILDERS: Mapping[str, Callable[[Mapping[str, FloatArray]], dict[str, Any]]] = {
     "sprockets": _sprockets,
     "imu": _imu,
     "fix": _fix,
+    "odometry": _odometry,
     "hydraulics": _hydraulics,
 }

@@ -36,7 +36,13 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
-from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal, YawRateSource, named
+from trackslip_estimation.slip.sources import (
+    HEADING_MESSAGES,
+    OdometrySource,
+    Refusal,
+    YawRateSource,
+    named,
+)
 
 LOCAL, SWING = "odometry/local", "swing/estimate"
 
@@ -89,6 +95,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         for source, angle in p.angles().items():
             on_swing = partial(self._on_swing, source=source, variance=angle.stddev**2)
             self._listen(topic_class("swing"), source, on_swing)
+        for source, stated in p.odometries().items():
+            on_odometry = partial(self._on_odometry, source=source, stated=stated)
+            self._listen(topic_class("odometry"), source, on_odometry)
         for source in named(p.slip_sources):
             self._listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
@@ -150,6 +159,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_swing(self, message: Any, source: str, variance: float) -> None:
         self._process(conversions.swing_angle(message, source, variance))
+
+    def _on_odometry(self, message: Any, source: str, stated: OdometrySource) -> None:
+        self._use(source, conversions.odometry_pose(message, source, stated))
 
     def _on_slips(self, message: Any, source: str) -> None:
         self._process(conversions.slip_fix(message, source))

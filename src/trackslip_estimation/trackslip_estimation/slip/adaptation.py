@@ -111,7 +111,7 @@ def begin_adaptation(a: Any, c: Any) -> None:
     """The record ``a`` of ``records.ADAPTATION`` at the start: s unknown, sensors as they state."""
     n = c.adaptation
     a.track_variance, a.rate_factor = n.track_variances.mean(), 1.0
-    a.envelope = a.exposure = a.elapsed = 0.0
+    a.envelope = a.exposure = a.elapsed = a.speed_exposure = a.speed_elapsed = 0.0
     for i in range(TRACK_ERRORS):
         a.log_weights[i] = n.rate_prior
     a.fix_factors[:] = 1.0
@@ -145,13 +145,15 @@ def pass_time(state: Any, dt: float, c: Any) -> None:
     kept = math.exp(-2.0 * dt / c.velocity_errors.time)
     a.envelope = kept * (a.envelope + lacking) + (1.0 - kept) * U
     a.exposure = kept * (a.exposure + lacking / (c.tread * c.tread)) + (1.0 - kept) * U / (c.tread * c.tread)
+    a.speed_exposure = kept * (a.speed_exposure + lacking) + (1.0 - kept) * U
     a.elapsed += dt
+    a.speed_elapsed += dt
 
 
 @compiled
 def lose_track(a: Any) -> None:
     """The sprockets are silent: the velocity errors hold all, and nothing of it is the tracks' error."""
-    a.envelope = a.exposure = a.elapsed = 0.0
+    a.envelope = a.exposure = a.elapsed = a.speed_exposure = a.speed_elapsed = 0.0
 
 
 @compiled
@@ -177,6 +179,33 @@ def learn_from_rate(
             w = kept * a.log_weights[i, j] + (1.0 - kept) * n.rate_prior[j]
             a.log_weights[i, j] = w - weight * (math.log(variance) + squared / variance) / 2.0
             best = max(best, a.log_weights[i, j])
+    _set_means(a, best, n)
+    nis: float = innovation * innovation / largest
+    return nis
+
+
+@compiled
+def learn_from_speed(a: Any, speed: tuple[float, float, float], stands: bool, c: Any) -> None:
+    """Weighs s by a speed of odometry: its innovation, its S, and what of S is by the tracks for s = 1."""
+    n, (innovation, S, of_tracks) = c.adaptation, speed
+    rest = max(S - a.track_variance * of_tracks, 0.0)
+    squared = min(innovation**2, _OUTLIER * (rest + of_tracks * n.track_variances[TRACK_ERRORS - 1]))
+    weight = min(a.speed_elapsed / c.velocity_errors.time, 1.0)
+    kept = 1.0 if stands else math.exp(-a.speed_elapsed / n.memory)
+    a.speed_exposure = a.speed_elapsed = 0.0
+    best = -math.inf
+    for i in range(TRACK_ERRORS):
+        variance = rest + of_tracks * n.track_variances[i]
+        likelihood = -weight * (math.log(variance) + squared / variance) / 2.0
+        for j in range(RATE_FACTORS):
+            a.log_weights[i, j] = kept * a.log_weights[i, j] + (1.0 - kept) * n.rate_prior[j] + likelihood
+            best = max(best, a.log_weights[i, j])
+    _set_means(a, best, n)
+
+
+@compiled
+def _set_means(a: Any, best: float, n: Any) -> None:
+    """s² and a as the weights, of which ``best`` is the largest, have them."""
     total = track_variance = rate_factor = 0.0
     for i in range(TRACK_ERRORS):
         for j in range(RATE_FACTORS):
@@ -187,8 +216,6 @@ def learn_from_rate(
                 track_variance += mass * n.track_variances[i]
                 rate_factor += mass * n.rate_factors[j]
     a.track_variance, a.rate_factor = track_variance / total, rate_factor / total
-    nis: float = innovation * innovation / largest
-    return nis
 
 
 @compiled

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All numbers of the compiled estimator in one record, made from its parameters."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,12 @@ from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANT
 from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.coasting import motion_limits
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
-from trackslip_estimation.slip.models.model import BELOW, SIZE, SWING
+from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SENSOR_ERRORS, SIZE, SWING
 from trackslip_estimation.slip.models.swing import constants as swing_constants
 from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ADAPTATION, MOST_SOURCES
+from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME
 
 ConfigRecord = NDArray[np.void]
 
@@ -68,6 +70,13 @@ CONFIG = np.dtype(
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_offset", np.float64, (MOST_SOURCES,)),  # rad
         ("correlation_times", np.float64, (MOST_SOURCES,)),  # s
+        ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
+        ("mountings", np.float64, (MOST_SOURCES, 4)),  # of odometry: from its axes to base_link's, x, y, z, w
+        ("odometries", np.int64),  # how many there are
+        ("odometry_number", np.int64, (MOST_SOURCES,)),  # among those
+        ("odometry_noise", np.int64, (MOST_SOURCES,)),  # of ``increments``: where its covariance comes from
+        ("odometry_variances", np.float64, (MOST_SOURCES, 2)),  # where it has none, (m/s)², (rad/s)²
+        ("odometry_gap", np.float64, (MOST_SOURCES,)),  # s
         ("tilt_source", np.int64),  # the IMU that tells the attitude; −1: none, the ground is flat
         ("tilt_lever", np.float64, (3,)),  # its place, m
         ("attitude", ATTITUDE_CONSTANTS),
@@ -96,6 +105,9 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["clock"] = (round(p.max_gap * 1e9), p.jump_confirmations, c["sprocket_timeout_ns"])
     _set_model(c, p)
     _set_sources(c, p)
+    numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
+    _set_odometry(c, p, numbers)
+    _set_own_errors(c, p, numbers)
     return config
 
 
@@ -155,3 +167,27 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
     c["attitude"], c["tilt_source"] = attitude_constants(p.attitude), -1
     if p.tilt_source is not None:
         c["tilt_source"], c["tilt_lever"] = numbers[p.tilt_source], p.gyros()[p.tilt_source].lever
+
+
+def _set_odometry(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
+    c["odometries"] = len(p.odometries())
+    for number, (name, odometry) in enumerate(p.odometries().items()):
+        k = numbers[name]
+        c["odometry_number"][k], c["odometry_noise"][k] = number, COVARIANCES.index(odometry.covariance)
+        c["levers"][k], c["mountings"][k] = odometry.lever, odometry.mounting
+        c["odometry_variances"][k] = odometry.velocity_stddev**2, odometry.yaw_rate_stddev**2
+        c["odometry_gap"][k] = odometry.max_gap
+
+
+def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
+    """The bias of each gyro after the first, and by how much the lengths of each odometry err."""
+    c["own_errors"] = -1
+    bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
+    errors = dict.fromkeys(list(p.gyros())[1:], bias)
+    errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
+    for place, (name, (variance, walk)) in enumerate(errors.items(), SENSOR_ERRORS):
+        c["own_errors"][numbers[name]] = place
+        c["prior_variance"][place] = c["prior_covariance"][place, place] = variance
+        c["process_noise"][..., place] = walk
+        if not p.swings:
+            c["active"] = c["size"] = place + 1

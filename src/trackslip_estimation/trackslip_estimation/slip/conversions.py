@@ -7,7 +7,6 @@ and replay share it.
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,13 +16,16 @@ from trackslip_common.make import Make, header, set_stamp
 from trackslip_common.message_fields import (
     ABSENT,
     PLANE_IN_6,
+    FrameFields,
     ImuFields,
+    OdometryPoseFields,
     OrientationFields,
     PoseFields,
     QuaternionFields,
     SlipFields,
     SprocketFields,
     SwingFields,
+    frame_number,
     heading_of,
     read,
 )
@@ -31,6 +33,7 @@ from trackslip_common.topics import SWING_JOINT, SWING_STDDEV_JOINT
 from trackslip_estimation.slip.estimator import Estimate, Swing, Tilt
 from trackslip_estimation.slip.measurements import (
     HeadingFix,
+    OdometryPose,
     PoseFix,
     Report,
     SlipFix,
@@ -38,8 +41,8 @@ from trackslip_estimation.slip.measurements import (
     SwingAngle,
     YawRate,
 )
-from trackslip_estimation.slip.mounting import turned, turned_variances
-from trackslip_estimation.slip.sources import Refusal, YawRateSource
+from trackslip_estimation.slip.mounting import quaternion_of, turned, turned_variances
+from trackslip_estimation.slip.sources import ODOMETRY_FIELDS, OdometrySource, Refusal, YawRateSource
 
 FloatArray = NDArray[np.float64]
 
@@ -121,6 +124,20 @@ def swing_angle(message: Any, source: str, variance: float) -> SwingAngle:
     return SwingAngle(source, m.stamp_ns, m.angle, variance)
 
 
+def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> OdometryPose | Refusal:
+    """From nav_msgs/Odometry of a laser or camera: its pose, and the variances that its parameters want.
+
+    A variance of zero means unknown, a first element of −1 that there is no such covariance.
+    """
+    m, (name, absent, refusal) = read(OdometryPoseFields, message), ODOMETRY_FIELDS[odometry_.covariance]
+    if absent and getattr(m, absent) == ABSENT:
+        return refusal
+    frame = frame_number(read(FrameFields, message).frame)
+    variances = getattr(m, name) if name else np.zeros((2, 3))
+    place, turn = np.array((m.x, m.y, m.z)), np.array((m.qx, m.qy, m.qz, m.qw))
+    return OdometryPose(source, m.stamp_ns, place, turn, frame, variances)
+
+
 def odometry(make: Make, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:
     """nav_msgs/Odometry of an estimate."""
     message = blank_odometry(make, parent_frame, base_frame)
@@ -150,23 +167,6 @@ def fill_odometry(message: Any, estimate: Estimate) -> None:
     of_tilt, of_rates = (_FLAT, _NO_RATES) if tilt is None else (tilt.covariance, tilt.rate_variances[:2])
     message.pose.covariance[_TILT_IN_36] = of_tilt.ravel()
     message.twist.covariance[_RATES_IN_36] = of_rates
-
-
-def quaternion_of(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """x, y, z, w of ZYX angles in rad."""
-    x, y, z, w = quaternion_by([(math.sin(a / 2.0), math.cos(a / 2.0)) for a in (roll, pitch, yaw)])
-    return x, y, z, w
-
-
-def quaternion_by(halves: Sequence[tuple[Any, Any]]) -> tuple[Any, Any, Any, Any]:
-    """x, y, z, w of the sines and cosines of half of each angle: numbers, or columns."""
-    (sr, cr), (sp, cp), (sy, cy) = halves
-    return (
-        cy * cp * sr - sy * sp * cr,
-        cy * sp * cr + sy * cp * sr,
-        sy * cp * cr - cy * sp * sr,
-        cy * cp * cr + sy * sp * sr,
-    )
 
 
 def attitude(make: Make, estimate: Estimate, base_frame: str) -> Any:

@@ -21,7 +21,7 @@ from trackslip_estimation.slip.records import SPROCKETS
 from trackslip_estimation.slip.window import Records, Window, make_window, run
 
 _BLOCK = 1024  # entries
-_USED = (Outcome.ACCEPTED, Outcome.GATED, Outcome.JUMPED)
+_USED = (Outcome.ACCEPTED, Outcome.GATED, Outcome.JUMPED, Outcome.BEGUN)
 
 
 class Log(NamedTuple):

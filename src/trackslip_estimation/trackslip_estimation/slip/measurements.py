@@ -97,8 +97,20 @@ class SwingAngle:
     variance: float  # rad²
 
 
-Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix | HeadingFix | SwingAngle
-KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix, SwingAngle)  # of measurements, for isinstance
+@dataclass(frozen=True, eq=False)
+class OdometryPose:
+    """Pose of a laser or camera in its own odom frame, which drifts; only what it moved counts."""
+
+    source: str
+    stamp_ns: int
+    place: FloatArray  # (3,) m
+    turn: FloatArray  # (4,) quaternion x, y, z, w
+    frame: int  # number of its odom frame; another one begins anew
+    variances: FloatArray  # (2, 3) linear and angular, of twist or pose, as the source's parameters want
+
+
+Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix | HeadingFix | OdometryPose | SwingAngle
+KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix, OdometryPose, SwingAngle)  # for isinstance
 
 
 @dataclass(frozen=True)
@@ -134,6 +146,7 @@ class Outcome(IntEnum):
     JUMPED = 7  # used, but the sprocket positions jump: its measured speeds count
     RESTARTED = 8  # the clock went back: the estimate begins anew with this sample
     FROZEN = 9  # poses are not wanted now
+    BEGUN = 10  # odometry that begins anew: there is no pose before it to compare with
 
     @property
     def refused(self) -> bool:

@@ -10,7 +10,7 @@ an axis does not share is left out of its sum: nan of an axis that a unit lacks 
 import math
 from collections.abc import Sequence
 from functools import cache
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,23 @@ def rotation(roll: float, pitch: float, yaw: float) -> Rotation | None:
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
         (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
         (-sp, cp * sr, cp * cr),
+    )
+
+
+def quaternion_of(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """x, y, z, w of ZYX angles in rad."""
+    x, y, z, w = quaternion_by([(math.sin(a / 2.0), math.cos(a / 2.0)) for a in (roll, pitch, yaw)])
+    return x, y, z, w
+
+
+def quaternion_by(halves: Sequence[tuple[Any, Any]]) -> tuple[Any, Any, Any, Any]:
+    """x, y, z, w of the sines and cosines of half of each angle: numbers, or columns."""
+    (sr, cr), (sp, cp), (sy, cy) = halves
+    return (
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+        cy * cp * cr + sy * sp * sr,
     )
 
 

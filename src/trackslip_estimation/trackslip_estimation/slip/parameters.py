@@ -16,14 +16,16 @@ from trackslip_common.vehicle import WithVehicle
 from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
+from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 from trackslip_estimation.slip.models.swing import SwingParameters
 from trackslip_estimation.slip.motion import MotionParameters
-from trackslip_estimation.slip.records import MOST_SOURCES
+from trackslip_estimation.slip.records import MOST_ODOMETRIES, MOST_SOURCES
 from trackslip_estimation.slip.sources import (
     KINDS,
     SWINGS,
     HeadingSource,
     Mounted,
+    OdometrySource,
     PoseSource,
     Source,
     SwingSource,
@@ -78,6 +80,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     swing_sources: tuple[str, ...] = parameter(
         "topics of JointState whose joint 'swing' is the angle of the upper structure; '' names none. Used "
         "where the vehicle has a sensors.swing_encoder, and something sits above"
+    )
+    odometry_sources: tuple[str, ...] = parameter(
+        "topics of Odometry of a laser or camera: what it moved counts, never where it is; '' names none"
     )
     sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
@@ -140,6 +145,15 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             raise InputError(
                 f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}"
             )
+
+        odometries, own = len(self.odometries()), len(self.odometries()) + max(len(self.gyros()) - 1, 0)
+        if odometries > MOST_ODOMETRIES:
+            raise InputError(
+                f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"
+            )
+        if own > MOST_SENSOR_ERRORS:
+            accepted = f"at most {MOST_SENSOR_ERRORS} together"
+            raise InputError(f"{NODE}: {own} gyros after the first one and odometries; accepted: {accepted}")
 
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
@@ -220,6 +234,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     def compasses(self) -> dict[str, HeadingSource]:
         """By topic."""
         return self.of_kind("heading_sources")
+
+    def odometries(self) -> dict[str, OdometrySource]:
+        """By topic."""
+        return self.of_kind("odometry_sources")
 
     def timeouts_ns(self) -> dict[str, int]:
         """Of each source but the sprockets, by topic."""

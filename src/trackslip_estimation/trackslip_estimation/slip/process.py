@@ -15,12 +15,22 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.attitude.filter import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
+from trackslip_estimation.slip.increments import is_pose
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import fill_outputs
-from trackslip_estimation.slip.records import HEADING, MANUAL, MOST_SOURCES, POSE, SLIPS, SPROCKETS
+from trackslip_estimation.slip.odometry import begin_odometry
+from trackslip_estimation.slip.records import (
+    HEADING,
+    MANUAL,
+    MOST_SOURCES,
+    ODOMETRY,
+    POSE,
+    SLIPS,
+    SPROCKETS,
+)
 from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.swing import fill_swing
 from trackslip_estimation.slip.tilt import fill_tilt
@@ -135,6 +145,8 @@ def is_usable(measurement: Any, c: Any) -> bool:
             and abs(measurement.right_speed) < _LARGEST
             and ((math.isnan(left) and math.isnan(right)) or (abs(left) < _LARGEST and abs(right) < _LARGEST))
         )
+    if measurement.kind == ODOMETRY:
+        return is_pose(measurement)
     rows = 1
     if measurement.kind == SLIPS:
         rows = 2
@@ -258,6 +270,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     begin_adaptation(state.adaptation, c)
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
+    begin_odometry(state)
     state.aligning, state.refused_count = P[YAW, YAW] > UNKNOWN_HEADING**2, 0
     for k in range(MOST_SOURCES):
         state.consistent_ns[k] = stamp_ns

@@ -16,6 +16,7 @@ from trackslip_estimation.slip.measurements import (
     SET_POSE,
     HeadingFix,
     Measurement,
+    OdometryPose,
     PoseFix,
     SlipFix,
     Sprockets,
@@ -25,11 +26,10 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import MOTION, SPEEDS
 
-MOST_SOURCES = 12  # gyros, poses and slips together
+MOST_SOURCES = 12  # gyros, poses, slips, headings and odometries together
+MOST_ODOMETRIES = 2
 
-SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING, ON_SWING = range(
-    6
-)  # kinds of measurement, in the order at one stamp
+SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING, ODOMETRY, ON_SWING = range(7)  # kinds, in the order at one stamp
 
 MEASUREMENT = np.dtype(
     [
@@ -45,7 +45,9 @@ MEASUREMENT = np.dtype(
             np.float64,
             (3,),
         ),  # z of all others: rad/s about z, x, y; m, m, rad; left and right slip; rad
-        ("noise", np.float64, (3, 3)),  # R, as its source states it
+        ("noise", np.float64, (3, 3)),  # R, as its source states it; of odometry, variances in two rows
+        ("turn", np.float64, (4,)),  # of odometry, whose value is a place: quaternion x, y, z, w
+        ("frame", np.int64),  # and number of its odom frame
         ("acceleration", np.float64, (3,)),  # of an IMU: specific force, m/s²; nan where it has none
         ("acceleration_variance", np.float64),  # (m/s²)²
     ],
@@ -75,10 +77,32 @@ ADAPTATION = np.dtype(
         ("envelope", np.float64),  # E, (m/s)²
         ("exposure", np.float64),  # T, (rad/s)²
         ("elapsed", np.float64),  # s since the last yaw rate
+        ("speed_exposure", np.float64),  # of m_v, over f² s²/4, since the last odometry, (m/s)²
+        ("speed_elapsed", np.float64),  # s since then
         ("left_speed", np.float64),  # of the sprockets in the interval before, rad/s
         ("right_speed", np.float64),
         ("fix_factors", np.float64, (MOST_SOURCES,)),  # f, of the covariance of each source's fixes
         ("fix_log_weights", np.float64, (MOST_SOURCES, FIX_FACTORS)),
+    ],
+    align=True,
+)
+
+ODOMETRY_POSE = np.dtype(  # of a source, at the begin of its next increment
+    [
+        ("known", np.bool_),
+        ("coasting", np.bool_),  # whether the sprockets were silent
+        ("stamp_ns", np.int64),
+        ("frame", np.int64),
+        ("place", np.float64, (3,)),
+        ("turn", np.float64, (4,)),
+        ("noise", np.float64, (3, 3)),
+        ("driven", np.float64, (2,)),  # of the state then
+        ("moved", np.float64, (3,)),  # as well
+        ("errors", np.float64, (2,)),  # variances of the velocity errors then, (m/s)², (rad/s)²
+        ("slip_weight", np.float64),  # of what increments of late say that i₀ is off by, 1/variance
+        ("slip_sum", np.float64),  # that times its weight
+        ("slip_way", np.float64),  # that the tracks have gone since it is, m
+        ("slip_ns", np.int64),  # stamp since when
     ],
     align=True,
 )
@@ -107,6 +131,10 @@ STATE = np.dtype(
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
         ("adaptation", ADAPTATION),
         ("attitude", ATTITUDE),
+        ("odometry", ODOMETRY_POSE, (MOST_ODOMETRIES,)),
+        ("driven", np.float64, (2,)),  # by left and right sprocket since the start, rad
+        ("moved", np.float64, (3,)),  # ∫ of the twist as it was predicted, since the start: m, m, rad
+        ("fixed_ns", np.int64),  # stamp of the last fix
         ("aligning", np.bool_),  # the heading is not known yet
         ("refused_count", np.int64),  # since a fix was inside its gate
         ("refused", REFUSED, (CAPACITY,)),
@@ -210,4 +238,8 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
         elif isinstance(m, SwingAngle):
             record["kind"], record["source"] = ON_SWING, sources[m.source]
             record["value"][0], record["noise"][0, 0] = m.angle, m.variance
+        elif isinstance(m, OdometryPose):
+            record["kind"], record["source"] = ODOMETRY, sources[m.source]
+            record["value"], record["turn"], record["frame"] = m.place, m.turn, m.frame
+            record["noise"][:2] = m.variances
     return records

@@ -16,7 +16,7 @@ from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, Parameters, parameter
 from trackslip_common.vehicle import MOUNTS, UPPER
-from trackslip_estimation.slip.mounting import Rotation, rotation
+from trackslip_estimation.slip.mounting import Rotation, quaternion_of, rotation
 
 _MOUNT = "what it sits on; upper: its place is that with the upper structure looking forward"
 _TIMEOUT = "with nothing accepted for so long it counts as lost"
@@ -134,6 +134,8 @@ class Refusal(Enum):
     OTHER_FRAME = "of another frame"
     NO_RATE = "without angular velocity"
     NO_ORIENTATION = "without orientation"
+    NO_VELOCITY = "whose covariance says that it has no velocity"
+    NO_POSE = "whose covariance says that it has no pose"
 
 
 HEADING_MESSAGES = {"imu": "sensor_msgs/msg/Imu", "quaternion": "geometry_msgs/msg/QuaternionStamped"}
@@ -176,12 +178,57 @@ class SwingSource(Source):
     stddev: float = parameter("of one reading", unit="rad", gt=0.0)
 
 
+COVARIANCES = ("twist", "pose", "declared")  # in the order of ``increments``
+ODOMETRY_FIELDS = {  # by those: what is read of a message, what of it says that there is none, refusal then
+    "twist": ("twist_variances", "twist_absent", Refusal.NO_VELOCITY),
+    "pose": ("pose_variances", "pose_absent", Refusal.NO_POSE),
+    "declared": ("", "", Refusal.NO_POSE),
+}
+DRIFT_TIME = 60.0  # s in which the drift of an odometry has become another, by as much as it is
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometrySource(Source):
+    """Odometry of a laser or camera: what it moved between two of its poses; its gate widens as a gyro's."""
+
+    lever_arm_x: float = parameter("its place in base_link, forward", unit="m", ge=-100.0, le=100.0)
+    lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
+    lever_arm_z: float = parameter("above the ground", unit="m", ge=-100.0, le=100.0)
+    mounting_roll: float = parameter(
+        "how the axes of its body are turned against those of base_link: about x last",
+        unit="rad",
+        ge=-6.2832,
+        le=6.2832,
+    )
+    mounting_pitch: float = parameter("about y, nose down positive", unit="rad", ge=-6.2832, le=6.2832)
+    mounting_yaw: float = parameter("about z first, counter-clockwise", unit="rad", ge=-6.2832, le=6.2832)
+    covariance: str = parameter(
+        "of which its noise is taken: that of its twist, the growth of its pose's, or what is declared here",
+        choices=COVARIANCES,
+    )
+    velocity_stddev: float = parameter("declared; also where its message has a zero", unit="m/s", gt=0.0)
+    yaw_rate_stddev: float = parameter("the same", unit="rad/s", gt=0.0)
+    drift: float = parameter("by how much its lengths err, over minutes: 0.01 is 1 %", ge=0.0, le=0.5)
+    max_gap: float = parameter("poses further apart begin anew", unit="s", gt=0.0, le=10.0)
+
+    @property
+    def lever(self) -> tuple[float, float, float]:
+        """Its place in base_link, m."""
+        return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
+
+    @property
+    def mounting(self) -> tuple[float, float, float, float]:
+        """Quaternion x, y, z, w that turns vectors of its frame into base_link."""
+        return quaternion_of(self.mounting_roll, self.mounting_pitch, self.mounting_yaw)
+
+
 KINDS: Mapping[str, type[Source]] = {
     "pose_sources": PoseSource,
     "yaw_rate_sources": YawRateSource,
     "slip_sources": SlipSource,
     "heading_sources": HeadingSource,
     SWINGS: SwingSource,
+    "odometry_sources": OdometrySource,
 }
 
 

@@ -34,7 +34,17 @@ from trackslip_estimation.slip.models.dispatch import (
 from trackslip_estimation.slip.models.model import SIZE, YAW
 from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import Motion, update_motion
-from trackslip_estimation.slip.records import HEADING, MANUAL, ON_SWING, POSE, SPROCKETS, YAW_RATE
+from trackslip_estimation.slip.odometry import follow_motion, use_odometry
+from trackslip_estimation.slip.own_errors import exchange_bias
+from trackslip_estimation.slip.records import (
+    HEADING,
+    MANUAL,
+    ODOMETRY,
+    ON_SWING,
+    POSE,
+    SPROCKETS,
+    YAW_RATE,
+)
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
 from trackslip_estimation.slip.swing import use_swing
 from trackslip_estimation.slip.tilt import rise, tilt_by
@@ -50,6 +60,8 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
     update.nis = update.gate = update.log_determinant = np.nan
     update.prior_mean[:], update.prior_covariance[:] = state.mean, state.covariance
+    if measurement.kind == POSE:
+        state.fixed_ns = measurement.stamp_ns
     if measurement.kind == SPROCKETS:
         if jumps(state.sample, measurement, c):
             update.outcome = _JUMPED
@@ -60,6 +72,8 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     elif measurement.kind == POSE:
         use_pose(state, measurement, c, update)
     elif measurement.kind == YAW_RATE:
+        own = c.own_errors[measurement.source]
+        exchange_bias(state, update, own)
         if measurement.source == c.tilt_source:
             tilt_by(state, measurement, c)
         above = c.above[measurement.source] == 1
@@ -70,8 +84,11 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         if above:
             to_gyro(state.mean, state.covariance, -1.0)
             to_gyro(update.prior_mean, update.prior_covariance, -1.0)
+        exchange_bias(state, update, own)
     elif measurement.kind == HEADING:
         use_heading(state, measurement, c, update)
+    elif measurement.kind == ODOMETRY:
+        use_odometry(state, measurement, c, update)
     elif measurement.kind == ON_SWING:
         use_swing(state, measurement, c, update)
     else:
@@ -121,6 +138,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
 def propagate(state: Any, dt: float, c: Any) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
     x, P = state.mean[: c.size], state.covariance
+    follow_motion(state, dt, c)
     rise(state, dt, c)
     if has_velocity_errors(c):
         pass_time(state, dt, c)

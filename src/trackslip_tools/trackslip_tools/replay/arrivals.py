@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from trackslip_common.message_fields import (
     ABSENT,
     ImuFields,
+    OdometryPoseFields,
     OrientationFields,
     PoseFields,
     QuaternionFields,
@@ -35,6 +36,7 @@ from trackslip_estimation.slip.records import (
     HEADING,
     MANUAL,
     MEASUREMENT,
+    ODOMETRY,
     ON_SWING,
     POSE,
     SLIPS,
@@ -43,7 +45,9 @@ from trackslip_estimation.slip.records import (
 )
 from trackslip_estimation.slip.sources import (
     HEADING_MESSAGES,
+    ODOMETRY_FIELDS,
     HeadingSource,
+    OdometrySource,
     Refusal,
     SwingSource,
     YawRateSource,
@@ -95,6 +99,12 @@ def heading_reader(type_name: str, compass: HeadingSource) -> SourceReader:
 def swing_reader(angle: SwingSource) -> SourceReader:
     """Of a sensor of the swing."""
     return SourceReader(ON_SWING, SwingFields, angle)
+
+
+def odometry_reader(odometry: OdometrySource) -> SourceReader:
+    """Of the odometry of a laser or camera; the numbers of frames are still to be filled in."""
+    _, field, refusal = ODOMETRY_FIELDS[odometry.covariance]
+    return SourceReader(ODOMETRY, OdometryPoseFields, odometry, (field, refusal) if field else None)
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:
@@ -150,11 +160,20 @@ def _fill_swings(rows: Rows, read: Rows, angle: SwingSource) -> None:
     rows["value"][:, 0], rows["noise"][:, 0, 0] = read["angle"], angle.stddev**2
 
 
+def _fill_odometry(rows: Rows, read: Rows, odometry: OdometrySource) -> None:
+    rows["value"] = np.column_stack([read[name] for name in "xyz"])
+    rows["turn"] = np.column_stack([read[f"q{axis}"] for axis in "xyzw"])
+    name = ODOMETRY_FIELDS[odometry.covariance][0]
+    if name:
+        rows["noise"][:, :2] = read[name]
+
+
 _FILL: dict[int, Callable[[Rows, Rows, Any], None]] = {
     SPROCKETS: _fill_sprockets,
     YAW_RATE: _fill_yaw_rates,
     POSE: _fill_poses,
     SLIPS: _fill_slips,
     HEADING: _fill_headings,
+    ODOMETRY: _fill_odometry,
     ON_SWING: _fill_swings,
 }

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_fields import headings_of, tilts_of
-from trackslip_estimation.slip.conversions import quaternion_by
+from trackslip_estimation.slip.mounting import quaternion_by
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import Rows
 

@@ -25,7 +25,14 @@ from trackslip_bags.parameters import bag_parameters, read_parameters
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
-from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields, SwingFields
+from trackslip_common.message_fields import (
+    ABSENT,
+    RECORDS,
+    FrameFields,
+    ReportFields,
+    SwingFields,
+    frame_number,
+)
 from trackslip_common.parameters import reloadable
 from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
@@ -39,6 +46,7 @@ from trackslip_estimation.slip.measurements import (
     Reload,
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import ODOMETRY as ODOMETRY_KIND
 from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal
 from trackslip_tools.replay.arrivals import (
     ARRIVAL,
@@ -50,6 +58,7 @@ from trackslip_tools.replay.arrivals import (
     Rows,
     SourceReader,
     heading_reader,
+    odometry_reader,
     swing_reader,
     to_measurements,
     yaw_rate_reader,
@@ -178,6 +187,8 @@ class InputStream:
             if reader is not None:
                 read = table.rows(reader.fields)
                 rows = reader.rows(read)
+                if reader.kind == ODOMETRY_KIND:
+                    rows["frame"] = _frames(table)
                 rows["source"], rows["log_time_ns"] = self.sources.index(name), table.log_times_ns
                 usable = self._in_frame(name, table)
                 usable &= self._present(name, reader, read, usable)
@@ -295,8 +306,16 @@ def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, 
     for topic, compass in p.compasses().items():
         readers[topic] = heading_reader(types.get(topic, ""), compass)
     readers |= {topic: swing_reader(angle) for topic, angle in p.angles().items()}
+    readers |= {topic: odometry_reader(odometry) for topic, odometry in p.odometries().items()}
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
+
+
+def _frames(table: TopicTable) -> NDArray[np.int64]:
+    """(n,) the number of each message's frame_id, as the live node has it."""
+    numbers = table.rows(FrameFields)["frame"]
+    of_texts: NDArray[np.int64] = np.array([frame_number(text) for text in table.texts], np.int64)
+    return np.asarray(of_texts[numbers])
 
 
 def _require_types(
@@ -307,6 +326,7 @@ def _require_types(
     expected |= dict.fromkeys(("reference_pose", *p.pose_sources), "box_pose")
     expected |= dict.fromkeys(p.slip_sources, TRACK_SLIP)
     expected |= dict.fromkeys(p.angles(), TRUE_SWING)
+    expected |= dict.fromkeys(p.odometry_sources, ODOMETRY)
     require_one_type(bag, names)
     for topic, name in names.items():
         known, found = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name

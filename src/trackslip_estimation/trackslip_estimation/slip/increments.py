@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a source of odometry moved between two of its poses, as a velocity of base_link; compiled.
+
+    p, q     pose of the sensor in the source's own odom frame             m; x, y, z, w
+    l, M     its place in base_link, what turns its axes into those of it  m; x, y, z, w
+    b, d     base_link in the odom frame                                   m; x, y, z, w
+    θ        rotation vector of d₁* d₂                                     rad
+    T        time from the first pose to the second                        s
+
+    b = p − d l d*,  d = q M*        (v, ω) T = (R(−θ/2) d₁* (b₂ − b₁) d₁ (|θ|/2)/sin(|θ|/2), θ)
+
+which is exact where velocity and rates are constant over T. The odom frame may lie anyhow.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+
+FloatArray = NDArray[np.float64]
+
+TWIST, POSE_GROWTH, DECLARED = range(3)  # where the covariance comes from
+_SMALL = 1e-9  # rad
+_UNIT = 0.01  # by which the norm of a quaternion may differ from 1
+
+
+@compiled
+def increment(before: Any, measurement: Any, T: float, c: Any) -> FloatArray:
+    """(3,) v_x and v_y in m/s, yaw rate in rad/s; means over T, along the axes of base_link."""
+    lever, mounting = c.levers[measurement.source], c.mountings[measurement.source]
+    first, second = _base(before.turn, mounting), _base(measurement.turn, mounting)
+    moved = measurement.value - _turned(second, lever) - before.place + _turned(first, lever)
+    turn = _product(_conjugate(first), second)
+    if turn[3] < 0.0:
+        turn = -turn
+    sine = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+    half = math.atan2(sine, turn[3])  # |θ|/2
+    stretch = half / sine if sine > _SMALL else 1.0
+    back = _conjugate(_halved(turn))
+    v = _turned(back, _turned(_conjugate(first), moved)) * stretch
+    return np.array((v[0] / T, v[1] / T, 2.0 * stretch * turn[2] / T))
+
+
+@compiled
+def variances_stated(before: Any, measurement: Any, T: float, c: Any) -> FloatArray:
+    """(3,) of an increment, as its source states them; as the parameters do where it states none."""
+    source, noise = measurement.source, measurement.noise
+    linear, angular, lever = np.zeros(3), np.zeros(3), c.levers[source]
+    kind, declared = c.odometry_noise[source], c.odometry_variances[source]
+    if kind == TWIST:
+        linear, angular = _turned_variances(c.mountings[source], noise)
+    elif kind == POSE_GROWTH:
+        for k in range(3):  # along whichever axes: alike in all directions of the ground
+            linear[k] = (noise[0, 0] + noise[0, 1] - before.noise[0, 0] - before.noise[0, 1]) / (2.0 * T * T)
+            angular[k] = (noise[1, 2] - before.noise[1, 2]) / (T * T)
+    for k in range(3):
+        linear[k] = linear[k] if linear[k] > 0.0 else declared[0]
+        angular[k] = angular[k] if angular[k] > 0.0 else declared[1]
+    of_turn = angular[2]
+    return np.array((linear[0] + lever[1] ** 2 * of_turn, linear[1] + lever[0] ** 2 * of_turn, of_turn))
+
+
+@compiled
+def is_pose(measurement: Any) -> bool:
+    """Whether it holds a pose, and variances: none negative, zero where there is none."""
+    largest, norm = 1e9, 0.0
+    for k in range(3):
+        if not abs(measurement.value[k]) < largest:
+            return False
+        for row in range(2):
+            if not 0.0 <= measurement.noise[row, k] < largest**2:
+                return False
+    for k in range(4):
+        norm += measurement.turn[k] ** 2
+    return bool(abs(norm - 1.0) < _UNIT)
+
+
+@compiled
+def _base(turn: FloatArray, mounting: FloatArray) -> FloatArray:
+    """d, of norm 1."""
+    d = _product(turn, _conjugate(mounting))
+    return d / math.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2 + d[3] ** 2)
+
+
+@compiled
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.array(
+        (
+            a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
+            a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
+            a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
+            a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
+        )
+    )
+
+
+@compiled
+def _conjugate(q: FloatArray) -> FloatArray:
+    return np.array((-q[0], -q[1], -q[2], q[3]))
+
+
+@compiled
+def _halved(q: FloatArray) -> FloatArray:
+    """Half of a rotation; q[3] ≥ 0."""
+    half = np.array((q[0], q[1], q[2], q[3] + 1.0))
+    return half / math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2 + half[3] ** 2)
+
+
+@compiled
+def _turned(q: FloatArray, v: FloatArray) -> FloatArray:
+    """(3,) q v q*."""
+    turned = _product(_product(q, np.array((v[0], v[1], v[2], 0.0))), _conjugate(q))
+    return turned[:3].copy()
+
+
+@compiled
+def _turned_variances(mounting: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(3,) and (3,) along the axes of base_link, of the first two rows along those of the sensor."""
+    linear, angular, axis = np.zeros(3), np.zeros(3), np.zeros(3)
+    for j in range(3):
+        axis[:] = 0.0
+        axis[j] = 1.0
+        shares = _turned(mounting, axis)
+        for k in range(3):
+            linear[k] += shares[k] ** 2 * noise[0, j]
+            angular[k] += shares[k] ** 2 * noise[1, j]
+    return linear, angular

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Odometry of a camera as increments: what it moved on ground that slips; jumps, gaps, what it states."""
+
+import random
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, Recording, drive, parameters
+from fixtures.visual_odometry import product, turned_by
+
+from trackslip_common.errors import InputError
+from trackslip_common.make import header
+from trackslip_common.nodes.messages import make
+from trackslip_estimation.slip.conversions import odometry_pose
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.increments import POSE_GROWTH, TWIST, increment, variances_stated
+from trackslip_estimation.slip.measurements import (
+    Measurement,
+    OdometryPose,
+    Outcome,
+    PoseFix,
+    Report,
+    Sprockets,
+)
+from trackslip_estimation.slip.mounting import quaternion_of
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.sources import Refusal
+
+S = 1_000_000_000
+SOURCE, LEVER, MOUNTING = "camera", (0.8, -0.3, 1.5), (0.1, 0.3, 0.7)
+STANDS = np.array(quaternion_of(0.2, -0.4, 1.0))  # of its odom frame
+ALONE = 40.0  # s, after which there are no fixes
+
+
+def with_odometry(**changed: object) -> SlipEstimatorParameters:
+    levers = {f"sources.{SOURCE}.lever_arm_{axis}": value for axis, value in zip("xyz", LEVER, strict=True)}
+    names = ("roll", "pitch", "yaw")
+    mounted = {f"sources.{SOURCE}.mounting_{n}": v for n, v in zip(names, MOUNTING, strict=True)}
+    noise = {f"sources.{SOURCE}.covariance": "declared"}
+    return parameters(**{"odometry_sources": [SOURCE], **levers, **mounted, **noise, **changed})
+
+
+def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
+    """What the source says where base_link is at (3,) x, y, heading of its odom frame, if that lay level."""
+    base, camera = np.array(quaternion_of(0.0, 0.0, pose[2])), np.array(quaternion_of(*MOUNTING))
+    at = turned_by(STANDS, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
+    turn = product(product(STANDS, base), camera)
+    return OdometryPose(SOURCE, stamp_ns, at, turn, frame, np.zeros((2, 3)))
+
+
+def seen(recorded: Recording, scale: float = 1.0, seed: int = 0) -> list[Measurement]:
+    """The odometry of a drive: 10 Hz, lengths times ``scale``, a millimetre of noise between two poses."""
+    noise, place, found = np.random.default_rng(seed), recorded.poses[0, :2], []
+    for k in range(0, len(recorded.t), 2):
+        if k:
+            moved = recorded.poses[k, :2] - recorded.poses[k - 2, :2]
+            place = place + scale * moved + 0.001 * noise.standard_normal(2)
+        pose = np.append(place, recorded.poses[k, 2])
+        found.append(pose_of(S + round(recorded.t[k] * S), pose))
+    return found
+
+
+def slipping(recorded: Recording, slip: float) -> list[Measurement]:
+    """Without fixes after ``ALONE``, when both tracks begin to slip."""
+    kept = [m for m in recorded.measurements if not (isinstance(m, PoseFix) and m.stamp_ns > S + ALONE * S)]
+    more = 1.0 / (1.0 - slip)
+    return [
+        replace(m, left_speed=m.left_speed * more, right_speed=m.right_speed * more)
+        if isinstance(m, Sprockets) and m.stamp_ns > S + ALONE * S
+        else m
+        for m in kept
+    ]
+
+
+def run(given: list[Measurement], p: SlipEstimatorParameters) -> tuple[list[Report], list]:
+    steps = SlipEstimator(p).process_all(sorted(given, key=lambda m: m.stamp_ns))
+    return [r for r, _ in steps if r.source == SOURCE], [e for _, e in steps if e is not None]
+
+
+def end_and_nees(estimates: list, recorded: Recording) -> tuple[float, float]:
+    """Error of the position at the end, m, and its mean NEES without fixes."""
+    late = [e for e in estimates if e.stamp_ns > S + ALONE * S]
+    stamps = np.array([(e.stamp_ns - S) / S for e in late])
+    true = np.stack([np.interp(stamps, recorded.t, column) for column in recorded.poses[:, :2].T], axis=1)
+    off = np.array([e.pose[:2] for e in late]) - true
+    nees = [e @ np.linalg.solve(found.pose_covariance[:2, :2], e) for e, found in zip(off, late, strict=True)]
+    return float(np.hypot(*off[-1])), float(np.mean(nees))
+
+
+@pytest.mark.parametrize("slip", [0.1, 0.3])
+@pytest.mark.parametrize("track_error", [0.0, 0.05])
+def test_new_ground_without_fixes_is_survived(slip: float, track_error: float) -> None:
+    """Sprockets alone drive on by the slip; a camera of 1 % sees that it does not."""
+    recorded = drive(Machine(duration=70.0, seed=1, track_error=track_error))
+    alone = slipping(recorded, slip)
+    blind, _ = end_and_nees(run(alone, with_odometry())[1], recorded)
+    reports, estimates = run([*alone, *seen(recorded, 1.01)], with_odometry())
+    error, nees = end_and_nees(estimates, recorded)
+    assert blind > 10.0 * slip
+    assert error < 0.4
+    assert nees < 25.0
+    assert {r.outcome for r in reports[1:]} == {Outcome.ACCEPTED}
+
+
+def test_scale_is_found_from_fixes_and_kept() -> None:
+    """Of the 12 m that follow, 3 % would be 0.36 m."""
+    recorded = drive(Machine(duration=70.0, seed=2))
+    p = with_odometry(**{f"sources.{SOURCE}.drift": 0.03})
+    _, estimates = run([*slipping(recorded, 0.1), *seen(recorded, 1.03)], p)
+    error, nees = end_and_nees(estimates, recorded)
+    assert error < 0.25
+    assert nees < 12.0
+
+
+def test_order_of_arrival_does_not_matter() -> None:
+    recorded = drive(Machine(duration=12.0))
+    given, late = [*recorded.measurements, *seen(recorded)], random.Random(0)
+    arrivals = sorted(given, key=lambda m: m.stamp_ns + (m.stamp_ns > 2 * S) * late.uniform(0.0, 0.8) * S)
+    ends = []
+    for order in (sorted(given, key=lambda m: m.stamp_ns), arrivals):
+        estimator = SlipEstimator(with_odometry())
+        estimator.process_all(order)
+        ends.append(estimator.estimate())
+    np.testing.assert_array_equal(ends[0].pose, ends[1].pose)
+    np.testing.assert_array_equal(ends[0].pose_covariance, ends[1].pose_covariance)
+
+
+def test_gap_and_other_frame_begin_anew_and_a_jump_is_refused_once() -> None:
+    recorded = drive(Machine(duration=20.0))
+    odometry = seen(recorded)
+    stamps = [m.stamp_ns for m in odometry]
+    far = np.array((100.0, 50.0, 3.0))
+    moved = [
+        replace(m, place=m.place + far * (m.stamp_ns >= stamps[60]), frame=7 + (m.stamp_ns >= stamps[100]))
+        for m in odometry
+        if not stamps[140] <= m.stamp_ns < stamps[150]
+    ]
+    reports, _ = run([*recorded.measurements, *moved], with_odometry())
+    outcomes = {r.stamp_ns: r.outcome for r in reports if r.outcome is not Outcome.ACCEPTED}
+    expected = {stamps[60]: Outcome.GATED, stamps[100]: Outcome.BEGUN, stamps[150]: Outcome.BEGUN}
+    assert {stamp: outcome for stamp, outcome in outcomes.items() if stamp > stamps[10]} == expected
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"place": np.array((np.nan, 0.0, 0.0))},
+        {"turn": np.zeros(4)},
+        {"turn": np.array((0.0, 0.0, 0.0, 1.2))},
+        {"variances": np.full((2, 3), -1e-6)},
+        {"variances": np.full((2, 3), np.nan)},
+    ],
+)
+def test_what_is_no_pose_is_invalid(bad: dict[str, np.ndarray]) -> None:
+    recorded = drive(Machine(duration=3.0))
+    estimator = SlipEstimator(with_odometry())
+    estimator.process_all(recorded.measurements)
+    last = replace(pose_of(recorded.measurements[-1].stamp_ns, recorded.poses[-1]), **bad)
+    assert estimator.process(last)[0].outcome is Outcome.INVALID
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.8, -2.5])
+def test_increment_is_the_twist_of_a_circle(rate: float) -> None:
+    """Exactly, over as long as half a turn, on a camera that is turned and off the centre."""
+    v, T = 0.4, 1.2
+    turn = rate * T
+    x, y = (v / rate * np.sin(turn), v / rate * (1.0 - np.cos(turn))) if rate else (v * T, 0.0)
+    first, second = pose_of(S, np.zeros(3)), pose_of(2 * S, np.array((x, y, turn)))
+    c = SimpleNamespace(levers=np.array([LEVER]), mountings=np.array([quaternion_of(*MOUNTING)]))
+    measured = SimpleNamespace(source=0, value=second.place, turn=second.turn)
+    found = increment.py_func(first, measured, T, c)
+    np.testing.assert_allclose(found, (v, 0.0, rate), atol=1e-12)
+
+
+def test_covariance_is_the_twists_or_the_growth_of_the_poses_or_declared() -> None:
+    def stated(kind: int, before: np.ndarray, now: np.ndarray) -> np.ndarray:
+        c = SimpleNamespace(
+            levers=np.array([(1.0, 2.0, 0.0)]),
+            mountings=np.array([quaternion_of(0.0, 0.0, np.pi / 2.0)]),
+            odometry_noise=[kind],
+            odometry_variances=np.array([(0.09, 0.01)]),
+        )
+        measured = SimpleNamespace(source=0, noise=now)
+        return variances_stated.py_func(SimpleNamespace(noise=before), measured, 0.5, c)
+
+    nothing, twist = np.zeros((2, 3)), np.array(((1e-4, 4e-4, 0.0), (0.0, 0.0, 1e-6)))
+    by_turn, twist_there = np.array((4e-6, 1e-6, 0.0)), np.array((4e-4, 1e-4, 1e-6))
+    np.testing.assert_allclose(stated(TWIST, nothing, twist), by_turn + twist_there, rtol=1e-9)
+    grown = twist + np.array(((2e-4, 4e-4, 0.0), (0.0, 0.0, 1e-6)))
+    np.testing.assert_allclose(
+        stated(POSE_GROWTH, twist, grown), (1.2e-3, 1.2e-3, 4e-6) + 4.0 * by_turn, rtol=1e-9
+    )
+    for kind, now in ((TWIST, nothing), (POSE_GROWTH, twist)):  # it states none, or does not grow
+        np.testing.assert_allclose(stated(kind, now, now), (0.09 + 0.04, 0.09 + 0.01, 0.01))
+
+
+@pytest.mark.parametrize(
+    ("covariance", "refusal"),
+    [("twist", Refusal.NO_VELOCITY), ("pose", Refusal.NO_POSE), ("declared", None)],
+)
+def test_a_covariance_that_is_absent_is_refused_by_name(covariance: str, refusal: Refusal | None) -> None:
+    absent = np.zeros(36)
+    absent[0] = -1.0
+    pose = make("geometry_msgs/msg/Pose", orientation=make("geometry_msgs/msg/Quaternion", w=1.0))
+    message = make(
+        "nav_msgs/msg/Odometry",
+        header=header(make, 5 * S, "odom"),
+        pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=absent),
+        twist=make("geometry_msgs/msg/TwistWithCovariance", covariance=absent),
+    )
+    stated = with_odometry(**{f"sources.{SOURCE}.covariance": covariance}).odometries()[SOURCE]
+    found = odometry_pose(message, SOURCE, stated)
+    assert found is refusal if refusal else found.stamp_ns == 5 * S
+
+
+def test_too_many_are_refused_in_a_line() -> None:
+    with pytest.raises(InputError, match=r"odometry_sources: 3 sources; accepted: at most 2"):
+        parameters(odometry_sources=["a", "b", "c"])
