@@ -16,7 +16,7 @@ VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars drives test faults soak lint bench fuzz bags figures docs clean
+.PHONY: help setup checks demo bars drives test faults soak lint ament bench fuzz bags figures docs clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -47,6 +47,11 @@ lint: checks ## ruff and mypy
 	$(VENV)/python -m ruff check .
 	$(VENV)/python -m ruff format --check .
 	$(VENV)/python -m mypy
+
+ament: setup ## ROS's own linters, with the agreed configuration
+	@$(VENV)/python -m pip install -q -r requirements/ament.txt
+	@$(ENTER) $(VENV)/ament_flake8 --config .flake8 src
+	@$(ENTER) exec $(VENV)/ament_pep257 --convention google --add-ignore D100 D102 D105 D107 D402 D403 -- src
 
 faults: checks ## a hundred faults in a row against the real nodes, for ten minutes and more
 	@$(ENTER) exec $(VENV)/python -m pytest -s -m soak

@@ -20,7 +20,8 @@ from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.replay.inputs import InputStream, read_inputs
 from trackslip_tools.replay.run import replay
 from trackslip_tools.tuning.reading import read_task
-from trackslip_tools.tuning.workers import cores
+from trackslip_tools.tuning.task import score_of
+from trackslip_tools.workers import cores, workers
 
 RUNS = 5
 SETS = 100  # of parameters
@@ -43,8 +44,9 @@ def rows(directory: Path) -> Iterator[tuple[str, str, str, str]]:
     alone = _median(lambda: _timed(lambda: SlipEstimator(p).process_records(measurements)))
     yield "replay, filter alone", f"{seconds / alone:.0f} ×", "", ""
     jobs = [(0, {"gate_relaxation": 2.0 + k / SETS}) for k in range(SETS)]
-    with cores([task], -1) as work:
-        each = _timed(lambda: list(work(jobs))) / SETS
+    with workers(cores(), shared=[task]) as mapped:
+        list(mapped(score_of, jobs[:1]))  # the processes begin
+        each = _timed(lambda: list(mapped(score_of, jobs))) / SETS
     yield (
         "tune, 1000 sets on that bag, all cores",
         f"{1000 * each:.0f} s",

@@ -54,6 +54,8 @@ RECIPES = {
     "spot_turn_sand": Recipe("spot_turn", seed=2, soil="sand"),
     "outage_sandy_loam": Recipe("scenarios/outage.yaml", seed=3),
     "soft_patch": Recipe("scenarios/soft_patch.yaml", seed=4),
+    "slope_up_sand": Recipe("scenarios/slope_up.yaml", seed=6),
+    "slope_across_sandy_loam": Recipe("scenarios/slope_across.yaml", seed=7),
     "power_cut": Recipe("start_stop", seed=5, soil="dry_clay", duration=24.0, kept=0.7),
 }
 

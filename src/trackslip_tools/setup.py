@@ -7,7 +7,7 @@ setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(),
-    package_data={f"{NAME}.{room}": ["templates/*"] for room in ("report", "live")},
+    package_data={f"{NAME}.{room}": ["templates/*"] for room in ("fleet", "live", "report")},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

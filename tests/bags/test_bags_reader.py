@@ -10,12 +10,13 @@ import yaml
 from mcap.reader import make_reader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from trackslip_bags.info import describe
 from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.reader import Bag, open_bag, require_topics
 from trackslip_bags.types import typestore
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
+from trackslip_tools.cli.description import describe
+from trackslip_tools.terminal_text import WIDTH
 
 TEXT = "std_msgs/msg/String"
 IMU = "sensor_msgs/msg/Imu"
@@ -265,5 +266,16 @@ def test_the_description_names_every_topic(tmp_path: Path) -> None:
     with open_bag(write_long(tmp_path / "bag")) as bag:
         lines = describe(bag).splitlines()
     assert "duration  3.990 s" in lines
-    assert lines[-1].split() == ["/imu", IMU, "400", "100.25"]
-    assert lines[-2].split()[:3] == ["topic", "type", "count"]
+    assert lines[-1].split() == ["/imu", "400", "100.25", IMU]
+    assert lines[-2].split()[:3] == ["topic", "count", "Hz"]
+
+
+@pytest.mark.parametrize("name", ["/sprockets", f"/{'a_long_name/' * 5}sprockets"])
+def test_the_description_fits_a_terminal(name: str, tmp_path: Path) -> None:
+    """The longest of our types with a topic of 12 letters was wider than 80 columns."""
+    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write(name, kind, serialize(make(kind)), 0)
+    with open_bag(tmp_path / "bag") as bag:
+        lines = describe(bag).splitlines()
+    assert max(map(len, lines[3:])) <= max(WIDTH, len(name) + 2 + len(kind))

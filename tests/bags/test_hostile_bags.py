@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from trackslip_bags.importing.csv_table import Wanted, read_table
-from trackslip_bags.info import describe
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import recover
 from trackslip_bags.tables import read_tables
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
+from trackslip_tools.cli.description import describe
 
 TEXT, NUMBER = "std_msgs/msg/String", "std_msgs/msg/Float64"
 

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What travels together is one argument: no function of ours takes more than six."""
+"""What travels together is one argument, no function of ours takes more than six; a licence in every file."""
 
 import ast
+import subprocess
 from pathlib import Path
 
 import pytest
 
-ESTIMATION = Path(__file__).resolve().parents[2] / "src/trackslip_estimation/trackslip_estimation"
+ROOT = Path(__file__).resolve().parents[2]
+ESTIMATION = ROOT / "src/trackslip_estimation/trackslip_estimation"
 
 
 @pytest.mark.parametrize("room", ["kalman", "slip", "soil", "box", "terramechanics"])
@@ -34,3 +36,17 @@ def test_predict_gate_and_update_stand_once() -> None:
             if called in ("propagate_covariance", "correct"):
                 callers.add(file.name)
     assert callers == {"step.py", "update.py"}
+
+
+def test_every_file_of_code_names_its_licence() -> None:
+    listed = subprocess.check_output(
+        ["git", "ls-files", "*.py", "*.xml", "*.js", "*.css", "*.sh"], cwd=ROOT, text=True
+    )
+    files = [ROOT / name for name in listed.splitlines()]
+    assert len(files) > 500
+    heads = {file: file.read_text(encoding="utf-8")[:400] for file in files if file.is_file()}
+    assert [
+        str(file)
+        for file, head in heads.items()
+        if head and "SPDX-License-Identifier: Apache-2.0" not in head
+    ] == []

@@ -21,7 +21,6 @@ ROSDEP_KEYS = {
     "can": "python3-can",
     "cantools": "python3-cantools-pip",
     "jinja2": "python3-jinja2",
-    "joblib": "python3-joblib",
     "matplotlib": "python3-matplotlib",
     "msgpack": "python3-msgpack",
     "numba": "python3-numba",
@@ -69,7 +68,7 @@ def test_package_declares_what_it_imports(package: str) -> None:
 
 
 VEHICLE = ("trackslip_common", "trackslip_drivers", "trackslip_estimation", "trackslip_bags")
-DESK = {"rosbags", "bokeh", "matplotlib", "joblib", "distributed", "dask", "rich", "jinja2", "ruamel"}
+DESK = {"rosbags", "bokeh", "matplotlib", "distributed", "dask", "rich", "jinja2", "ruamel"}
 # The definitions of its topics are what a recorder needs beyond its imports.
 RECORDS = """
 from trackslip_bags.writer import own_schema

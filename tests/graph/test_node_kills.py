@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from trackslip_bags.reader import open_bag
 
@@ -46,7 +47,7 @@ class Graph:
             "can_driver": Node("can_driver", can),
             "watson_imu": Node("watson_imu", {"serial_port": str(devices / "watson")}),
             "sick_pls": Node("sick_pls", {"serial_port": str(devices / "sick")}),
-            "box_localizer": Node("box_localizer", {}),
+            "box_localizer": Node("box_localizer", {"track_file": str(programs.folder / "track.json")}),
             "slip_estimator": Node("slip_estimator", {"state_file": str(programs.folder / "learned.yaml")}),
             "soil_estimator": Node("soil_estimator", {}),
             "record": Node("record", {}),
@@ -82,17 +83,21 @@ class Graph:
 
     def wait_until_whole(self, what, limit_s=WHOLE_AGAIN_S):
         """Until all topics carry messages of the present and the recorder reports that it writes."""
-        began_ns = time.time_ns()
+        began_ns, give_up_s = time.time_ns(), time.monotonic() + limit_s
         self._healths.clear()
+        while missing := self._missing(began_ns):
+            assert time.monotonic() < give_up_s, f"after {what} missing: {missing}"
+            self._observer.wait(lambda: not self._missing(began_ns) or time.monotonic() > give_up_s, "it")
 
-        def whole():
-            recorded = any(health.name == "record" and health.level == b"\0" for health in self._healths)
-            return recorded and all(_is_later(heard, began_ns) for heard in self._heard.values())
-
-        self._observer.wait(whole, f"a whole graph after {what}", limit_s)
+    def _missing(self, began_ns):
+        """Topics that are silent, and what the recorder complains of."""
+        silent = [topic for topic, heard in self._heard.items() if not _is_later(heard, began_ns)]
+        reports = [health for health in self._healths if health.name == "record"]
+        wrong = [] if any(report.level < DiagnosticStatus.ERROR for report in reports) else ["record"]
+        return silent + wrong + [report.message for report in reports[-1:] if wrong]
 
     def worst(self):
-        """Of all estimates since the last call: the largest error in x, y, yaw by its standard deviation."""
+        """Of all estimates since the last call the largest error by its standard deviation, and of what."""
         truth = np.array([(_stamp_ns(m), *_pose(m)) for m in self._truth])
         found = np.array([(_stamp_ns(m), *_pose(m), *_deviations(m)) for m in self.estimates])
         known = (found[:, 0] >= truth[0, 0]) & (found[:, 0] <= truth[-1, 0])
@@ -107,7 +112,10 @@ class Graph:
         error[:, 2] = np.arctan2(np.sin(error[:, 2]), np.cos(error[:, 2]))
         del self._truth[:-100]
         self.estimates.clear()
-        return float(np.max(np.abs(error) / found[:, 4:]))
+        sigmas = np.abs(error) / found[:, 4:]
+        at, of = np.unravel_index(np.argmax(sigmas), sigmas.shape)
+        what = f"{error[at, of]:.4f} ± {found[at, 4 + of]:.4f} in {('x', 'y', 'yaw')[of]}"
+        return float(sigmas[at, of]), f"{what}, {(found[-1, 0] - found[at, 0]) * 1e-9:.1f} s ago"
 
 
 def _is_later(messages, than_ns):
@@ -135,8 +143,8 @@ def _survives(graph, programs, choose, times):
         what = f"{number}: {how.__name__} {name}"
         how(name)
         graph.wait_until_whole(what)
-        worst[what] = graph.worst()
-        print(what, f"{worst[what]:.2f} sigma", flush=True)
+        worst[what], seen = graph.worst()
+        print(f"{what}: {worst[what]:.2f} sigma ({seen})", flush=True)
     for file in sorted(programs.folder.glob("trackslip_*")):
         with open_bag(file) as bag:
             assert sum(info.count for info in bag.topics.values()) > 0, file

@@ -25,7 +25,7 @@ COMMAND = ["study", "--estimator", "soil", "--soil", "sand", "dry_clay", "--sigm
 
 @pytest.fixture
 def command(tmp_path: Path) -> list[str]:
-    return [*COMMAND, "--jobs", "1", "--cache", str(tmp_path / "runs.jsonl")]
+    return [*COMMAND, "--workers", "1", "--cache", str(tmp_path / "runs.jsonl")]
 
 
 class Counted:
@@ -142,7 +142,17 @@ def test_processes_give_what_one_process_gives(
     )
     rows = []
     for jobs in ("1", "2"):
-        options = ["--scenario", "straight", "--duration", "2", "--soil", "sand", "--jobs", jobs, "--fresh"]
+        options = [
+            "--scenario",
+            "straight",
+            "--duration",
+            "2",
+            "--soil",
+            "sand",
+            "--workers",
+            jobs,
+            "--fresh",
+        ]
         assert main([*command, *options, "--json", str(tmp_path / "rows.json")]) == 0
         rows.append(json.loads((tmp_path / "rows.json").read_text()))
     assert rows[0] == rows[1]

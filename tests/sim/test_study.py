@@ -270,3 +270,39 @@ def test_a_trace_shows_the_run_that_is_scored(
     ):
         np.testing.assert_allclose(np.square(mine - its)[later], sums.squares[:, columns], atol=1e-9)
     assert (found.slip_deviations[later, :2] > 0.0).all()
+
+
+# On a terrain
+
+
+def test_on_a_slope_the_filter_nears_the_bound_there_and_one_that_ignores_it_does_not(
+    estimator: SlipEstimatorParameters,
+) -> None:
+    given = {"scenario": "slalom", "duration": 24.0, "settling": 12.0, "seeds": 3}
+    p = load_study_parameters({**given, "terrains": ["slope_down_15"]})
+    on_slope = replace(cell(SHEAR, sigma_xy=0.01), terrain="slope_down_15")
+    drive = make_drive(p, estimator, "sand", "slope_down_15")
+    level = drive.rows.drives["attitude"]["level"]
+    np.testing.assert_allclose(level["downhill_x"], np.sin(drive.truth.pitch), atol=1e-12)
+    row = evaluate(on_slope, drive, p, estimator)
+    assert row.terrain == "slope_down_15"
+    assert row.position_rmse < 1.25 * row.position_bound
+    assert row.turning_slip_rmse < 1.5 * row.turning_slip_bound
+    assert 1.5 < row.nees_pose < 4.5
+    assert row.ignoring_nees_pose is not None
+    assert row.ignoring_nees_pose > 2.0 * row.nees_pose
+
+
+def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrain(
+    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    plain = make_trial(make_setting(cell(SHEAR), drive, p, estimator), 0).rows.measurements
+    assert np.isnan(plain["acceleration"][drive.rates]).all()
+    setting = make_setting(replace(cell(SHEAR), terrain="side_slope_15"), drive, p, estimator)
+    felt = make_trial(setting, 0).rows.measurements["acceleration"][drive.rates]
+    assert np.mean(felt[:, 2]) == pytest.approx(9.81, abs=0.05)  # this drive is on level ground
+
+
+def test_machines_that_are_drawn_do_not_drive_on_terrain() -> None:
+    with pytest.raises(InputError, match="terrains: not with truth drawn"):
+        load_study_parameters({"truths": ["drawn"], "terrains": ["hill"]})

@@ -30,7 +30,7 @@ SHORT = ["--scenario", "slalom", "--duration", "9", "--settling", "6", "--seeds"
 
 @pytest.fixture
 def command(tmp_path: Path) -> list[str]:
-    return ["study", *SHORT, "--cache", str(tmp_path / "cells.jsonl")]
+    return ["study", *SHORT, "--workers", "1", "--cache", str(tmp_path / "cells.jsonl")]
 
 
 class Counted:
@@ -111,7 +111,7 @@ def test_what_is_remembered_is_what_was_computed(tmp_path: Path, monkeypatch: py
         (["--seeds", "0"], "seeds"),
         (["--settling", "9"], "settling: 9 s is refused; accepted: up to 1 s less than the duration, 9 s"),
         (["--filter", "ukf"], "--filter"),
-        (["--jobs", "0"], "--jobs"),
+        (["--workers", "0"], "--workers"),
         (["--set", "slip_estimator.mass=3"], "mass"),
         (["--json", "/nowhere/rows.json"], "no such folder"),
         (["--output", "/dev/null/x"], "--output"),
@@ -135,13 +135,14 @@ def test_the_table_marks_what_is_outside() -> None:
     assert "↑" not in lines[3]
 
 
-def _row(**values: float) -> Row:
+def _row(**values: Any) -> Row:
     numbers: dict[str, Any] = dict.fromkeys(Row.__dataclass_fields__, 1.0) | {
         "truth": "matched",
         "soil": "sand",
         "filter": "ekf",
         "scenario": "thesis",
         "seeds": 100,
+        "terrain": "",
         **{f"{name}_bounds": (2.5, 3.5) for name in ("nees_pose", "nees_slip", "nis_pose", "nis_yaw_rate")},
     }
     return Row(**(numbers | values))
@@ -158,3 +159,16 @@ def test_the_grid_has_every_combination_once() -> None:
     p = load_study_parameters({"sigma_omega": [0.01, 0.1]})
     grid = list(cells(p))
     assert len(grid) == len(set(grid)) == 2 * 4 * 2 * 4 * 2
+
+
+def test_a_row_on_terrain_has_a_table_of_its_own_beside_those_without() -> None:
+    sloping = {"terrain": "slope_15", "ignoring_nees_pose": 9.0}
+    shown = SlipStudy({}, []).markdown([_row(), _row(**sloping), _row(**sloping, slip_bound=float("nan"))])
+    assert "slope 15" in shown
+    assert "flat: position ×" in shown
+    assert "9.0" in shown
+
+
+def test_what_cannot_move_has_no_slips_in_the_table() -> None:
+    stuck = _row(terrain="slope_15", turning_slip_rmse=float("nan"), turning_slip_bound=float("nan"))
+    assert "–" in SlipStudy({}, []).markdown([stuck])

@@ -50,14 +50,14 @@ def test_an_unknown_command_is_refused_in_one_line(
     assert capsys.readouterr().err == f"trackslip: no command '{asked}'{hint} (see trackslip --help)\n"
 
 
-HEAVY = {"numba", "scipy", "rich", "bokeh", "matplotlib", "joblib", "dask"}
+HEAVY = {"numba", "scipy", "rich", "bokeh", "matplotlib", "dask"}
 
 
 @pytest.mark.parametrize(
     ("arguments", "barred"),
     [
         (["--help"], HEAVY | {"numpy", "yaml", "rosbags", "mcap"}),
-        (["replay", "--help"], {"bokeh", "matplotlib", "joblib", "dask", "rclpy"}),
+        (["replay", "--help"], {"bokeh", "matplotlib", "dask", "rclpy"}),
         (["info", "bags/slalom_sand"], HEAVY | {"rclpy"}),
         (["recover", "--help"], HEAVY),
         (["record", "--help"], HEAVY | {"rosbags", "numpy"}),

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live page in a real browser, with fingers: it follows, scrolls, comes back, and runs no one's code.
+"""The live page in a real browser, with fingers: it follows, scrolls, comes back, and runs no one's code."""
 
-Skipped where there is no Chromium; ``.ci/run`` installs one.
-"""
-
-import shutil
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from fixtures import live_messages as messages
+from fixtures.browser import EVIL, WIDTHS, OpenPage, scroll_with_a_finger
 
 from trackslip_common.vehicle import load_vehicle
 from trackslip_tools.live.page import File, files
@@ -19,18 +16,8 @@ from trackslip_tools.live.parameters import LiveParameters
 from trackslip_tools.live.server import PageServer
 from trackslip_tools.live.state import PERIOD, LiveState
 
-sync_api = pytest.importorskip("playwright.sync_api")
+pytestmark = pytest.mark.xdist_group("live_browser")  # one browser
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-sync",
-    "--no-first-run",
-)
-EVIL = "<img src=x onerror=alert(1)>"
-WIDTHS = (390, 1024, 1440)
 ROWS = "rows => Bokeh.documents[0].get_model_by_name('line-0').data.value.length > rows"
 FOLLOWS = "frames => Number(document.documentElement.dataset.frames) > frames"
 
@@ -71,17 +58,6 @@ class Machine:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=list(FLAGS))
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope="module")
 def pages() -> dict[str, File]:
     return files(f"Trackslip: {EVIL}")
 
@@ -94,34 +70,16 @@ def machine(pages: dict[str, File]) -> Iterator[Machine]:
 
 
 @pytest.fixture
-def complaints() -> list[str]:
-    """What the browser had to complain about, or asked others for."""
-    return []
-
-
-@pytest.fixture
-def opened(browser: Any, machine: Machine, complaints: list[str]) -> Iterator[Any]:
-    """A function that opens the page at a width; narrow ones have a touch screen."""
-    contexts = []
+def opened(open_page: OpenPage, machine: Machine) -> Callable[[int], Any]:
+    """A function that opens the page at a width."""
 
     def opens(width: int) -> Any:
-        context = browser.new_context(
-            viewport={"width": width, "height": 800}, has_touch=width < 1100, is_mobile=width < 500
-        )
-        contexts.append(context)
-        page = context.new_page()
-        page.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("dialog", lambda dialog: complaints.append(dialog.message))
-        here = machine.server.address
-        page.on("request", lambda r: complaints.append(r.url) if not r.url.startswith(here) else None)
-        page.goto(here)
+        page = open_page(width, machine.server.address)
+        page.goto(machine.server.address)
         follows(page, 2)
         return page
 
-    yield opens
-    for context in contexts:
-        context.close()
+    return opens
 
 
 def follows(page: Any, frames: int) -> None:
@@ -148,20 +106,7 @@ def test_three_pages_follow_the_machine_at_the_same_time(opened: Any, complaints
 
 @pytest.mark.parametrize("plot", ["#path", "#strip-0"])
 def test_one_finger_over_a_plot_scrolls_the_page(opened: Any, plot: str, complaints: list[str]) -> None:
-    page = opened(390)
-    page.locator(plot).scroll_into_view_if_needed()
-    box = page.locator(plot).bounding_box()
-    before = page.evaluate("scrollY")
-    x, y = box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
-    finger = page.context.new_cdp_session(page)
-    for kind, points in (
-        ("touchStart", [y]),
-        *(("touchMove", [y - 10.0 * k]) for k in range(1, 16)),
-        ("touchEnd", []),
-    ):
-        at = [{"x": x, "y": point} for point in points]
-        finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at})
-    page.wait_for_function("before => scrollY > before + 50", arg=before)
+    scroll_with_a_finger(opened(390), plot)
     assert complaints == []
 
 

@@ -3,8 +3,8 @@
 
 import math
 
-from trackslip_tools.live.events import MOST, Events
-from trackslip_tools.live.lights import Level, Light
+from trackslip_tools.report.events import MOST, Events
+from trackslip_tools.report.lights import Level, Light
 
 
 def light(level: Level, message: str, name: str = "slip_estimator") -> Light:

@@ -6,7 +6,7 @@ import math
 import pytest
 from fixtures.live_messages import diagnostics
 
-from trackslip_tools.live.lights import MOST, SILENT_S, Level, Lights, statuses_of
+from trackslip_tools.report.lights import MOST, SILENT_S, Level, Lights, statuses_of
 
 
 def lit(lights: Lights, now_s: float) -> dict[str, tuple[Level, str]]:

@@ -15,11 +15,13 @@ from trackslip_common.errors import ExitCode
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_tools.cli.main import main
 from trackslip_tools.report.ground_panels import ground_panels
+from trackslip_tools.report.limits import load_limits
 from trackslip_tools.report.motion_panels import error_panels, errors_of, motion_panels
 from trackslip_tools.report.numbers import numbers_of
 from trackslip_tools.report.outlines import boxes, ellipses
 from trackslip_tools.report.page import render
 from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
+from trackslip_tools.report.path_plot import path_plot
 from trackslip_tools.report.recording import FORCES, SOIL, TRUE_SOIL, Timing
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.tables import differing, parameter_rows, topic_rows
@@ -67,12 +69,12 @@ def test_slips_stand_beside_the_truth_where_the_machine_moves(run: Run) -> None:
     later = estimate.times > 12.0
     assert run.states is not None
     assert run.states.moving[later].all()
-    assert np.sqrt(np.nanmean((estimate.values - both)[later] ** 2)) < 0.1
+    assert np.sqrt(np.nanmean((estimate.values - both)[later] ** 2)) < 10.0  # %
     assert estimate.band is not None
     low, high = estimate.band
     np.testing.assert_allclose((low + high)[later], 2.0 * estimate.values[later])
     claimed = np.sqrt(run.states.slip_covariances[later, 1, 1])
-    np.testing.assert_allclose((high - low)[later], 4.0 * claimed)
+    np.testing.assert_allclose((high - low)[later], 100.0 * 4.0 * claimed)
 
 
 def test_the_smoother_is_shown_beside_the_filter(run: Run) -> None:
@@ -83,7 +85,8 @@ def test_the_smoother_is_shown_beside_the_filter(run: Run) -> None:
     assert (estimate.label, smoothed.label, smoothed.form) == ("estimate", "smoothed", Form.DASHED)
     np.testing.assert_array_equal(smoothed.values, estimate.values[1000:])
     assert [curve.label for curve in error_panels([both])[0].curves] == ["estimate", "smoothed"]
-    assert "smoothed" in render([both])
+    labels = [item.label.value for item in path_plot([both], 100).plot.legend[0].items]
+    assert "smoothed" in labels
 
 
 def test_ellipses_lie_two_standard_deviations_away(run: Run) -> None:
@@ -155,7 +158,7 @@ def test_forces_and_soil_of_a_bag_are_shown_with_their_intervals(run: Run) -> No
     assert shear.band is not None
     np.testing.assert_allclose((shear.band[0][0], shear.values[0], shear.band[1][0]), (1.0, 2.0, 5.0))  # cm
     likely = titled(panels, "Class of soil").curves
-    assert [(curve.label, curve.values[-1]) for curve in likely] == [("dry_clay", 0.7), ("sand", 0.3)]
+    assert [(curve.label, curve.values[-1]) for curve in likely] == [("dry_clay", 70.0), ("sand", 30.0)]  # %
 
 
 # Tables and page
@@ -180,7 +183,7 @@ def test_topics_are_counted(run: Run) -> None:
 
 
 def test_the_page_needs_nothing_else_and_is_small_enough(run: Run) -> None:
-    page = render([run])
+    page = render([run], load_limits())
     assert len(page.encode()) < MOST_BYTES
     body = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search(r"""(?:src|href|url)\s*[=(]\s*["']?\s*(?:https?:)?//""", body)
@@ -191,7 +194,7 @@ def test_the_page_needs_nothing_else_and_is_small_enough(run: Run) -> None:
 def test_names_that_look_like_html_are_text(run: Run) -> None:
     evil = "<img src=x onerror=alert(1)>"
     recording = dataclasses.replace(run.recording, path=evil, timings={evil: Timing(np.arange(9.0))})
-    page = render([dataclasses.replace(run, label=evil, recording=recording)] * 2)
+    page = render([dataclasses.replace(run, label=evil, recording=recording)] * 2, load_limits())
     assert evil not in page
     assert "&lt;img src=x" in page
 

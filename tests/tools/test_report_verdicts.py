@@ -5,20 +5,26 @@ import dataclasses
 import re
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_common.tally import Tally
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.records import POSE, RESULT, SPROCKETS
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay.arrivals import ARRIVAL
 from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.run import KEPT, Part, Replay
+from trackslip_tools.replay.soil import SoilReplay
+from trackslip_tools.replay.withheld import Withheld
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.innovations import innovation_panels, innovations_of, whitened_fixes
+from trackslip_tools.report.limits import load_limits
 from trackslip_tools.report.panel import GREEN, Form
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run
@@ -100,10 +106,10 @@ def test_nis_counts_what_was_taken_and_shows_what_was_not(run: Run) -> None:
 
 
 def test_a_good_drive_is_called_good(run: Run) -> None:
-    found = verdicts(run)
+    found = verdicts(run, load_limits())
     for name in ("Bag", "Position", "Slip", "Rates", "Gaps", "Rejections"):
         assert found[name].state is State.OK, (name, found[name])
-    for name in ("Replay = live", "Soil"):
+    for name in ("Replay = live", "Soil", "Tracks"):
         assert found[name].state is State.UNKNOWN, (name, found[name])
 
 
@@ -120,7 +126,7 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
         ("Consistency of the pose", lambda r: changed(r, nees=30.0), "3.16 times .* too sure"),
         ("Consistency of the pose", lambda r: changed(r, nees=0.3), "0.32 times .* too modest"),
         ("Consistency of the innovations", lambda r: consistent_run(r, 2.0), "box_pose .* too sure"),
-        ("Slip", lambda r: changed(r, slip_rmse=0.06), "at most 0.05"),
+        ("Slip", lambda r: changed(r, slip_rmse=0.06), "at most 5 %"),
         (
             "Replay = live",
             lambda r: changed(r, live=LiveComparison(10, 3, 0.5, lost_reports=1, lost_inputs=2)),
@@ -139,7 +145,7 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
     ],
 )
 def test_what_is_wrong_is_said(run: Run, name: str, change: Callable[[Run], Run], words: str) -> None:
-    found = verdicts(change(run))[name]
+    found = verdicts(change(run), load_limits())[name]
     assert found.state is State.ATTENTION
     assert re.search(words, found.words), found.words
 
@@ -151,12 +157,70 @@ def test_rejections_are_shares_of_their_source(run: Run) -> None:
     few = changed(run, rejected=rejected)
     share = 10 / run.replay.messages["box_pose"]
     assert rejection_rows(few)[0] == ("box_pose", "gated", "10", f"{100.0 * share:.2f}")
-    found = verdicts(few)["Rejections"]
+    found = verdicts(few, load_limits())["Rejections"]
     assert found.state is State.ATTENTION
     assert "sprockets" not in found.value  # waiting for the first fix is no fault
+
+
+def test_every_measurement_was_used_is_said_only_where_it_is_so(run: Run) -> None:
+    def words(of: Run) -> str:
+        return verdicts(of, load_limits())["Rejections"].words
+
+    def refusing(*pairs: tuple[str, Outcome]) -> Tally:
+        tally = Tally()
+        for source, outcome in pairs:
+            tally.add(source, outcome)
+        return tally
+
+    every = "Every measurement was used."
+    assert words(changed(run, rejected=Tally())) == every
+    jumped = refusing(("sprockets", Outcome.JUMPED), ("sprockets", Outcome.RESTARTED))
+    assert words(changed(run, rejected=jumped)) == every  # used, but not as it stands
+    early = refusing(("sprockets", Outcome.WAITING))
+    assert words(changed(run, rejected=early)) == "Since the start every measurement was used."
+    soil = SoilReplay(load_soil_parameters(), rejected=refusing(("hydraulics", Outcome.INVALID)))
+    assert "Share not used" in words(changed(run, rejected=Tally(), soil=soil))
+    filters = InputFilters(withhold=(Withhold("box_pose", 1.0, 2.0),))
+    withheld = changed(run, rejected=Tally(), withheld=[Withheld(filters.withhold[0], 5, None, None)])
+    said = words(dataclasses.replace(withheld, filters=filters))
+    assert said == "Every measurement that the replay was given was used. 5 were withheld."
+
+
+def test_a_stalled_track_is_named(stalled_run: Run) -> None:
+    found = verdicts(stalled_run, load_limits())["Tracks"]
+    assert found.state is State.ATTENTION
+    assert found.value == "stalled: left track 10.0 s; getting stuck: right track 5.0 s"
+
+
+# Limits
+
+
+def test_limits_of_a_file_decide(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "strict.yaml"
+    file.write_text("report: {ros__parameters: {position: 0.0001}}\n", encoding="utf-8")
+    limits = load_limits([str(file)])
+    assert limits.slip == load_limits().slip
+    assert verdicts(run, limits)["Position"].state is State.ATTENTION
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("report: {ros__parameters: {position: -1.0}}", "position: -1.0 is out of range; accepted: > 0 m"),
+        ("report: {ros__parameters: {positon: 1.0}}", "did you mean 'position'"),
+        ("report: {ros__parameters: {most_consistency: 0.5}}", "accepted: > 1"),
+        ("position: 1.0", "accepted: a section 'report'"),
+    ],
+)
+def test_bad_limits_are_refused_in_one_line(
+    text: str, expected: str, bag: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
+    file = tmp_path / "limits.yaml"
+    file.write_text(text, encoding="utf-8")
+    assert expected in refuse("report", bag, "--limits", file, "--output", tmp_path / "out.html")
 
 
 def test_equality_with_live_is_not_asked_of_other_parameters(run: Run) -> None:
     live = LiveComparison(10, 10, 0.5, 0, 0)
     other = changed(run, recording={"parameters": {"gate_probability": 0.5}}, live=live)
-    assert verdicts(other)["Replay = live"].state is State.UNKNOWN
+    assert verdicts(other, load_limits())["Replay = live"].state is State.UNKNOWN

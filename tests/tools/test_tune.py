@@ -42,7 +42,9 @@ def plan(tmp_path: Path) -> Path:
 
 
 def tune(bag: Path, plan: Path, output: Path, *options: str) -> int:
-    return main(["tune", str(bag), "--plan", str(plan), "--output", str(output), "--stop", "20", *options])
+    alone = () if "--scheduler" in options else ("--workers", "1")
+    named = ("--plan", str(plan), "--output", str(output), "--stop", "20")
+    return main(["tune", str(bag), *named, *alone, *options])
 
 
 def test_it_leaves_parameters_and_evidence(
@@ -82,7 +84,7 @@ def test_ctrl_c_leaves_the_journal(
         return score(self, values)
 
     monkeypatch.setattr(Task, "score", interrupted)
-    assert tune(emulated_bag, plan, tmp_path / "out", "--jobs", "1") == ExitCode.INTERRUPTED
+    assert tune(emulated_bag, plan, tmp_path / "out") == ExitCode.INTERRUPTED
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["journal.jsonl"]
     assert len((tmp_path / "out" / "journal.jsonl").read_text().splitlines()) == 11
 
@@ -105,7 +107,7 @@ def test_bad_input_is_refused_in_one_line(
     options: tuple[str, ...],
     words: str,
 ) -> None:
-    monkeypatch.setattr("trackslip_tools.tuning.workers._ANSWERS", 1.0)
+    monkeypatch.setattr("trackslip_tools.workers._ANSWERS", 1.0)
     assert tune(emulated_bag, plan, tmp_path / "out", *options) == ExitCode.BAD_INPUT
     error = capsys.readouterr().err
     assert words in error
@@ -122,7 +124,7 @@ def test_two_workers_of_a_cluster_find_what_one_process_finds(
     ) as cluster:
         address = cluster.scheduler_address
         assert tune(emulated_bag, plan, tmp_path / "cluster", "--scheduler", address) == ExitCode.DONE
-    assert tune(emulated_bag, plan, tmp_path / "alone", "--jobs", "1") == ExitCode.DONE
+    assert tune(emulated_bag, plan, tmp_path / "alone") == ExitCode.DONE
     for name in ("slip_estimator.yaml", "evidence.json"):
         assert (tmp_path / "cluster" / name).read_text() == (tmp_path / "alone" / name).read_text()
 

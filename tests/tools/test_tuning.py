@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,9 @@ from trackslip_tools.tuning.evidence import PARAMETERS, TABLE, numbers, write_ev
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import Plan, changed, read_plan
 from trackslip_tools.tuning.search import search
-from trackslip_tools.tuning.task import Score, Task, make_task
-from trackslip_tools.tuning.tuner import Tuner, Tuning
-from trackslip_tools.tuning.workers import Job, Work, cores
+from trackslip_tools.tuning.task import Job, Score, Task, make_task, score_of
+from trackslip_tools.tuning.tuner import Tuner, Tuning, Work
+from trackslip_tools.workers import workers
 
 SEGMENTS = [
     (4.0, 2.0, 2.0, 0.05, 0.05, 0.0),
@@ -68,8 +69,9 @@ def records(found: Sequence[Measurement], p: SlipEstimatorParameters) -> Rows:
 
 
 def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: Work | None = None) -> Tuning:
-    with Journal(folder / "journal.jsonl", tasks, plan.bounds) as journal, cores(tasks, 2) as pool:
-        return Tuner(plan, tasks, work or pool, journal, lambda _: None).run(cross_validate=True)
+    with Journal(folder / "journal.jsonl", tasks, plan.bounds) as journal, workers(1, shared=tasks) as mapped:
+        work = work or partial(mapped, score_of)
+        return Tuner(plan, tasks, work, journal, lambda _: None).run(cross_validate=True)
 
 
 # the plan

@@ -127,8 +127,9 @@ def _by_chunk(
 
 
 def _stretches(parts: deque[Part], start_ns: int, stop_ns: int) -> Iterator[Stretch]:
-    """Uses the chunks up, which are in the order of their first message: what comes before the next one's
-    can go.
+    """Use the chunks up, which are in the order of their first message.
+
+    What comes before the first message of the next one can go.
     """
     buffer, waiting = np.empty(0, np.uint8), joined([])
     while parts:

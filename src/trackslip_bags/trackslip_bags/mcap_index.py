@@ -95,6 +95,7 @@ def joined(found: list[Located]) -> Located:
 
 
 def chosen(rows: Located, which: NDArray[np.bool_] | IntArray) -> Located:
+    """Some of the rows, by a mask or by their numbers."""
     return Located(*(column[which] for column in rows))
 
 

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one error a user's input can cause, and the exit codes of every executable."""
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from enum import IntEnum
 from typing import TextIO
 
 _LONGEST_LINE = 900  # characters
 _LIKE = 0.66  # of 1: how near a word must be to one that was mistyped
 _MOST_NAMES = 12  # that are listed
+_collected: ContextVar[list[str] | None] = ContextVar("_collected", default=None)
 
 
 def printable(text: str, longest: int = 200) -> str:
@@ -20,8 +24,23 @@ def printable(text: str, longest: int = 200) -> str:
 
 def show(*texts: object, file: TextIO | None = None) -> None:
     """Print lines in which names and values may be anybody's: what would steer a terminal is escaped."""
+    lines = _collected.get()
+    if lines is not None:
+        lines += map(str, texts if file is sys.stderr else ())
+        return
     for text in texts:
         print(*(printable(line, len(line)) for line in str(text).split("\n")), sep="\n", file=file)
+
+
+@contextmanager
+def collected() -> Iterator[list[str]]:
+    """Nothing is shown meanwhile; what would have gone to stderr is in the list."""
+    lines: list[str] = []
+    token = _collected.set(lines)
+    try:
+        yield lines
+    finally:
+        _collected.reset(token)
 
 
 class InputError(ValueError):

@@ -2,7 +2,7 @@
 """Records out of lines of JSON that may have been cut, edited, or written by another version."""
 
 import json
-from types import GenericAlias
+from types import GenericAlias, NoneType, UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 R = TypeVar("R")
@@ -30,7 +30,13 @@ def record(kind: type[R], entry: Any) -> R:
 
 
 def _typed(hint: Any, value: Any) -> Any:
-    """A number, a text, a truth, a tuple of as many, a mapping by name; a whole number is a number too."""
+    """A number, a text, a truth, a tuple of as many, a mapping by name; a whole number is a number too.
+
+    None where the hint is a union with it.
+    """
+    if isinstance(hint, UnionType):
+        kinds = [kind for kind in get_args(hint) if kind is not NoneType]
+        return None if value is None and len(kinds) < len(get_args(hint)) else _typed(kinds[0], value)
     if isinstance(hint, GenericAlias):
         origin, inner = get_origin(hint), get_args(hint)
         if origin is dict and isinstance(value, dict):

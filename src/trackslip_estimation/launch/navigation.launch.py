@@ -21,7 +21,10 @@ def generate_launch_description() -> LaunchDescription:
     """Defaults are the nodes' own; ``params_file`` goes over them."""
     state_file = (
         _DEFAULT,
-        f"keeps what was learned; '{_DEFAULT}': one a namespace, in $ROS_HOME/trackslip; 'none': nothing",
+        (
+            f"keeps what was learned; '{_DEFAULT}': one a namespace, in $ROS_HOME/trackslip, with the track "
+            "of the box; 'none': nothing"
+        ),
     )
     record = ("true", "record all topics; false where a recorder of its own runs")
     arguments = declared(state_file=state_file, record=record)
@@ -29,7 +32,9 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    own = {"slip_estimator": {"state_file": _state_file(context)}}
+    state_file = _state_file(context)
+    track_file = str(Path(state_file).with_name("box_localizer.json")) if state_file else ""
+    own = {"slip_estimator": {"state_file": state_file}, "box_localizer": {"track_file": track_file}}
     records = LaunchConfiguration("record").perform(context).lower() == "true"
     wanted = EXECUTABLES if records else EXECUTABLES[:-1]
     launched = [Launched(PACKAGE, name, own.get(name, {})) for name in wanted]

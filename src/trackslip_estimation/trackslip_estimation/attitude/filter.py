@@ -62,7 +62,7 @@ def forget_attitude(a: Any) -> None:
     a.known = a.seen = a.stamp_ns = 0
     a.mean[:], a.covariance[:] = 0.0, 0.0
     a.rates[:], a.mean_force[:], a.velocity[:], a.sample.force[:] = 0.0, 0.0, 0.0, np.nan
-    _set_level(a)
+    set_level(a)
 
 
 @compiled
@@ -98,7 +98,7 @@ def use_sample(a: Any, n: Any) -> None:
     a.rates[0], a.rates[1], a.rates[2] = _rates(a)
     a.velocity[0], a.velocity[1] = _velocity_at(imu, _rates(a))
     a.stamp_ns, a.seen = imu.stamp_ns, 1
-    _set_level(a)
+    set_level(a)
 
 
 @compiled
@@ -271,7 +271,7 @@ def climb(a: Any, v_x: float, v_y: float, dt: float) -> None:
 
 
 @compiled
-def _set_level(a: Any) -> None:
+def set_level(a: Any) -> None:
     """What the attitude does to a motion along the ground."""
     level, P = a.level, a.covariance
     level.tilted = a.known

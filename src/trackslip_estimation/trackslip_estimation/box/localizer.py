@@ -49,13 +49,21 @@ class BoxFix:
 class BoxLocalizer:
     """Follows the box through scans given in order; its state depends on nothing else."""
 
-    def __init__(self, parameters: BoxLocalizerParameters, box: Box) -> None:
+    def __init__(self, parameters: BoxLocalizerParameters, box: Box, kept: Track | None = None) -> None:
+        """``kept`` is the track of a localizer that ran before this one."""
         self._parameters = parameters
+        self._kept = kept
         self._box = box
         self._frames = Frames(parameters, box)
         self.tally = Tally()
         self.restarts = 0
+        self.resumed = False  # whether it went on with the track that was kept
         self.reset()
+
+    @property
+    def track(self) -> Track | None:
+        """Where the box was found last; None before the first fix."""
+        return self._tracks[0] if len(self._tracks) == 1 else None
 
     def reset(self) -> None:
         """Drop every scan: start again from the initial pose."""
@@ -86,7 +94,15 @@ class BoxLocalizer:
             return Reason.AHEAD if status is StampStatus.AHEAD else Reason.NOT_LATER
         if self._first_ns is None:
             self._first_ns = stamp_ns
+            self._resume(stamp_ns)
         return None
+
+    def _resume(self, stamp_ns: int) -> None:
+        """Go on with the track that was kept, if it is a recent one."""
+        kept, self._kept = self._kept, None
+        if kept is not None and 0 <= stamp_ns - kept.stamp_ns <= self._parameters.resume_time * 1e9:
+            self._tracks = [kept]
+            self.resumed = True
 
     def _start_over(self, stamp_ns: int) -> None:
         """Stamps have gone back: another run, or the same with the clock set."""

@@ -37,6 +37,9 @@ class BoxLocalizerParameters(Parameters):
     coast_time: float = parameter(
         "time for which velocities last, beyond which the vehicle is sought where it was", unit="s", gt=0.0
     )
+    resume_time: float = parameter(
+        "time within which a localizer started again seeks the box about its last track", unit="s", ge=0.0
+    )
     max_gap: float = parameter("scans stamped further ahead must be confirmed", unit="s", gt=0.0, le=600.0)
     jump_confirmations: int = parameter("scans in a row that confirm a stamp far ahead, or back", ge=2)
 
@@ -46,3 +49,4 @@ class BoxNodeParameters(BoxLocalizerParameters, WithVehicle):
     """The localizer's, with the vehicle that carries the box and the frame of its poses."""
 
     map_frame: str = parameter("site frame, in which the laser's place is given")
+    track_file: str = parameter("keeps the track of the box for a restart during a drive; empty: nothing")

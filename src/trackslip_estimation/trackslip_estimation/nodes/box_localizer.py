@@ -14,6 +14,7 @@ from trackslip_common.nodes.run import run
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_estimation.box.scan import Scan
+from trackslip_estimation.box.track_file import TrackFile
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import PoseFix
 
@@ -26,7 +27,8 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
 
     def configure(self) -> None:
         """Make the localizer."""
-        self._localizer = BoxLocalizer(self.settings, self.settings.vehicle.box)
+        self._file = TrackFile(self.settings.track_file)
+        self._localizer = BoxLocalizer(self.settings, self.settings.vehicle.box, self._file.read())
         self._fixes = 0
         self._scans = 0
         self._news = (0, 0)
@@ -38,7 +40,15 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         (fixes, scans), self._news = self._news, (self._fixes, self._scans)
         refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         restarts = self._localizer.restarts
-        values = {"scans": self._scans, "fixes": self._fixes, "restarts": restarts, **refused}
+        values: dict[str, object] = {
+            "scans": self._scans,
+            "fixes": self._fixes,
+            "restarts": restarts,
+            **refused,
+        }
+        values["track of the run before"] = "gone on with" if self._localizer.resumed else "not used"
+        if self._file.failure:
+            values["track file"] = self._file.failure
         if self._scans == scans:
             return [Health(WARN, "no scans", values)]
         if self._fixes == fixes:
@@ -52,6 +62,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         fix = self._localizer.locate(Scan(stamp_ns_of(message), ranges, *geometry))
         if isinstance(fix, BoxFix):
             self._fixes += 1
+            self._file.write(self._localizer.track)
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
             self._poses.publish(conversions.pose_with_covariance(make, pose, self.settings.map_frame))
 

@@ -171,11 +171,10 @@ def update_motion(state: Any, speeds: Any, dt: float, limits: Any, resolution: f
 
 @compiled
 def steady_speeds(speeds: Any, motion: Any, limits: Any, resolution: float) -> tuple[float, float, float]:
-    """Left, right and interval with which a gyro is compared: no rounding of counts passes for a turn, or a
-    change of speed.
+    """Left, right and interval with which a gyro is compared.
 
-    Low-passed, where rounding explains how the speeds depart from their mean; alike, where it explains their
-    difference.
+    No rounding of counts passes for a turn, or a change of speed: low-passed, where rounding explains how the
+    speeds depart from their mean; alike, where it explains their difference.
     """
     left, right, interval = speeds.left, speeds.right, speeds.interval
     if not speeds.differenced or interval <= 0.0:

@@ -18,6 +18,7 @@ from typing import Any
 
 import yaml
 
+from trackslip_common.config_files import own_file
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.learned import Learned, Meaning, OtherMachine, aged, from_tree, to_tree
@@ -74,11 +75,7 @@ class StateFile:
         Raises:
             InputError: nobody knows that home directory.
         """
-        try:
-            self._path = Path(path).expanduser() if path else None
-        except RuntimeError as error:
-            accepted = "a path, from ~ where there is a home directory"
-            raise InputError(f"state_file: '{path}' has no home directory; accepted: {accepted}") from error
+        self._path = own_file("state_file", path)
         self._aside = ""  # what to add to the name of a file that was not used
         self._writer: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -197,6 +194,7 @@ def _content(path: Path) -> str:
 
 
 def digest(body: str) -> str:
+    """Checksum of a text, in hexadecimal digits."""
     return hashlib.sha256(body.encode(errors="replace")).hexdigest()[:32]
 
 

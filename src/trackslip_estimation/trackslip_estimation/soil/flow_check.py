@@ -23,8 +23,9 @@ _MEMORY = 10.0  # s
 def volumetric_efficiency(
     before: float, spools: FloatArray, speeds: FloatArray, full_flow_speed: float, dt: float
 ) -> float:
-    """η_V over the last seconds of steady driving, after ``dt`` s more with these spools (2,) and sprocket
-    speeds (2,); nan before the first of them. ``full_flow_speed``: ω_1.
+    """η_V over the last seconds of steady driving; nan before the first of them.
+
+    After ``dt`` s more with these spools (2,) and sprocket speeds (2,). ``full_flow_speed``: ω_1.
     """
     if not (abs(spools[0]) >= _OPEN and abs(spools[1]) >= _OPEN):
         return before

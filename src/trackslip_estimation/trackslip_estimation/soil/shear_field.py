@@ -92,8 +92,9 @@ def sliding_along(rolling: Rolling, k: int, half_tread: float) -> float:
 
 @compiled
 def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
-    """Follow each element's soil back to where it was, between two centres, or to the leading edge, where it
-    was not yet sheared.
+    """Follow each element's soil back to where it was, between two centres.
+
+    Or to the leading edge, where it was not yet sheared.
     """
     n = len(x_e)
     dx = x_e[0] - x_e[1]

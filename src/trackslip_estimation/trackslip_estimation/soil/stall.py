@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds tracks in trouble, compiled: stalled, commanded but not turning at high pressure; stuck, spinning at
-the limit of the soil.
+"""Finds tracks in trouble, compiled.
+
+Stalled is commanded but not turning at high pressure; stuck is spinning at the limit of the soil.
 
 Evidence counts up for as long as it lasts, down where it is gone: a noisy moment neither ends a trouble nor
 makes one.

@@ -246,6 +246,22 @@ def accelerations(truth: Truth) -> FloatArray:
     return np.column_stack((ahead, left, truth.v_y * truth.roll_rate - truth.v_x * truth.pitch_rate))
 
 
+def tilt_readings(
+    truth: Truth, times: FloatArray, noise: SensorNoise, random: np.random.Generator
+) -> FloatArray:
+    """(m, 5) roll and pitch rate, rad/s, and specific force, m/s², of an inertial unit at C."""
+    at = truth.interpolate(times)
+    moved = [np.interp(times, truth.t, column) for column in accelerations(truth).T]
+    down = np.cos(at.pitch)
+    gravity = (-np.sin(at.pitch), down * np.sin(at.roll), down * np.cos(at.roll))
+    biases = noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z
+    forces = [a + GRAVITY * g + b for a, g, b in zip(moved, gravity, biases, strict=True)]
+    rates = at.roll_rate + noise.gyro_bias_x, at.pitch_rate + noise.gyro_bias_y
+    stddevs = (*2 * (noise.gyro_stddev,), *3 * (noise.acceleration_stddev,))
+    readings: FloatArray = np.column_stack((*rates, *forces))
+    return readings + stddevs * random.standard_normal((len(times), 5))
+
+
 def _vector(values: FloatArray) -> tuple[float, float, float]:
     x, y, z = values.tolist()
     return x, y, z

@@ -5,6 +5,7 @@ import argparse
 import os
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +17,7 @@ from trackslip_sim.study.engine import Study
 from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
-from trackslip_tools.cli import machine_options
+from trackslip_tools.cli import machine_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.outputs import require_writable
@@ -47,12 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sigma-heading", type=float, metavar="A", help="noise of the fixes' heading, rad")
     add("--seeds", type=int, metavar="N", help="runs of each cell")
     add("--scenario", nargs="+", metavar="NAME|FILE", help="what is driven; slip: one")
-    add("--terrain", nargs="+", metavar="NAME|FILE", help="soil: on what ground; default: the scenario's own")
+    add("--terrain", nargs="+", metavar="NAME|FILE", help="on what ground; default: the scenario's own")
     machine_options.add_vehicle(parser, "none")
     add("--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds")
     add("--settling", type=float, metavar="S", help="slip: seconds at the start that are not scored")
     add("--set", metavar="node.param=value", action="append", default=[], help="one of the estimator's")
-    add("--jobs", type=_whole, metavar="N", default=os.cpu_count(), help="at a time; default: one per core")
+    worker_options.add_options(parser)
     add("--cache", type=Path, metavar="FILE", default=_cache_file(), help="what is finished (%(default)s)")
     add("--fresh", action="store_true", help="compute also what is in the cache")
     add(
@@ -72,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
     """
     study = _study(args)
     _prepare(args)
-    running = study.run(args.cache, args.jobs, fresh=args.fresh)
+    workers = partial(worker_options.chosen, args, most=len(study))
+    running = study.run(args.cache, workers, fresh=args.fresh)
     rows = study.rows(list(shown(running, study.UNIT, total=len(study))))
     print(
         f"vehicle: {load_vehicle(args.vehicle or ASSUMED).name}\n\n{for_terminal(study.markdown(rows))}",
@@ -94,13 +96,6 @@ def _study(args: argparse.Namespace) -> Study[Any, Any]:
         raise InputError(f"--{option.replace('_', '-')}: does not go with --estimator {args.estimator}")
     named = [f"{NODE}.vehicle={args.vehicle}"] if args.vehicle else []
     return kind({kind.PARAMETERS[option]: value for option, value in given.items()}, [*named, *args.set])
-
-
-def _whole(text: str) -> int:
-    """A number of threads."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is refused; accepted: a whole number >= 1")
-    return int(text)
 
 
 def _cache_file() -> Path:

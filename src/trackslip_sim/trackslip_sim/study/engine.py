@@ -2,16 +2,38 @@
 """What all studies have in common: a grid of cells, computed piece by piece, resumed, and put into tables."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing
 from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Generic, TypeVar
 
 from trackslip_sim.study.cache import Cache, key_of
+from trackslip_tools.workers import Map
+from trackslip_tools.workers import workers as workers_of
+
+Workers = Callable[[Any], AbstractContextManager[Map]]
+"""Opens workers for what all pieces share."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
+
+
+def alone(shared: Any) -> AbstractContextManager[Map]:
+    """This process."""
+    return workers_of(1, shared=shared)
+
+
+def spread(
+    function: Callable[[Any, Piece], Result], shared: Any, pieces: Sequence[Piece], workers: Workers
+) -> Generator[Result, None, None]:
+    """The results in order; the first is computed here, so that kernels are compiled once, and before all."""
+    if pieces:
+        yield function(shared, pieces[0])
+    if len(pieces) > 1:
+        with workers(shared) as mapped:
+            yield from mapped(function, pieces[1:])
 
 
 class Study(ABC, Generic[Piece, Result]):
@@ -38,8 +60,8 @@ class Study(ABC, Generic[Piece, Result]):
         """All parameters and files that its result rests on, beside the piece itself."""
 
     @abstractmethod
-    def compute(self, pieces: Sequence[Piece], jobs: int | None) -> Iterator[Result]:
-        """The results in the order of the pieces, ``jobs`` at a time."""
+    def compute(self, pieces: Sequence[Piece], workers: Workers) -> Generator[Result, None, None]:
+        """The results in the order of the pieces."""
 
     @abstractmethod
     def row(self, cell: Any, results: Sequence[Result]) -> Any:
@@ -53,7 +75,7 @@ class Study(ABC, Generic[Piece, Result]):
         """How many pieces it has."""
         return sum(map(len, self.cells.values()))
 
-    def run(self, path: Path, jobs: int | None = None, *, fresh: bool = False) -> Iterator[Result]:
+    def run(self, path: Path, workers: Workers = alone, *, fresh: bool = False) -> Iterator[Result]:
         """The results as they are finished, in the order of the pieces; those in the cache are not computed.
 
         Raises:
@@ -63,13 +85,13 @@ class Study(ABC, Generic[Piece, Result]):
         pieces = [piece for of_cell in self.cells.values() for piece in of_cell]
         keys = [self._key(piece) for piece in pieces]
         missing = {key: piece for key, piece in zip(keys, pieces, strict=True) if cache.get(key) is None}
-        computed = self.compute(list(missing.values()), jobs)
-        for key in dict.fromkeys(keys):
-            result = cache.get(key)
-            if result is None:
-                result = next(computed)
-                cache.add(key, result)
-            yield result
+        with closing(self.compute(list(missing.values()), workers)) as computed:
+            for key in dict.fromkeys(keys):
+                result = cache.get(key)
+                if result is None:
+                    result = next(computed)
+                    cache.add(key, result)
+                yield result
 
     def rows(self, results: Sequence[Result]) -> list[Any]:
         """One of each cell."""

@@ -11,6 +11,7 @@ class GridParameters(Parameters):
     """The part of the grid and of the sensors that all studies have."""
 
     soils: tuple[str, ...] = parameter("names in config/soils.yaml")
+    terrains: tuple[str, ...] = parameter("names in config/terrains, or files; empty: the scenario's own")
     sigma_xy: tuple[float, ...] = parameter("noise of the fixes, x and y", unit="m", gt=0.0, le=100.0)
     sigma_heading: float = parameter("noise of the fixes' heading", unit="rad", gt=0.0, le=3.0)
     seeds: int = parameter("runs of each cell", ge=1, le=100_000)

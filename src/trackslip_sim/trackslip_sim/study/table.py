@@ -4,6 +4,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+NOTHING = "–"  # there was no such thing
 Columns = Mapping[str, Callable[[Any], str]]
 """Head of a column → what it shows of a row. Spaces behind a head keep two of one name apart."""
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, show
 from trackslip_common.vehicle import load_vehicle
 from trackslip_tools.cli import machine_options
+from trackslip_tools.cli.description import describe
 from trackslip_tools.cli.progress import counted
 
 EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --output out/field_log"

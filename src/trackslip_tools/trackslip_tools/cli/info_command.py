@@ -4,10 +4,10 @@
 import argparse
 from pathlib import Path
 
-from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import machine_options
+from trackslip_tools.cli.description import describe
 
 EXAMPLE = "trackslip info out/demo/bag"
 

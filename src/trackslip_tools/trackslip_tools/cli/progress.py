@@ -36,7 +36,7 @@ def counted(total: float | None, label: str) -> Iterator[Callable[[float], None]
 
     columns = [TextColumn("{task.description}"), BarColumn()]
     columns += [] if total is None else [TaskProgressColumn(), TimeRemainingColumn()]
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
         task = bar.add_task(label, total=total)
         yield lambda done: bar.advance(task, done)
 

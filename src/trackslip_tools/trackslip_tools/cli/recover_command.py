@@ -5,11 +5,11 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from trackslip_bags.info import describe
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import Recovery, recover
 from trackslip_bags.writer import CHUNK_SPAN_NS, refuse_existing
 from trackslip_common.errors import ExitCode, show
+from trackslip_tools.cli.description import describe
 from trackslip_tools.cli.progress import shown
 
 EXAMPLE = "trackslip recover bags/power_cut --output out/recovered"

@@ -3,20 +3,21 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from trackslip_bags.reader import open_bag
+from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.cli import publish, replay_options
+from trackslip_tools.cli import fleet_command, publish, replay_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.outputs import require_writable
 from trackslip_tools.cli.progress import counted, following
+from trackslip_tools.fleet.entry import Entry, entry_of
 from trackslip_tools.replay.output import EstimateWriter, summary, text
-from trackslip_tools.replay.run import Part, replay
+from trackslip_tools.replay.run import Part, Replay, Watch, replay
 from trackslip_tools.replay.start import learned_before
 
 EXAMPLE = (
@@ -27,11 +28,18 @@ EXAMPLE = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     add = parser.add_argument
-    add("bag", metavar="BAG", type=Path, help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file")
+    add(
+        "bags",
+        metavar="BAG",
+        type=Path,
+        nargs="+",
+        help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file; several, or a folder: a table",
+    )
     add("--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the bag's own")
     replay_options.add_options(parser)
     add("--output", metavar="BAG", type=Path, help="write the estimates to a new bag")
-    add("--json", metavar="FILE", type=Path, help="write the summary as JSON")
+    add("--json", metavar="FILE", type=Path, help="write the summary as JSON; of many bags a list")
+    worker_options.add_options(parser)
     publish.add_options(parser)
 
 
@@ -41,25 +49,20 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
+    filters = replay_options.filters_of(args)  # refused before the work
+    if fleet_command.is_fleet(args.bags):
+        if not args.publish:
+            publish.refuse_without_publish(args)
+        return fleet_command.run(args, _entry)
     refuse_existing(args.output)
     require_writable(json=args.json)
-    with open_bag(args.bag, args.namespace) as bag:
-        if bag.damage:
-            show(f"note: {bag.damage}", file=sys.stderr)
+    with open_bag(args.bags[0], args.namespace) as bag:
         if args.publish:
+            _show_damage(bag)
             return publish.publish(bag, filters, args)
         publish.refuse_without_publish(args)
-        p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
-        replay_options.require_named(bag, p, filters, reference)
-        of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
-        learned, _ = learned_before(bag, p)
-        written = EstimateWriter(args.output, p, learned) if args.output else nullcontext()
-        with written as writer, counted(bag.duration_s, "replaying") as advance:
-            watches = [following(bag, advance), *([writer.add] if writer else [])]
-            result = replay(bag, p, filters, reference, of_soil, lambda part: _all(watches, part))
-            if writer and result.soil is not None:
-                writer.add_soil(result.soil)
+        with counted(bag.duration_s, "replaying") as advance:
+            result = _replayed(bag, args, [following(bag, advance)])
     show(text(result, waited_s()))
     if args.output is not None:
         show(f"estimates: {args.output}")
@@ -68,6 +71,37 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.FAILED if result.no_estimate else ExitCode.DONE
 
 
-def _all(watches: Iterable[Callable[[Part], None]], part: Part) -> None:
+def _replayed(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
+    """By the options, into the bag of ``--output`` where one is wanted."""
+    _show_damage(bag)
+    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
+    p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
+    replay_options.require_named(bag, p, filters, reference)
+    of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
+    learned, _ = learned_before(bag, p)
+    with EstimateWriter(args.output, p, learned) if args.output else nullcontext() as writer:
+        all_ = [*watches, *([writer.add] if writer else [])]
+        result = replay(bag, p, filters, reference, of_soil, lambda part: _all(all_, part))
+        if writer and result.soil is not None:
+            writer.add_soil(result.soil)
+    return result
+
+
+def _entry(args: argparse.Namespace, path: Path) -> Entry:
+    """One bag of many; what a worker does."""
+
+    def replayed(watch: Watch) -> tuple[Replay, str]:
+        with open_bag(path, args.namespace) as bag:
+            return _replayed(bag, args, [watch]), ""
+
+    return entry_of(path, replayed)
+
+
+def _show_damage(bag: Bag) -> None:
+    if bag.damage:
+        show(f"note: {bag.damage}", file=sys.stderr)
+
+
+def _all(watches: Iterable[Watch], part: Part) -> None:
     for watch in watches:
         watch(part)

@@ -10,13 +10,17 @@ from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
-from trackslip_tools.cli import replay_options
+from trackslip_tools.cli import fleet_command, replay_options, worker_options
 from trackslip_tools.cli.outputs import require_writable
 from trackslip_tools.cli.progress import shown
+from trackslip_tools.fleet.entry import Entry, entry_of, exit_code
+from trackslip_tools.fleet.find import is_folder
+from trackslip_tools.fleet.pages import INDEX, make_folder, write_pages
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
-from trackslip_tools.replay.run import replay
+from trackslip_tools.replay.run import Part, Replay, Watch, replay
 from trackslip_tools.report.details import Details
+from trackslip_tools.report.limits import VerdictLimits, load_limits
 from trackslip_tools.report.panel import MOST_RUNS
 from trackslip_tools.report.recording import Recording, read_recording
 from trackslip_tools.report.run import Run
@@ -30,7 +34,9 @@ _OWN = "own"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     add = parser.add_argument
-    add("bags", metavar="BAG", type=Path, nargs="+", help="several are compared")
+    add(
+        "bags", metavar="BAG", type=Path, nargs="+", help="several are compared; of a folder, each has a page"
+    )
     add(
         "--params",
         metavar="FILE",
@@ -39,7 +45,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     replay_options.add_options(parser)
     add("--smooth", action="store_true", help="show beside each estimate what the smoother makes of it")
-    add("--output", metavar="HTML", type=Path, required=True, help="file to write")
+    add("--limits", metavar="FILE", action="append", help="limits of the verdict over config/report.yaml")
+    add(
+        "--output",
+        metavar="HTML",
+        type=Path,
+        required=True,
+        help="file to write; for a folder of bags, a folder of pages with an index.html",
+    )
+    worker_options.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -48,33 +62,72 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: a bag, a parameter or an option cannot be used.
     """
+    replay_options.filters_of(args)  # refused before the work, like the limits
+    limits = load_limits(args.limits or ())
     files = args.params or [_OWN]
+    if any(map(is_folder, args.bags)):
+        return _pages(args, files)
     count = len(args.bags) * len(files)
     if count > MOST_RUNS:
         raise InputError(f"{count} runs (bags × --params) in one report; accepted: at most {MOST_RUNS}")
-    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
     several = (len(args.bags) > 1, len(files) > 1)
     pairs = [(path, name) for path in args.bags for name in files]
+    names = distinct(args.bags)
     recordings: dict[Path, Recording] = {}
     runs = []
     require_writable(output=args.output)
     for path, name in shown(pairs, "replaying"):
-        with open_bag(path, args.namespace) as bag:
-            given = ([] if name == _OWN else [name], args.set)
-            p = replay_options.parameters_of(bag, *given, args.vehicle)
-            of_soil = replay_options.soil_parameters_of(bag, p, *given)
-            replay_options.require_named(bag, p, filters, reference)
-            if path not in recordings:
-                recordings[path] = read_recording(bag, filters)
-            details = Details()
-            result = replay(bag, p, filters, reference, of_soil, details.add)
-            smoothed = _smoothed(bag, p, filters) if args.smooth else None
-        label = _label(path, name, *several)
-        runs.append(Run(label, recordings[path], p, filters, result, details, smoothed))
-    page = _page(runs)
+        label = _label(names[path], name, *several)
+        runs.append(_run(args, path, name, recordings.get(path), label))
+        recordings[path] = runs[-1].recording
+    page = _page(runs, limits)
     _write(args.output, page)
     show(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
     return ExitCode.DONE if not all(one.replay.no_estimate for one in runs) else ExitCode.FAILED
+
+
+def _run(
+    args: argparse.Namespace, path: Path, name: str, recording: Recording | None, label: str, *watches: Watch
+) -> Run:
+    """A bag with a parameter file; ``recording``: what the bag holds, where that is known."""
+    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
+    with open_bag(path, args.namespace) as bag:
+        given = ([] if name == _OWN else [name], args.set)
+        p = replay_options.parameters_of(bag, *given, args.vehicle)
+        of_soil = replay_options.soil_parameters_of(bag, p, *given)
+        replay_options.require_named(bag, p, filters, reference)
+        recording = recording or read_recording(bag, filters, args.namespace)
+        details = Details()
+
+        def watch(part: Part) -> None:
+            for one in (details.add, *watches):
+                one(part)
+
+        result = replay(bag, p, filters, reference, of_soil, watch)
+        smoothed = _smoothed(bag, p, filters) if args.smooth else None
+    return Run(label, recording, p, filters, result, details, smoothed)
+
+
+def _pages(args: argparse.Namespace, files: Sequence[str]) -> int:
+    """A page of each bag, and one that lists them."""
+    if len(files) > 1:
+        raise InputError(f"--params {files[1]}: one too many; accepted: one for a folder of bags")
+    make_folder(args.output)
+    entries = fleet_command.work(args, _entry)
+    write_pages(entries, args.output)
+    show(f"report: {args.output / INDEX}")
+    return exit_code(entries)
+
+
+def _entry(args: argparse.Namespace, path: Path) -> Entry:
+    """One bag of many; what a worker does."""
+
+    def replayed(watch: Watch) -> tuple[Replay, str]:
+        (name,) = args.params or [_OWN]
+        one = _run(args, path, name, None, path.name, watch)
+        return one.replay, _page([one], load_limits(args.limits or ()))
+
+    return entry_of(path, replayed)
 
 
 def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:
@@ -84,17 +137,27 @@ def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Ro
     return found.rows()
 
 
-def _label(path: Path, name: str, bags: bool, files: bool) -> str:
+def distinct(paths: Sequence[Path]) -> dict[Path, str]:
+    """The end of each of several paths, long enough to tell it from the others; a single one is whole."""
+    known = list(dict.fromkeys(paths))
+    for count in range(1, max(len(path.parts) for path in known)) if len(known) > 1 else ():
+        ends = {path: str(Path(*path.parts[-count:])) for path in known}
+        if len(set(ends.values())) == len(known):
+            return ends
+    return {path: str(path) for path in known}
+
+
+def _label(bag: str, name: str, bags: bool, files: bool) -> str:
     """What distinguishes this run from the others."""
     if files and not bags:
         return name
-    return str(path) if name == _OWN and not files else f"{path}, {name}"
+    return bag if name == _OWN and not files else f"{bag}, {name}"
 
 
-def _page(runs: Sequence[Run]) -> str:
+def _page(runs: Sequence[Run], limits: VerdictLimits) -> str:
     from trackslip_tools.report.page import render  # Bokeh: half a second that other commands spare
 
-    return render(runs)
+    return render(runs, limits)
 
 
 def _write(path: Path, page: str) -> None:

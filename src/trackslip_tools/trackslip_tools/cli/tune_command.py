@@ -4,23 +4,24 @@
 import argparse
 import sys
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.cli import replay_options
+from trackslip_tools.cli import replay_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.progress import counted
+from trackslip_tools.cli.progress import counted, shown
+from trackslip_tools.fleet.find import find_bags
 from trackslip_tools.terminal_text import for_terminal
 from trackslip_tools.tuning.evidence import JOURNAL, NUMBERS, PARAMETERS, numbers, table, write_evidence
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import LIKELIHOOD, read_plan
 from trackslip_tools.tuning.reading import read_task
-from trackslip_tools.tuning.task import Task
+from trackslip_tools.tuning.task import Task, score_of
 from trackslip_tools.tuning.tuner import Tuner
-from trackslip_tools.tuning.workers import cluster, cores
 
 EXAMPLE = "trackslip tune bags/slalom_sand bags/outage_sandy_loam --plan tune.yaml --output out/tuned"
 
@@ -28,7 +29,13 @@ EXAMPLE = "trackslip tune bags/slalom_sand bags/outage_sandy_loam --plan tune.ya
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     add = parser.add_argument
-    add("bags", metavar="BAG", type=Path, nargs="+", help="rosbag2 directory, .mcap or .db3 file")
+    add(
+        "bags",
+        metavar="BAG",
+        type=Path,
+        nargs="+",
+        help="rosbag2 directory, .mcap or .db3 file, or a folder of them",
+    )
     add("--plan", metavar="FILE", default="tune.yaml", help="what is tuned, within which bounds, for what")
     add(
         "--output",
@@ -39,8 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--params", metavar="FILE", action="append", default=[], help="ROS parameter file over the bag's own")
     replay_options.add_options(parser)
-    add("--jobs", metavar="N", type=int, default=-1, help="cores to use (default: all)")
-    add("--scheduler", metavar="tcp://HOST:PORT", help="use the workers of this Dask scheduler instead")
+    worker_options.add_options(parser)
     add("--no-cross-validation", action="store_true", help="do not tune again without each bag in turn")
 
 
@@ -51,17 +57,19 @@ def run(args: argparse.Namespace) -> int:
         InputError: a bag, a parameter or an option cannot be used.
     """
     plan = read_plan(config_file(args.plan))
-    tasks = [_read(bag, args, needs_reference=plan.settings.objective != LIKELIHOOD) for bag in args.bags]
+    bags = find_bags(args.bags)
+    needs_reference = plan.settings.objective != LIKELIHOOD
+    tasks = [_read(bag, args, needs_reference=needs_reference) for bag in shown(bags, "reading")]
     cross_validate = not args.no_cross_validation and len(tasks) > 1
     sets = plan.settings.evaluations * (1 + len(tasks) * cross_validate)
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(args.output / JOURNAL, tasks, plan.bounds))
         if len(journal):
             show(f"note: {args.output / JOURNAL} holds {len(journal)} scores; going on", file=sys.stderr)
-        workers = cluster(tasks, args.scheduler) if args.scheduler else cores(tasks, args.jobs)
-        work = stack.enter_context(workers)
+        mapped = stack.enter_context(worker_options.chosen(args, shared=tasks))
         advance = stack.enter_context(counted(sets, "tuning"))
-        tuning = Tuner(plan, tasks, work, journal, advance).run(cross_validate)
+        tuner = Tuner(plan, tasks, partial(mapped, score_of), journal, advance)
+        tuning = tuner.run(cross_validate)
     write_evidence(args.output, tuning, tasks[0].p)
     write_json(args.output / NUMBERS, numbers(tuning))
     show(for_terminal(table(tuning)))

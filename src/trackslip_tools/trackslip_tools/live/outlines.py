@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_tools.live import inputs
 from trackslip_tools.live.snapshot import Snapshot
-from trackslip_tools.report.plan_shapes import ellipses, placed, rectangle
+from trackslip_tools.report.plan_shapes import box_outline, ellipses, machine_size, placed, rectangle
 
 FloatArray = NDArray[np.float64]
 
@@ -31,14 +31,12 @@ def outlines_of(now: Snapshot, now_s: float, vehicle: VehicleParameters) -> dict
             found["upper"] = _upper(pose, swing.angle, vehicle)
     fix, sensors = now.get(inputs.FIXES[0], now_s), vehicle.sensors
     if fix is not None and sensors is not None and sensors.box is not None:
-        box = sensors.box
-        found["box"] = rectangle(inputs.pose_of(fix), (box.length, box.width), (box.x, box.y))
+        found["box"] = box_outline(sensors.box, inputs.pose_of(fix))
     return found
 
 
 def _machine(pose: FloatArray, vehicle: VehicleParameters) -> dict[str, FloatArray]:
-    length, width = vehicle.kinematics.contact_length, vehicle.kinematics.tread
-    width += vehicle.mass.track_width if vehicle.mass else 0.0
+    length, width = machine_size(vehicle)
     nose = np.array(((0.0, 0.0), (0.9 * length, 0.0)))
     return {"machine": rectangle(pose, (length, width), (0.0, 0.0)), "nose": placed(pose, nose)}
 

@@ -17,7 +17,7 @@ from trackslip_tools.report.panel import DARK, Panel
 from trackslip_tools.report.plots import time_plot
 from trackslip_tools.report.quantities import Quantity, Shown
 
-_STRIP_HEIGHT = 190
+_STRIP_HEIGHT, _STRIP_BORDER = 190, 78  # pixels
 _CLOCK = dict.fromkeys(("seconds", "minsec", "minutes", "hourmin", "hours", "days"), "%H:%M:%S")
 _SLIPS, _RESERVES = (-0.2, 1.0), (0.0, 1.0)  # ranges of gauges
 
@@ -92,9 +92,9 @@ def _strip(panel: Panel, number: int, first: int) -> figure:
     """A panel of the report over clock times and without tools, so that a finger scrolls the page."""
     plot = time_plot(panel, Range1d(0.0, 1.0, name=f"time-{number}"), 1)
     still(plot)
+    plot.min_border_left = _STRIP_BORDER
     plot.height, plot.y_range.name = _STRIP_HEIGHT, f"range-{number}"
     plot.title.text = panel.title.partition(":")[0]
-    plot.legend.visible = len(panel.curves) > 1
     plot.xaxis.ticker, plot.xaxis.formatter = (
         DatetimeTicker(desired_num_ticks=4),
         DatetimeTickFormatter(**_CLOCK),
@@ -108,7 +108,6 @@ def _strip(panel: Panel, number: int, first: int) -> figure:
 def still(plot: figure) -> None:
     """Without tools."""
     plot.toolbar_location, plot.toolbar.tools = None, []
-    plot.toolbar.active_drag = plot.toolbar.active_scroll = None
     plot.js_event_callbacks = {}
 
 

@@ -17,13 +17,13 @@ from trackslip_common.errors import InputError, printable
 from trackslip_common.vehicle import VehicleParameters, vehicle_of_text
 from trackslip_tools.live import inputs
 from trackslip_tools.live.encoding import finite, outline
-from trackslip_tools.live.events import Event, Events
 from trackslip_tools.live.facts import facts_of
-from trackslip_tools.live.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.live.outlines import outlines_of
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.live.strips import Strips
 from trackslip_tools.live.trail import Trail
+from trackslip_tools.report.events import Event, Events
+from trackslip_tools.report.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.report.plots import visible
 
 PERIOD = 0.125  # s between frames

@@ -111,8 +111,10 @@ def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
 
 
 def _named(rows: Rows, lines: Rows) -> IntArray:
-    """(n,) the row that each line names, −1 where there is none: of several with one source and stamp the
-    first line names the first row, and so on. A manual pose without a stamp has in its line that of its use.
+    """(n,) the row that each line names, −1 where there is none.
+
+    Of several with one source and stamp the first line names the first row, and so on. A manual pose without
+    a stamp has in its line that of its use.
     """
     sources, stamps_ns = (np.concatenate((rows[n], lines[n])) for n in ("source", "stamp_ns"))
     order = np.lexsort((stamps_ns, sources))  # within a key: rows, then lines, both in order

@@ -7,7 +7,7 @@ import numpy as np
 
 from trackslip_tools.report.numbers import Numbers
 from trackslip_tools.report.panel import COLOURS, INK, Curve, Form, Panel, colour_in
-from trackslip_tools.report.quantities import SHAPES, SOIL, Shape, Shown
+from trackslip_tools.report.quantities import PERCENT, SHAPES, SOIL, Shape, Shown
 from trackslip_tools.report.run import Run, recordings
 
 
@@ -54,11 +54,11 @@ def _class_panels(runs: Sequence[Run]) -> list[Panel]:
         at_end = {name: p[-1] for name, p in numbers.classes.items() if np.isfinite(p[-1])}
         likely = sorted(at_end, key=lambda name: -at_end[name])
         curves = [
-            Curve(name, colour, numbers.times, numbers.classes[name])
+            Curve(name, colour, numbers.times, PERCENT * numbers.classes[name])
             for name, colour in zip(likely, COLOURS, strict=False)
         ]
         if not curves:
             continue
         title = "Class of soil" if len(runs) == 1 else f"Class of soil, {run.label}"
-        panels.append(Panel(title, "probability, 1", curves, from_zero=True))
+        panels.append(Panel(title, "probability, %", curves, from_zero=True))
     return panels

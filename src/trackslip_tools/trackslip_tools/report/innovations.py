@@ -88,7 +88,7 @@ def innovation_panels(runs: Sequence[Run]) -> list[Panel]:
             label = f"mean of {WINDOW}" if len(runs) == 1 else run.label
             curves.append(_moving_mean(innovations, label, colour_in(runs, run, INK)))
         title = f"{source}: squared innovations over what is expected"
-        panels.append(Panel(title, "NIS / dof, 1", curves, logarithmic=True))
+        panels.append(Panel(title, "NIS / dof", curves, logarithmic=True))
     return panels + (_whitened_panels(runs[0]) if len(runs) == 1 else [])
 
 

@@ -4,7 +4,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.vehicle import Box
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.report import plan_shapes
 from trackslip_tools.report.run import Run, States
@@ -27,7 +26,9 @@ def boxes(run: Run) -> FloatArray:
     sensors = run.parameters.vehicle.sensors
     if fixes is None or sensors is None or sensors.box is None:
         return np.empty((0, 5, 2))
-    return np.array([_outline(sensors.box, pose) for pose in fixes[_spread(len(fixes), _BOXES)]])
+    return np.array(
+        [plan_shapes.box_outline(sensors.box, pose) for pose in fixes[_spread(len(fixes), _BOXES)]]
+    )
 
 
 def fixes_of(run: Run) -> dict[str, FloatArray]:
@@ -38,10 +39,6 @@ def fixes_of(run: Run) -> dict[str, FloatArray]:
         run.details.sources[number]: fixes["source"] == number for number in np.unique(fixes["source"])
     }
     return {source: fixes["value"][own] for source, own in sorted(by_source.items())}
-
-
-def _outline(box: Box, pose: FloatArray) -> FloatArray:
-    return plan_shapes.rectangle(pose, (box.length, box.width), (box.x, box.y))
 
 
 def _spread(size: int, wanted: int) -> NDArray[np.intp]:

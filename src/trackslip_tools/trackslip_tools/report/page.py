@@ -3,42 +3,52 @@
 
 from collections.abc import Sequence
 from importlib import resources
+from itertools import repeat
 from typing import Any
 
+from bokeh.document import Document
 from bokeh.embed import file_html
-from bokeh.events import MouseMove
-from bokeh.models import CustomJS, Range1d, Span
+from bokeh.events import MouseMove, Tap
+from bokeh.models import CustomJS, Span
 from bokeh.plotting import figure
 from bokeh.resources import INLINE
 from jinja2 import Environment, PackageLoader
 
 from trackslip_tools.report.ground_panels import ground_panels
+from trackslip_tools.report.headline import facts_of
 from trackslip_tools.report.innovations import innovation_panels
 from trackslip_tools.report.learned_panels import learned_panels, learned_rows
+from trackslip_tools.report.limits import VerdictLimits
 from trackslip_tools.report.motion_panels import error_panels, motion_panels
 from trackslip_tools.report.panel import DARK, GREY
 from trackslip_tools.report.path_plot import PathPlot, path_plot
-from trackslip_tools.report.plots import messages_plot, time_plot, time_range
-from trackslip_tools.report.run import Run, recordings
+from trackslip_tools.report.plots import strip_plot, time_plot, time_range
+from trackslip_tools.report.run import Run, aligned, recordings
+from trackslip_tools.report.story import events_of, message_strips, strips
 from trackslip_tools.report.tables import (
     differing,
+    event_rows,
     parameter_rows,
     rejection_rows,
     run_facts,
     topic_rows,
-    verdict_rows,
 )
+from trackslip_tools.report.verdict import verdicts
 
 _SAMPLES = 4000  # of a curve, in a report of one or two runs; more runs share the same room
 _SHARING = 2
+_AT_ONCE = 4  # plots that are drawn before the page is there; report.js shows the others one by one
+_TIME, _TIME_OF_DRIVING = "time, s", "time from the start of driving, s"
 
 
-def render(runs: Sequence[Run]) -> str:
-    """The page about one run, or about several side by side."""
+def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
+    """The page about one run, or about several side by side; several bags from the start of driving."""
+    runs = aligned(runs)
     samples = _SAMPLES * _SHARING // max(len(runs), _SHARING)
     x_range = time_range([run.recording for run in runs])
     path = path_plot(runs, samples)
-    sections = {
+    sections = {"What happened": [strip_plot(strip, x_range, samples) for strip in strips(runs)]}
+    sections |= {
         name: [time_plot(panel, x_range, samples) for panel in panels]
         for name, panels in (
             ("Errors", error_panels(runs)),
@@ -48,32 +58,27 @@ def render(runs: Sequence[Run]) -> str:
             ("Innovations", innovation_panels(runs)),
         )
     }
-    sections["Messages"] = _messages(runs, x_range, samples)
+    sections["Messages"] = [strip_plot(strip, x_range, samples) for strip in message_strips(runs)]
     sections = {name: plots for name, plots in sections.items() if plots}
     for plots in sections.values():
-        plots[-1].xaxis.axis_label = "time, s"
+        plots[-1].xaxis.axis_label = _TIME if len(recordings(runs)) == 1 else _TIME_OF_DRIVING
     time_plots = [plot for plots in sections.values() for plot in plots]
     for number, plot in enumerate(time_plots):
-        plot.name = f"time-{number}"
+        plot.name, plot.visible = f"time-{number}", number < _AT_ONCE
     _link(time_plots, path)
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
+    document = Document()
+    with document.models.freeze():  # else, for each plot, Bokeh walks anew through all that the cursor links
+        for plot in (path.plot, *time_plots):
+            document.add_root(plot)
     page: str = file_html(
-        [path.plot, *time_plots],
+        document,
         INLINE,
         title=f"Trackslip: {', '.join(run.label for run in runs)}",
         template=environment.get_template("page.html"),
-        template_variables=_variables(runs, sections),
+        template_variables=_variables(runs, limits, sections),
     )
     return page
-
-
-def _messages(runs: Sequence[Run], x_range: Range1d, samples: int) -> list[figure]:
-    plots = []
-    for run in recordings(runs):
-        title = "Messages (where they are missing: orange)"
-        title = title if len(runs) == 1 else f"{title}, {run.label}"
-        plots.append(messages_plot(run.recording, title, x_range, samples))
-    return plots
 
 
 def _link(time_plots: Sequence[figure], path: PathPlot) -> None:
@@ -86,15 +91,29 @@ def _link(time_plots: Sequence[figure], path: PathPlot) -> None:
     code = _text("cursor.js")
     for plot, span in zip(time_plots, spans, strict=True):
         plot.add_layout(span)
-        plot.js_on_event(MouseMove, CustomJS(args={"spans": spans, "on_path": False, **tracks}, code=code))
-    path.plot.js_on_event(MouseMove, CustomJS(args={"spans": spans, "on_path": True, **tracks}, code=code))
+        _on_pointer(plot, CustomJS(args={"spans": spans, "on_path": False, **tracks}, code=code))
+    _on_pointer(path.plot, CustomJS(args={"spans": spans, "on_path": True, **tracks}, code=code))
 
 
-def _variables(runs: Sequence[Run], sections: dict[str, list[figure]]) -> dict[str, Any]:
+def _on_pointer(plot: figure, callback: CustomJS) -> None:
+    """When the mouse moves over it, and when a finger taps it."""
+    for event in (MouseMove, Tap):
+        plot.js_on_event(event, callback)
+
+
+def _variables(
+    runs: Sequence[Run], limits: VerdictLimits, sections: dict[str, list[figure]]
+) -> dict[str, Any]:
     parameters = parameter_rows(runs)
+    checks = [verdicts(run, limits) for run in runs]
+    events = [events_of(run) for run in runs]
+    heads = [facts_of(*of) for of in zip(runs, repeat(limits), checks, events)]
     return {
         "runs": run_facts(runs),
-        "verdicts": verdict_rows(runs),
+        "facts": [*zip(*heads, strict=True)],
+        "events": [(run.label, event_rows(found)) for run, found in zip(runs, events, strict=True)],
+        "is_aligned": len(recordings(runs)) > 1,
+        "verdicts": [(name, [found[name] for found in checks]) for name in checks[0]],
         "learned": [(run.label, learned_rows(run)) for run in runs],
         "sections": sections,
         "topics": [(run.label, topic_rows(run)) for run in recordings(runs)],

@@ -22,6 +22,7 @@ from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.report.decimate import extremes
 from trackslip_tools.report.outlines import boxes, ellipses, fixes_of
 from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, colour_in, name_in
+from trackslip_tools.report.plan_shapes import machine_size
 from trackslip_tools.report.plots import dress
 from trackslip_tools.report.run import Run, recordings
 
@@ -46,16 +47,21 @@ class PathPlot(NamedTuple):
 
 def path_plot(runs: Sequence[Run], samples: int) -> PathPlot:
     """All runs in one plot; of each path at most so many samples are drawn."""
-    zoom, wheel = BoxZoomTool(match_aspect=True), WheelZoomTool(modifiers={"ctrl": True})
     plot = figure(
         name="path",
         title="Path, ellipses at 2σ",
         match_aspect=True,
         height=_HEIGHT,
         sizing_mode="stretch_width",
-        tools=[zoom, wheel, PanTool(), ResetTool(), SaveTool()],
-        active_drag=zoom,
-        active_scroll=wheel,
+        tools=[
+            BoxZoomTool(match_aspect=True),
+            WheelZoomTool(modifiers={"ctrl": True}),
+            PanTool(),
+            ResetTool(),
+            SaveTool(),
+        ],
+        active_drag=None,  # as in plots.time_figure
+        active_scroll=None,
         x_axis_label="x, m",
         y_axis_label="y, m",
         min_border_left=60,
@@ -127,11 +133,9 @@ def _draw_estimate(plot: figure, runs: Sequence[Run], run: Run, samples: int) ->
     line = plot.line("x", "y", source=source, color=colour, line_width=1.8, legend_label=label)
     first = {name: [float(source.data[name][0])] for name in ("x", "y", "heading")}
     marker = ColumnDataSource(first)
-    vehicle = run.parameters.vehicle
-    length, tread = vehicle.kinematics.contact_length, vehicle.kinematics.tread
-    size = {"width": length, "height": tread + (vehicle.mass.track_width if vehicle.mass else 0.0)}
+    length, width = machine_size(run.parameters.vehicle)
     look = {"fill_color": colour, "fill_alpha": 0.25, "line_color": colour, "line_width": 1.5}
-    plot.rect("x", "y", angle="heading", source=marker, **size, **look)
+    plot.rect("x", "y", angle="heading", source=marker, width=length, height=width, **look)
     plot.ray("x", "y", angle="heading", length=0.9 * length, source=marker, color=colour)
     return line, Track(source, marker)
 

@@ -4,6 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.vehicle import Box, VehicleParameters
 from trackslip_tools.report.panel import SIGMAS
 
 FloatArray = NDArray[np.float64]
@@ -24,6 +25,17 @@ def rectangle(pose: FloatArray, size: tuple[float, float], centre: tuple[float, 
     """(5, 2) closed outline of one of ``size`` along x and y, its ``centre`` in the frame at ``pose``."""
     points = 0.5 * _CORNERS * np.array(size) + np.array(centre)
     return placed(pose, points)
+
+
+def box_outline(box: Box, pose: FloatArray) -> FloatArray:
+    """(5, 2) closed outline of the laser's box on a machine at ``pose``."""
+    return rectangle(pose, (box.length, box.width), (box.x, box.y))
+
+
+def machine_size(vehicle: VehicleParameters) -> tuple[float, float]:
+    """Length and width over the tracks, m."""
+    width = vehicle.kinematics.tread + (vehicle.mass.track_width if vehicle.mass else 0.0)
+    return vehicle.kinematics.contact_length, width
 
 
 def placed(pose: FloatArray, points: FloatArray) -> FloatArray:

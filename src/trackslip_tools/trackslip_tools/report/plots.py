@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.models import (
     BoxZoomTool,
     ColumnDataSource,
@@ -22,8 +23,10 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from trackslip_common.errors import printable
 from trackslip_tools.report.decimate import extremes
-from trackslip_tools.report.panel import BLUE, GRID, INK, ORANGE, PAPER, Curve, Form, Panel
+from trackslip_tools.report.panel import GRID, INK, PAPER, Curve, Form, Panel
+from trackslip_tools.report.spells import Look, Spell, Strip
 
 if TYPE_CHECKING:
     from trackslip_tools.report.recording import Recording
@@ -33,8 +36,11 @@ FloatArray = NDArray[np.float64]
 _HEIGHT = 230
 _DASHES = {Form.LINE: "solid", Form.DASHED: "dashed", Form.DOTTED: "dotted"}
 _INNER, _MIDDLE = (0.5, 99.5), (10.0, 90.0)  # percentiles of values and of band edges that stay in sight
-_LEGEND_WIDTH, _LEGEND_ROW = 90, 22  # characters, pixels
-_ROOM = 0.2  # about the values, share of their span
+_LEGEND_WIDTH, _LEGEND_ROW = 100, 22  # characters, pixels
+_INSIDE = 165  # pixels of a plot's height that its frame has
+_TITLE, _LABEL, _ROW_NAME = 70, 32, 18  # characters that are shown of titles, labels, names of rows
+_STRIP_HEAD, _STRIP_ROW, _BORDER = 86, 20, 112  # pixels; names of rows have room in the border
+_ROOM = 0.1  # about the values, share of their span
 
 
 def time_range(recordings: Sequence["Recording"]) -> Range1d:
@@ -59,22 +65,33 @@ def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
     return plot
 
 
-def messages_plot(recording: "Recording", title: str, x_range: Range1d, samples: int) -> figure:
-    """A row for each topic: where messages are, where they are missing."""
-    timings = {name: timing for name, timing in recording.timings.items() if len(timing.times)}
-    names = list(timings)[::-1]
-    plot = time_figure(title, "", x_range, height=90 + 20 * len(names))
+def strip_plot(strip: Strip, x_range: Range1d, samples: int) -> figure:
+    """Rows of bars over time, the first one above; of each look at most so many bars are drawn."""
+    names = list(strip.rows)[::-1]
+    plot = time_figure(strip.title, "", x_range, height=_STRIP_HEAD + _STRIP_ROW * len(names))
+    by_look: dict[Look, list[tuple[int, Spell]]] = {}
     for row, name in enumerate(names):
-        gaps = timings[name].gaps
-        edges = [timings[name].times[0], *(edge for gap in gaps for edge in gap), timings[name].times[-1]]
-        plot.hbar(y=row, height=0.5, left=edges[::2], right=edges[1::2], color=BLUE, line_width=1.5)
-        if gaps:
-            starts, stops = zip(*gaps, strict=True)
-            plot.hbar(y=row, height=0.5, left=starts[:samples], right=stops[:samples], color=ORANGE)
-    plot.y_range = Range1d(-0.7, len(names) - 0.3)
+        for bar in strip.rows[name]:
+            by_look.setdefault(bar.look, []).append((row, bar.spell))
+    for look, placed in sorted(by_look.items(), key=lambda item: item[1][0][1].state):
+        chosen = placed[:samples]
+        columns = {
+            "row": [row for row, _ in chosen],
+            "start": [spell.start for _, spell in chosen],
+            "stop": [spell.stop for _, spell in chosen],
+            "text": [spell.text for _, spell in chosen],
+        }
+        drawn = plot.hbar(
+            "row", height=0.6, left="start", right="stop", source=ColumnDataSource(columns), name=look.word,
+            color=look.colour, line_width=1.5, legend_label=look.word,
+        )  # fmt: skip
+        tips = "<div><b>$name</b> @text</div>"
+        plot.add_tools(HoverTool(renderers=[drawn], tooltips=tips, visible=False))
     plot.yaxis.ticker = FixedTicker(ticks=list(range(len(names))))
-    plot.yaxis.major_label_overrides = dict(enumerate(names))
+    plot.yaxis.major_label_text_font_size = "10px"
+    plot.yaxis.major_label_overrides = {row: plot_text(name, _ROW_NAME) for row, name in enumerate(names)}
     dress(plot)
+    plot.y_range = Range1d(-0.7, len(names) + 0.7)
     plot.ygrid.visible = False
     return plot
 
@@ -83,19 +100,23 @@ def time_figure(
     title: str, axis: str, x_range: Range1d, *, height: int = _HEIGHT, logarithmic: bool = False
 ) -> figure:
     """An empty plot over the common time."""
-    zoom = BoxZoomTool(dimensions="width")
-    wheel = WheelZoomTool(dimensions="width", modifiers={"ctrl": True})
     plot = figure(
-        title=title,
+        title=plot_text(title, _TITLE),
         x_range=x_range,
         y_axis_type="log" if logarithmic else "linear",
         height=height,
         sizing_mode="stretch_width",
-        tools=[zoom, wheel, PanTool(), ResetTool(), SaveTool()],
-        active_drag=zoom,
-        active_scroll=wheel,
+        tools=[
+            BoxZoomTool(dimensions="width"),
+            WheelZoomTool(dimensions="width", modifiers={"ctrl": True}),
+            PanTool(),
+            ResetTool(),
+            SaveTool(),
+        ],
+        active_drag=None,  # page.js makes them active for a mouse: a finger is to scroll the page
+        active_scroll=None,
         y_axis_label=axis,
-        min_border_left=78,
+        min_border_left=_BORDER,
         min_border_right=12,
     )
     plot.js_on_event("doubletap", CustomJS(args={"range": x_range}, code="range.reset()"))
@@ -115,15 +136,45 @@ def dress(plot: figure) -> None:
         axis.axis_label_text_font_style = "normal"
     plot.grid.grid_line_color = GRID
     if plot.legend:
-        legend = plot.legend[0]
-        plot.add_layout(legend, "above")
-        legend.orientation, legend.click_policy = "horizontal", "hide"
-        legend.label_text_color = INK
-        legend.background_fill_color = legend.border_line_color = None
-        legend.padding = legend.margin = 0
-        longest = max(len(item.label.value) for item in legend.items)
-        legend.ncols = max(1, min(len(legend.items), _LEGEND_WIDTH // (longest + 5)))
-        plot.height += _LEGEND_ROW * (-(-len(legend.items) // legend.ncols) - 1)
+        _dress_legend(plot)
+
+
+def _dress_legend(plot: figure) -> None:
+    """Inside the plot, in the room that ``visible`` leaves for it above the curves."""
+    legend = plot.legend[0]
+    for item in legend.items:
+        item.label = value(plot_text(item.label.value))
+    labels = [item.label.value for item in legend.items]
+    legend.visible = len(labels) > 1
+    legend.location, legend.orientation, legend.click_policy = "top_left", "horizontal", "hide"
+    legend.label_text_color, legend.label_text_font_size = INK, "11px"
+    legend.background_fill_color, legend.background_fill_alpha = PAPER, 0.7
+    legend.border_line_color = None
+    legend.padding, legend.margin, legend.spacing = 1, 2, 6
+    legend.label_height = legend.glyph_height = _LEGEND_ROW - 6
+    legend.ncols = _legend_columns(labels)
+    plot.height += _LEGEND_ROW * (legend_rows(labels) - 1)
+
+
+def _legend_columns(labels: Sequence[str]) -> int:
+    longest = max(map(len, labels), default=0)
+    return max(1, min(len(labels), _LEGEND_WIDTH // (longest + 5)))
+
+
+def legend_rows(labels: Sequence[str]) -> int:
+    """Rows of the legend of so many different labels; a single one needs none."""
+    return -(-len(labels) // _legend_columns(labels)) if len(labels) > 1 else 0
+
+
+def plot_text(text: str, longest: int = _LABEL) -> str:
+    """Anybody's text as a plot may have it: cut in the middle, and never taken for mathematics."""
+    shown = printable(text)
+    if len(shown) > longest:
+        half = (longest - 1) // 2
+        shown = f"{shown[:half]}…{shown[-half:]}"
+    for opening in ("$$", "\\[", "\\("):
+        shown = shown.replace(opening, "\u200b".join(opening))
+    return shown
 
 
 def _draw(plot: figure, curve: Curve, samples: int, band_alpha: float) -> GlyphRenderer:
@@ -167,7 +218,15 @@ def visible(panel: Panel) -> tuple[float, float]:
             lows, highs = [*lows, *middle], [*highs, *middle]
     if panel.logarithmic:
         low, high = max(min(lows), 1e-3), max(max(highs), 10.0)
-        return low / 1.5, 1.5 * high
+        low, high = low / 1.5, 1.5 * high
+        return low, high * float((high / low) ** _legend_room(panel))
     low, high = min(lows), max(highs)
     room = _ROOM * max(high - low, 1e-6)
-    return (0.0 if panel.from_zero else low - room), high + room
+    low, high = (0.0 if panel.from_zero else low - room), high + room
+    return low, high + _legend_room(panel) * (high - low)
+
+
+def _legend_room(panel: Panel) -> float:
+    """What the legend takes above the curves, over what they have."""
+    rows = legend_rows(list(dict.fromkeys(plot_text(curve.label) for curve in panel.curves)))
+    return _LEGEND_ROW * rows / (_INSIDE - _LEGEND_ROW)

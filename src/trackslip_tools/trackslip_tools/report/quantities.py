@@ -20,6 +20,7 @@ Band = tuple[FloatArray, FloatArray]  # (…) each, lower and upper
 TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
 FORCES, SOIL, TRUE_SOIL = "track_forces", "soil", "truth/soil"
 _DEGREES = 180.0 / np.pi
+PERCENT = 100.0
 
 
 class Quantity(NamedTuple):
@@ -42,8 +43,12 @@ class Quantity(NamedTuple):
 
 
 QUANTITIES = (
-    Quantity("Slip of the left track", "slip, 1", "slips", "slip_covariances", 0, TRUE_SLIP, "left_slip"),
-    Quantity("Slip of the right track", "slip, 1", "slips", "slip_covariances", 1, TRUE_SLIP, "right_slip"),
+    Quantity(
+        "Slip of the left track", "slip, %", "slips", "slip_covariances", 0, TRUE_SLIP, "left_slip", PERCENT
+    ),
+    Quantity(
+        "Slip of the right track", "slip, %", "slips", "slip_covariances", 1, TRUE_SLIP, "right_slip", PERCENT
+    ),
     Quantity("Slip angle", "angle, °", "slips", "slip_covariances", 2, TRUE_SLIP, "slip_angle", _DEGREES),
     Quantity("Speed", "v_x, m/s", "twists", "twist_covariances", 0, TRUE_ODOMETRY, "v_x"),
     Quantity("Yaw rate", "rate, °/s", "twists", "twist_covariances", 2, TRUE_ODOMETRY, "yaw_rate", _DEGREES),
@@ -91,14 +96,15 @@ _RESERVES = (
     Shown("left_thrust_reserve", "left"),
     Shown("right_thrust_reserve", "right", ORANGE, Form.DASHED),
 )
+_RESERVE_TITLE = "Thrust reserve: 100 % unloaded, 0 at the limit of the soil"
 _RESISTANCES = (Shown("mu_r", "μ_r rolling"), Shown("mu_l", "μ_l lateral", ORANGE, Form.DASHED))
 _SHEAR = (Shown("shear_modulus", "K", interval=True),)
 _EFFORT = (Shown("max_tractive_effort", "F_max", interval=True),)
 SHAPES = (
     Shape("Forces on the left track", "force, kN", FORCES, _sided("left"), scale=1e-3),
     Shape("Forces on the right track", "force, kN", FORCES, _sided("right"), scale=1e-3),
-    Shape("Thrust reserve: 1 unloaded, 0 at the limit of the soil", "reserve, 1", FORCES, _RESERVES),
-    Shape("Resistance coefficients, ±2σ", "μ, 1", SOIL, _RESISTANCES, TRUE_SOIL),
+    Shape(_RESERVE_TITLE, "reserve, %", FORCES, _RESERVES, scale=PERCENT),
+    Shape("Resistance coefficients, ±2σ", "μ", SOIL, _RESISTANCES, TRUE_SOIL),
     Shape("Shear deformation modulus, 5–95 %", "K, cm", SOIL, _SHEAR, TRUE_SOIL, 100.0),
     Shape("Largest tractive effort of one track, 5–95 %", "F_max, kN", SOIL, _EFFORT, TRUE_SOIL, 1e-3),
 )

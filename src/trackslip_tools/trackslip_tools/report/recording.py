@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a report takes from the bag itself, beside the replay: times of all messages, soil, forces, laser."""
+"""What a report takes from the bag itself, beside the replay: times of all messages, soil, lights, laser."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,13 +14,17 @@ from trackslip_bags.reader import Bag
 from trackslip_bags.tables import TopicTable, read_tables
 from trackslip_common.config_files import load_parameters
 from trackslip_common.message_fields import ForceFields, SoilFields
+from trackslip_common.topics import TOPICS
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
+from trackslip_tools.report.events import Event
+from trackslip_tools.report.light_log import LightLog
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
 from trackslip_tools.report.quantities import FORCES, SOIL, TRUE_SOIL
+from trackslip_tools.report.spells import Spell
 
 FloatArray = NDArray[np.float64]
 
-SCAN = "scan"
+SCAN, DIAGNOSTICS = "scan", "diagnostics"
 _NUMBERS = {FORCES: ForceFields, SOIL: SoilFields, TRUE_SOIL: SoilFields}
 _SCANS = 60  # of a bag, evenly spread: enough to see walls and the way of the box
 _CELL = 0.04  # m; of points closer together one is shown
@@ -82,11 +86,12 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One bag, or the part of it that is looked at."""
+    """One bag, or the part of it that is looked at; its times are s from ``zero_ns``."""
 
     path: str
-    start_ns: int
-    start_s: float  # of what is looked at, from the bag's first message
+    start_ns: int  # of the bag's first message
+    zero_ns: int  # the same, or the start of driving
+    start_s: float  # of what is looked at
     stop_s: float
     damage: str
     parameters: dict[str, Any]  # that the bag carries, by dotted name
@@ -94,14 +99,30 @@ class Recording:
     numbers: dict[str, Numbers]  # of forces and soil, where the bag has them
     laser: FloatArray | None  # (2,) its place, m in odom
     points: FloatArray  # (n, 2) what it saw, m in odom
+    lights: dict[str, list[Spell]] = field(default_factory=dict)  # by name, as recorded on /diagnostics
+    events: list[Event] = field(default_factory=list)  # that the lights tell, ms
 
     def seconds(self, stamps_ns: NDArray[np.int64]) -> FloatArray:
-        """Times from the bag's first message."""
-        return _seconds(stamps_ns, self.start_ns)
+        """Times that plots show."""
+        return _seconds(stamps_ns, self.zero_ns)
+
+    def counted_from(self, zero_ns: int) -> "Recording":
+        """The same, with times from there."""
+        by_s = (self.zero_ns - zero_ns) * 1e-9
+        return replace(
+            self,
+            zero_ns=zero_ns,
+            start_s=self.start_s + by_s,
+            stop_s=self.stop_s + by_s,
+            timings={name: Timing(timing.times + by_s) for name, timing in self.timings.items()},
+            numbers={name: replace(found, times=found.times + by_s) for name, found in self.numbers.items()},
+            lights={name: [spell.shifted(by_s) for spell in found] for name, found in self.lights.items()},
+            events=[event._replace(time_ms=event.time_ms + 1e3 * by_s) for event in self.events],
+        )
 
 
-def read_recording(bag: Bag, filters: InputFilters) -> Recording:
-    """Read it once; topics by the names that the estimator knows them by.
+def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Recording:
+    """Read it once; topics by the names that the estimator knows them by, lights by those in the namespace.
 
     Raises:
         InputError: the bag is damaged inside.
@@ -111,6 +132,7 @@ def read_recording(bag: Bag, filters: InputFilters) -> Recording:
     logged: dict[str, list[NDArray[np.int64]]] = {name: [] for name in names.values()}
     numbers = {name: NumbersCollector(kind, bag.start_ns) for name, kind in _NUMBERS.items()}
     scans = _Scans(sum(info.count for topic, info in bag.topics.items() if names[topic] == SCAN))
+    lights = LightLog(namespace)
     window = (bag.start_ns + round(start_s * 1e9), bag.start_ns + round(stop_s * 1e9) + 1)
     for stretch in read_tables(bag, bag.topics, *window):
         for topic, table in stretch.items():
@@ -120,12 +142,15 @@ def read_recording(bag: Bag, filters: InputFilters) -> Recording:
                 numbers[name].add_table(table)
             elif name == SCAN:
                 scans.add(table)
+            elif name == DIAGNOSTICS and table.type_name == TOPICS[DIAGNOSTICS].type_name:
+                _add_lights(lights, table, bag.start_ns)
     none = [np.empty(0, np.int64)]
     times = {name: np.concatenate(none + logged.pop(name)) for name in sorted(logged)}
     laser, points = _laser_view(scans.chosen)
     return Recording(
         path=str(bag.path),
         start_ns=bag.start_ns,
+        zero_ns=bag.start_ns,
         start_s=start_s,
         stop_s=stop_s,
         damage=bag.damage,
@@ -134,7 +159,14 @@ def read_recording(bag: Bag, filters: InputFilters) -> Recording:
         numbers={name: collector.numbers() for name, collector in numbers.items() if len(collector)},
         laser=laser,
         points=points,
+        lights=lights.spells(stop_s),
+        events=lights.events,
     )
+
+
+def _add_lights(lights: LightLog, table: TopicTable, start_ns: int) -> None:
+    for k, now_s in enumerate(_seconds(table.log_times_ns, start_ns).tolist()):
+        lights.add(table.message(k), now_s)
 
 
 class _Scans:

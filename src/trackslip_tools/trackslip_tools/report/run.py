@@ -2,7 +2,7 @@
 """One run of a report: a bag, the parameters it was replayed with, and what came of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,7 +35,12 @@ class States:
     twist_covariances: FloatArray  # (n, 3, 3)
     slips: FloatArray  # (n, 3) left, right, slip angle rad
     slip_covariances: FloatArray  # (n, 3, 3)
-    moving: NDArray[np.bool_]  # (n,) whether slips mean anything
+    motion: NDArray[np.int64]  # (n,) place in ``Motion``
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """(n,) whether slips mean anything."""
+        return np.asarray(self.motion != Motion.STANDING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +70,7 @@ class Run:
     def numbers(self) -> dict[str, Numbers]:
         """Forces and soil by topic: of the replay where it computed them, else as the bag has them."""
         kinds = {FORCES: ForceFields, SOIL: SoilFields}
-        found = {topic: NumbersCollector(kind, self.recording.start_ns) for topic, kind in kinds.items()}
+        found = {topic: NumbersCollector(kind, self.recording.zero_ns) for topic, kind in kinds.items()}
         for topic, message, _ in soil_messages(self.replay.soil) if self.replay.soil is not None else ():
             if topic in found:
                 found[topic].add(message)
@@ -81,6 +86,23 @@ def recordings(runs: Sequence[Run]) -> list[Run]:
     return list(first.values())
 
 
+def aligned(runs: Sequence[Run]) -> list[Run]:
+    """Runs over several bags with their times counted from the start of driving; of one bag, as they are."""
+    if len(recordings(runs)) == 1:
+        return list(runs)
+    zeros = {run.recording.path: _start_of_driving_ns(run) for run in reversed(runs)}
+    return [replace(run, recording=run.recording.counted_from(zeros[run.recording.path])) for run in runs]
+
+
+def _start_of_driving_ns(run: Run) -> int:
+    """The first estimate of a machine that drives; without one the bag's start."""
+    if run.states is None:
+        return run.recording.zero_ns
+    drives = np.isin(run.states.motion, (Motion.STRAIGHT, Motion.TURNING))
+    first = run.states.path.stamps_ns[drives][:1]
+    return int(first[0]) if len(first) else run.recording.zero_ns
+
+
 def _states(estimates: Rows) -> States:
     return States(
         path_of(estimates),
@@ -89,5 +111,5 @@ def _states(estimates: Rows) -> States:
         estimates["twist_covariance"],
         estimates["slips"],
         estimates["slip_covariance"],
-        estimates["motion"] != Motion.STANDING,
+        estimates["motion"],
     )

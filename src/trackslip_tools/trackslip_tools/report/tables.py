@@ -9,9 +9,9 @@ from typing import Any
 from trackslip_common.parameters import Parameters, flat_fields, to_flat
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_tools.report.events import MOST, Event
 from trackslip_tools.report.panel import COLOURS
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.verdict import Verdict, verdicts
 
 Row = tuple[str, ...]
 
@@ -21,10 +21,11 @@ def run_facts(runs: Sequence[Run]) -> list[dict[str, str]]:
     return [_facts(run, COLOURS[index]) for index, run in enumerate(runs)]
 
 
-def verdict_rows(runs: Sequence[Run]) -> list[tuple[str, list[Verdict]]]:
-    """Each check, with what it came to for each run."""
-    found = [verdicts(run) for run in runs]
-    return [(name, [checks[name] for checks in found]) for name in found[0]]
+def event_rows(events: Sequence[Event]) -> list[Row]:
+    """Level in lower case, time in s, what happened: of very many the first."""
+    return [
+        (event.level.name.lower(), f"{1e-3 * event.time_ms:.1f} s", event.text) for event in events[:MOST]
+    ]
 
 
 def topic_rows(run: Run) -> list[Row]:
@@ -77,13 +78,15 @@ def differing(rows: Sequence[Row]) -> list[Row]:
 
 def _facts(run: Run, colour: str) -> dict[str, str]:
     recording, p = run.recording, run.parameters
+    since_start_s = (recording.zero_ns - recording.start_ns) * 1e-9
+    looked_at = (recording.start_s + since_start_s, recording.stop_s + since_start_s)
     start = datetime.fromtimestamp(recording.start_ns * 1e-9, tz=timezone.utc)
     return {
         "label": run.label,
         "colour": colour,
         "bag": recording.path,
         "date": f"{start:%Y-%m-%d %H:%M:%S} UTC",
-        "looked_at": f"{recording.start_s:g} to {recording.stop_s:.1f} s",
+        "looked_at": "{:g} to {:.1f} s".format(*looked_at),
         "duration": f"{recording.stop_s - recording.start_s:.1f} s",
         "vehicle": p.vehicle.name,
         "filter": f"{p.filter}, model {p.model}",

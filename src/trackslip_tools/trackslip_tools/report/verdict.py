@@ -9,16 +9,14 @@ from enum import Enum
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import SENSOR_TOPICS
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.report.innovations import innovations_of
-from trackslip_tools.report.quantities import SOIL
+from trackslip_tools.report.limits import VerdictLimits
+from trackslip_tools.report.quantities import PERCENT, SOIL
 from trackslip_tools.report.run import Run
+from trackslip_tools.report.story import timeouts_of, trouble_spells, troubles_text
 
-_POSITION = 0.15  # m, RMSE
-_GAIN = 0.2  # of the error of encoders alone
-_SLIP = 0.05  # RMSE
-_CONSISTENT = (0.5, 1.5)  # errors over what was claimed of them; 1 is consistent
-_SHARE = 0.01  # of messages lost, of measurements refused
+_WAITING = Outcome.WAITING.name.lower()
+_USED = tuple(outcome.name.lower() for outcome in Outcome if not outcome.refused)
 
 
 class State(Enum):
@@ -38,21 +36,25 @@ class Verdict:
     words: str  # what it means
 
 
-def verdicts(run: Run) -> dict[str, Verdict]:
+Check = Callable[[Run, VerdictLimits], Verdict]
+
+
+def verdicts(run: Run, limits: VerdictLimits) -> dict[str, Verdict]:
     """All checks, by name, in the order of the table."""
-    checks: dict[str, Callable[[Run], Verdict]] = {
+    checks: dict[str, Check] = {
         "Bag": _intact,
         "Replay = live": _same_as_live,
         "Position": _position,
         "Consistency of the pose": _pose_consistency,
         "Consistency of the innovations": _innovation_consistency,
         "Slip": _slip,
+        "Tracks": _tracks,
         "Soil": _soil,
         "Rates": _rates,
         "Gaps": _gaps,
         "Rejections": _rejections,
     }
-    return {name: check(run) for name, check in checks.items()}
+    return {name: check(run, limits) for name, check in checks.items()}
 
 
 def _checked(good: bool, value: str, words: str) -> Verdict:
@@ -63,13 +65,13 @@ def _unknown(words: str) -> Verdict:
     return Verdict(State.UNKNOWN, "–", words)
 
 
-def _intact(run: Run) -> Verdict:
+def _intact(run: Run, _: VerdictLimits) -> Verdict:
     if run.recording.damage:
         return _checked(False, "damaged", f"Only what was whole could be read ({run.recording.damage}).")
     return _checked(True, "whole", "The recording was closed properly.")
 
 
-def _same_as_live(run: Run) -> Verdict:
+def _same_as_live(run: Run, _: VerdictLimits) -> Verdict:
     live, carried = run.replay.live, run.recording.parameters
     if run.filters.changes_inputs:
         return _unknown("The estimator was given other measurements than live.")
@@ -87,7 +89,7 @@ def _same_as_live(run: Run) -> Verdict:
     return _checked(False, value, f"The machine computed something else ({lost}).")
 
 
-def _position(run: Run) -> Verdict:
+def _position(run: Run, limits: VerdictLimits) -> Verdict:
     if run.states is None:
         why = run.replay.no_estimate or "Nothing to start from: no fix, no initial pose"
         return _checked(False, "no estimate", f"{why[0].upper()}{why[1:]}.")
@@ -99,51 +101,64 @@ def _position(run: Run) -> Verdict:
     if run.replay.no_estimate:
         return _checked(False, value, f"No heading: {run.replay.no_estimate}.")
     if encoders is None:
-        return _checked(own.position <= _POSITION, value, f"Against {run.replay.reference}.")
-    words = f"Encoders alone: {100.0 * encoders.position:.1f} cm. Wanted: {100.0 * _POSITION:g} cm, "
-    good = own.position <= _POSITION and own.position <= _GAIN * encoders.position
-    return _checked(good, value, f"{words}and at most {_GAIN:g} of the encoders' error.")
+        return _checked(own.position <= limits.position, value, f"Against {run.replay.reference}.")
+    words = f"Encoders alone: {100.0 * encoders.position:.1f} cm. Wanted: {100.0 * limits.position:g} cm, "
+    good = own.position <= min(limits.position, limits.encoders * encoders.position)
+    return _checked(good, value, f"{words}and at most {100.0 * limits.encoders:g} % of the encoders' error.")
 
 
-def _pose_consistency(run: Run) -> Verdict:
+def _pose_consistency(run: Run, limits: VerdictLimits) -> Verdict:
     pose, position = run.replay.nees, run.replay.nees_position
     if pose is not None:
-        return _consistency(pose / 3.0, f"NEES {pose:.2f}, 3 expected", "Errors of the pose")
+        return _consistency(limits, pose / 3.0, f"NEES {pose:.2f}, 3 expected", "Errors of the pose")
     if position is not None:
         value = f"NEES of the position {position:.2f}, 2 expected"
-        return _consistency(position / 2.0, value, "Errors of the position (the reference has no heading)")
+        what = "Errors of the position (the reference has no heading)"
+        return _consistency(limits, position / 2.0, value, what)
     return _unknown("No reference in the bag.")
 
 
-def _innovation_consistency(run: Run) -> Verdict:
+def _innovation_consistency(run: Run, limits: VerdictLimits) -> Verdict:
     ratios = {source: found.mean_ratio for source, found in innovations_of(run).items()}
     ratios = {source: ratio for source, ratio in ratios.items() if math.isfinite(ratio)}
     if not ratios:
         return _unknown("No measurement was compared with the estimate.")
     worst = max(ratios, key=lambda source: abs(math.log(max(ratios[source], 1e-9))))
     value = ", ".join(f"{source} {ratio:.2f}" for source, ratio in ratios.items())
-    return _consistency(ratios[worst], f"NIS / dof: {value}", f"Innovations of {worst}")
+    return _consistency(limits, ratios[worst], f"NIS / dof: {value}", f"Innovations of {worst}")
 
 
-def _consistency(ratio: float, value: str, what: str) -> Verdict:
+def _consistency(limits: VerdictLimits, ratio: float, value: str, what: str) -> Verdict:
     """``ratio``: squared errors over what was claimed."""
     times = math.sqrt(ratio)
     words = f"{what} are {times:.2f} times what the estimate claims"
-    if times > _CONSISTENT[1]:
+    if times > limits.most_consistency:
         return _checked(False, value, f"{words}: it is too sure.")
-    if times < _CONSISTENT[0]:
+    if times < limits.least_consistency:
         return _checked(False, value, f"{words}: it is too modest.")
     return _checked(True, value, f"{words}.")
 
 
-def _slip(run: Run) -> Verdict:
+def _slip(run: Run, limits: VerdictLimits) -> Verdict:
     if run.replay.slip_rmse is None:
         return _unknown("The bag holds no true slips.")
-    words = f"Wanted: at most {_SLIP:g}, left and right together, while the machine moves."
-    return _checked(run.replay.slip_rmse <= _SLIP, f"{run.replay.slip_rmse:.4f} RMSE", words)
+    words = f"Wanted: at most {PERCENT * limits.slip:g} %, left and right together, while the machine moves."
+    good = run.replay.slip_rmse <= limits.slip
+    return _checked(good, f"{PERCENT * run.replay.slip_rmse:.2f} % RMSE", words)
 
 
-def _soil(run: Run) -> Verdict:
+def _tracks(run: Run, _: VerdictLimits) -> Verdict:
+    """Whether they went round when they were told to, and got the machine on."""
+    found = trouble_spells(run)
+    if not found:
+        return _unknown("Neither hydraulics nor estimates of forces: nobody knows whether a track was stuck.")
+    told = troubles_text(found)
+    if told:
+        return _checked(False, told, "Stalled: commanded and under pressure, not turning. Stuck: spinning.")
+    return _checked(True, "none", "No track was stalled or getting stuck.")
+
+
+def _soil(run: Run, _: VerdictLimits) -> Verdict:
     numbers = run.numbers.get(SOIL)
     if numbers is None:
         return _unknown("Neither hydraulics nor soil estimates in the bag.")
@@ -154,22 +169,20 @@ def _soil(run: Run) -> Verdict:
     return _checked(False, value, f"Not separated yet: {numbers.reason or 'no reason given'}.")
 
 
-def _rates(run: Run) -> Verdict:
+def _rates(run: Run, limits: VerdictLimits) -> Verdict:
     timings = {name: run.recording.timings[name] for name in _sensors(run)}
     lost = {name: timing.lost for name, timing in timings.items() if timing.regular}
     if not lost:
         return _checked(False, "no sensor", "No sensor topic holds messages.")
-    value = f"{len(lost)} sensors, at worst {100.0 * max(lost.values()):.1f} % lost"
-    bad = [f"{name} {100.0 * share:.1f} %" for name, share in lost.items() if share > _SHARE]
+    value = f"{len(lost)} sensors, at worst {PERCENT * max(lost.values()):.1f} % lost"
+    bad = [f"{name} {PERCENT * share:.1f} %" for name, share in lost.items() if share > limits.lost]
     words = f"Lost: {', '.join(bad)}." if bad else "Every sensor came at its usual rate."
     return _checked(not bad, value, words)
 
 
-def _gaps(run: Run) -> Verdict:
+def _gaps(run: Run, _: VerdictLimits) -> Verdict:
     """Silence longer than the estimator's own timeouts."""
-    p, timings = run.parameters, run.recording.timings
-    allowed = {name: timeout_ns * 1e-9 for name, timeout_ns in p.timeouts_ns().items()}
-    allowed[SPROCKETS] = p.sprocket_timeout
+    timings, allowed = run.recording.timings, timeouts_of(run)
     longest = {name: timings[name].longest for name in allowed if name in timings and timings[name].gaps}
     if not longest:
         return _checked(True, "none", "No source of the estimator was silent.")
@@ -179,30 +192,44 @@ def _gaps(run: Run) -> Verdict:
     return _checked(not bad, f"{worst} {longest[worst]:.2f} s", words)
 
 
-def _rejections(run: Run) -> Verdict:
+def _rejections(run: Run, limits: VerdictLimits) -> Verdict:
     """Before the start every measurement is refused; that is no fault, if there is a start."""
-    waiting = Outcome.WAITING.name.lower()
-    by_source = run.replay.rejected.by_source()
-    early = sum(reasons.get(waiting, 0) for reasons in by_source.values())
+    refused = _refused(run)
+    early = sum(reasons.get(_WAITING, 0) for reasons in refused.values())
     if run.states is None:
-        total = sum(sum(reasons.values()) for reasons in by_source.values())
+        total = sum(sum(reasons.values()) for reasons in refused.values())
         return _checked(False, f"all {total}", "No measurement was used: there is no estimate.")
-    refused = {
-        source: sum(n for reason, n in reasons.items() if reason != waiting)
-        for source, reasons in by_source.items()
-    }
     shares = {
         source: count / max(run.replay.messages.get(source, count), 1)
-        for source, count in refused.items()
-        if count
+        for source, reasons in refused.items()
+        if (count := sum(n for reason, n in reasons.items() if reason != _WAITING))
     }
     if not shares:
-        if early:
-            return _checked(True, f"{early} before the start", "Since the start every measurement was used.")
-        return _checked(True, "none", "Every measurement was used.")
-    value = ", ".join(f"{source} {100.0 * share:.2f} %" for source, share in shares.items())
-    good = max(shares.values()) <= _SHARE
-    return _checked(good, value, f"Share not used; {100.0 * _SHARE:g} % of a source is normal.")
+        return _checked(True, *_all_used(run, early))
+    value = ", ".join(f"{source} {PERCENT * share:.2f} %" for source, share in shares.items())
+    good = max(shares.values()) <= limits.refused
+    return _checked(good, value, f"Share not used; {PERCENT * limits.refused:g} % of a source is normal.")
+
+
+def _refused(run: Run) -> dict[str, dict[str, int]]:
+    """Source → reason → count, of both estimators; without measurements that were used all the same."""
+    found = run.replay.rejected.by_source()
+    if run.replay.soil is not None:
+        found = {**found, **run.replay.soil.rejected.by_source()}
+    return {
+        source: {reason: n for reason, n in reasons.items() if reason not in _USED}
+        for source, reasons in found.items()
+    }
+
+
+def _all_used(run: Run, early: int) -> tuple[str, str]:
+    """Value and words where nothing was refused: what that is said of, and what not."""
+    given = "that the replay was given " if run.filters.changes_inputs else ""
+    hidden = sum(withheld.messages for withheld in run.replay.withheld)
+    beside = f" {hidden} were withheld." if hidden else ""
+    if early:
+        return f"{early} before the start", f"Since the start every measurement {given}was used.{beside}"
+    return "none", f"Every measurement {given}was used.{beside}"
 
 
 def _sensors(run: Run) -> list[str]:

@@ -36,6 +36,10 @@ _DENSITIES = np.array((1.0, 1.0 / _RATES, 1.0 / _AREA, 1.0 / (_AREA * 2.0 * math
 _SCORED = 2000  # samples of a reference, spread evenly, that tell as much as all
 
 
+Job = tuple[int, Mapping[str, float]]
+"""Number of the bag, values."""
+
+
 class _Run(NamedTuple):
     """What a run over a log leaves to be scored."""
 
@@ -104,6 +108,12 @@ class Task:
         likelihood = -0.5 * float(np.mean((nees + log_dets)[known])) - 0.5 * size * math.log(2.0 * math.pi)
         heading = math.nan if errors.heading is None else errors.heading
         return errors.position, heading, float(np.mean(nees[known])), likelihood
+
+
+def score_of(tasks: Sequence[Task], job: Job) -> Score:
+    """One set of parameters on one bag."""
+    bag, values = job
+    return tasks[bag].score(values)
 
 
 def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, reference: Path | None) -> Task:

@@ -2,7 +2,7 @@
 """Tunes over many bags, and over all but each: what a bag without a say gains is what tuning is worth."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import POSE, POSITION, Plan, value_of
 from trackslip_tools.tuning.search import search
-from trackslip_tools.tuning.task import Score, Task
-from trackslip_tools.tuning.workers import Work
+from trackslip_tools.tuning.task import Job, Score, Task
 
 FloatArray = NDArray[np.float64]
+
+Work = Callable[[Sequence[Job]], Iterator[Score]]
+"""Scores of the jobs, in their order."""
 
 _WORST = 1e9  # cost of what has no score
 

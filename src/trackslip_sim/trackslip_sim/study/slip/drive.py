@@ -5,7 +5,7 @@ Runs differ in their noise. The rounding of the encoders belongs to the drive: i
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,11 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import POSE, SPROCKETS, YAW_RATE, to_records
 from trackslip_estimation.slip.window import Window
+from trackslip_sim.machine.sensors import SensorNoise
+from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.study.slip.kernels import RecordArray, Rows
+from trackslip_sim.scenarios.terrains import load_terrain
+from trackslip_sim.study.slip.kernels import RecordArray, Rows, lie
 from trackslip_sim.study.slip.parameters import NODE, Cell, StudyParameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
@@ -44,6 +47,7 @@ class Drive:
     moving: BoolArray  # (s,) whether the slips mean something
     turning: BoolArray  # (s,) moving, and in a turn
     fix_size: int  # numbers of a fix: 3, or 2 where the heading is not used
+    noise: SensorNoise  # of the inertial unit's other axes, which are read where there is a terrain
 
     @property
     def fixes(self) -> BoolArray:
@@ -61,7 +65,8 @@ class Drive:
         """(k,) measurements with the noises of a cell; values are each run's own."""
         measurements = self.rows.measurements.copy()
         measurements["noise"][self.fixes] = np.diag(np.square(fix_deviations(cell, sigma_heading)))
-        measurements["noise"][self.rates, 0, 0] = cell.sigma_omega**2
+        for axis in range(3 if cell.terrain else 1):
+            measurements["noise"][self.rates, axis, axis] = cell.sigma_omega**2
         return measurements
 
 
@@ -70,13 +75,15 @@ def fix_deviations(cell: Cell, sigma_heading: float) -> FloatArray:
     return np.array((cell.sigma_xy, cell.sigma_xy, sigma_heading))
 
 
-def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str) -> Drive:
-    """The scenario on the shear truth of a soil.
+def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str, terrain: str = "") -> Drive:
+    """The scenario on the shear truth of a soil, on its own terrain where none is named.
 
     Raises:
-        InputError: scenario, soil or sources are refused, or after settling nothing moves.
+        InputError: scenario, soil or sources are refused, or on level ground nothing moves after settling.
     """
     scenario = load_scenario(p.scenario).stretched(p.duration)
+    if terrain:
+        scenario = replace(scenario, terrain=load_terrain(terrain))
     truth = simulate(scenario, soil=soil, vehicle=estimator.vehicle.whole())
     end = int(truth.duration * p.sprocket_rate + 1e-6) / p.sprocket_rate
     sprockets = list(_sprockets(truth, p, end, estimator.encoder_resolution))
@@ -86,8 +93,10 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
     at = truth.interpolate(stamps_ns * 1e-9)
     samples = np.flatnonzero(kinds == SPROCKETS)
     scored = samples[at.t[samples] > p.settling]
+    if terrain:
+        lie(rows.drives, np.stack((at.roll, at.pitch), axis=1), _body_rates(at))
     moving = _moving(at, estimator)[scored]
-    if not moving.any():
+    if not moving.any() and not terrain:  # a slope may be too steep: then only the pose is scored
         raise InputError(
             f"{NODE}: after {p.settling:g} s of settling nothing moves in '{p.scenario}' on {soil}"
         )
@@ -101,6 +110,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
         scored=scored,
         moving=moving,
         turning=moving & (rows.drives["motion"]["motion"][scored] == Motion.TURNING),
+        noise=load_emulator_parameters({}).noise,
         fix_size=3 if estimator.poses()[_first(estimator.poses(), "pose_sources")].use_heading else 2,
     )
 
@@ -164,6 +174,11 @@ def _true_drives(truth: Truth, at: Truth, rows: Rows, period: float) -> RecordAr
     drives["speeds"]["right"] = (after.right_angle - before.right_angle) / period
     drives["speeds"]["differenced"] = False
     return drives
+
+
+def _body_rates(at: Truth) -> FloatArray:
+    """(k, 3) p, q, r."""
+    return np.stack((at.roll_rate, at.pitch_rate, at.yaw_rate), axis=1)
 
 
 def _moving(at: Truth, estimator: SlipEstimatorParameters) -> BoolArray:

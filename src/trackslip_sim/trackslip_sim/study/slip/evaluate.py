@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A cell's runs: drawn, filtered, and held against the truth and against the bound."""
 
-from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,18 +15,24 @@ from trackslip_estimation.slip.window import Window, make_window
 from trackslip_sim.study.slip.drive import Drive
 from trackslip_sim.study.slip.kernels import bound, compare, scratch, variances
 from trackslip_sim.study.slip.parameters import DRAWN, SHEAR, Cell, StudyParameters
-from trackslip_sim.study.slip.results import Row, Sums, summary, total
+from trackslip_sim.study.slip.results import IGNORING, Row, Sums, summary, total
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial, of_machine
 
 FloatArray = NDArray[np.float64]
 _UNKNOWN = "unknown_source"  # of fixes: nobody says how they are stamped
-Map = Callable[[Callable[[int], Sums], Iterable[int]], Iterable[Sums]]
 
 
-def evaluate(
-    cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters, map_: Map = map
-) -> Row:
-    """All runs of a cell; ``map_`` may spread them over threads."""
+def evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Row:
+    """All runs of a cell; on a terrain also by a filter to which the ground is flat."""
+    row = _evaluate(cell, drive, p, estimator)
+    if not cell.terrain:
+        return row
+    flat = _evaluate(cell, drive, p, estimator.changed({"use_attitude": False}))
+    found = {f"ignoring_{name}": getattr(flat, name) for name in IGNORING}
+    return replace(row, **found)
+
+
+def _evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Row:
     setting = make_setting(cell, drive, p, estimator)
     common = least(setting, make_trial(setting, 0)) if cell.truth == SHEAR else None  # all drive the same
 
@@ -34,7 +40,7 @@ def evaluate(
         trial = make_trial(setting, seed)
         return score(setting, trial, least(setting, trial) if common is None else common)
 
-    return summary(cell, p, total(map_(one, range(p.seeds))), drive)
+    return summary(cell, p, total(map(one, range(p.seeds))), drive)
 
 
 def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Setting:

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_estimation.attitude.filter import set_level
+from trackslip_estimation.attitude.records import PITCH, ROLL
 from trackslip_estimation.kalman import ekf
 from trackslip_estimation.kalman.linear_algebra import (
     apply,
@@ -27,7 +29,7 @@ from trackslip_estimation.kalman.linear_algebra import (
     wrap,
 )
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed
-from trackslip_estimation.slip.models.dispatch import COUPLED, linearize, slips, twist, twist_jacobian
+from trackslip_estimation.slip.models.dispatch import COUPLED, body_jacobian, body_twist, linearize, slips
 from trackslip_estimation.slip.models.model import POSE, YAW
 from trackslip_estimation.slip.observation import (
     add_rounding,
@@ -65,6 +67,17 @@ class Scratch(NamedTuple):
 def scratch() -> Scratch:
     """Of its own for each thread."""
     return Scratch(np.zeros(1, STATE), np.zeros(1, ESTIMATE))
+
+
+@compiled
+def lie(drives: RecordArray, tilts: FloatArray, rates: FloatArray) -> None:
+    """Put the drives (k,) on ground whose roll and pitch (k, 2) are known, with rates p, q, r (k, 3)."""
+    for k in range(drives.size):
+        a = drives[k].attitude
+        a.known = 1
+        a.mean[ROLL], a.mean[PITCH] = tilts[k]
+        a.rates[:] = rates[k]
+        set_level(a)
 
 
 @compiled
@@ -133,10 +146,13 @@ def nearest(
     poses: FloatArray,
     twists: FloatArray,
     speeds: FloatArray,
+    drives: RecordArray,
     prior: tuple[FloatArray, FloatArray],
     config: RecordArray,
 ) -> FloatArray:
     """States (k, n) at ``poses`` (k, 3) with v_x and φ̇ of ``twists`` (k, 2), nearest to a prior x by its P.
+
+    ``speeds`` (k, 2) are those of the sprockets; of ``drives`` (k,) the lie of the ground counts.
 
     The lateral speed, some mm/s, stays the model's: at a small φ̇ it would ask for any x_I.
     """
@@ -148,9 +164,9 @@ def nearest(
         state = x.copy()
         state[POSE] = poses[k]
         for _ in range(_ITERATIONS):
-            v_x, _, rate = twist(state, left, right, c)
+            v_x, _, rate = body_twist(state, left, right, drives[k], c)
             missing = twists[k] - np.array((v_x, rate))
-            J = np.ascontiguousarray(twist_jacobian(state, left, right, c)[::2])
+            J = np.ascontiguousarray(body_jacobian(state, left, right, drives[k], c)[::2])
             gain = np.ascontiguousarray(solve(root(sandwich(J, P)), times(J, P)).T)
             state = state + apply(gain, missing)
         states[k] = state
@@ -163,7 +179,7 @@ def slips_of(states: FloatArray, drives: RecordArray, config: RecordArray) -> Fl
     c, found = config[0], np.empty((states.shape[0], 3))
     for k in range(states.shape[0]):
         left, right = drives[k].speeds.left, drives[k].speeds.right
-        found[k] = slips(states[k], twist(states[k], left, right, c), left, right, c)
+        found[k] = slips(states[k], body_twist(states[k], left, right, drives[k], c), left, right, c)
     return found
 
 

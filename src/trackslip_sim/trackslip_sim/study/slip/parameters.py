@@ -38,6 +38,8 @@ class StudyParameters(GridParameters):
         if self.settling > self.duration - _SHORTEST:
             accepted = f"up to {_SHORTEST:g} s less than the duration, {self.duration:g} s"
             raise InputError(f"{NODE}: settling: {self.settling:g} s is refused; accepted: {accepted}")
+        if any(self.terrains) and DRAWN in self.truths:
+            raise InputError(f"{NODE}: terrains: not with truth {DRAWN}, whose drives are on level ground")
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class Cell:
     filter: str
     sigma_xy: float  # m
     sigma_omega: float  # rad/s
+    terrain: str = ""  # the scenario's own
 
 
 def load_study_parameters(given: dict[str, object]) -> StudyParameters:
@@ -62,6 +65,6 @@ def load_study_parameters(given: dict[str, object]) -> StudyParameters:
 
 def cells(p: StudyParameters) -> Iterator[Cell]:
     """The grid, what varies fastest last."""
-    for combination in product(p.truths, p.soils, p.filters, p.sigma_omega, p.sigma_xy):
-        truth, soil, filter_, sigma_omega, sigma_xy = combination
-        yield Cell(truth, soil, filter_, sigma_xy, sigma_omega)
+    for combination in product(p.terrains, p.truths, p.soils, p.filters, p.sigma_omega, p.sigma_xy):
+        terrain, truth, soil, filter_, sigma_omega, sigma_xy = combination
+        yield Cell(truth, soil, filter_, sigma_xy, sigma_omega, terrain)

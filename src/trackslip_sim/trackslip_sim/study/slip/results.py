@@ -25,6 +25,7 @@ BoolArray = NDArray[np.bool_]
 Interval = tuple[float, float]
 
 CONFIDENCE = 0.95
+IGNORING = ("position_rmse", "turning_slip_rmse", "nees_pose")
 _POSITION, _HEADING, _SLIPS, _ALPHA = slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6)
 
 
@@ -60,6 +61,10 @@ class Row:
     nis_pose_bounds: Interval
     nis_yaw_rate: float
     nis_yaw_rate_bounds: Interval
+    terrain: str = ""
+    ignoring_position_rmse: float | None = None  # of a filter to which the ground is flat, on a terrain
+    ignoring_turning_slip_rmse: float | None = None
+    ignoring_nees_pose: float | None = None
 
 
 class Sums(NamedTuple):
@@ -103,10 +108,15 @@ def summary(cell: Cell, p: StudyParameters, sums: Sums, drive: Drive) -> Row:
     values |= {f"{name}_bounds": interval for name, interval in intervals.items()}
     for name, found in (("nees_pose", nees[:, 0]), ("nees_slip", nees[drive.moving, 1])):
         low, high = intervals[name]
-        values[name] = float(np.mean(found))
-        values[f"{name}_inside"] = float(np.mean((low <= found) & (found <= high)))
+        values[name] = _mean(found)
+        values[f"{name}_inside"] = _mean((low <= found) & (found <= high))
     values["nis_pose"], values["nis_yaw_rate"] = map(float, nis)
     return Row(**values)
+
+
+def _mean(values: NDArray[Any]) -> float:
+    """Nan over no time."""
+    return float(np.mean(values)) if values.size else float("nan")
 
 
 def _root_mean(squares: FloatArray, tracks: int) -> float:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slip estimator's study; a piece of it is a cell, whose runs share the cores: kernels hold no lock."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import math
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, ClassVar
@@ -10,22 +10,25 @@ from typing import Any, ClassVar
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_common.soils import load_soils
-from trackslip_estimation import kalman, slip
+from trackslip_estimation import attitude, kalman, slip
 from trackslip_estimation.slip import models
-from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.study.engine import Study
+from trackslip_sim.scenarios.terrains import load_terrain
+from trackslip_sim.study.engine import Study, Workers, spread
 from trackslip_sim.study.slip import kernels
-from trackslip_sim.study.slip.drive import make_drive
+from trackslip_sim.study.slip.drive import Drive, make_drive
 from trackslip_sim.study.slip.evaluate import evaluate
-from trackslip_sim.study.slip.parameters import Cell, cells, load_study_parameters
+from trackslip_sim.study.slip.parameters import Cell, StudyParameters, cells, load_study_parameters
 from trackslip_sim.study.slip.results import Row
-from trackslip_sim.study.table import Columns, table, words
+from trackslip_sim.study.table import NOTHING, Columns, table, words
 from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_set
 
-_GRID = ("truths", "soils", "filters", "sigma_xy", "sigma_omega")  # a cell has one of each
+_GRID = ("truths", "soils", "terrains", "filters", "sigma_xy", "sigma_omega")  # a cell has one of each
+_SLOPES = "slope_table.md"
+_KEPT = 4  # drives in memory, some 60 MB each
 _LEGEND = (
     "RMSE and, in brackets, the posterior Cramér–Rao bound. NEES and NIS: means over runs and scored time, "
     "with ↑ above and ↓ below the bounds {bounds} numbers (95 % of χ² for the mean of {seeds} runs)."
@@ -35,7 +38,7 @@ _LEGEND = (
 def _error(name: str, scale: float, digits: int = 2) -> Callable[[Row], str]:
     def show(row: Row) -> str:
         rmse, bound = (scale * getattr(row, f"{name}_{what}") for what in ("rmse", "bound"))
-        return f"{rmse:.{digits}f} ({bound:.{digits}f})"
+        return NOTHING if math.isnan(rmse) else f"{rmse:.{digits}f} ({bound:.{digits}f})"
 
     return show
 
@@ -43,7 +46,19 @@ def _error(name: str, scale: float, digits: int = 2) -> Callable[[Row], str]:
 def _within(name: str) -> Callable[[Row], str]:
     def show(row: Row) -> str:
         value, (low, high) = getattr(row, name), getattr(row, f"{name}_bounds")
+        if math.isnan(value):
+            return NOTHING
         return f"{value:.2f}" + (" ↑" if value > high else " ↓" if value < low else "")
+
+    return show
+
+
+def _ratio(name: str, of: str = "") -> Callable[[Row], str]:
+    """Of an error to its bound."""
+
+    def show(row: Row) -> str:
+        least = getattr(row, name.removesuffix("rmse") + "bound")
+        return NOTHING if math.isnan(least) else f"{getattr(row, of + name) / least:.2f}"
 
     return show
 
@@ -66,6 +81,52 @@ _COLUMNS: Columns = {
 }
 
 
+_ON_TERRAIN: Columns = {
+    "terrain": lambda row: words(row.terrain),
+    "truth": lambda row: str(row.truth),
+    "soil": lambda row: words(row.soil),
+    "filter": lambda row: str(row.filter),
+    "σ_xy m": lambda row: f"{row.sigma_xy:g}",
+    "position mm": _error("position", 1e3),
+    "×": _ratio("position_rmse"),
+    "slip in turns %": _error("turning_slip", 1e2),
+    "× ": _ratio("turning_slip_rmse"),
+    "NEES pose": _within("nees_pose"),
+    "flat: position ×": _ratio("position_rmse", "ignoring_"),
+    "in turns ×": _ratio("turning_slip_rmse", "ignoring_"),
+    "NEES": lambda row: f"{row.ignoring_nees_pose:.1f}",
+}
+_TERRAIN_LEGEND = (
+    "×: the RMSE over its bound on that ground. flat: of the same filter without attitude, to which the "
+    "ground is flat."
+)
+
+
+class _Drives:
+    """The drives that cells have in common; of a process, the last ones."""
+
+    def __init__(self, p: StudyParameters, estimator: SlipEstimatorParameters) -> None:
+        self.p, self.estimator = p, estimator
+        self._known: dict[tuple[str, str], Drive] = {}
+
+    def of(self, cell: Cell) -> Drive:
+        """Made where it is not known."""
+        key = cell.soil, cell.terrain
+        if key not in self._known:
+            while len(self._known) >= _KEPT:
+                del self._known[next(iter(self._known))]
+            self._known[key] = make_drive(self.p, self.estimator, *key)
+        return self._known[key]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the drives: each process makes those that it needs."""
+        return {**vars(self), "_known": {}}
+
+
+def _evaluate(drives: _Drives, cell: Cell) -> Row:
+    return evaluate(cell, drives.of(cell), drives.p, drives.estimator)
+
+
 class SlipStudy(Study[Cell, Row]):
     """What ``trackslip study`` does unless asked otherwise.
 
@@ -75,12 +136,12 @@ class SlipStudy(Study[Cell, Row]):
 
     UNIT: ClassVar[str] = "cells"
     PARAMETERS: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {"truth": "truths", "soil": "soils", "filter": "filters"}
+        {"truth": "truths", "soil": "soils", "filter": "filters", "terrain": "terrains"}
         | {name: name for name in ("sigma_xy", "sigma_omega", "sigma_heading")}
         | {name: name for name in ("seeds", "scenario", "duration", "settling")}
     )
     RESULT: ClassVar[type[Any]] = Row
-    SOURCES: ClassVar[Sequence[ModuleType]] = (kalman, slip, models, shear, kernels)
+    SOURCES: ClassVar[Sequence[ModuleType]] = (kalman, attitude, slip, models, shear, kernels)
     FILE: ClassVar[str] = "study_table.md"
 
     def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:
@@ -99,18 +160,11 @@ class SlipStudy(Study[Cell, Row]):
         }
 
     def rests_on(self, piece: Cell) -> Mapping[str, Any]:
-        return {**self._common, "soil": repr(load_soils().get(piece.soil))}
+        terrain = repr(load_terrain(piece.terrain)) if piece.terrain else ""
+        return {**self._common, "soil": repr(load_soils().get(piece.soil)), "ground": terrain}
 
-    def compute(self, pieces: Sequence[Cell], jobs: int | None) -> Iterator[Row]:
-        """As ``Study``; each soil is driven once."""
-        p, estimator = self._p, self._estimator
-        drives = {soil: make_drive(p, estimator, soil) for soil in dict.fromkeys(c.soil for c in pieces)}
-        pool = ThreadPoolExecutor(jobs)
-        try:
-            for cell in pieces:
-                yield evaluate(cell, drives[cell.soil], p, estimator, pool.map)
-        finally:
-            pool.shutdown(cancel_futures=True)
+    def compute(self, pieces: Sequence[Cell], workers: Workers) -> Generator[Row, None, None]:
+        return spread(_evaluate, _Drives(self._p, self._estimator), pieces, workers)
 
     def row(self, cell: Cell, results: Sequence[Row]) -> Row:
         (row,) = results
@@ -121,7 +175,12 @@ class SlipStudy(Study[Cell, Row]):
         intervals = {3: row.nees_pose_bounds, 2: row.nees_slip_bounds, 1: row.nis_yaw_rate_bounds}
         bounds = ", ".join(f"{low:.2f}–{high:.2f} for {dof}" for dof, (low, high) in intervals.items())
         legend = _LEGEND.format(bounds=bounds, seeds=row.seeds)
-        return "\n".join((*table(_COLUMNS, rows, text_columns=3), "", legend)) + "\n"
+        level, sloping = ([r for r in rows if bool(r.terrain) == on_terrain] for on_terrain in (False, True))
+        lines = table(_COLUMNS, level, text_columns=3) if level else []
+        if sloping:
+            lines += [*[""][: len(lines)], *table(_ON_TERRAIN, sloping, text_columns=4)]
+            legend = f"{legend} {_TERRAIN_LEGEND}"
+        return "\n".join((*lines, "", legend)) + "\n"
 
     def write(self, rows: Sequence[Row], folder: Path) -> None:
         """The table, and in ``figures`` what the Monte Carlo gives."""
@@ -129,6 +188,9 @@ class SlipStudy(Study[Cell, Row]):
             write_monte_carlo,  # matplotlib: not for every command's start
         )
 
+        if any(row.terrain for row in rows):
+            (folder / _SLOPES).write_text(self.markdown(rows), encoding="utf-8")
+            return
         super().write(rows, folder)
         (folder / "figures").mkdir(exist_ok=True)
         write_monte_carlo(rows, folder / "figures")

@@ -2,6 +2,7 @@
 """One run of a cell: a truth and what the sensors say of it, drawn from one seed."""
 
 import zlib
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,9 @@ from trackslip_estimation.slip.models.turning import ASYMMETRY
 from trackslip_estimation.slip.models.turning import CODE as TURNING
 from trackslip_estimation.slip.records import POSE, YAW_RATE
 from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, draw_machine, integrated
+from trackslip_sim.machine.sensors import tilt_readings
 from trackslip_sim.study.slip.drive import Drive, fix_deviations
-from trackslip_sim.study.slip.kernels import Rows, draw, nearest, slips_of
+from trackslip_sim.study.slip.kernels import RecordArray, Rows, draw, nearest, slips_of
 from trackslip_sim.study.slip.parameters import DRAWN, MATCHED, SHEAR, Cell
 
 FloatArray = NDArray[np.float64]
@@ -51,7 +53,20 @@ def generator(cell: Cell, seed: int) -> np.random.Generator:
 def make_trial(setting: Setting, seed: int) -> Trial:
     """Draw one run."""
     random = generator(setting.cell, seed)
-    return {MATCHED: _matched, SHEAR: _shear, DRAWN: _drawn}[setting.cell.truth](setting, random)
+    trial = {MATCHED: _matched, SHEAR: _shear, DRAWN: _drawn}[setting.cell.truth](setting, random)
+    if setting.cell.terrain:
+        _feel_tilt(setting, trial.rows.measurements, random)
+    return trial
+
+
+def _feel_tilt(setting: Setting, measurements: RecordArray, random: np.random.Generator) -> None:
+    """What the inertial unit shows beside the yaw rate, into the (k,) measurements of a run."""
+    drive = setting.drive
+    noise, rates = replace(drive.noise, gyro_stddev=setting.cell.sigma_omega), drive.rates
+    readings = tilt_readings(drive.whole, drive.truth.t[rates], noise, random)
+    measurements["value"][rates, 1:] = readings[:, :2]
+    measurements["acceleration"][rates] = readings[:, 2:]
+    measurements["acceleration_variance"][rates] = noise.acceleration_stddev**2
 
 
 def _matched(setting: Setting, random: np.random.Generator) -> Trial:
@@ -81,7 +96,7 @@ def _shear(setting: Setting, random: np.random.Generator) -> Trial:
     values[rates, 0] = at.yaw_rate[rates] + mean[GYRO_BIAS] + noise
     twists = np.stack((at.v_x, at.yaw_rate), axis=1)
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
-    states = nearest(poses, twists, true_speeds, prior, setting.linear)
+    states = nearest(poses, twists, true_speeds, setting.drive.true_drives, prior, setting.linear)
     slips = np.stack((at.left_slip, at.right_slip, at.slip_angle), axis=1)
     return Trial(_with_values(setting.rows, values), start, mean, states, slips)
 
@@ -115,7 +130,7 @@ def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
     noise = machine.gyro_noise * setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
     values[rates, 0] = machine.gyro_scale * moving[rates, 2] + mean[GYRO_BIAS] + noise
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
-    states = nearest(at_rows, moving[:, ::2].copy(), true_speeds, prior, setting.linear)
+    states = nearest(at_rows, moving[:, ::2].copy(), true_speeds, drive.true_drives, prior, setting.linear)
     slips = slips_of(states, drive.true_drives, setting.linear)
     slips[:, 2] = at.slip_angle
     return Trial(_with_values(setting.rows, values), start, mean, states, slips, machine)

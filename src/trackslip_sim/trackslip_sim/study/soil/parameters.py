@@ -21,7 +21,6 @@ class SoilStudyParameters(GridParameters):
     """The drives, their sensors, and the grid."""
 
     scenarios: tuple[str, ...] = parameter("names in config/scenarios, or files")
-    terrains: tuple[str, ...] = parameter("names in config/terrains, or files; empty: the scenario's own")
     duration: float = parameter("of each drive, repeated or cut; 0: as it is", unit="s", ge=0.0, le=3600.0)
     stand: float = parameter("standing before each drive", unit="s", ge=1.0, le=600.0)
     drawn: bool = parameter("also machines drawn from what the estimator expects")

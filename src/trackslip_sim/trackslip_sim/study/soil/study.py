@@ -2,11 +2,9 @@
 """The soil estimator's study; a piece of it is a run, and a process's work."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from types import MappingProxyType, ModuleType
 from typing import Any, ClassVar
-
-from joblib import Parallel, delayed
 
 from trackslip_common.parameters import to_flat
 from trackslip_common.soils import load_soils
@@ -19,13 +17,13 @@ from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_sim.machine import sensors
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
-from trackslip_sim.study.engine import Study
+from trackslip_sim.study.engine import Study, Workers, spread
 from trackslip_sim.study.soil import score
 from trackslip_sim.study.soil.parameters import SoilCell, load_soil_study_parameters, soil_cells
 from trackslip_sim.study.soil.results import AnyRow, ChangeRow, SoilRow, summary
 from trackslip_sim.study.soil.score import RECOGNISED, Result, run
-from trackslip_sim.study.soil.trial import Trial, load_setting
-from trackslip_sim.study.table import Columns, table, words
+from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
+from trackslip_sim.study.table import NOTHING, Columns, table, words
 from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_settings
@@ -34,7 +32,6 @@ _GRID = (  # a trial has one of each
     *("scenarios", "duration", "stand", "soils", "drawn", "sigma_xy"),
     *("terrains", "seeds"),
 )
-_DASH = "–"  # there was no such thing
 _SOIL_LEGEND = (
     "Errors over the truth, the median of the runs and, in brackets, the worst: F_max, K and μ_r at the end "
     "of `{scenario}`, M_r in steady turns and F, the thrust, as RMS over that of the truth. in: runs whose "
@@ -51,7 +48,7 @@ _CHANGE_LEGEND = (
 def _spread(median: float, worst: float, scale: float = 100.0) -> str:
     """Median and worst; – for what there was not."""
     if math.isnan(median):
-        return _DASH
+        return NOTHING
     return f"{scale * median:.1f} ({scale * worst:.1f})".replace("inf", "never")
 
 
@@ -67,7 +64,7 @@ _MACHINE: Columns = {
     "machine": lambda row: "drawn" if row.drawn else "nominal",
     "σ_xy m": lambda row: f"{row.sigma_xy:g}",
 }
-_TERRAIN: Columns = {"terrain": lambda row: words(row.terrain) or _DASH}
+_TERRAIN: Columns = {"terrain": lambda row: words(row.terrain) or NOTHING}
 _SOIL: Columns = {
     "soil": lambda row: words(row.soil),
     **_MACHINE,
@@ -81,7 +78,7 @@ _SOIL: Columns = {
     "μ_r %": _error("mu_r"),
     "in  ": _count("mu_r_inside"),
     "M_r %": _error("M_r"),
-    "in   ": lambda row: _DASH if math.isnan(row.M_r_error) else f"{row.M_r_inside}/{row.seeds}",
+    "in   ": lambda row: NOTHING if math.isnan(row.M_r_error) else f"{row.M_r_inside}/{row.seeds}",
     "F driving %": _error("driving_thrust"),
     "F braking %": _error("braking_thrust"),
     "offset kPa": lambda row: _spread(row.offset_residue, row.offset_residue_worst, 1e-3),
@@ -143,10 +140,8 @@ class SoilStudy(Study[Trial, Result]):
         terrain = repr(load_terrain(piece.terrain)) if piece.terrain else ""
         return {**self._common, "scenario": self._scenarios[piece.scenario], "terrain": terrain}
 
-    def compute(self, pieces: Sequence[Trial], jobs: int | None) -> Iterator[Result]:
-        """As ``Study``; each run in a process."""
-        with Parallel(jobs, return_as="generator") as pool:
-            yield from pool(delayed(run)(trial, self._setting) for trial in pieces)
+    def compute(self, pieces: Sequence[Trial], workers: Workers) -> Generator[Result, None, None]:
+        return spread(_run, self._setting, pieces, workers)
 
     def row(self, cell: SoilCell, results: Sequence[Result]) -> AnyRow:
         return summary(cell, results)
@@ -155,6 +150,10 @@ class SoilStudy(Study[Trial, Result]):
         """A table of each scenario, and what it means."""
         scenarios = dict.fromkeys(row.scenario for row in rows)
         return "\n".join(_tables([row for row in rows if row.scenario == name]) for name in scenarios)
+
+
+def _run(setting: Setting, trial: Trial) -> Result:
+    return run(trial, setting)
 
 
 def _tables(rows: Sequence[AnyRow]) -> str:

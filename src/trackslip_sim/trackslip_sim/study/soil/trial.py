@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.vehicle import GRAVITY, vehicle_layer
+from trackslip_common.vehicle import vehicle_layer
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.soil.records import Hydraulics, inputs_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
-from trackslip_sim.machine.sensors import SensorNoise, accelerations
+from trackslip_sim.machine.sensors import SensorNoise, tilt_readings
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
@@ -147,9 +147,9 @@ def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Ge
         arrivals.append((t, 1, Sprockets("sprockets", _stamp(t), float(v_l), float(v_r), (left, right))))
     at = truth.interpolate(np.arange(0.5 / p.gyro_rate, truth.duration, 1.0 / p.gyro_rate))
     rates = at.yaw_rate + noise.gyro_bias + noise.gyro_stddev * random.standard_normal(len(at))
-    others = _tilting(truth, at.t, setting, np.random.default_rng((trial.seed, 2)))
+    tilting = tilt_readings(truth, at.t, noise, np.random.default_rng((trial.seed, 2)))
     of_rate, of_force = noise.gyro_stddev**2, noise.acceleration_stddev**2
-    for t, rate, (p_rate, q_rate, f_x, f_y, f_z) in zip(at.t, rates.tolist(), others, strict=True):
+    for t, rate, (p_rate, q_rate, f_x, f_y, f_z) in zip(at.t, rates.tolist(), tilting.tolist(), strict=True):
         turning = rate, of_rate, (p_rate, q_rate), (of_rate, of_rate)
         arrivals.append((t, 2, YawRate("imu/data_raw", _stamp(t), *turning, (f_x, f_y, f_z), of_force)))
     at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / p.fix_rate))
@@ -159,22 +159,6 @@ def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Ge
         fix = PoseFix("box_pose", _stamp(t), pose, np.diag(np.square(deviations)))
         arrivals.append((t + p.fix_delay if t > 0.0 else 0.0, 0, fix))
     return [measurement for _, _, measurement in sorted(arrivals, key=lambda arrival: arrival[:2])]
-
-
-def _tilting(
-    truth: Truth, times: FloatArray, setting: Setting, random: np.random.Generator
-) -> list[list[float]]:
-    """Rows of roll and pitch rate, rad/s, and of the specific force, m/s², as the inertial unit has them."""
-    noise, at = setting.noise, truth.interpolate(times)
-    moved = [np.interp(times, truth.t, column) for column in accelerations(truth).T]
-    down = np.cos(at.pitch)
-    gravity = (-np.sin(at.pitch), down * np.sin(at.roll), down * np.cos(at.roll))
-    biases = noise.acceleration_bias_x, noise.acceleration_bias_y, noise.acceleration_bias_z
-    forces = [a + GRAVITY * g + b for a, g, b in zip(moved, gravity, biases, strict=True)]
-    rates = at.roll_rate + noise.gyro_bias_x, at.pitch_rate + noise.gyro_bias_y
-    stddevs = (*2 * (noise.gyro_stddev,), *3 * (noise.acceleration_stddev,))
-    rows = np.column_stack((*rates, *forces)) + stddevs * random.standard_normal((len(times), 5))
-    return list(rows.tolist())
 
 
 def _pressures(

@@ -269,13 +269,12 @@ function stretch(bar, from, to) {
 
 function text_of(value, low, high, unit) {
   if (value === null) return "–"
-  const scale = unit === "1" ? 100 : 1, name = unit === "1" ? "%" : unit
   const known = low !== null && high !== null
-  const half = known ? scale * (high - low) / 2 : 0
-  const digits = scale * Math.abs(value) >= 100 ? 0 : 1
+  const half = known ? (high - low) / 2 : 0
+  const digits = Math.abs(value) >= 100 ? 0 : 1
   const even = known && Math.abs(high + low - 2 * value) < 0.02 * (high - low)
-  const spread = !known ? "" : even ? ` ± ${half.toFixed(digits)}` : ` (${(scale * low).toFixed(digits)} to ${(scale * high).toFixed(digits)})`
-  return `${(scale * value).toFixed(digits)}${spread} ${name}`
+  const spread = !known ? "" : even ? ` ± ${half.toFixed(digits)}` : ` (${low.toFixed(digits)} to ${high.toFixed(digits)})`
+  return `${value.toFixed(digits)}${spread} ${unit}`
 }
 
 // Buttons

@@ -8,13 +8,13 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from trackslip_common.errors import printable
-from trackslip_tools.live.lights import Level, Light
+from trackslip_tools.report.lights import Level, Light
 
 MOST = 200  # events that are kept
 _MOST_VALUES = 500  # of one light, and of what is remembered of them
 _REPEAT_S = 10.0  # s in which the same is not said again
 _CLEAR_S = 5.0  # s without a refusal, after which the gate has calmed down
-_SURE = 0.6  # probability from which on a soil counts as found
+SURE = 0.6  # probability from which on a soil counts as found
 _NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 _DURATIONS = re.compile(r" for \d+(\.\d+)? s")
 _LOST = "nothing accepted of "
@@ -57,7 +57,7 @@ class Events:
         conditions = {light.name: (light.level, light.message) for light in lights}
         for name, (level, message) in conditions.items():
             before = self._conditions.get(name, (Level.OK, ""))
-            if level == before[0] and (level is Level.OK or _same(message, before[1])):
+            if level == before[0] and (level is Level.OK or same_text(message, before[1])):
                 continue
             self.add(level, _said(name, level, message, before[1]), now_s, time_ms)
         for name, (level, _) in self._conditions.items():
@@ -79,7 +79,7 @@ class Events:
     def see_soil(self, classes: Mapping[str, float], now_s: float, time_ms: float) -> None:
         """The likeliest soil, where it is likely enough to be called one."""
         name, chance = max(classes.items(), key=lambda item: item[1], default=("", 0.0))
-        if chance >= _SURE and name != self._soil:
+        if chance >= SURE and name != self._soil:
             what = "soil changed to" if self._soil else "soil found:"
             self._soil = name
             self.add(Level.OK, f"{what} {name}, {100 * chance:.0f} %", now_s, time_ms)
@@ -97,7 +97,8 @@ class Events:
                 self._refused_s[source] = now_s
 
 
-def _same(message: str, other: str) -> bool:
+def same_text(message: str, other: str) -> bool:
+    """Whether two texts differ in nothing but numbers."""
     return _NUMBERS.sub("#", message) == _NUMBERS.sub("#", other)
 
 

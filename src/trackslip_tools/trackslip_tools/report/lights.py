@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lights of the live page: what each node last said of itself on /diagnostics, and how long ago that was.
+"""Lights: what each node last said of itself on /diagnostics, and how long ago that was.
 
 Names and texts are anybody's: they are cut, what is not printable is escaped, and their number is bounded.
 """

@@ -7,9 +7,10 @@ from trackslip_bags.parameters import bag_vehicle
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import printable
 from trackslip_common.vehicle import ASSUMED
+from trackslip_tools.terminal_text import table, wrapped
 
 _LATEST = 253_402_300_800  # s since 1970, the end of the calendar
-_HEAD = ("topic", "type", "count", "rate (Hz)")
+_HEAD = ("topic", "count", "Hz", "type")
 
 
 def describe(bag: Bag) -> str:
@@ -31,24 +32,14 @@ def describe(bag: Bag) -> str:
     rows = [
         (
             printable(topic),
-            printable(", ".join((info.type_name, *sorted(info.other_types)))),
             str(info.count),
             _rate(info.count, bag.duration_s),
+            printable(", ".join((info.type_name, *sorted(info.other_types)))),
         )
         for topic, info in sorted(bag.topics.items())
     ]
-    return "\n".join([*lines, "", *_table([_HEAD, *rows])])
+    return "\n".join([*map(wrapped, lines), "", table(_HEAD, rows, (False, True, True, False))])
 
 
 def _rate(count: int, duration_s: float) -> str:
     return f"{count / duration_s:.2f}" if duration_s > 0.0 else "-"
-
-
-def _table(rows: list[tuple[str, ...]]) -> list[str]:
-    """Aligned columns: text to the left, numbers (the last two) to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for topic, kind, count, rate in rows:
-        left = f"{topic:<{widths[0]}}  {kind:<{widths[1]}}"
-        lines.append(f"{left}  {count:>{widths[2]}}  {rate:>{widths[3]}}")
-    return lines

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The file that keeps the track of the box, for a localizer that is started again during a drive.
+
+Without it the box would be sought about the initial pose, where it no longer is. JSON, written beside itself
+and moved into place. It outlives the process and need not outlive the machine, so nothing waits for the disk.
+"""
+
+import json
+import math
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.config_files import own_file
+from trackslip_common.errors import InputError
+from trackslip_estimation.box.quarters import Headings, SideEvidence
+from trackslip_estimation.box.track import Track
+
+_VERSION = 1
+_LARGEST = 4096  # bytes
+_PERIOD_NS = 1_000_000_000  # from one writing to the next
+
+
+def track_text(track: Track) -> str:
+    """What the file holds."""
+    e = track.headings.evidence
+    return json.dumps(
+        {
+            "version": _VERSION,
+            "stamp_ns": track.stamp_ns,
+            "mean": track.mean.tolist(),
+            "covariance": track.covariance.tolist(),
+            "weights": track.headings.weights.tolist(),
+            "evidence": [e.settled, e.mean, e.count, e.x, e.y],
+        }
+    )
+
+
+def parse_track(text: str) -> Track:
+    """The track of ``track_text``.
+
+    Raises:
+        InputError: the text is not one.
+    """
+    try:
+        tree: Any = json.loads(text)
+        if tree["version"] != _VERSION:
+            raise InputError("it is of another version")
+        stamp_ns = int(tree["stamp_ns"])
+        mean = np.array(tree["mean"], dtype=np.float64).reshape(3, 2)
+        covariance = np.array(tree["covariance"], dtype=np.float64).reshape(3, 2, 2)
+        weights = np.array(tree["weights"], dtype=np.float64).reshape(4)
+        settled, average, count, x, y = (float(value) for value in tree["evidence"])
+        evidence = SideEvidence(settled, average, int(count), x, y)
+    except (ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:
+        raise InputError("it is no track of a box") from error
+    numbers = (mean, covariance, weights, np.array([settled, average, count, x, y]))
+    if not all(np.isfinite(array).all() for array in numbers) or not 0 <= stamp_ns < 2**63:
+        raise InputError("it has values out of range")
+    is_covariance = np.array_equal(covariance, covariance.swapaxes(1, 2))
+    if not is_covariance or np.linalg.eigvalsh(covariance).min() < 0.0:
+        raise InputError("its covariance is none")
+    if weights.min() < 0.0 or not math.isclose(weights.sum(), 1.0, rel_tol=1e-6) or count < 0:
+        raise InputError("its probabilities are none")
+    return Track(stamp_ns, mean, covariance, Headings(weights, evidence))
+
+
+class TrackFile:
+    """One node's; with an empty path there is none, and nothing is ever done."""
+
+    def __init__(self, path: str) -> None:
+        """``path`` may begin with ~.
+
+        Raises:
+            InputError: nobody knows that home directory.
+        """
+        self._path = own_file("track_file", path)
+        self._written_ns = 0
+        self.failures = 0
+        self.failure = ""  # why the last reading or writing failed; empty where it did not
+
+    def read(self) -> Track | None:
+        """The track that is there; None where there is none of use, see ``failure``."""
+        if self._path is None or not self._path.is_file():
+            return None
+        try:
+            with self._path.open("rb") as file:
+                content = file.read(_LARGEST + 1)
+            return parse_track(content.decode("utf-8", errors="replace"))
+        except (InputError, OSError) as error:
+            self._fail(f"{self._path} is not used: {getattr(error, 'strerror', None) or error}")
+            return None
+
+    def write(self, track: Track | None) -> None:
+        """Keep it; not more often than once a second of its stamps."""
+        if self._path is None or track is None or abs(track.stamp_ns - self._written_ns) < _PERIOD_NS:
+            return
+        self._written_ns = track.stamp_ns
+        beside = self._path.with_name(f".{self._path.name}.new")
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            beside.write_text(track_text(track), encoding="utf-8")
+            beside.replace(self._path)
+        except (OSError, ValueError) as error:  # ValueError: no path at all
+            with suppress(OSError, ValueError):
+                beside.unlink(missing_ok=True)
+            self._fail(f"{self._path} is not written: {getattr(error, 'strerror', None) or error}")
+            return
+        self.failure = ""
+
+    def _fail(self, reason: str) -> None:
+        self.failures += 1
+        self.failure = reason

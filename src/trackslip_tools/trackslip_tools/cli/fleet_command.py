@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip replay`` and ``report`` over many bags: each a piece of work, one table of all."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from trackslip_common.errors import InputError, show
+from trackslip_tools.cli import worker_options
+from trackslip_tools.cli.elapsed import waited_s
+from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.progress import shown
+from trackslip_tools.fleet.entry import Entry, exit_code
+from trackslip_tools.fleet.find import find_bags, is_folder
+from trackslip_tools.fleet.table import notes, text
+
+_ONE_BAG = ("output", "publish")  # options of replay that belong to one bag
+
+
+def is_fleet(paths: Sequence[Path]) -> bool:
+    """Whether several bags are named, or a folder of them."""
+    return len(paths) > 1 or is_folder(paths[0])
+
+
+def run(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entry]) -> int:
+    """Replay all bags, print their table, write ``--json``; the exit code is that of the worst.
+
+    Raises:
+        InputError: an option cannot be used, or the workers cannot.
+    """
+    for option in _ONE_BAG:
+        if getattr(args, option):
+            raise InputError(f"--{option}: not with several bags; accepted: one bag")
+    require_writable(json=args.json)
+    entries = work(args, one)
+    if args.json is not None:
+        write_json(args.json, [entry.as_dict() for entry in entries])
+    return exit_code(entries)
+
+
+def work(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entry]) -> list[Entry]:
+    """The entries of the bags that ``args`` name, in order, shown as a table."""
+    bags = find_bags(args.bags)
+    with worker_options.chosen(args, shared=args, most=len(bags)) as mapped:
+        entries = list(shown(mapped(one, bags), f"{len(bags)} bags", total=len(bags)))
+    for note in notes(entries):
+        show(note, file=sys.stderr)
+    show(text(entries))
+    total_s = sum(entry.summary.get("duration_s", 0.0) for entry in entries)
+    show(f"{len(bags)} bags, {total_s:.0f} s, in {waited_s():.1f} s")
+    return entries

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``--workers`` and ``--scheduler``: who does the work of a command over many bags."""
+
+import argparse
+from contextlib import AbstractContextManager
+from typing import Any
+
+from trackslip_tools.workers import Map, cores, workers
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare both."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--workers", metavar="N", type=_count, help="processes at a time (default: one per core)"
+    )
+    group.add_argument(
+        "--scheduler",
+        metavar="tcp://HOST:PORT",
+        help="the workers of this Dask scheduler instead, which is trusted with code",
+    )
+
+
+def chosen(
+    args: argparse.Namespace, shared: Any = None, most: int | None = None
+) -> AbstractContextManager[Map]:
+    """The workers that were asked for; ``most``: how many have something to do."""
+    count = args.workers or cores()
+    return workers(count if most is None else min(count, most), args.scheduler, shared)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is refused; accepted: a whole number >= 1")
+    return int(text)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many bags: which they are, what became of each, and one table of all."""

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What became of one bag of many, as a worker hands it back: numbers and words, no arrays."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.errors import ExitCode, InputError, collected
+from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.replay.output import summary
+from trackslip_tools.replay.run import Part, Replay, Watch
+
+_TIMING = "real_time_factor"  # depends on who else was at work
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One bag."""
+
+    bag: str
+    exit_code: int
+    error: str = ""  # the line that the command would have shown for it alone
+    notes: tuple[str, ...] = ()  # what it would have shown beside its results
+    distance: float | None = None  # m, driven
+    summary: dict[str, Any] = field(default_factory=dict)  # as ``replay --json`` has it
+    page: str = ""  # HTML, of a report
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of ``--json``."""
+        head = {"bag": self.bag, "exit_code": self.exit_code, "error": self.error, "notes": [*self.notes]}
+        return {**head, "distance": self.distance, **self.summary}
+
+
+class Distance:
+    """The way that C went, over the parts of a replay that it watches."""
+
+    def __init__(self) -> None:
+        self.metres = 0.0
+        self._stamp_ns: int | None = None
+
+    def add(self, part: Part) -> None:
+        """More of it; standing and steps back in time add nothing."""
+        estimates = part.estimates
+        if not len(estimates):
+            return
+        before = estimates["stamp_ns"][0] if self._stamp_ns is None else self._stamp_ns
+        seconds = np.maximum(np.diff(estimates["stamp_ns"], prepend=before), 0) * 1e-9
+        speeds = np.hypot(estimates["twist"][:, 0], estimates["twist"][:, 1])
+        self.metres += float(np.sum((speeds * seconds)[estimates["motion"] != Motion.STANDING]))
+        self._stamp_ns = int(estimates["stamp_ns"][-1])
+
+
+def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]]) -> Entry:
+    """The entry of a bag, whatever is wrong with it; ``replayed`` gives its replay and its page."""
+    way = Distance()
+    with collected() as lines:
+        try:
+            result, page = replayed(way.add)
+        except (InputError, OSError) as error:
+            text = str(error) if isinstance(error, InputError) else f"bag '{path}': {error.strerror}"
+            return Entry(str(path), ExitCode.BAD_INPUT, text, tuple(lines))
+    found = summary(result, result.elapsed_s or 1.0)
+    del found[_TIMING]
+    code = ExitCode.FAILED if result.no_estimate else ExitCode.DONE
+    return Entry(str(path), code, result.no_estimate, tuple(lines), way.metres, found, page)
+
+
+def exit_code(entries: Iterable[Entry]) -> int:
+    """Of all: bad input where a bag could not be read, failed where one had no estimate."""
+    return max(entry.exit_code for entry in entries)

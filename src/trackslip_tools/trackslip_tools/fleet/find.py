@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which bags are meant: those that are named, and all in the folders that are named."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from trackslip_bags.metadata import METADATA
+from trackslip_bags.sources import bag_files
+from trackslip_common.errors import InputError
+
+
+def is_folder(path: Path) -> bool:
+    """Whether it is a directory that is no bag itself, so that the bags in it are meant."""
+    return path.is_dir() and not (path / METADATA).exists() and not bag_files(path)
+
+
+def find_bags(paths: Sequence[Path]) -> list[Path]:
+    """The bags, each once; those of a folder, at any depth, by name. What is not there is named all the same.
+
+    Raises:
+        InputError: there is no bag in a folder.
+    """
+    found: dict[Path, None] = {}
+    for path in paths:
+        bags = _inside(path) if is_folder(path) else [path]
+        if not bags:
+            raise InputError(f"no bag in folder '{path}'; accepted: a bag, or a folder of bags")
+        found |= dict.fromkeys(bags)
+    return list(found)
+
+
+def _inside(folder: Path) -> list[Path]:
+    bags = []
+    for name, folders, _ in os.walk(folder):
+        inner = [Path(name) / one for one in sorted(folders)]
+        bags += [path for path in inner if not is_folder(path)]
+        folders[:] = [path.name for path in inner if is_folder(path)]
+    return sorted(bags)

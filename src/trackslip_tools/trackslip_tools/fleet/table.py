@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One table of many bags, and what it leaves out of each: errors, notes, vehicles."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from trackslip_common.errors import ExitCode
+from trackslip_tools.fleet.entry import Entry
+from trackslip_tools.terminal_text import table, wrapped
+
+NOTHING = "–"
+_WAITING = "waiting"  # before the start every measurement is refused
+
+
+def _number(value: float | None, digits: int) -> str:
+    return NOTHING if value is None else f"{value:.{digits}f}"
+
+
+def _rmse(summary: Mapping[str, Any]) -> str:
+    error = summary["rmse"]["filter"] if summary else None
+    return NOTHING if error is None else f"{100.0 * error:.1f}"
+
+
+def _nees(summary: Mapping[str, Any]) -> str:
+    """Over its degrees of freedom: 1 is consistent, with a heading in the reference or without."""
+    if summary.get("nees") is not None:
+        return f"{summary['nees'] / 3.0:.2f}"
+    return NOTHING if summary.get("nees_position") is None else f"{summary['nees_position'] / 2.0:.2f}"
+
+
+def _refused(summary: Mapping[str, Any]) -> str:
+    """How many measurements were, since the start."""
+    if not summary:
+        return NOTHING
+    reasons = (found for of_source in summary["rejected"].values() for found in of_source.items())
+    return str(sum(count for reason, count in reasons if reason != _WAITING))
+
+
+def _soil(summary: Mapping[str, Any]) -> str:
+    """The likeliest class."""
+    classes = (summary.get("soil") or {}).get("classes")
+    if not classes:
+        return NOTHING
+    name = max(classes, key=classes.__getitem__)
+    return f"{name.replace('_', ' ')} {100.0 * classes[name]:.0f} %"
+
+
+_EXITS = {ExitCode.DONE: "0 done", ExitCode.FAILED: "1 failed", ExitCode.BAD_INPUT: "2 bad input"}
+COLUMNS: Mapping[str, Callable[[Entry], str]] = {
+    "s": lambda entry: _number(entry.summary.get("duration_s"), 0),
+    "m": lambda entry: _number(entry.distance, 1),
+    "RMSE cm": lambda entry: _rmse(entry.summary),
+    "NEES/dof": lambda entry: _nees(entry.summary),
+    "refused": lambda entry: _refused(entry.summary),
+    "soil": lambda entry: _soil(entry.summary),
+    "exit": lambda entry: _EXITS[ExitCode(entry.exit_code)],
+}
+_TEXTS = {"soil", "exit"}
+
+
+def names(entries: Sequence[Entry]) -> list[str]:
+    """Of the bags, without the folders that all are in."""
+    paths = [Path(entry.bag) for entry in entries]
+    common = 0
+    while all(len(path.parts) > common + 1 for path in paths) and len({p.parts[common] for p in paths}) == 1:
+        common += 1
+    return [str(Path(*path.parts[common:])) for path in paths]
+
+
+def text(entries: Sequence[Entry]) -> str:
+    """The table, and below it why bags have no numbers, and which vehicles drove."""
+    heading = ("bag", *COLUMNS)
+    rows = [(name, *(show(entry) for show in COLUMNS.values())) for name, entry in _named(entries)]
+    right = [False, *(name not in _TEXTS for name in COLUMNS)]
+    lines = [table(heading, rows, right)]
+    lines += [wrapped(f"{name}: {entry.error}") for name, entry in _named(entries) if entry.error]
+    vehicles = Counter(entry.summary["vehicle"] for entry in entries if entry.summary)
+    of_each = ", ".join(f"{name} ({count})" for name, count in sorted(vehicles.items()))
+    return "\n".join([*lines, *([wrapped(f"vehicles: {of_each}")] if vehicles else [])])
+
+
+def notes(entries: Sequence[Entry]) -> Iterator[str]:
+    """One line for each note on a bag."""
+    for name, entry in _named(entries):
+        for note in entry.notes:
+            yield f"{name}: {note}"
+
+
+def _named(entries: Sequence[Entry]) -> Iterator[tuple[str, Entry]]:
+    yield from zip(names(entries), entries, strict=True)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run comes to, in a few numbers: the head of a report."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.report.events import SURE, Event
+from trackslip_tools.report.lights import Level
+from trackslip_tools.report.limits import VerdictLimits
+from trackslip_tools.report.quantities import PERCENT, SOIL
+from trackslip_tools.report.run import Run
+from trackslip_tools.report.story import SIDES, trouble_spells, troubles_text
+from trackslip_tools.report.verdict import State, Verdict
+
+_GAP_S = 1.0  # a longer time between two estimates is nobody's
+_NONE = "–"
+
+
+class Travel(NamedTuple):
+    """How far, and for how long."""
+
+    distance: float  # m, along the path of the track-contact centre
+    seconds: dict[Motion, float]
+
+
+class Fact(NamedTuple):
+    """One of the numbers."""
+
+    name: str
+    value: str
+    note: str = ""
+    state: State = State.UNKNOWN  # where it is a matter of good or bad
+
+
+def travel_of(run: Run) -> Travel:
+    """By the estimated speeds; what happened between two estimates counts as in the first of them."""
+    if run.states is None:
+        return Travel(0.0, dict.fromkeys(Motion, 0.0))
+    states = run.states
+    dt = np.diff(states.path.stamps_ns) * 1e-9
+    dt[dt > _GAP_S] = 0.0
+    speeds = np.hypot(states.twists[:-1, 0], states.twists[:-1, 1])
+    seconds = {motion: float(dt[states.motion[:-1] == motion].sum()) for motion in Motion}
+    return Travel(float((speeds * dt)[states.moving[:-1]].sum()), seconds)
+
+
+def facts_of(
+    run: Run, limits: VerdictLimits, checks: Mapping[str, Verdict], events: Sequence[Event]
+) -> list[Fact]:
+    """All, in the order in which they are shown."""
+    travel = travel_of(run)
+    straight, turning = (travel.seconds[motion] for motion in (Motion.STRAIGHT, Motion.TURNING))
+    standing = travel.seconds[Motion.STANDING]
+    is_known = run.states is not None
+    drove = f"{straight:.0f} s straight, {turning:.0f} s turning"
+    return [
+        _verdict(checks),
+        Fact("Distance", f"{travel.distance:.1f} m" if is_known else _NONE),
+        Fact("Driving", f"{straight + turning:.0f} s" if is_known else _NONE, drove if is_known else ""),
+        Fact("Standing", f"{standing:.0f} s" if is_known else _NONE),
+        _largest_slip(run, limits),
+        _troubles(run),
+        _soil(run),
+        _events(events),
+    ]
+
+
+def _verdict(checks: Mapping[str, Verdict]) -> Fact:
+    bad = [name for name, check in checks.items() if check.state is State.ATTENTION]
+    made = sum(check.state is not State.UNKNOWN for check in checks.values())
+    value = f"{made - len(bad)} of {made} checks ok"
+    if not bad:
+        return Fact("Verdict", value, "", State.OK)
+    return Fact("Verdict", value, f"look at: {', '.join(bad)}", State.ATTENTION)
+
+
+def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
+    """Of the moments in which the slip is known well enough."""
+    name = "Largest slip"
+    if run.states is None:
+        return Fact(name, _NONE)
+    states = run.states
+    sigmas = np.sqrt(np.diagonal(states.slip_covariances, axis1=1, axis2=2)[:, :2])
+    known = states.moving[:, np.newaxis] & (sigmas <= limits.slip_stddev)
+    if not known.any():
+        return Fact(name, _NONE, f"never known to {PERCENT * limits.slip_stddev:g} %")
+    size = np.where(known, np.abs(states.slips[:, :2]), -1.0)
+    k, side = np.unravel_index(np.argmax(size), size.shape)
+    at_s = run.recording.seconds(states.path.stamps_ns[k : k + 1])[0]
+    spread = 2.0 * PERCENT * sigmas[k, side]
+    return Fact(
+        name,
+        f"{PERCENT * states.slips[k, side]:.0f} %",
+        f"{SIDES[side]} track at {at_s:.1f} s, ± {spread:.0f} %",
+    )
+
+
+def _troubles(run: Run) -> Fact:
+    name, found = "Stalled or stuck", trouble_spells(run)
+    if not found:
+        return Fact(name, _NONE, "no hydraulics in the bag")
+    told = troubles_text(found)
+    return Fact(name, "yes", told, State.ATTENTION) if told else Fact(name, "no", "", State.OK)
+
+
+def _soil(run: Run) -> Fact:
+    numbers = run.numbers.get(SOIL)
+    if numbers is None:
+        return Fact("Soil", _NONE, "neither hydraulics nor soil estimates in the bag")
+    last = numbers.rows[-1]
+    note = f"K {100.0 * last['shear_modulus']:.1f} cm, F_max {1e-3 * last['max_tractive_effort']:.1f} kN"
+    chances = {name: p[-1] for name, p in numbers.classes.items() if np.isfinite(p[-1])}
+    if not chances:
+        return Fact("Soil", "not classified", note)
+    likely = max(chances, key=lambda name: chances[name])
+    found = f"{likely.replace('_', ' ')}, {PERCENT * chances[likely]:.0f} %"
+    if chances[likely] < SURE:
+        return Fact("Soil", "not told apart", f"likeliest: {found}; {note}")
+    return Fact("Soil", found, note)
+
+
+def _events(events: Sequence[Event]) -> Fact:
+    bad = sum(event.level is not Level.OK for event in events)
+    return Fact("Events", str(len(events)), f"{bad} of them warnings or errors" if bad else "")

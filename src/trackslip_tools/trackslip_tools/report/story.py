@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happened in a run: motion, tracks in trouble, lost fixes, refusals of the gate, soils, lights."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.errors import printable
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.soil.stall import Trouble
+from trackslip_tools.replay.inputs import SPROCKETS
+from trackslip_tools.report.events import Event, Events
+from trackslip_tools.report.lights import Level
+from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
+from trackslip_tools.report.quantities import SOIL
+from trackslip_tools.report.recording import Timing
+from trackslip_tools.report.run import Run, recordings
+from trackslip_tools.report.spells import Bar, Look, Spell, Strip, bars, lasting, spells
+
+FloatArray = NDArray[np.float64]
+
+SIDES = ("left", "right")
+WORDS = {Trouble.STALLED: "stalled", Trouble.STUCK: "getting stuck"}
+_THERE, _MISSING = Look(BLUE, "messages"), Look(ORANGE, "missing")
+_CALM_S = 5.0  # without a refusal, after which the gate has calmed down
+_LIGHTS = {
+    int(Level.OK): Look(GREEN, "ok"),
+    int(Level.WARN): Look(AMBER, "warning"),
+    int(Level.ERROR): Look(ORANGE, "error"),
+    int(Level.STALE): Look(PURPLE, "no data"),
+    int(Level.SILENT): Look(GREY, "silent"),
+}
+_MOTIONS = {
+    int(Motion.UNKNOWN): Look(GRID, "unknown"),
+    int(Motion.STANDING): Look(GREY, "standing"),
+    int(Motion.STRAIGHT): Look(SKY, "straight"),
+    int(Motion.TURNING): Look(BLUE, "turning"),
+}
+_TROUBLES = {
+    int(Trouble.STALLED): Look(ORANGE, WORDS[Trouble.STALLED]),
+    int(Trouble.STUCK): Look(AMBER, WORDS[Trouble.STUCK]),
+}
+
+
+def motion_spells(run: Run) -> list[Spell]:
+    """Standing, straight, turning: states of ``Motion``."""
+    if run.states is None:
+        return []
+    return spells(run.recording.seconds(run.states.path.stamps_ns), run.states.motion)
+
+
+def trouble_spells(run: Run) -> dict[str, list[Spell]]:
+    """Side → stretches in which its track was in trouble: states of ``Trouble``."""
+    soil = run.replay.soil
+    if soil is None:
+        return {}
+    times = run.recording.seconds(soil.forces["stamp_ns"])
+    return {
+        side: [spell for spell in spells(times, soil.forces["trouble"][:, k]) if spell.state != Trouble.NONE]
+        for k, side in enumerate(SIDES)
+    }
+
+
+def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
+    """Which track was in which trouble for how long; empty where none was."""
+    told = [
+        f"{WORDS[trouble]}: {side} track {seconds:.1f} s"
+        for trouble in (Trouble.STALLED, Trouble.STUCK)
+        for side, own in found.items()
+        if (seconds := lasting(own, trouble)) > 0.0
+    ]
+    return "; ".join(told)
+
+
+def timeouts_of(run: Run) -> dict[str, float]:
+    """Source of the slip estimator → s for which it may be silent."""
+    known = {name: timeout_ns * 1e-9 for name, timeout_ns in run.parameters.timeouts_ns().items()}
+    return known | {SPROCKETS: run.parameters.sprocket_timeout}
+
+
+def strips(runs: Sequence[Run]) -> list[Strip]:
+    """How each run moved with its tracks' troubles, and the lights of each bag that has them."""
+    found = []
+    for run in runs:
+        of = "" if len(runs) == 1 else f", {run.label}"
+        rows = {"motion": bars(motion_spells(run), _MOTIONS)}
+        for side, own in trouble_spells(run).items():
+            rows[f"{side} track"] = bars(own, _TROUBLES)
+        if any(rows.values()):
+            found.append(Strip(f"Motion, and tracks in trouble{of}", rows))
+    for run in recordings(runs):
+        of = "" if len(runs) == 1 else f", {run.label}"
+        rows = {name: bars(own, _LIGHTS) for name, own in run.recording.lights.items()}
+        if rows:
+            found.append(Strip(f"Lights of sensors and nodes{of}", rows))
+    return found
+
+
+def message_strips(runs: Sequence[Run]) -> list[Strip]:
+    """Of each bag, where messages of its topics are and where they are missing."""
+    found = []
+    for run in recordings(runs):
+        of = "" if len(runs) == 1 else f", {run.label}"
+        timings = {name: timing for name, timing in run.recording.timings.items() if len(timing.times)}
+        found.append(
+            Strip(f"Messages{of}", {name: _message_bars(timing) for name, timing in timings.items()})
+        )
+    return found
+
+
+def _message_bars(timing: Timing) -> list[Bar]:
+    gaps = timing.gaps
+    edges = [float(timing.times[0]), *(edge for gap in gaps for edge in gap), float(timing.times[-1])]
+    there = [Bar(Spell(a, b, 0), _THERE) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return there + [Bar(Spell(gap.start, gap.stop, 0), _MISSING) for gap in gaps]
+
+
+def events_of(run: Run) -> list[Event]:
+    """All, in the order of their times (ms); ``number`` is meaningless."""
+    replayed = (*_troubles(run), *_fixes(run), *_silences(run), *_refusals(run), *_soils(run))
+    found = [*replayed, *run.recording.events]
+    return sorted(found, key=lambda event: event.time_ms)
+
+
+def _event(at_s: float, level: Level, text: str) -> Event:
+    return Event(0, 1e3 * at_s, level, printable(text))
+
+
+def _troubles(run: Run) -> Iterator[Event]:
+    for side, own in trouble_spells(run).items():
+        for spell in own:
+            text = f"{side} track {WORDS[Trouble(spell.state)]} for {spell.stop - spell.start:.1f} s"
+            yield _event(spell.start, Level.WARN, text)
+
+
+def _fixes(run: Run) -> Iterator[Event]:
+    """Sources of poses from which nothing was accepted for longer than their timeouts."""
+    fixes, allowed = run.details.fixes, timeouts_of(run)
+    for number, source in enumerate(run.details.sources):
+        own = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
+        times = np.sort(run.recording.seconds(fixes["stamp_ns"][own]))
+        limit = allowed.get(source)
+        if limit is None or not len(times):
+            continue
+        end = max(run.recording.stop_s, times[-1])
+        for start, stop in zip(times, np.append(times[1:], end), strict=True):
+            if stop - start > limit:
+                yield _event(
+                    start, Level.WARN, f"fix lost: nothing accepted of {source} for {stop - start:.1f} s"
+                )
+
+
+def _silences(run: Run) -> Iterator[Event]:
+    """Other sources, silent for longer than their timeouts."""
+    fixes = {run.details.sources[number] for number in np.unique(run.details.fixes["source"])}
+    for source, limit in timeouts_of(run).items():
+        timing = run.recording.timings.get(source)
+        for gap in timing.gaps if timing is not None and source not in fixes else ():
+            if gap.stop - gap.start > limit:
+                yield _event(gap.start, Level.WARN, f"{source} silent for {gap.stop - gap.start:.1f} s")
+
+
+def _refusals(run: Run) -> Iterator[Event]:
+    """What the gate refused, together where it comes together."""
+    reports = run.details.reports
+    gated = reports[reports["outcome"] == Outcome.GATED]
+    for number, source in enumerate(run.details.sources):
+        times = np.sort(run.recording.seconds(gated["stamp_ns"][gated["source"] == number]))
+        for group in np.split(times, np.flatnonzero(np.diff(times) > _CALM_S) + 1):
+            if len(group):
+                text = f"gate refuses {len(group)} of {source} within {np.ptp(group):.1f} s"
+                yield _event(float(group[0]), Level.WARN, text)
+
+
+def _soils(run: Run) -> list[Event]:
+    """Soils that were found."""
+    numbers = run.numbers.get(SOIL)
+    if numbers is None:
+        return []
+    events = Events()
+    for k, at_s in enumerate(numbers.times.tolist()):
+        classes = {name: float(p[k]) for name, p in numbers.classes.items() if np.isfinite(p[k])}
+        events.see_soil(classes, at_s, 1e3 * at_s)
+    return list(events.kept)

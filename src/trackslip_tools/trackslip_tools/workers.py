@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who does many pieces of work: this process, others of this machine, or the workers of a Dask scheduler.
+
+A piece is a function of what all pieces share and of an item of its own. The function is a module's own, so
+that another process can import it; shared data goes to each process once. The results come in the order of
+the items, so they are the same whoever did them, and however many.
+"""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from signal import SIG_BLOCK, SIG_SETMASK, SIGINT, pthread_sigmask
+from typing import Any, Protocol, TypeVar
+
+from trackslip_common.errors import InputError
+from trackslip_tools.warm_up import compile_kernels
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_ANSWERS = 10.0  # s in which a scheduler answers
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+
+_shared: Any = None  # in a process of a pool: what its pieces share
+
+
+class Map(Protocol):
+    """``map`` over some workers."""
+
+    def __call__(self, function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """``function(shared, item)`` of each item, in their order; what one raises is raised in its turn."""
+
+
+def cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+@contextmanager
+def workers(count: int, scheduler: str | None = None, shared: Any = None) -> Iterator[Map]:
+    """``count`` processes of this machine, one being this process itself; or those of a Dask scheduler.
+
+    Raises:
+        InputError: no scheduler answers there, it has no workers, or one of them ended.
+    """
+    if scheduler is not None:
+        with _cluster(scheduler, shared) as mapped:
+            yield mapped
+    elif count > 1:
+        with _processes(count, shared) as mapped:
+            yield mapped
+    else:
+        yield lambda function, items: (function(shared, item) for item in items)
+
+
+@contextmanager
+def _processes(count: int, shared: Any) -> Iterator[Map]:
+    """Each has one thread; kernels are compiled here, once, before they start."""
+    compile_kernels()
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(
+        count, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(shared,)
+    )
+
+    def mapped(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        try:
+            with _for_processes():
+                futures = [pool.submit(_run, function, item) for item in items]
+            yield from _results(futures)
+        except BrokenProcessPool as error:
+            raise InputError(
+                f"--workers {count}: a process was ended (out of memory?); accepted: fewer"
+            ) from error
+
+    try:
+        yield mapped
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        pool.shutdown(cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _begin(shared: Any) -> None:
+    """In a new process."""
+    global _shared  # a pool passes nothing else to its processes
+    _shared = shared
+
+
+def _run(function: Callable[[Any, Item], Result], item: Item) -> Result:
+    return function(_shared, item)
+
+
+def _results(futures: list["Future[Result]"]) -> Iterator[Result]:
+    """Each is let go of as soon as it is taken."""
+    futures.reverse()
+    while futures:
+        yield futures.pop().result()
+
+
+@contextmanager
+def _for_processes() -> Iterator[None]:
+    """What is started meanwhile has one thread, and is deaf to Ctrl-C: this process ends it."""
+    resource_tracker.ensure_running()  # it would let signals through again
+    mask = pthread_sigmask(SIG_BLOCK, {SIGINT})
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        pthread_sigmask(SIG_SETMASK, mask)
+
+
+@contextmanager
+def _cluster(address: str, shared: Any) -> Iterator[Map]:
+    """The workers of a scheduler have our packages installed; whoever reaches one runs code on the others."""
+    from distributed import Client, KilledWorker  # takes a second: only where it is asked for
+
+    try:
+        client = Client(address, timeout=_ANSWERS, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"--scheduler {address}: no Dask scheduler answers; accepted: tcp://host:port"
+        ) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_ANSWERS)
+            sent = client.scatter([shared], broadcast=True)[0]
+        except TimeoutError as error:
+            raise InputError(f"--scheduler {address}: it has no workers; accepted: one at least") from error
+
+        def mapped(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+            futures = [client.submit(function, sent, item, pure=False) for item in items]
+            try:
+                yield from _results(futures)
+            except ModuleNotFoundError as error:
+                raise InputError(f"--scheduler {address}: its workers lack {error.name}") from error
+            except KilledWorker as error:
+                raise InputError(f"--scheduler {address}: its workers ended (out of memory?)") from error
+
+        yield mapped

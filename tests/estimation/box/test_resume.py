@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A localizer that is killed during a drive and started again goes on where it was."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from fixtures.box_drives import CEILING
+from fixtures.box_site import BOX, PARAMETERS, SITE, assert_near, drive, standing, turning
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.errors import InputError
+from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
+from trackslip_estimation.box.track_file import TrackFile, parse_track, track_text
+from trackslip_sim.machine.scan_model import SiteScanner
+
+SCANS = 60  # of turning: by then the heading is 1.9 rad off the initial one
+AWAY = 10  # scans that come while no localizer runs
+NEAR = dataclasses.replace(PARAMETERS, initial_reach=1.0)
+
+
+@pytest.fixture
+def drove():
+    """A localizer and a scanner after a turn."""
+    scanner, localizer = SiteScanner(SITE, BOX, seed=1), BoxLocalizer(NEAR, BOX)
+    drive(localizer, scanner, turning, SCANS)
+    return localizer, scanner
+
+
+def fixes_of(localizer, scanner, first, scans=20):
+    outcomes = drive(localizer, scanner, turning, scans, first=first)
+    return [fix for fix in outcomes if isinstance(fix, BoxFix)]
+
+
+def test_a_localizer_killed_far_from_its_start_finds_the_box_again(drove, tmp_path):
+    before, scanner = drove
+    TrackFile(str(tmp_path / "kept.json")).write(before.track)
+    after = BoxLocalizer(NEAR, BOX, TrackFile(str(tmp_path / "kept.json")).read())
+    found = fixes_of(after, scanner, SCANS + AWAY)
+    assert after.resumed
+    assert len(found) >= 18
+    assert_near(found[-1], turning)
+    wrong = [
+        f
+        for f in found
+        if abs(f.yaw - turning(f.stamp_ns * 1e-9)[2]) > 0.5 and f.covariance[2, 2] < CEILING**2
+    ]
+    assert wrong == []
+    assert fixes_of(BoxLocalizer(NEAR, BOX), scanner, SCANS + AWAY) == []
+
+
+def test_a_track_of_long_ago_or_of_the_future_is_not_used(drove):
+    before, _ = drove
+    pose_at = standing(0.0, 0.0, 0.0)
+    late = round(NEAR.resume_time / 0.21) + SCANS + 10
+    for first in (0, late):
+        fresh, resumed = BoxLocalizer(NEAR, BOX), BoxLocalizer(NEAR, BOX, before.track)
+        there = drive(resumed, SiteScanner(SITE, BOX, seed=2), pose_at, 5, first=first)
+        assert not resumed.resumed
+        assert [fix.yaw for fix in there] == [
+            fix.yaw for fix in drive(fresh, SiteScanner(SITE, BOX, seed=2), pose_at, 5, first=first)
+        ]
+
+
+def test_what_is_kept_is_the_track(drove):
+    track = drove[0].track
+    again = parse_track(track_text(track))
+    assert again.stamp_ns == track.stamp_ns
+    np.testing.assert_array_equal(again.mean, track.mean)
+    np.testing.assert_array_equal(again.covariance, track.covariance)
+    np.testing.assert_array_equal(again.headings.weights, track.headings.weights)
+    assert again.headings.evidence == track.headings.evidence
+
+
+@given(
+    st.text(max_size=200)
+    | st.recursive(st.none() | st.floats() | st.text(), st.lists, max_leaves=5).map(json.dumps)
+)
+def test_any_other_text_is_refused(text):
+    with pytest.raises(InputError):
+        parse_track(text)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("version", 2),
+        ("stamp_ns", -1),
+        ("stamp_ns", 2**63),
+        ("mean", [[0.0, float("nan")]] * 3),
+        ("mean", [0.0]),
+        ("covariance", [[[-1.0, 0.0], [0.0, 1.0]]] * 3),
+        ("covariance", [[[1.0, 0.5], [0.0, 1.0]]] * 3),
+        ("weights", [0.5, 0.5, 0.5, 0.5]),
+        ("evidence", [0.0, 0.0, -1, 0.0, 0.0]),
+        ("evidence", [0.0, 0.0, float("inf"), 0.0, 0.0]),
+    ],
+)
+def test_a_changed_value_is_refused(drove, tmp_path, key, value):
+    tree = json.loads(track_text(drove[0].track))
+    path = tmp_path / "kept.json"
+    path.write_text(json.dumps({**tree, key: value}), encoding="utf-8")
+    file = TrackFile(str(path))
+    assert file.read() is None
+    assert str(path) in file.failure
+
+
+def test_a_place_that_cannot_be_written_is_reported_and_ends_nothing(drove, tmp_path):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    file = TrackFile(str(tmp_path / "file" / "kept.json"))
+    file.write(drove[0].track)
+    assert file.failures == 1
+    assert "is not written" in file.failure
+    assert TrackFile("").read() is None

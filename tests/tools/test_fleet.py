@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many bags at once: which are meant, one table, the same numbers whoever works, broken ones beside."""
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trackslip_common.errors import ExitCode, InputError, collected, show
+from trackslip_tools.cli.main import main
+from trackslip_tools.fleet.entry import Entry
+from trackslip_tools.fleet.find import find_bags, is_folder
+from trackslip_tools.fleet.table import names, text
+from trackslip_tools.terminal_text import WIDTH
+from trackslip_tools.workers import workers
+
+ROOT = Path(__file__).parents[2]
+BAGS = ROOT / "bags"
+SHORT = ("--stop", "8")
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Path:
+    """Two good bags, one of them in a folder of its own, and a broken one between them."""
+    folder = tmp_path / "fleet"
+    (folder / "c").mkdir(parents=True)
+    (folder / "a").symlink_to(BAGS / "slalom_sand")
+    (folder / "c" / "d").symlink_to(BAGS / "power_cut")
+    (folder / "b").mkdir()
+    (folder / "b" / "b_0.mcap").write_bytes(b"no bag")
+    return folder
+
+
+def test_a_folder_stands_for_the_bags_in_it(fleet: Path) -> None:
+    assert is_folder(fleet)
+    assert not is_folder(fleet / "b")
+    assert not is_folder(fleet / "nothing")
+    found = find_bags([fleet / "c" / "d", fleet, fleet / "nothing"])
+    assert [str(path.relative_to(fleet)) for path in found] == ["c/d", "a", "b", "nothing"]
+
+
+def test_a_folder_without_bags_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no bag in folder"):
+        find_bags([tmp_path])
+
+
+def test_any_workers_give_the_same_numbers_and_a_broken_bag_is_one_line(
+    fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {count: tmp_path / f"{count}.json" for count in ("1", "2")}
+    for count, file in files.items():
+        options = ("--workers", count, "--json", str(file), *SHORT)
+        assert main(["replay", str(fleet), *options]) == ExitCode.BAD_INPUT
+    assert files["1"].read_text() == files["2"].read_text()
+    entries: list[dict[str, Any]] = json.loads(files["2"].read_text())
+    assert [Path(entry["bag"]).name for entry in entries] == ["a", "b", "d"]
+    assert [entry["exit_code"] for entry in entries] == [ExitCode.DONE, ExitCode.BAD_INPUT, ExitCode.DONE]
+    assert "cannot be read" in entries[1]["error"]
+    assert entries[2]["notes"] == ["note: power_cut_0.mcap: cut short"]
+    assert entries[0]["rmse"]["filter"] < 0.02
+    printed = capsys.readouterr()
+    assert "vehicles: pc05 (2)" in printed.out
+    assert max(map(len, printed.out.splitlines())) <= WIDTH
+
+
+def test_a_bag_alone_and_among_others_gives_the_same(
+    summary: Callable[..., dict[str, Any]], tmp_path: Path
+) -> None:
+    bag, file = str(BAGS / "slalom_sand"), tmp_path / "many.json"
+    alone = summary(bag, *SHORT)
+    assert main(["replay", bag, bag, "--workers", "1", "--json", str(file), *SHORT]) == ExitCode.DONE
+    (entry,) = json.loads(file.read_text())  # each bag once
+    assert entry["distance"] == pytest.approx(0.36, abs=0.05)
+    assert {name: entry[name] for name in alone if name != "real_time_factor"} == {
+        name: value for name, value in alone.items() if name != "real_time_factor"
+    }
+
+
+@pytest.mark.parametrize("option", [("--output", "OUT"), ("--publish",)])
+def test_what_belongs_to_one_bag_is_refused_of_many(
+    option: tuple[str, ...], fleet: Path, refuse: Callable[..., str]
+) -> None:
+    assert "not with several bags" in refuse("replay", fleet, *option)
+
+
+def test_workers_and_scheduler_exclude_each_other(fleet: Path, refuse: Callable[..., str]) -> None:
+    words = refuse("replay", fleet, "--workers", "2", "--scheduler", "tcp://127.0.0.1:1")
+    assert "not allowed with" in words
+    assert "--workers: '0' is refused" in refuse("replay", fleet, "--workers", "0")
+
+
+def test_a_report_of_a_folder_has_a_page_of_each_bag(fleet: Path, tmp_path: Path) -> None:
+    out = tmp_path / "pages"
+    (fleet / "c" / "d").unlink()
+    options = ("--output", str(out), "--workers", "1", "--stop", "4")
+    assert main(["report", str(fleet), *options]) == ExitCode.BAD_INPUT
+    assert sorted(path.name for path in out.iterdir()) == ["1.html", "index.html"]
+    index = (out / "index.html").read_text(encoding="utf-8")
+    assert '<a href="1.html">a</a>' in index
+    assert "cannot be read" in index
+
+
+def test_hostile_names_and_errors_run_nothing_in_the_index(tmp_path: Path) -> None:
+    from trackslip_tools.fleet.pages import write_pages
+
+    hostile = "<script>alert(1)</script>"
+    write_pages([Entry(f"bags/{hostile}", ExitCode.BAD_INPUT, hostile), Entry("bags/b", 0)], tmp_path)
+    assert "<script" not in (tmp_path / "index.html").read_text(encoding="utf-8")
+
+
+def test_the_table_says_what_is_missing_and_fits() -> None:
+    entries = [
+        Entry("/data/monday/morning/one", ExitCode.BAD_INPUT, "bag cannot be read"),
+        Entry("/data/monday/two", ExitCode.FAILED, "no fix came", summary=SUMMARY, distance=12.34),
+    ]
+    assert names(entries) == ["morning/one", "two"]
+    shown = text(entries)
+    assert "morning/one: bag cannot be read" in shown
+    assert "two: no fix came" in shown
+    assert "12.3" in shown
+    assert "sandy loam 70 %" in shown
+    assert max(map(len, shown.splitlines())) <= WIDTH
+
+
+SUMMARY = {
+    "duration_s": 60.0,
+    "vehicle": "pc05",
+    "rmse": {"filter": None},
+    "nees": None,
+    "nees_position": 2.5,
+    "rejected": {"box_pose": {"gated": 3}, "sprockets": {"waiting": 9}},
+    "soil": {"classes": {"sand": 0.3, "sandy_loam": 0.7}},
+}
+
+
+def test_what_would_be_shown_is_collected(capsys: pytest.CaptureFixture[str]) -> None:
+    with collected() as lines:
+        show("a result")
+        show("a note", file=sys.stderr)
+    assert lines == ["a note"]
+    show("after it")
+    assert capsys.readouterr().out == "after it\n"
+
+
+# the workers themselves; their pieces are functions of a module, so that other processes find them
+
+
+def square(shared: int, item: int) -> tuple[int, str]:
+    return shared + item * item, os.environ.get("OMP_NUM_THREADS", "")
+
+
+def end(shared: None, item: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def wait(shared: None, item: int) -> None:
+    time.sleep(30.0)
+
+
+def refused(shared: None, item: int) -> int:
+    if item == 2:
+        raise InputError("item 2 is refused")
+    return item
+
+
+def test_processes_give_results_in_order_with_one_thread_each() -> None:
+    with workers(2, shared=100) as mapped:
+        assert list(mapped(square, range(5))) == [(100 + k * k, "1") for k in range(5)]
+        with pytest.raises(InputError, match="item 2 is refused"):
+            list(mapped(refused, range(5)))
+
+
+def test_a_process_that_is_ended_is_one_line() -> None:
+    with pytest.raises(InputError, match="a process was ended"), workers(2) as mapped:
+        list(mapped(end, range(2)))
+
+
+def test_an_interruption_ends_the_processes() -> None:
+    previous = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), workers(2) as mapped:  # noqa: PT012
+            signal.setitimer(signal.ITIMER_REAL, 2.0)
+            next(mapped(wait, range(2)))
+    finally:
+        signal.signal(signal.SIGALRM, previous)
+    for process in multiprocessing.active_children():
+        process.join()
+        assert process.exitcode == -signal.SIGTERM
+
+
+def test_ctrl_c_of_a_terminal_leaves_no_process_and_no_traceback(fleet: Path) -> None:
+    """It reaches all processes of the group."""
+    command = [sys.executable, "-m", "trackslip_tools.cli.main", "replay", str(fleet), "--workers", "2"]
+    process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while len(children.read_text().split()) < 2:  # the first worker, and what tracks its resources
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    _, error = process.communicate(timeout=30.0)
+    assert "Traceback" not in error
+    assert process.returncode == ExitCode.INTERRUPTED

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip report``: its headline, events, lights, and how runs over several bags are aligned."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fixtures.live_messages import diagnostics
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.topics import TOPICS
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.cli.report_command import distinct
+from trackslip_tools.report.details import Details
+from trackslip_tools.report.events import Event
+from trackslip_tools.report.headline import Fact, facts_of, travel_of
+from trackslip_tools.report.light_log import LightLog
+from trackslip_tools.report.lights import SILENT_S, Level
+from trackslip_tools.report.limits import load_limits
+from trackslip_tools.report.motion_panels import motion_panels
+from trackslip_tools.report.plots import plot_text
+from trackslip_tools.report.recording import Timing, read_recording
+from trackslip_tools.report.run import Run, aligned
+from trackslip_tools.report.spells import Spell, lasting, spells
+from trackslip_tools.report.story import events_of, message_strips, strips, timeouts_of
+from trackslip_tools.report.verdict import State, verdicts
+
+SECOND_NS = 1_000_000_000
+
+
+def facts(run: Run) -> dict[str, Fact]:
+    limits = load_limits()
+    return {fact.name: fact for fact in facts_of(run, limits, verdicts(run, limits), events_of(run))}
+
+
+# Headline
+
+
+def test_the_headline_agrees_with_the_truth_of_the_drive(emulated_run: Run) -> None:
+    truth = emulated_run.replay.paths["reference"].poses[:, :2]
+    driven = np.linalg.norm(np.diff(truth, axis=0), axis=1).sum()
+    travel = travel_of(emulated_run)
+    assert travel.distance == pytest.approx(driven, rel=0.02)
+    assert emulated_run.states is not None
+    known_s = np.ptp(emulated_run.states.path.stamps_ns) * 1e-9
+    assert sum(travel.seconds.values()) == pytest.approx(known_s)
+    assert travel.seconds[Motion.TURNING] == pytest.approx(18.0, abs=2.0)  # three legs of 6 s
+    found = facts(emulated_run)
+    assert found["Distance"].value == f"{travel.distance:.1f} m"
+    assert found["Verdict"].state in (State.OK, State.ATTENTION)
+    assert found["Stalled or stuck"].note == "no hydraulics in the bag"
+
+
+def test_the_largest_slip_is_one_that_is_known(emulated_run: Run) -> None:
+    assert emulated_run.states is not None
+    states = emulated_run.states
+    k = len(states.slips) // 2
+    wild = states.slips.copy()
+    wild[k, 0] = -3.0
+    unsure = states.slip_covariances.copy()
+    unsure[k, 0, 0] = 1.0
+    changed = dataclasses.replace(emulated_run)
+    changed.__dict__["states"] = dataclasses.replace(states, slips=wild, slip_covariances=unsure)
+    assert facts(changed)["Largest slip"].value == facts(emulated_run)["Largest slip"].value
+    changed.__dict__["states"] = dataclasses.replace(states, slips=wild)
+    assert facts(changed)["Largest slip"].value == "-300 %"
+
+
+def test_a_run_without_an_estimate_has_a_headline_all_the_same(emulated_run: Run) -> None:
+    found = facts(dataclasses.replace(emulated_run, details=Details()))
+    assert found["Distance"].value == "–"
+    assert found["Verdict"].state is State.ATTENTION
+
+
+# Events
+
+
+def test_stalled_and_stuck_tracks_are_named_in_headline_events_and_strip(stalled_run: Run) -> None:
+    found = facts(stalled_run)["Stalled or stuck"]
+    assert found.state is State.ATTENTION
+    assert found.note == "stalled: left track 10.0 s; getting stuck: right track 5.0 s"
+    told = [(round(1e-3 * event.time_ms), event.text) for event in events_of(stalled_run)]
+    assert (10, "left track stalled for 10.0 s") in told
+    assert (30, "right track getting stuck for 5.0 s") in told
+    (strip,) = strips([stalled_run])
+    (left,), (right,) = strip.rows["left track"], strip.rows["right track"]
+    assert (left.look.word, right.look.word) == ("stalled", "getting stuck")
+    assert (left.spell.start, left.spell.stop) == pytest.approx((10.0, 20.0))
+
+
+def test_lost_fixes_and_refusals_of_the_gate_are_events(emulated_run: Run) -> None:
+    assert events_of(emulated_run) == []
+    details, at_s = Details(), emulated_run.recording.seconds(emulated_run.details.fixes["stamp_ns"])
+    details.sources = emulated_run.details.sources
+    fixes, reports = emulated_run.details.fixes.copy(), emulated_run.details.reports.copy()
+    lost = (at_s > 20.0) & (at_s < 26.0)
+    fixes["outcome"][lost] = Outcome.GATED
+    details._fixes.add(fixes)
+    reports_s = emulated_run.recording.seconds(reports["stamp_ns"])
+    of_fixes = reports["source"] == fixes["source"][0]
+    reports["outcome"][of_fixes & (reports_s > 20.0) & (reports_s < 26.0)] = Outcome.GATED
+    details._reports.add(reports)
+    told = [event.text for event in events_of(dataclasses.replace(emulated_run, details=details))]
+    assert len(told) == 2
+    assert any(text.startswith("fix lost: nothing accepted of box_pose for 6.") for text in told)
+    assert any(text.startswith(f"gate refuses {lost.sum()} of box_pose within") for text in told)
+
+
+def test_a_silent_gyro_is_an_event(emulated_run: Run) -> None:
+    times = emulated_run.recording.timings["imu/data_raw"].times
+    limit = timeouts_of(emulated_run)["imu/data_raw"]
+    silent = Timing(times[(times < 10.0) | (times > 11.0 + limit)])
+    timings = {**emulated_run.recording.timings, "imu/data_raw": silent}
+    recording = dataclasses.replace(emulated_run.recording, timings=timings)
+    (event,) = events_of(dataclasses.replace(emulated_run, recording=recording))
+    assert event.text == f"imu/data_raw silent for {limit + 1.1:.1f} s"
+
+
+# Lights
+
+
+def test_spells_follow_each_other_and_last_to_the_end() -> None:
+    found = spells(np.array((0.0, 1.0, 2.0, 5.0)), np.array((1, 1, 2, 1)))
+    assert found == [Spell(0.0, 2.0, 1), Spell(2.0, 5.0, 2), Spell(5.0, 5.0, 1)]
+    assert lasting(found, 1) == 2.0
+    assert spells(np.empty(0), np.empty(0)) == []
+
+
+def test_recorded_lights_show_when_a_node_failed_fell_silent_and_came_back() -> None:
+    log = LightLog()
+    for second in range(40):
+        log.add(diagnostics("can_driver"), second + 0.5)
+        if not 20 <= second < 30:
+            level, text = (2, "not connected") if second < 10 else (0, f"{second} frames")
+            log.add(diagnostics("sick_pls", level, text), float(second) + 0.6)
+    found = log.spells(40.0)
+    levels = [(spell.state, round(spell.start, 1)) for spell in found["sick_pls"]]
+    assert [level for level, _ in levels] == [Level.ERROR, Level.OK, Level.SILENT, Level.OK]
+    assert levels[2][1] == pytest.approx(19.6 + SILENT_S, abs=1.0)
+    assert [spell.state for spell in found["can_driver"]] == [Level.OK]
+    assert found["can_driver"][0].stop == 40.0
+    assert log.events[0].text == "sick_pls: not connected"
+
+
+def test_after_the_last_message_of_all_every_light_is_silent() -> None:
+    log = LightLog()
+    log.add(diagnostics("can_driver"), 1.0)
+    assert [spell.state for spell in log.spells(9.0)["can_driver"]] == [Level.OK, Level.SILENT]
+
+
+def test_a_bag_with_diagnostics_shows_its_lights(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for second in range(5):
+            log_ns = SECOND_NS * (100 + second)
+            message = serialize(diagnostics("digger1/sick_pls", 1, "<b>cold</b>"))
+            bag.write("/diagnostics", TOPICS["diagnostics"].type_name, message, log_ns)
+            text = serialize(make("std_msgs/msg/String", data="no lights"))
+            bag.write("/elsewhere/diagnostics", "std_msgs/msg/String", text, log_ns)
+    with open_bag(tmp_path / "bag") as found:
+        recording = read_recording(found, InputFilters(), "digger1")
+    (spell,) = recording.lights["sick_pls"]
+    assert (spell.state, spell.text) == (Level.WARN, "<b>cold</b>")
+    assert recording.events == [Event(1, 0.0, Level.WARN, "sick_pls: <b>cold</b>")]
+
+
+def test_where_messages_are_missing_the_strip_says_so(emulated_run: Run) -> None:
+    (strip,) = message_strips([emulated_run])
+    assert list(strip.rows) == list(emulated_run.recording.timings)
+    assert {bar.look.word for bar in strip.rows["sprockets"]} == {"messages"}
+
+
+# Several bags
+
+
+def test_runs_over_two_bags_are_aligned_at_the_start_of_driving(emulated_run: Run) -> None:
+    lit = dataclasses.replace(emulated_run.recording, lights={"a": [Spell(4.0, 6.0, 0)]})
+    later = dataclasses.replace(lit, path="later", start_ns=lit.start_ns - 5 * SECOND_NS)
+    later = dataclasses.replace(later, zero_ns=later.start_ns)
+    first, second = aligned([emulated_run, dataclasses.replace(emulated_run, recording=later)])
+    for run in (first, second):
+        speed = next(panel for panel in motion_panels([run]) if panel.title == "Speed")
+        moving = speed.curves[1].times[speed.curves[1].values > 0.1]
+        assert 0.0 <= moving[0] < 1.0
+    assert first.recording.zero_ns == second.recording.zero_ns
+    assert second.recording.lights["a"][0].start == pytest.approx(
+        4.0 - (first.recording.zero_ns - later.start_ns) * 1e-9
+    )
+    assert second.recording.start_ns == later.start_ns
+
+
+def test_runs_over_one_bag_keep_its_times(emulated_run: Run) -> None:
+    assert aligned([emulated_run, emulated_run]) == [emulated_run, emulated_run]
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (("out/monday/bag", "out/tuesday/bag"), ("monday/bag", "tuesday/bag")),
+        (("bags/a", "bags/b"), ("a", "b")),
+        (("out/demo/bag",), ("out/demo/bag",)),
+        (("a/b", "a/b"), ("a/b", "a/b")),
+        (("b", "a/b"), ("b", "a/b")),
+    ],
+)
+def test_a_bag_is_named_by_what_tells_it_from_the_others(
+    paths: tuple[str, ...], names: tuple[str, ...]
+) -> None:
+    found = distinct([Path(path) for path in paths])
+    assert tuple(found[Path(path)] for path in paths) == names
+
+
+# Texts
+
+
+@pytest.mark.parametrize("text", ["$$x$$", "\\(x\\)", "\\[x\\]"])
+def test_nothing_in_a_plot_is_taken_for_mathematics(text: str) -> None:
+    shown = plot_text(text)
+    assert not any(opening in shown for opening in ("$$", "\\(", "\\["))
+    assert shown.replace("\u200b", "") == text
+
+
+def test_a_long_name_is_cut_in_its_middle() -> None:
+    assert plot_text("a" * 30 + "b" * 30, 21) == "a" * 10 + "…" + "b" * 10
