@@ -248,7 +248,7 @@ def fill_swing(message: Any, estimate: Estimate, swing: Swing) -> None:
     """Angle and rate of the upper structure, and as a joint of its own their standard deviations."""
     set_stamp(message, estimate.stamp_ns)
     of_angle, of_rate = np.sqrt(np.diag(swing.covariance)).tolist()
-    message.position, message.velocity = [swing.angle, of_angle], [swing.rate, of_rate]
+    message.position, message.velocity = np.array((swing.angle, of_angle)), np.array((swing.rate, of_rate))
 
 
 def swing(make: Make, estimate: Estimate, base_frame: str) -> Any:
