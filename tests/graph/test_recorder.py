@@ -10,13 +10,16 @@ from collections import Counter
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import QuaternionStamped
 from mcap.reader import make_reader
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.highlevel import AnyReader
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
 from trackslip_bags.reader import open_bag
+from trackslip_common.nodes.qos import publisher_qos
 
 pytestmark = pytest.mark.xdist_group("graph")
 
@@ -267,3 +270,22 @@ def test_a_bag_is_split_by_time_and_read_as_one(programs, observer):
     assert is_strictly_readable(recorder.path) == list(range(sent))
     with open_bag(recorder.path) as bag:
         assert bag.damage == ""
+
+
+@pytest.mark.parametrize("kind", [Imu, QuaternionStamped])
+def test_headings_are_recorded_by_the_type_that_is_published(programs, observer, kind):
+    running = programs.node("record", output="bag")
+    observer.wait_for_ends("/heading", "record")
+    publisher = observer.node.create_publisher(kind, "heading", publisher_qos("heading"))
+    name = f"/{kind.__name__}"
+    observer.wait(lambda: publisher.get_subscription_count() > 0, f"the recorder on headings as {name}")
+    for k in range(5):
+        message = kind()
+        message.header.stamp.sec = 1 + k
+        publisher.publish(message)
+    assert publisher.wait_for_all_acked(Duration(seconds=10))
+    assert running.end()[0] == 0
+    with open_bag(programs.folder / "bag") as bag:
+        assert bag.topics["/heading"].type_name.endswith(name)
+        stamps = [bag.deserialize(m.raw, m.type_name).header.stamp.sec for m in bag.messages(["/heading"])]
+    assert stamps == [1, 2, 3, 4, 5]

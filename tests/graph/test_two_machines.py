@@ -4,13 +4,14 @@
 import json
 
 import numpy as np
+import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import JointState
 
 from trackslip_bags.reader import open_bag
 
 MACHINES = {"one": 1.0, "two": -2.0}  # rad/s of both sprockets
-BEGIN_S, STEP_MS, STEPS = 100, 20, 60
+BEGIN_S, STEP_MS = 100, 20
 NODES = ("slip_estimator", "record")
 
 
@@ -31,7 +32,8 @@ def links(name):
     return {("map", f"{name}/odom"), (f"{name}/odom", f"{name}/base_link")}
 
 
-def test_two_machines_side_by_side(programs, observer):
+@pytest.mark.parametrize("steps", [60, pytest.param(3000, marks=pytest.mark.slow)])  # 1 s, 60 s
+def test_two_machines_side_by_side(programs, observer, steps):
     healths, transforms = observer.healths(), subscribe_tf(observer)
     found, local, reports = (
         {name: observer.subscribe(f"/{name}/{topic}", topic) for name in MACHINES}
@@ -53,7 +55,7 @@ def test_two_machines_side_by_side(programs, observer):
             f"{name}/{topic}" for topic in ("odometry", "track_slip", "measurement_reports", "vehicle")
         ]
         observer.wait_for_recorder(healths, *published, recorder=f"{name}/record")
-    for step in range(STEPS):
+    for step in range(steps):
         for name, speed in MACHINES.items():
             sprockets = stamped(JointState, step * STEP_MS)
             sprockets.name = ["left_sprocket", "right_sprocket"]
@@ -68,7 +70,7 @@ def test_two_machines_side_by_side(programs, observer):
                 publishers[name][1].publish(pose)
         observer.wait(lambda step=step: all(len(of) == step + 2 for of in reports.values()), "all reports")
     for name, speed in MACHINES.items():
-        last, driven = found[name][-1], 0.35 * speed * (STEPS - 1) * STEP_MS * 1e-3
+        last, driven = found[name][-1], 0.35 * speed * (steps - 1) * STEP_MS * 1e-3
         assert abs(last.pose.pose.position.x - speed - driven) < 0.05
         assert (last.header.frame_id, last.child_frame_id) == ("map", f"{name}/base_link")
         assert (local[name][-1].header.frame_id, local[name][-1].child_frame_id) == (

@@ -12,7 +12,8 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
-from trackslip_common.config_files import config_file, node_parameters, read_yaml
+from trackslip_common.config_files import config_file, node_parameters, parameters_text, read_yaml
+from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.conversions import heading_fix
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import HEADING
@@ -96,9 +97,54 @@ def test_replay_reads_headings_as_the_node_does(fixed: Path, tmp_path: Path, kin
     np.testing.assert_array_equal(found["noise"][:, 0, 0], [m.variance for m in expected])
 
 
-def _parameters() -> SlipEstimatorParameters:
+@pytest.mark.parametrize("kind", ["imu", "quaternion"])
+def test_calibration_takes_its_headings_from_the_source_of_them(
+    fixed: Path, tmp_path: Path, kind: str
+) -> None:
+    """Fixes of one antenna have none; without them no scale of the gyro was found."""
+    path = fixed if kind == "imu" else _with_quaternions(fixed, tmp_path / "bag")
+    found = tmp_path / "found.json"
+    command = ["calibrate", str(path), "--params", str(config_file("gnss.yaml")), "--json", str(found)]
+    assert main(command) == 0
+    findings = json.loads(found.read_text(encoding="utf-8"))["findings"]
+    assert findings["gyro_scale"]["value"] == pytest.approx(1.0, abs=0.02)
+    assert abs(findings["heading_delay"]["value"]) < 0.05
+    assert "pose_delay" not in findings
+
+
+def test_a_vehicle_named_moves_the_antenna_of_a_bag_that_states_one(
+    fixed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, moved = tmp_path / "bag", tmp_path / "moved.yaml"
+    stated = load_slip_parameters({"vehicle": "excavator_20t"}, _layer())
+    text = make("std_msgs/msg/String", data=parameters_text(to_flat(stated), "slip_estimator"))
+    with open_bag(fixed) as bag, BagWriter(path) as copy:
+        topic = "/slip_estimator/parameters"
+        copy.write(topic, "std_msgs/msg/String", serialize(text), bag.start_ns)
+        for m in bag.messages():
+            copy.write(m.topic, m.type_name, bytes(m.raw), m.log_time_ns)
+    antenna = "sensors:\n  antenna: {x: -0.7, y: 0.6, z: 3.0}\n"
+    moved.write_text(f"base: excavator_20t\n{antenna}", encoding="utf-8")
+    offset = f"--set=slip_estimator.sources.heading.offset={OFFSET}"
+    ends = []
+    for options in ([], [f"--vehicle={moved}"]):
+        summary = tmp_path / "summary.json"
+        assert main(["replay", str(path), offset, *options, "--json", str(summary)]) == 0
+        ends.append(json.loads(summary.read_text(encoding="utf-8"))["rmse"]["filter"])
+    assert "antenna: -0.7, 0.6, 3 m, as --vehicle has it; the bag was recorded with -1.2, 0.6, 3 m" in (
+        " ".join(capsys.readouterr().out.split())
+    )
+    assert ends[0] < 0.03
+    assert ends[1] > 0.4
+
+
+def _layer() -> dict[str, Any]:
     path = config_file("gnss.yaml")
-    return load_slip_parameters(node_parameters(read_yaml(path), "slip_estimator", str(path)))
+    return dict(node_parameters(read_yaml(path), "slip_estimator", str(path)))
+
+
+def _parameters() -> SlipEstimatorParameters:
+    return load_slip_parameters(_layer())
 
 
 def _with_quaternions(source: Path, path: Path) -> Path:

@@ -162,6 +162,8 @@ def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters)
     rows.drives["motion"]["motion"] = Motion.TURNING
     x, P = config["prior_mean"][0].copy(), np.diag(config["prior_variance"][0])
     x[OF_POSE], P[OF_POSE, OF_POSE] = (1.0, 2.0, 0.5), fix
+    spare = np.flatnonzero(np.diag(P) == 0.0)  # of sources that there are not
+    P[spare, spare] = 1e-4
     start, states, J, H = x, [], np.linalg.inv(P), np.eye(3, x.size)
     for measurement, drive in zip(*rows, strict=True):
         F, Q = _linearised(x, drive, config)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The disk of a recorder: which files are recordings, which go beyond a budget, how long it lasts."""
 
+import os
 import re
 import time
 from collections import deque
@@ -106,3 +107,13 @@ class DiskWatch:
             return None
         used = self._seen[0][1] - self._seen[-1][1]
         return self._seen[-1][1] / (used / passed_s) / 60.0 if used > 0 else None
+
+
+def sync_file(file: Path) -> None:
+    """Put what the system holds of a file on the disk, and that the file is there; takes its time."""
+    for path in (file, file.parent):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -17,6 +17,7 @@ from trackslip_common.yaml_text import parse_yaml
 PARAMETERS_TOPIC = "slip_estimator/parameters"
 PARAMETERS_TYPE = "std_msgs/msg/String"
 _NODE = "slip_estimator"
+_FROM_TF = ".mounting_from_tf"
 
 
 def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
@@ -47,11 +48,23 @@ def bag_vehicle(bag: Bag) -> VehicleParameters | None:
 
 
 def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
-    """The same by the names that they had when it was recorded."""
+    """The same by the names that they had when it was recorded.
+
+    How an IMU is mounted may have been found only later, from /tf_static; nothing was used of it before.
+    """
+    found: dict[str, Any] = {}
     for message in bag.messages([f"{node}/parameters"]):
         content = bag.deserialize(message.raw, message.type_name)
-        return flatten(_read(bag, content, node)["ros__parameters"])
-    return {}
+        values = flatten(_read(bag, content, node)["ros__parameters"])
+        found = found or values
+        by_tf = {
+            name.removesuffix(_FROM_TF) for name, value in found.items() if name.endswith(_FROM_TF) and value
+        }
+        if not by_tf:
+            return found
+        mountings = {f"{source}.mounting_{axis}" for source in by_tf for axis in ("roll", "pitch", "yaw")}
+        found |= {name: values[name] for name in mountings & values.keys()}
+    return found
 
 
 def bag_learned(bag: Bag, node: str = _NODE) -> Any:

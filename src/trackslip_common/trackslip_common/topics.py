@@ -19,6 +19,7 @@ class Topic:
 
     type_name: str
     flow: Flow
+    others: tuple[str, ...] = ()  # types that it may have instead
 
 
 TOPICS = {
@@ -29,7 +30,7 @@ TOPICS = {
     "imu/mag": Topic("sensor_msgs/msg/MagneticField", Flow.SENSOR),
     "scan": Topic("sensor_msgs/msg/LaserScan", Flow.SENSOR),
     "fix": Topic("sensor_msgs/msg/NavSatFix", Flow.SENSOR),
-    "heading": Topic("sensor_msgs/msg/Imu", Flow.SENSOR),
+    "heading": Topic("sensor_msgs/msg/Imu", Flow.SENSOR, ("geometry_msgs/msg/QuaternionStamped",)),
     "box_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
     "gnss_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
     "gnss_localizer/datum": Topic("sensor_msgs/msg/NavSatFix", Flow.LATCHED),

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from trackslip_estimation.kalman.ekf import correct, propagate_covariance
+from trackslip_estimation.kalman.ekf import correct, correct_shared, propagate_covariance
 from trackslip_estimation.kalman.linear_algebra import (
     apply,
     joseph,
@@ -152,3 +152,26 @@ def test_a_perfect_reading_leaves_no_negative_variance() -> None:
     correct(np.zeros(2), P, np.zeros(1), np.array(((1.0, 0.0),)), np.array(((1e-8,),)))
     assert np.linalg.eigvalsh(P)[0] > 0.0
     assert P[0, 0] == pytest.approx(1e-8, rel=0.2)
+
+
+@pytest.mark.parametrize("kept", [-1, 2])
+def test_errors_shared_with_the_state_are_as_states_of_their_own(kept: int) -> None:
+    """Against the update of the state with those errors in it, the measurement having none beside them."""
+    random = np.random.default_rng(4)
+    n, m = 5, 2
+    root_of_joint = random.standard_normal((n + m, n + m))
+    joint = root_of_joint @ root_of_joint.T
+    H = np.zeros((m, n))
+    H[:, 2:] = random.standard_normal((m, n - 2))
+    joint[2:n, n:] = joint[n:, 2:n] = 0.0  # H C = 0: only what H does not show
+    joint += 10.0 * np.eye(n + m)
+    P, C, R = joint[:n, :n].copy(), joint[:n, n:].copy(), joint[n:, n:].copy()
+    innovation, whole = random.standard_normal(m), np.column_stack((H, np.eye(m)))
+    K = joint @ whole.T @ np.linalg.inv(whole @ joint @ whole.T)
+    if kept >= 0:
+        K[kept] = 0.0
+    keep = np.eye(n + m) - K @ whole
+    x = np.zeros(n)
+    correct_shared(x, P, (innovation, R), H, C, kept)
+    np.testing.assert_allclose(x, (K @ innovation)[:n], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(P, (keep @ joint @ keep.T)[:n, :n], rtol=1e-9, atol=1e-9)

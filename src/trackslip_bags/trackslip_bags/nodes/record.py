@@ -2,7 +2,6 @@
 """``record``: writes the serialized messages of all project topics, as they come, to an MCAP bag."""
 
 import math
-import os
 import re
 import shutil
 import sys
@@ -25,6 +24,7 @@ from trackslip_bags.disk import (
     is_recording,
     recorded_files,
     remove_recorded,
+    sync_file,
     too_many,
 )
 from trackslip_bags.losses import Losses
@@ -82,6 +82,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         self._losses, self._order = Losses(), DeliveryOrder()
         self._subscribed: set[str] = set()
         self._taps: dict[str, Any] = {}  # subscription of each topic
+        self._choices: dict[str, tuple[str, ...]] = {}  # types of a topic that has no publisher yet
         self._reliable: set[str] = set()
         self._alone: set[str] = set()  # topics that have one publisher
         self._not_recorded: dict[str, str] = {}  # why
@@ -100,12 +101,15 @@ class RecordNode(TrackslipNode[RecordParameters]):
         self._progress = RecordProgress(self._bag, self.get_logger().info)
         for name, topic in TOPICS.items():
             full = f"/{name}" if name in ("tf", "diagnostics") else self.resolve_topic_name(name)
+            if topic.others:
+                self._choices[full] = (topic.type_name, *topic.others)
             self._record(full, topic.type_name, topic.flow is Flow.LATCHED)
 
     def deactivate(self) -> None:
         """Finish the bag; the next activation begins another."""
         self.drop_subscriptions()
-        for known in (self._subscribed, self._taps, self._reliable, self._alone, self._not_recorded):
+        kept = (self._subscribed, self._taps, self._choices, self._reliable, self._alone)
+        for known in (*kept, self._not_recorded):
             known.clear()
         if self._bag is not None:
             if self._saving is not None:
@@ -186,7 +190,8 @@ class RecordNode(TrackslipNode[RecordParameters]):
         assert self._bag is not None
         try:
             kind = message_class(type_name)
-            self._bag.add_topic(topic, type_name, offered_qos(is_latched))
+            if topic not in self._choices:
+                self._bag.add_topic(topic, type_name, offered_qos(is_latched))
         except (ImportError, AttributeError, InputError) as error:
             if topic != "/tf":  # its package is optional
                 self._not_recorded[topic] = f"not recorded: {error}"
@@ -236,7 +241,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         if self._try_on_disk(self._bag.flush) and (self._saving is None or self._saving.done()):
             if self._saving is not None:
                 self._try_on_disk(self._saving.result)
-            self._saving = self._disk.submit(_sync, self._bag.file)
+            self._saving = self._disk.submit(sync_file, self._bag.file)
         if not self._disk_error:
             self._try_on_disk(self._keep_to_budget)
             self._space.add(shutil.disk_usage(self._bag.path).free)
@@ -260,6 +265,21 @@ class RecordNode(TrackslipNode[RecordParameters]):
             self._bag.abandon()
         return not self._disk_error
 
+    def _choose(self) -> None:
+        """Record topics that may be of several types by the one that is published."""
+        assert self._bag is not None
+        for topic, types in list(self._choices.items()):
+            offered = [info.topic_type for info in self.get_publishers_info_by_topic(topic)]
+            published = next((name for name in offered if name in types), None)
+            if published is None:
+                continue
+            del self._choices[topic]
+            if published == type_name_of(self._taps[topic].msg_type):
+                self._bag.add_topic(topic, published, offered_qos(False))
+            else:
+                self.destroy_subscription(self._taps.pop(topic))
+                self._record(topic, published, is_latched=False)
+
     def _discover(self) -> None:
         """Subscribe to new topics that the expression matches; ask for no more than publishers offer."""
         for topic, types in self.get_topic_names_and_types():
@@ -267,6 +287,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
                 offers = [info.qos_profile.durability for info in self.get_publishers_info_by_topic(topic)]
                 is_latched = bool(offers) and set(offers) == {DurabilityPolicy.TRANSIENT_LOCAL}
                 self._record(topic, types[0], is_latched)
+        self._choose()
         for topic in list(self._reliable):
             offers = [info.qos_profile.reliability for info in self.get_publishers_info_by_topic(topic)]
             if ReliabilityPolicy.BEST_EFFORT in offers:
@@ -275,16 +296,6 @@ class RecordNode(TrackslipNode[RecordParameters]):
                 self.destroy_subscription(self._taps[topic])
                 self._tap(kind, topic, best_effort())
         self._alone = {topic for topic, tap in self._taps.items() if tap.get_publisher_count() == 1}
-
-
-def _sync(file: Path) -> None:
-    """Put what the system holds of a file on the disk, and that the file is there; takes its time."""
-    for path in (file, file.parent):
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def record(argv: Sequence[str] | None = None) -> int:

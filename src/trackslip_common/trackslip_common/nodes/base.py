@@ -135,7 +135,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
             self.configure()
 
     def _activate(self) -> None:
-        self._publish_parameters()
+        self.publish_parameters()
         self._reload()
         self.has_run = True
         self.activate()
@@ -148,7 +148,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         try:
             self.settings = node_parameters.changed(before, values, self.get_name())
             if self.active and self.settings != before:
-                self._publish_parameters()
+                self.publish_parameters()
                 self._reload()
         except InputError as error:
             self.settings = before
@@ -162,7 +162,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
             self.reload(values)
         self._settings_in_use = self.settings
 
-    def _publish_parameters(self) -> None:
+    def publish_parameters(self) -> None:
         """With which the estimates from now on are made: a bag carries them along."""
         if self.parameters_topic:
             text = parameters_text(to_flat(self.settings), self.what, **self.started_from())

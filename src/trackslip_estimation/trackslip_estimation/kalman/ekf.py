@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.linear_algebra import log_determinant, root, solve, weighted_square
+from trackslip_estimation.kalman.linear_algebra import (
+    joseph,
+    log_determinant,
+    root,
+    sandwich,
+    solve,
+    times,
+    weighted_square,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -83,6 +91,33 @@ def correct(
                 both += rest[k, i] * K[i, j] + rest[j, i] * K[i, k]
             P[k, j] = P[j, k] = both / 2.0
     return weighted_square(root_of_S, innovation), log_determinant(root_of_S)
+
+
+@compiled
+def correct_shared(
+    x: FloatArray,
+    P: FloatArray,
+    given: tuple[FloatArray, FloatArray],
+    H: FloatArray,
+    C: FloatArray,
+    kept: int,
+) -> None:
+    """x and P given an innovation (m,) and R (m, m), whose errors have the covariance C (n, m) with x.
+
+    K = (P Hᵀ + C) S⁻¹ and P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ − C Kᵀ − K Cᵀ, where H C = 0.
+    ``kept``: number of the state that stays as it was, with its variance (Schmidt); −1: none does.
+    """
+    innovation, R = given
+    shared = times(P, np.ascontiguousarray(H.T)) + C
+    S = sandwich(H, P) + R
+    K = np.ascontiguousarray(solve(root(S), np.ascontiguousarray(shared.T)).T)
+    if kept >= 0:
+        K[kept] = 0.0
+    after, by_C = joseph(P, K, H, R), times(C, np.ascontiguousarray(K.T))
+    x += times(K, innovation.copy().reshape((-1, 1)))[:, 0]
+    for i in range(x.size):
+        for j in range(x.size):
+            P[i, j] = after[i, j] - by_C[i, j] - by_C[j, i]
 
 
 @compiled

@@ -17,6 +17,7 @@ from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.nodes.state_keeper import StateKeeper
+from trackslip_estimation.nodes.static_mountings import StaticMountings
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry
@@ -40,7 +41,6 @@ from trackslip_estimation.slip.sources import (
     HEADING_MESSAGES,
     OdometrySource,
     Refusal,
-    YawRateSource,
     named,
 )
 
@@ -84,9 +84,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._pose_set = self.advertise(topic_class(POSE_SET), POSE_SET)
         self.subscribe(topic_class(SET_POSE), SET_POSE, self._on_set_pose)
         self._frames_of_sources = p.frames_of_sources()
-        for source, imu in p.gyros().items():
-            on_imu = partial(self._on_imu, source=source, imu=imu)
-            self._listen(topic_class("imu/data_raw"), source, on_imu)
+        self._mountings = StaticMountings(self, self._frames.base, p.gyros())
+        for source in p.gyros():
+            self._listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
         for source in named(p.pose_sources):
             self._listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source, compass in p.compasses().items():
@@ -143,8 +143,12 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._heard = time.monotonic()
         self._process(conversions.sprockets(message, "sprockets"))
 
-    def _on_imu(self, message: Any, source: str, imu: YawRateSource) -> None:
-        self._use(source, conversions.yaw_rate(message, source, imu))
+    def _on_imu(self, message: Any, source: str) -> None:
+        imu, found = self._mountings.imu(source, message.header.frame_id)
+        if found:  # a bag has them from now on
+            self.settings = self.settings.changed(found)
+            self.publish_parameters()
+        self._use(source, Refusal.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu))
 
     def _on_pose(self, message: Any, source: str) -> None:
         self._process(conversions.pose_fix(message, source))

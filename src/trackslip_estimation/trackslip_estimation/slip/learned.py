@@ -104,7 +104,12 @@ def _machine_digest(p: SlipEstimatorParameters) -> str:
             for name, source in p.poses().items()
         },
         "gyros": {
-            name: (imu.sign, imu.scale, *((imu.mounting,) if imu.mounting else ()), *_mount(imu))
+            name: (
+                imu.sign,
+                imu.scale,
+                *((imu.mounting,) if imu.mounting and not imu.mounting_from_tf else ()),
+                *_mount(imu),
+            )
             for name, imu in p.gyros().items()
         },
         "least_track_error": p.adaptation.least_track_error,

@@ -28,16 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.kalman.linear_algebra import (
-    joseph,
-    log_determinant,
-    root,
-    sandwich,
-    solve,
-    times,
-    weighted_square,
-    wrap,
-)
+from trackslip_estimation.kalman.ekf import correct_shared
+from trackslip_estimation.kalman.linear_algebra import log_determinant, root, sandwich, weighted_square, wrap
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_speed
 from trackslip_estimation.slip.increments import increment, variances_stated
 from trackslip_estimation.slip.measurements import Outcome
@@ -129,6 +121,7 @@ def _use(
         of_errors = H[0, SPEED_ERROR] ** 2 * state.covariance[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
         own = factors[source] * stated[0, 0] + of_errors * max(2.0 * c.velocity_errors.time / T, 1.0)
         _weigh_slip(state, before, (innovation[0], c.rolling_radius * (left + right) / 2.0, T), (H, own), c)
+        update.prior_covariance[:] = state.covariance
     predicted = sandwich(H, state.covariance) + D
     S = predicted + factors[source] * stated
     update.dof, update.gate = 3, limit * width_of(state, measurement, c)
@@ -158,7 +151,8 @@ def _use(
     elif update.nis > limit:
         R = R + (update.nis / limit - 1.0) * S
     C = _shared(state, before.stamp_ns, T, open_)
-    _correct(state, (innovation, R + D), H, C, c.own_errors[source])
+    correct_shared(state.mean, state.covariance, (innovation, R + D), H, C, c.own_errors[source])
+    state.mean[YAW] = wrap(state.mean[YAW])
     state.consistent_ns[source] = measurement.stamp_ns
 
 
@@ -298,26 +292,3 @@ def _shared(state: Any, since_ns: int, T: float, open_: FloatArray) -> FloatArra
         C[X, 0], C[Y, 0] = cos * T * open_[0], sin * T * open_[0]
         C[X, 1], C[Y, 1] = -sin * T * open_[1], cos * T * open_[1]
     return C
-
-
-@compiled
-def _correct(
-    state: Any, given: tuple[FloatArray, FloatArray], H: FloatArray, C: FloatArray, own: int
-) -> None:
-    """Update with an innovation (3,) and R (3, 3), whose errors have the covariance C with the state's.
-
-    K = (P Hᵀ + C) S⁻¹,  P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ − C Kᵀ − K Cᵀ, for H C = 0: H has no pose.
-    """
-    (innovation, R), x, P = given, state.mean, state.covariance
-    PHt = times(P, np.ascontiguousarray(H.T)) + C
-    S = sandwich(H, P) + R
-    K = np.ascontiguousarray(solve(root(S), np.ascontiguousarray(PHt.T)).T)
-    if own >= 0:
-        K[own] = 0.0
-    after = joseph(P, K, H, R)
-    by_C = times(C, np.ascontiguousarray(K.T))
-    x += times(K, innovation.copy().reshape((3, 1)))[:, 0]
-    x[YAW] = wrap(x[YAW])
-    for i in range(x.size):
-        for j in range(x.size):
-            P[i, j] = after[i, j] - by_C[i, j] - by_C[j, i]

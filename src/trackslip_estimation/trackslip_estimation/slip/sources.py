@@ -98,6 +98,9 @@ class YawRateSource(Mounted):
     )
     mounting_pitch: float = parameter("about y, nose down positive", unit="rad", ge=-6.2832, le=6.2832)
     mounting_yaw: float = parameter("about z first, counter-clockwise", unit="rad", ge=-6.2832, le=6.2832)
+    mounting_from_tf: bool = parameter(
+        "whether how its axes are turned is what /tf_static says of its frame; it is refused until then"
+    )
     sign: int = parameter(
         "1, or -1 for a gyro whose yaw rate, so mounted, is the wrong way round", choices=(1, -1)
     )
@@ -134,6 +137,7 @@ class Refusal(Enum):
     OTHER_FRAME = "of another frame"
     NO_RATE = "without angular velocity"
     NO_ORIENTATION = "without orientation"
+    NO_MOUNTING = "of a frame that /tf_static does not join to base_link"
     NO_VELOCITY = "whose covariance says that it has no velocity"
     NO_POSE = "whose covariance says that it has no pose"
 

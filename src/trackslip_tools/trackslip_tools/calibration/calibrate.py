@@ -173,9 +173,10 @@ def _time_offsets(findings: Mapping[str, Finding], sources: tuple[str, str]) -> 
     """
     offsets, late = {}, 0.0
     for topic, key in zip(sources, ("gyro_delay", "pose_delay"), strict=True):
-        finding, node = findings[key], _DRIVERS.get(topic)
+        finding, node = findings.get(key), _DRIVERS.get(topic)
         if (
-            finding.value is None
+            finding is None
+            or finding.value is None
             or finding.interval is None
             or finding.interval[0] * finding.interval[1] <= 0.0
         ):

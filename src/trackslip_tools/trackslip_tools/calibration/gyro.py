@@ -94,25 +94,26 @@ def mounting(recordings: Sequence[Recording]) -> dict[str, Finding]:
 
 
 def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
-    """Scale of the gyro, with its sign, and by how much the stamps of the poses are later than its own."""
+    """Scale of the gyro, with its sign, and by how much the stamps of the headings are later than its own."""
     pairs = [pair for pair in map(_pair, recordings) if pair is not None]
+    late_of = "heading_delay" if any(recording.compass for recording in recordings) else "pose_delay"
     if not pairs:
-        reason = "no heading of a pose source while the gyro is recorded"
-        return {"gyro_scale": refused(reason, "1"), "pose_delay": refused(reason, "s")}
+        reason = "no heading of a pose or heading source while the gyro is recorded"
+        return {"gyro_scale": refused(reason, "1"), late_of: refused(reason, "s")}
     turned = _turned(recordings)
     if turned < LEAST_TURN:
-        return {"gyro_scale": _too_little(turned, "1"), "pose_delay": _too_little(turned, "s")}
+        return {"gyro_scale": _too_little(turned, "1"), late_of: _too_little(turned, "s")}
     fit, delay = _fitted(pairs)
     if fit is None:
         reason = "headings and gyro do not fit each other"
-        return {"gyro_scale": refused(reason, "1"), "pose_delay": refused(reason, "s")}
+        return {"gyro_scale": refused(reason, "1"), late_of: refused(reason, "s")}
     basis = f"{sum(len(pair.t) for pair in pairs)} headings, {turned:.1f} rad turned"
     inverse = float(fit.values[0])
     uncertain = fit.spread(1) / abs(inverse)
     late = found(delay, uncertain, "s", basis)
     if uncertain > _WIDEST_DELAY:
         late = refused(f"the rate of turn changes too little to find it better than ±{uncertain:.2f} s", "s")
-    return {"gyro_scale": found(1.0 / inverse, fit.spread() / inverse**2, "1", basis), "pose_delay": late}
+    return {"gyro_scale": found(1.0 / inverse, fit.spread() / inverse**2, "1", basis), late_of: late}
 
 
 def _fitted(pairs: Sequence[_Pair]) -> tuple[Fit | None, float]:
@@ -136,21 +137,21 @@ def _fitted(pairs: Sequence[_Pair]) -> tuple[Fit | None, float]:
 
 def _pair(recording: Recording) -> _Pair | None:
     """None where either is missing. Doubtful headings are left out."""
-    gyro, (t, poses) = recording.gyro, recording.poses
+    gyro, (t, shown) = recording.gyro, recording.headings
     if len(gyro.t) < 4:
         return None
     inside = (t >= gyro.t[0] + _LARGEST_DELAY) & (t <= gyro.t[-1] - _LARGEST_DELAY)
-    sure = inside & (poses[:, 5] <= _DOUBTFUL**2)
-    t, headings, variances = t[sure], poses[sure, 2], np.maximum(poses[sure, 5], _FLOOR**2)
+    sure = inside & (shown[:, 1] <= _DOUBTFUL**2)
+    t, headings, variances = t[sure], shown[sure, 0], np.maximum(shown[sure, 1], _FLOOR**2)
     if len(t) < 4:
         return None
     angle = CubicHermiteSpline(gyro.t, recording.turned, gyro.values[:, 2])
     X = np.column_stack((angle(t), t, np.ones(len(t))))
-    shown = X @ np.linalg.lstsq(X, headings, rcond=None)[0]
-    rest = np.unwrap(headings - shown)  # where fixes were missing for a while, whole turns may be too
+    as_turned = X @ np.linalg.lstsq(X, headings, rcond=None)[0]
+    rest = np.unwrap(headings - as_turned)  # where fixes were missing for a while, whole turns may be too
     steps = np.abs(np.diff(rest) - np.median(np.diff(rest)))
     follows = steps <= _OUTLIER * max(1.4826 * float(np.median(steps)), 10.0 * _FLOOR)
-    return _Pair(t, shown + rest, variances, follows, gyro, angle) if follows.sum() >= 4 else None
+    return _Pair(t, as_turned + rest, variances, follows, gyro, angle) if follows.sum() >= 4 else None
 
 
 def _turned(recordings: Sequence[Recording]) -> float:

@@ -15,14 +15,18 @@ from trackslip_bags.tables import TopicTable, read_tables
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import (
+    ABSENT,
     RECORDS,
     HydraulicsFields,
     ImuFields,
     OdometryFields,
+    OrientationFields,
     PoseFields,
+    QuaternionFields,
     RecordClass,
     SprocketFields,
     dtype_of,
+    headings_of,
     poses_of,
 )
 from trackslip_estimation.slip.motion import (
@@ -33,6 +37,7 @@ from trackslip_estimation.slip.motion import (
     limits_record,
     update_motion,
 )
+from trackslip_estimation.slip.sources import HEADING_MESSAGES, HeadingSource
 from trackslip_tools.replay.inputs import SPROCKETS
 
 FloatArray = NDArray[np.float64]
@@ -78,6 +83,12 @@ class Recording:
     poses: Series  # x m, y m, heading rad (continuous); the variances that are claimed for them
     hydraulics: Series  # left, right: Pa; left, right spool (nan where there is none)
     motion: NDArray[np.int64]  # (n,) Motion at each sprocket sample
+    compass: Series | None = None  # heading rad (continuous), its variance: of a heading source
+
+    @property
+    def headings(self) -> Series:
+        """(k, 2) heading and its variance: of the heading source, where there is one, else of the poses."""
+        return self.compass or Series(self.poses.t, self.poses.values[:, (2, 5)])
 
     @cached_property
     def turned(self) -> FloatArray:
@@ -97,23 +108,51 @@ class Recording:
         return np.asarray(self.sprockets.values[:, 1] - self.sprockets.values[:, 0])
 
 
-def read_recording(bag: Bag, gyro: str, poses: str, limits: MotionParameters) -> Recording:
+def read_recording(
+    bag: Bag,
+    gyro: str,
+    poses: str,
+    limits: MotionParameters,
+    compass: tuple[str, HeadingSource] | None = None,
+) -> Recording:
     """Read the sprockets, the gyro and the pose source of these names, and the hydraulics.
+
+    ``compass``: a source of headings, and what is stated of it.
 
     Raises:
         InputError: the bag lacks the sprockets, or a topic is of a type that does not serve.
     """
     require_topics(bag, [SPROCKETS])
-    driven, turns, fixes, oil = _series(
+    shown = _compass(bag, *compass) if compass else _Wanted("", QuaternionFields, headings_of)
+    driven, turns, fixes, oil, turned = _series(
         bag,
         _Wanted(SPROCKETS, SprocketFields, _sprockets),
         _Wanted(gyro, ImuFields, _rates),
         _Wanted(poses, PoseFields, _poses),
         _Wanted(HYDRAULICS, HydraulicsFields, _hydraulics),
+        shown,
     )
     driven = _integrated(driven)
     fixes.values[:, 2] = np.unwrap(fixes.values[:, 2])
-    return Recording(bag.path.name, driven, turns, fixes, oil, motions(driven, limits))
+    turned.values[:, 0] = np.unwrap(turned.values[:, 0])
+    seen = turned if len(turned.t) else None
+    return Recording(bag.path.name, driven, turns, fixes, oil, motions(driven, limits), seen)
+
+
+def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Wanted:
+    """(n, 2) heading and its variance, by the type that the bag has."""
+    types = {relative(name): info.type_name for name, info in bag.topics.items()}
+    is_imu = types.get(topic) == HEADING_MESSAGES["imu"]
+
+    def values(rows: Rows) -> FloatArray:
+        variances = np.full(len(rows), stated.stddev**2)
+        if not is_imu:
+            return np.column_stack((headings_of(rows), variances))
+        variances = np.where(rows["variance_z"] != 0.0, rows["variance_z"], variances)
+        there = rows["absent"] != ABSENT
+        return np.column_stack((np.where(there, headings_of(rows), np.nan), variances))
+
+    return _Wanted(topic, OrientationFields if is_imu else QuaternionFields, values)
 
 
 def motions(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
@@ -198,6 +237,8 @@ def _integrated(readings: Series) -> Series:
 _ACCEPTED: dict[RecordClass, tuple[RecordClass, ...]] = {
     SprocketFields: (SprocketFields,),
     ImuFields: (ImuFields,),
+    OrientationFields: (ImuFields,),
+    QuaternionFields: (QuaternionFields,),
     PoseFields: (PoseFields, OdometryFields),  # which have the same pose
     HydraulicsFields: (HydraulicsFields,),
 }

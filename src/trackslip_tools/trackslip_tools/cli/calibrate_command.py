@@ -59,13 +59,14 @@ def run(args: argparse.Namespace) -> int:
     with open_bag(args.bags[0], args.namespace) as bag:
         p = replay_options.parameters_of(bag, args.params, [], args.vehicle)
         gyro, poses = _sources(args, bag, p)
+        compass = next(iter(p.compasses().items()), None)
     recordings = []
     for path in shown(args.bags, "reading"):
         with open_bag(path, args.namespace) as bag:
             if bag.damage:
                 show(f"note: {bag.damage}", file=sys.stderr)
             require_topics(bag, filter(None, (args.gyro, args.poses)))
-            recordings.append(read_recording(bag, gyro, poses, p.motion))
+            recordings.append(read_recording(bag, gyro, poses, p.motion, compass))
     with counted(None, "calibrating"):
         result = calibrate(recordings, p, (gyro, poses), hard_ground=args.hard_ground, everything=args.all)
     names = [str(path) for path in args.bags]

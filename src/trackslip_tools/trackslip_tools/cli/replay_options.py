@@ -16,9 +16,14 @@ from trackslip_common.errors import InputError, show, suggestion
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
 from trackslip_common.vehicle import TOPIC as VEHICLE
-from trackslip_common.vehicle import names_vehicle, vehicle_layer
+from trackslip_common.vehicle import load_vehicle, names_vehicle, vehicle_layer
 from trackslip_common.yaml_text import parse_yaml
-from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.slip.parameters import (
+    GNSS_POSE,
+    NODE,
+    SlipEstimatorParameters,
+    load_slip_parameters,
+)
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
@@ -90,7 +95,7 @@ def parameters_of(
     """
     of_bag = bag_vehicle(bag)
     carried, *given = _layers(bag, files, settings, NODE)
-    named: dict[str, Any] = {} if vehicle is None else {VEHICLE: vehicle}
+    named: dict[str, Any] = {} if vehicle is None else {VEHICLE: vehicle, **_antenna_of(vehicle, carried)}
     p = load_slip_parameters(vehicle_layer(of_bag) if of_bag is not None else {}, carried, named, *given)
     if any(map(names_vehicle, (named, *given))):
         show(f"vehicle: {p.vehicle.name}")
@@ -99,6 +104,19 @@ def parameters_of(
     else:
         show(f"vehicle: {p.vehicle.name} is assumed: the bag names none (--vehicle does)")
     return p
+
+
+def _antenna_of(vehicle: str, carried: Mapping[str, Any]) -> dict[str, Any]:
+    """The antenna's place by the vehicle that an option names, where the bag has another; says so."""
+    sensors = load_vehicle(vehicle).sensors
+    names = {f"sources.{GNSS_POSE}.lever_arm_{axis}": axis for axis in "xyz"}
+    if sensors is None or sensors.antenna is None or not carried.keys() >= names.keys():
+        return {}
+    found = {name: getattr(sensors.antenna, axis) for name, axis in names.items()}
+    if any(carried[name] != value for name, value in found.items()):
+        before, now = (", ".join(f"{values[name]:g}" for name in names) for values in (carried, found))
+        show(f"antenna: {now} m, as --vehicle has it; the bag was recorded with {before} m")
+    return found
 
 
 def soil_parameters_of(

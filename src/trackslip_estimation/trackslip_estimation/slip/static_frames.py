@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames that do not move against each other, as /tf_static has them: how a sensor's frame is turned.
+
+q_pc   turns vectors of the child's frame into the parent's, x, y, z, w
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_LONGEST = 100  # links from one frame to another
+
+
+class StaticFrames:
+    """A forest of frames; what comes later of a child replaces what came before."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, FloatArray]] = {}
+
+    def add(self, parent: str, child: str, turn: Sequence[float]) -> None:
+        """One link, with q_pc (4,) of any length; one that turns nothing into a rotation is left out."""
+        q = np.array(turn, np.float64)
+        norm = float(np.linalg.norm(q))
+        if math.isfinite(norm) and norm > 0.0:
+            self._parents[_plain(child)] = (_plain(parent), q / norm)
+
+    def angles(self, base: str, frame: str) -> tuple[float, float, float] | None:
+        """Roll, pitch and yaw (ZYX) of ``frame`` in ``base``, rad; None where nothing joins the two."""
+        to_base, to_frame = dict(self._above(base)), dict(self._above(frame))
+        common = next((name for name in to_frame if name in to_base), None)
+        if common is None:
+            return None
+        q = _product(_conjugate(to_base[common]), to_frame[common])
+        x, y, z, w = q.tolist()
+        sine = 2.0 * (w * y - z * x)
+        if abs(sine) > 1.0 - 1e-12:  # yaw and roll turn about one axis
+            return 0.0, math.copysign(math.pi / 2.0, sine), math.copysign(2.0, -sine) * math.atan2(x, w)
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        return roll, math.asin(sine), math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    def _above(self, frame: str) -> Iterator[tuple[str, FloatArray]]:
+        """The frame and all above it, each with what turns the frame's vectors into its own."""
+        name, q = _plain(frame), np.array((0.0, 0.0, 0.0, 1.0))
+        for _ in range(_LONGEST):
+            yield name, q
+            if name not in self._parents:
+                return
+            name, step = self._parents[name]
+            q = _product(step, q)
+
+
+def _plain(name: str) -> str:
+    return name.removeprefix("/")
+
+
+def _conjugate(q: FloatArray) -> FloatArray:
+    return q * (-1.0, -1.0, -1.0, 1.0)
+
+
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
+    return np.append(vector, a[3] * b[3] - a[:3] @ b[:3])
