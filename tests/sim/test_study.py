@@ -308,3 +308,21 @@ def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrai
 def test_machines_that_are_drawn_do_not_drive_on_terrain() -> None:
     with pytest.raises(InputError, match="terrains: not with truth drawn"):
         load_study_parameters({"truths": ["drawn"], "terrains": ["hill"]})
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("soil", ["sand", "sandy_loam", "clayey_soil", "dry_clay"])
+@pytest.mark.parametrize("terrain", ["slope_15", "slope_down_15", "side_slope_15", "hill"])
+def test_slopes_of_15_degrees_cost_no_accuracy_against_their_bound(
+    terrain: str, soil: str, estimator: SlipEstimatorParameters
+) -> None:
+    if soil == "clayey_soil" and terrain in ("slope_15", "hill"):
+        pytest.skip("the machine does not climb it: docs/slopes.md")
+    p = load_study_parameters({"seeds": 5, "terrains": [terrain]})
+    drive = make_drive(p, estimator, soil, terrain)
+    for sigma_xy in (0.01, 0.05):
+        row = evaluate(replace(cell(SHEAR, "ekf", sigma_xy, soil), terrain=terrain), drive, p, estimator)
+        assert row.position_rmse < 1.25 * row.position_bound
+        assert row.turning_slip_rmse < 1.5 * row.turning_slip_bound
+        assert 1.5 < row.nees_pose < 4.5

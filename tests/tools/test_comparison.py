@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trackslip_tools.replay.comparison import LiveComparer, LiveComparison
+from trackslip_tools.replay.comparison import WAITING_NS, LiveComparer, LiveComparison
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import Rows
 
@@ -97,5 +97,16 @@ def test_memory_is_bounded_where_one_side_is_missing() -> None:
     for k in range(0, 100_000, 1000):
         comparer.add_odometry(odometry(range(k, k + 1000)), odometry([]))
     assert comparer._odometry._live is not None
-    assert len(comparer._odometry._live) <= HORIZON_NS // STEP_NS + 1
+    assert len(comparer._odometry._live) <= WAITING_NS // STEP_NS + 1
     assert comparer.result(JournalCounts()).unmatched == 100_000
+
+
+def test_a_replay_that_waits_for_its_whole_horizon_finds_its_partners() -> None:
+    """It waits so long where the journal lacks a line; ``make demo DURATION=420`` failed then."""
+    rows, batch = odometry(range(3 * HORIZON_NS // STEP_NS)), 500
+    behind = HORIZON_NS // STEP_NS + batch
+    comparer = LiveComparer()
+    for end in range(batch, len(rows) + behind + batch, batch):
+        replayed = rows[max(end - behind - batch, 0) : max(end - behind, 0)]
+        comparer.add_odometry(rows[end - batch : end], replayed)
+    assert comparer.result(JournalCounts()).matches

@@ -59,8 +59,7 @@ def workers(count: int, scheduler: str | None = None, shared: Any = None) -> Ite
 
 @contextmanager
 def _processes(count: int, shared: Any) -> Iterator[Map]:
-    """Each has one thread; kernels are compiled here, once, before they start."""
-    compile_kernels()
+    """Each has one thread; kernels are compiled here, once, while they load what they need."""
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
         count, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(shared,)
@@ -68,8 +67,7 @@ def _processes(count: int, shared: Any) -> Iterator[Map]:
 
     def mapped(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         try:
-            with _for_processes():
-                futures = [pool.submit(_run, function, item) for item in items]
+            futures = [pool.submit(_run, function, item) for item in items]
             yield from _results(futures)
         except BrokenProcessPool as error:
             raise InputError(
@@ -77,6 +75,9 @@ def _processes(count: int, shared: Any) -> Iterator[Map]:
             ) from error
 
     try:
+        with _for_processes():
+            pool.submit(os.getpid)  # starts all of them
+        compile_kernels()
         yield mapped
     except BaseException:
         for process in set(multiprocessing.active_children()) - others:

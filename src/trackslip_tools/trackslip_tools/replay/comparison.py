@@ -18,6 +18,7 @@ from trackslip_estimation.slip.mounting import quaternion_by
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import Rows
 
+WAITING_NS = 2 * HORIZON_NS  # for a partner: the replay may be a horizon behind what is read, and a batch
 TOLERANCE = 1e-9  # between a live and a replayed number
 _ODOMETRY = ("x", "y", "heading", "v_x", "v_y", "yaw_rate", "covariance", "twist_covariance")
 _TILT = ("roll", "pitch", "z")
@@ -48,7 +49,7 @@ class LiveComparison:
 
 
 class TopicComparison:
-    """One topic, by stamp; memory holds what the other side may still bring within ``HORIZON_NS``."""
+    """One topic, by stamp; memory holds what the other side may still bring within ``WAITING_NS``."""
 
     def __init__(self) -> None:
         self.compared = self._unmatched = 0
@@ -71,7 +72,7 @@ class TopicComparison:
         if mine.size:
             largest = _difference(waiting[mine], theirs[others])
             self.largest_difference = max(self.largest_difference, largest)
-        oldest_ns = self._last_ns - HORIZON_NS
+        oldest_ns = self._last_ns - WAITING_NS
         self._live, late = _divided(np.delete(waiting, mine), oldest_ns)
         self._replayed, unpaired = _divided(np.delete(theirs, others), oldest_ns)
         self._unmatched += len(late) + self._within(unpaired, self._last_ns)
