@@ -22,7 +22,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 
 FloatArray = NDArray[np.float64]
 R = TypeVar("R")
@@ -90,6 +90,13 @@ class SprocketFields(NamedTuple):
     has_positions: Annotated[bool, Filled("position")]
     left_position: Annotated[float, Joint("position", LEFT_SPROCKET)]  # rad, continuous
     right_position: Annotated[float, Joint("position", RIGHT_SPROCKET)]
+
+
+class SwingFields(NamedTuple):
+    """Of sensor_msgs/JointState: angle of the upper structure."""
+
+    stamp_ns: StampNs
+    angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
 
 
 class ImuFields(NamedTuple):

@@ -37,6 +37,7 @@ TOPICS = {
     "odometry": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "odometry/local": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "attitude": Topic("sensor_msgs/msg/Imu", Flow.RELIABLE),
+    "swing/estimate": Topic("sensor_msgs/msg/JointState", Flow.RELIABLE),
     "track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),
     "soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),
@@ -62,3 +63,4 @@ COMMANDS = ("slip_estimator/set_pose", "emulator/fault")  # that anybody may giv
 SENSOR_TOPICS = tuple(name for name, topic in TOPICS.items() if topic.flow is Flow.SENSOR)
 LEFT_SPROCKET, RIGHT_SPROCKET = "left_sprocket", "right_sprocket"
 SWING_JOINT = "swing"  # of the upper structure against the undercarriage
+SWING_STDDEV_JOINT = "swing_stddev"  # in what is estimated: standard deviations of its angle and rate

@@ -185,6 +185,11 @@ class VehicleParameters(Parameters):
         return UNDERCARRIAGE if mounts is None else str(getattr(mounts, sensor))
 
     @property
+    def has_swing_encoder(self) -> bool:
+        """Whether something measures the angle of the upper structure."""
+        return self.sensors is not None and self.sensors.swing_encoder is not None
+
+    @property
     def swing_axis(self) -> tuple[float, float]:
         """In base_link, m; its origin where the vehicle does not say."""
         upper = self.upper_structure

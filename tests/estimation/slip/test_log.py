@@ -16,7 +16,7 @@ from trackslip_estimation.slip import process as live
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import Log, make_log, run_log, run_whole
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
-from trackslip_estimation.slip.models.turning import ACTIVE
+from trackslip_estimation.slip.models.model import BELOW
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import POSE, SPROCKETS, to_records
 from trackslip_estimation.slip.window import Records
@@ -187,8 +187,8 @@ def test_the_spread_of_an_innovation_follows_from_its_update(drive: Callable[...
     for k in fixes:
         R, before, after = (
             run.measurements["noise"][k] * run.states["adaptation"]["fix_factors"][k, 0],
-            run.states["covariance"][k - 1][:ACTIVE, :ACTIVE],
-            run.states["covariance"][k][:ACTIVE, :ACTIVE],
+            run.states["covariance"][k - 1, :BELOW, :BELOW],
+            run.states["covariance"][k, :BELOW, :BELOW],
         )
         expected = sum(sign * np.linalg.slogdet(M)[1] for sign, M in ((1, R), (1, before), (-1, after)))
         assert run.updates["log_determinant"][k] == pytest.approx(expected, abs=1e-6)

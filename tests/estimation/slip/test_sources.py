@@ -11,9 +11,10 @@ from fixtures.filter_steps import Gaussian, config_of
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.levers import move_place
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.model import SIZE
-from trackslip_estimation.slip.observation import observed, shows_heading, to_sensor
+from trackslip_estimation.slip.observation import observed, shows_heading
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import STATE, to_records
 
@@ -36,7 +37,7 @@ def state(seed: int = 0) -> Gaussian:
 
 def at_sensor(known: Gaussian, sign: float = 1.0, lever: tuple[float, float] = LEVER) -> Gaussian:
     moved = Gaussian(known.mean.copy(), known.covariance.copy())
-    to_sensor(*moved, np.array(lever), sign)
+    move_place(*moved, (*lever, 0.0, 0.0), sign)
     return moved
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models import dispatch
-from trackslip_estimation.slip.models.model import DOWNHILL, FIX_DELAY, GYRO_BIAS, POSE, SIZE, YAW
+from trackslip_estimation.slip.models.model import BELOW, DOWNHILL, FIX_DELAY, GYRO_BIAS, POSE, SIZE, YAW
 from trackslip_estimation.slip.models.speed import (
     COMMON_SLIP,
     FIRST,
@@ -56,7 +56,8 @@ states = st.tuples(
     *[st.floats(-1.0, 1.0)] * 2,
     st.floats(0.2, 2.0),
     st.floats(-2.0, -0.2),
-    *[st.floats(-0.3, 0.3)] * 9,
+    *[st.floats(-0.3, 0.3)] * 6,
+    *[st.just(0.0)] * (SIZE - BELOW),
 ).map(np.array)
 speeds = st.floats(-4.0, 4.0)
 times = st.floats(0.0, 0.5)

@@ -6,6 +6,8 @@
     f             specific force at the IMU, with biases b_x, b_y                m/s²
     u             velocity of the IMU's place, v + ω × l, in the machine's axes  m/s
     v_x, v_y      of C along the ground                                          m/s
+    σ             by which an IMU on the upper structure is turned: p, q, f are what it shows, less its own
+                  biases, turned by R(σ)                                         rad
 
     φ̇ = p + tan θ (q sin φ + r cos φ)        θ̇ = q cos φ − r sin φ        ż = −v_x sin θ + v_y sin φ cos θ
     f_x = u̇_x + (ω × u)_x − g sin θ + b_x    f_y = u̇_y + (ω × u)_y + g sin φ cos θ + b_y
@@ -75,6 +77,9 @@ def feels_gravity(a: Any) -> bool:
 def use_sample(a: Any, n: Any) -> None:
     """The record ``a`` of ``ATTITUDE`` at the stamp of its new ``sample``; ``n``: ``CONSTANTS``."""
     imu = a.sample
+    if imu.lost == 1 and a.seen == 0:
+        return
+    imu.cos, imu.sin = math.cos(imu.turn), math.sin(imu.turn)
     dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
     follows = 0.0 < dt <= _LONGEST
     if a.known == 1 and dt > 0.0:
@@ -100,23 +105,35 @@ def use_sample(a: Any, n: Any) -> None:
 def _has_rates(imu: Any) -> bool:
     """Whether the IMU has a gyro about x and y."""
     p, q = imu.rates[0], imu.rates[1]
-    return math.isfinite(p + q) and max(imu.rate_variances[0], imu.rate_variances[1]) < _RATE_UNKNOWN
+    return (
+        imu.lost == 0
+        and math.isfinite(p + q)
+        and max(imu.rate_variances[0], imu.rate_variances[1]) < _RATE_UNKNOWN
+    )
 
 
 @compiled
 def _rates(a: Any) -> tuple[float, float, float]:
     """p, q, r without bias; an IMU that has no p and q is taken to show none."""
-    rates = a.sample.rates
-    if not _has_rates(a.sample):
+    imu, rates = a.sample, a.sample.rates
+    if not _has_rates(imu):
         return 0.0, 0.0, rates[2]
-    return rates[0] - a.mean[BIAS_P], rates[1] - a.mean[BIAS_Q], rates[2]
+    p, q = rates[0] - a.mean[BIAS_P], rates[1] - a.mean[BIAS_Q]
+    return imu.cos * p - imu.sin * q, imu.sin * p + imu.cos * q, rates[2]
+
+
+@compiled
+def force_of(imu: Any) -> tuple[float, float, float]:
+    """f along the axes of base_link, with what biases it has."""
+    x, y, z = imu.force
+    return imu.cos * x - imu.sin * y, imu.sin * x + imu.cos * y, z
 
 
 @compiled
 def _follow_force(a: Any, dt: float) -> bool:
     """Low-pass the force; whether there is one."""
-    force = a.sample.force
-    if not math.isfinite(force[0] + force[1] + force[2]):
+    force = force_of(a.sample)
+    if a.sample.lost == 1 or not math.isfinite(force[0] + force[1] + force[2]):
         return False
     share = 1.0 if a.seen == 0 or dt > _LONGEST else -math.expm1(-dt / _MEAN_TIME)
     for i in range(3):
@@ -144,8 +161,9 @@ def _begin(a: Any, n: Any) -> None:
             P[i, j] = P[j, i] = 0.0
     P[BIAS_X, BIAS_X] = max(P[BIAS_X, BIAS_X], n.initial[BIAS_X] ** 2)
     P[ROLL, ROLL], P[PITCH, PITCH] = n.initial[ROLL] ** 2, n.initial[PITCH] ** 2
-    x[ROLL] = math.atan2(f_y - x[BIAS_Y], f_z)
-    x[PITCH] = math.atan2(x[BIAS_X] - f_x, math.sqrt(f_y * f_y + f_z * f_z))
+    cos, sin = a.sample.cos, a.sample.sin
+    x[ROLL] = math.atan2(f_y - (sin * x[BIAS_X] + cos * x[BIAS_Y]), f_z)
+    x[PITCH] = math.atan2((cos * x[BIAS_X] - sin * x[BIAS_Y]) - f_x, math.sqrt(f_y * f_y + f_z * f_z))
     a.noise[:], a.noise_count[:], a.known = _FIRST_NOISE, 1.0, 1
 
 
@@ -168,15 +186,18 @@ def _turn(a: Any, rates: tuple[float, float, float], dt: float, n: Any) -> None:
     F, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
     F[ROLL, ROLL] += tan * (q * cos - r * sin) * dt
     F[ROLL, PITCH] = (1.0 + tan * tan) * (q * sin + r * cos) * dt
-    F[ROLL, BIAS_P], F[ROLL, BIAS_Q] = -dt, -tan * sin * dt
-    F[PITCH, ROLL], F[PITCH, BIAS_Q] = -(q * sin + r * cos) * dt, -cos * dt
+    F[ROLL, BIAS_P] = -(imu.cos + tan * sin * imu.sin) * dt
+    F[ROLL, BIAS_Q] = (imu.sin - tan * sin * imu.cos) * dt
+    F[PITCH, ROLL] = -(q * sin + r * cos) * dt
+    F[PITCH, BIAS_P], F[PITCH, BIAS_Q] = -cos * imu.sin * dt, -cos * imu.cos * dt
     for i in range(SIZE):
         Q[i, i] = n.walk[i] * dt
     by_roll = by_pitch = n.unknown_rate**2 * _SCALE_TIME
     if known > 0.0 and _has_rates(imu):
         by_scale = n.rate_scale**2 * _SCALE_TIME
-        by_roll = imu.rate_variances[0] * dt + by_scale * of_roll**2
-        by_pitch = imu.rate_variances[1] * dt + by_scale * of_pitch**2
+        of_p, of_q = imu.rate_variances[0], imu.rate_variances[1]
+        by_roll = (imu.cos**2 * of_p + imu.sin**2 * of_q) * dt + by_scale * of_roll**2
+        by_pitch = (imu.sin**2 * of_p + imu.cos**2 * of_q) * dt + by_scale * of_pitch**2
     Q[ROLL, ROLL] += by_roll * dt
     Q[PITCH, PITCH] += by_pitch * dt
     x[ROLL] += of_roll * dt
@@ -191,15 +212,18 @@ def _level_by(a: Any, motion: tuple[float, float], doubt: float, dt: float, n: A
     ``motion``: what the motion itself accelerates them by, m/s²; ``doubt``: variance of that. ``dt``: s since
     the sample before, 0 where there is none.
     """
-    x, force, h = a.mean, a.sample.force, np.zeros(SIZE)
+    x, force, h, imu = a.mean, force_of(a.sample), np.zeros(SIZE), a.sample
+    doubt += imu.turn_variance * (force[0] * force[0] + force[1] * force[1])
     sin, cos = math.sin(x[PITCH]), math.cos(x[PITCH])
-    h[PITCH], h[BIAS_X] = -GRAVITY * cos, 1.0
-    _use(a, 0, force[0] - motion[0] + GRAVITY * sin - x[BIAS_X], h, (doubt, dt), n)
+    h[PITCH], h[BIAS_X], h[BIAS_Y] = -GRAVITY * cos, imu.cos, -imu.sin
+    bias = imu.cos * x[BIAS_X] - imu.sin * x[BIAS_Y]
+    _use(a, 0, force[0] - motion[0] + GRAVITY * sin - bias, h, (doubt, dt), n)
     sin, cos = math.sin(x[PITCH]), math.cos(x[PITCH])
     up, aside = math.cos(x[ROLL]), math.sin(x[ROLL])
-    h[PITCH], h[BIAS_X] = -GRAVITY * aside * sin, 0.0
-    h[ROLL], h[BIAS_Y] = GRAVITY * up * cos, 1.0
-    _use(a, 1, force[1] - motion[1] - GRAVITY * aside * cos - x[BIAS_Y], h, (doubt, dt), n)
+    h[PITCH], h[BIAS_X] = -GRAVITY * aside * sin, imu.sin
+    h[ROLL], h[BIAS_Y] = GRAVITY * up * cos, imu.cos
+    bias = imu.sin * x[BIAS_X] + imu.cos * x[BIAS_Y]
+    _use(a, 1, force[1] - motion[1] - GRAVITY * aside * cos - bias, h, (doubt, dt), n)
 
 
 @compiled

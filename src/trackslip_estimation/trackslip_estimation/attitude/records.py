@@ -29,7 +29,7 @@ LEVEL = (
     )
 )
 
-IMU = np.dtype(  # one sample, along the axes of base_link
+IMU = np.dtype(  # one sample, x and y along its own axes
     [
         ("stamp_ns", np.int64),
         ("rates", np.float64, (3,)),  # p, q, r: rad/s; p and q nan where there are none
@@ -39,6 +39,11 @@ IMU = np.dtype(  # one sample, along the axes of base_link
         ("velocity", np.float64, (2,)),  # of C along the tracks, m/s
         ("known_velocity", np.int64),  # 0 or 1
         ("lever", np.float64, (3,)),  # place of the IMU in base_link, m
+        ("turn", np.float64),  # by which its x and y axes are turned against base_link's, rad
+        ("turn_variance", np.float64),  # of that, rad²
+        ("lost", np.int64),  # 0 or 1: whether nobody knows that, and it tells nothing
+        ("cos", np.float64),  # of the turn, once it is used
+        ("sin", np.float64),
     ],
     align=True,
 )

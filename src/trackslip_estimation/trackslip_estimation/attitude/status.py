@@ -29,6 +29,9 @@ def attitude_text(a: Any, source: str | None) -> str:
 
 def _lacking(a: Any, source: str) -> str:
     """Why it is not known."""
+    if int(a["sample"]["lost"]) == 1:
+        swing = math.degrees(math.sqrt(float(a["sample"]["turn_variance"])))
+        return f"{source} sits on the upper structure, whose angle is not known (± {swing:.0f}°)"
     if int(a["seen"]) == 0:
         return f"nothing of {source} yet"
     if not np.isfinite(a["sample"]["force"]).all():

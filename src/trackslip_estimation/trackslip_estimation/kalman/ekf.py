@@ -28,8 +28,11 @@ FloatArray = NDArray[np.float64]
 
 @compiled
 def propagate_covariance(P: FloatArray, F: FloatArray, Q: FloatArray, coupled: int) -> None:
-    """P ← F P Fᵀ + Q, where F is diagonal below its first ``coupled`` rows."""
-    n = P.shape[0]
+    """P ← F P Fᵀ + Q, where F is diagonal below its first ``coupled`` rows.
+
+    P may be larger than F: then the rest of it stays as it is.
+    """
+    n = F.shape[0]
     upper = np.zeros((coupled, n))  # of F P
     for i in range(coupled):
         for k in range(n):
@@ -56,7 +59,8 @@ def correct(
 ) -> tuple[float, float]:
     """x and P given the innovation; returns NIS and ln |S|.
 
-    P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ (Joseph), which stays symmetric and positive whatever the gain.
+    P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ (Joseph), which stays symmetric and positive whatever the gain. P may
+    be larger than x: then the rest of it stays as it is.
     """
     n, m = x.size, innovation.size
     PHt, S = _by_measurement(P, H), R.copy()
@@ -119,11 +123,12 @@ def correct_shared(
 @compiled
 def _by_measurement(P: FloatArray, H: FloatArray) -> FloatArray:
     """(n, m) P Hᵀ; the zeros of H, of which it is full, cost nothing."""
-    product = np.zeros((P.shape[0], H.shape[0]))
+    n = H.shape[1]
+    product = np.zeros((n, H.shape[0]))
     for i in range(H.shape[0]):
-        for k in range(H.shape[1]):
+        for k in range(n):
             h = H[i, k]
             if h != 0.0:
-                for j in range(P.shape[0]):
+                for j in range(n):
                     product[j, i] += P[j, k] * h
     return product

@@ -44,7 +44,7 @@ from trackslip_estimation.slip.sources import (
     named,
 )
 
-LOCAL = "odometry/local"
+LOCAL, SWING = "odometry/local", "swing/estimate"
 
 
 class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
@@ -74,6 +74,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._local_message = conversions.blank_odometry(make, self._frames.odom, self._frames.base)
         self._attitude = self.advertise(topic_class("attitude"), "attitude") if p.tilt_source else None
         self._attitude_message = conversions.blank_attitude(make, self._frames.base)
+        self._swing = self.advertise(topic_class(SWING), SWING) if p.swings else None
+        self._swing_message = conversions.blank_swing(make, self._frames.base)
         self._track_slip = self.advertise(topic_class("track_slip"), "track_slip")
         self._vehicle = self.advertise(topic_class(VEHICLE), VEHICLE)
         self._reports = self.advertise(topic_class("measurement_reports"), "measurement_reports")
@@ -90,6 +92,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         for source, compass in p.compasses().items():
             on_heading = partial(self._on_heading, source=source, variance=compass.stddev**2)
             self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
+        for source, angle in p.angles().items():
+            on_swing = partial(self._on_swing, source=source, variance=angle.stddev**2)
+            self._listen(topic_class("swing"), source, on_swing)
         for source, stated in p.odometries().items():
             on_odometry = partial(self._on_odometry, source=source, stated=stated)
             self._listen(topic_class("odometry"), source, on_odometry)
@@ -156,6 +161,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def _on_heading(self, message: Any, source: str, variance: float) -> None:
         self._use(source, conversions.heading_fix(message, source, variance))
 
+    def _on_swing(self, message: Any, source: str, variance: float) -> None:
+        self._process(conversions.swing_angle(message, source, variance))
+
     def _on_odometry(self, message: Any, source: str, stated: OdometrySource) -> None:
         self._use(source, conversions.odometry_pose(message, source, stated))
 
@@ -212,6 +220,10 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         if self._attitude is not None and tilt is not None:
             conversions.fill_attitude(self._attitude_message, estimate, tilt)
             self._attitude.publish(self._attitude_message)
+        swing = estimate.outputs.swing
+        if self._swing is not None and swing is not None:
+            conversions.fill_swing(self._swing_message, estimate, swing)
+            self._swing.publish(self._swing_message)
         local = self._local.after(estimate)
         conversions.fill_odometry(self._local_message, local)
         self._local_odometry.publish(self._local_message)

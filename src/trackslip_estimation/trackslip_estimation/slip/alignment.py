@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_SCALE, SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_SCALE, SIZE, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
 
 CAPACITY = 16  # refused fixes that are remembered
@@ -119,6 +119,8 @@ def realign(state: Any, c: Any) -> bool:
                 _forget(state, c)
             else:
                 _shift(state, found)
+            if c.swings:  # what sits above may have turned, instead
+                state.covariance[SWING, SWING] += found.rotation**2
             state.aligning, state.refused_count = False, 0
             return True
         drop_oldest(state)

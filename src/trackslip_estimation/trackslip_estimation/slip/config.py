@@ -14,7 +14,8 @@ from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANT
 from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.coasting import motion_limits
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
-from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, SIZE
+from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SENSOR_ERRORS, SIZE, SWING
+from trackslip_estimation.slip.models.swing import constants as swing_constants
 from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ADAPTATION, MOST_SOURCES
@@ -25,7 +26,11 @@ ConfigRecord = NDArray[np.void]
 CONFIG = np.dtype(
     [
         ("model", np.int64),
-        ("active", np.int64),  # numbers of the model's state
+        ("active", np.int64),  # numbers of the model's state that are uncertain
+        ("size", np.int64),  # numbers of the state that are looked at
+        ("swings", np.bool_),  # whether anything sits on the upper structure
+        ("swing_axis", np.float64, (2,)),  # in base_link, m
+        ("swing_place", np.int64),  # the first source of poses above; −1: none
         ("sigma_points", np.bool_),  # DAF, else EKF
         ("kappa", np.float64),  # of the DAF
         ("rolling_radius", np.float64),  # r, m
@@ -56,6 +61,7 @@ CONFIG = np.dtype(
         ("gate_confirmations", np.int64),
         ("timeouts_ns", np.int64, (MOST_SOURCES,)),  # of each source, as all below
         ("levers", np.float64, (MOST_SOURCES, 3)),  # m
+        ("above", np.int64, (MOST_SOURCES,)),  # 0 or 1: whether it sits on the upper structure
         ("rate_scale", np.float64, (MOST_SOURCES,)),  # what a gyro shows of 1 rad/s
         ("stamp_errors", np.float64, (MOST_SOURCES,)),  # σ_t, s
         ("use_heading", np.int64, (MOST_SOURCES,)),  # 0 or 1
@@ -108,7 +114,8 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
 def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
     """What the chosen model says of itself."""
     model, noise = MODELS[p.model], p.noise_of(p.model)
-    c["model"], c["active"] = model.CODE, model.ACTIVE
+    c["model"], c["active"] = model.CODE, SIZE if p.swings else model.ACTIVE
+    c["swings"], c["size"] = p.swings, SIZE if p.swings else BELOW
     for name, dtype in CONSTANTS:
         of_model = {}
         if name in MODELS:
@@ -116,8 +123,11 @@ def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
         elif hasattr(model, "velocity_error_constants"):
             of_model = model.velocity_error_constants(noise)
         c[name] = tuple(of_model.get(field, 0.0) for field in dtype.names or ())
+    c["swing"], c["swing_axis"] = swing_constants(p.swing, p.vehicle), p.vehicle.swing_axis
     prior = model.prior(noise, p.vehicle.kinematics.tread)
     c["prior_mean"], c["prior_variance"] = prior.mean, np.square(prior.stddev)
+    if p.swings:
+        c["prior_mean"][SWING], c["prior_variance"][SWING] = p.initial_swing()
     c["prior_covariance"] = np.diag(c["prior_variance"])
     for motion in Motion:
         for changing in (False, True):
@@ -144,6 +154,14 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
         k = numbers[name]
         c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
         c["stamp_errors"][k] = compass.stamp_error
+    for name, angle in p.angles().items():
+        c["heading_offset"][numbers[name]] = angle.offset
+    above = [numbers[name] for name, source in p.mounted().items() if source.above]
+    c["above"][above] = 1
+    for name, pose in p.poses().items():
+        if pose.above:
+            c["correlation_times"][numbers[name]] = max(pose.correlation_time, p.swing.repeat_time)
+    c["swing_place"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale
     c["attitude"], c["tilt_source"] = attitude_constants(p.attitude), -1
@@ -171,4 +189,5 @@ def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, in
         c["own_errors"][numbers[name]] = place
         c["prior_variance"][place] = c["prior_covariance"][place, place] = variance
         c["process_noise"][..., place] = walk
-        c["active"] = place + 1
+        if not p.swings:
+            c["active"] = c["size"] = place + 1

@@ -24,11 +24,13 @@ from trackslip_common.message_fields import (
     QuaternionFields,
     SlipFields,
     SprocketFields,
+    SwingFields,
     frame_number,
     heading_of,
     read,
 )
-from trackslip_estimation.slip.estimator import Estimate, Tilt
+from trackslip_common.topics import SWING_JOINT, SWING_STDDEV_JOINT
+from trackslip_estimation.slip.estimator import Estimate, Swing, Tilt
 from trackslip_estimation.slip.measurements import (
     HeadingFix,
     OdometryPose,
@@ -36,6 +38,7 @@ from trackslip_estimation.slip.measurements import (
     Report,
     SlipFix,
     Sprockets,
+    SwingAngle,
     YawRate,
 )
 from trackslip_estimation.slip.mounting import quaternion_of, turned, turned_variances
@@ -113,6 +116,12 @@ def heading_fix(message: Any, source: str, default_variance: float) -> HeadingFi
         return Refusal.NO_ORIENTATION
     variance = m.variance_z if m.variance_z != 0.0 else default_variance
     return HeadingFix(source, m.stamp_ns, heading_of(m), variance)
+
+
+def swing_angle(message: Any, source: str, variance: float) -> SwingAngle:
+    """From sensor_msgs/JointState, without a variance. A joint that is missing reads nan, and is refused."""
+    m = read(SwingFields, message)
+    return SwingAngle(source, m.stamp_ns, m.angle, variance)
 
 
 def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> OdometryPose | Refusal:
@@ -227,6 +236,27 @@ def _transform(
         child_frame_id=child,
         transform=transform,
     )
+
+
+def blank_swing(make: Make, base_frame: str) -> Any:
+    """sensor_msgs/JointState for ``fill_swing``."""
+    names = [SWING_JOINT, SWING_STDDEV_JOINT]
+    return make("sensor_msgs/msg/JointState", header=header(make, 0, base_frame), name=names)
+
+
+def fill_swing(message: Any, estimate: Estimate, swing: Swing) -> None:
+    """Angle and rate of the upper structure, and as a joint of its own their standard deviations."""
+    set_stamp(message, estimate.stamp_ns)
+    of_angle, of_rate = np.sqrt(np.diag(swing.covariance)).tolist()
+    message.position, message.velocity = np.array((swing.angle, of_angle)), np.array((swing.rate, of_rate))
+
+
+def swing(make: Make, estimate: Estimate, base_frame: str) -> Any:
+    """sensor_msgs/JointState of an estimate that has a swing."""
+    message = blank_swing(make, base_frame)
+    if estimate.outputs.swing is not None:
+        fill_swing(message, estimate, estimate.outputs.swing)
+    return message
 
 
 def track_slip(make: Make, estimate: Estimate, base_frame: str) -> Any:

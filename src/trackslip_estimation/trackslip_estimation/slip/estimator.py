@@ -50,6 +50,15 @@ class Tilt:
 
 
 @dataclass(frozen=True, eq=False)
+class Swing:
+    """How the upper structure is turned against the undercarriage."""
+
+    angle: float  # rad, counter-clockwise, in (−π, π]
+    rate: float  # rad/s
+    covariance: FloatArray  # (2, 2)
+
+
+@dataclass(frozen=True, eq=False)
 class Outputs:
     """What a state means, with covariances."""
 
@@ -59,6 +68,7 @@ class Outputs:
     tilt: Tilt | None  # None: the ground counts as flat
     slips: FloatArray  # (3,) left slip, right slip, slip angle rad
     slip_covariance: FloatArray  # (3, 3)
+    swing: Swing | None = None  # None: nothing sits on it
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +210,11 @@ def make_step(result: Any, source: str) -> Step:
 
 def make_estimate(record: Any) -> Estimate:
     """What a record of ``ESTIMATE`` says."""
-    stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt, *slips, motion = record
+    stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt, *rest = record
+    slips, slip_covariance, motion, swing = rest
     known, *of_tilt = tilt
     leans = Tilt(*of_tilt) if known else None
-    outputs = Outputs(twist, twist_covariance, horizontal, leans, *slips)
+    swings, *of_swing = swing
+    swung = Swing(*of_swing) if swings else None
+    outputs = Outputs(twist, twist_covariance, horizontal, leans, slips, slip_covariance, swung)
     return Estimate(int(stamp_ns), pose, pose_covariance, outputs, Motion(motion))

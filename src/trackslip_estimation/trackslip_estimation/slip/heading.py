@@ -19,10 +19,12 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.adaptation import learn_from_fix
 from trackslip_estimation.slip.alignment import RigidMotion, keep_refused, move_pose
+from trackslip_estimation.slip.levers import sensor_place, stamp_shift, to_delayed, to_sensor, turn_heading
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.observation import observed, sensor_place, stamp_shift, to_delayed, to_sensor
+from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
+from trackslip_estimation.slip.models.swing import may_swing, open_swing
+from trackslip_estimation.slip.observation import observed
 from trackslip_estimation.slip.records import HEADING
 from trackslip_estimation.slip.update import correct, width_of
 
@@ -35,13 +37,17 @@ def use_heading(state: Any, measurement: Any, c: Any, update: Any) -> None:
     source, limit = measurement.source, c.gate_limits[1]
     soft = c.adaptation.soft_gate * limit
     z, stated = observed(measurement, state, c)
-    x, P, shift = state.mean.copy(), state.covariance.copy(), stamp_shift(state, source, c)
+    x, P, shift = state.mean[: c.size].copy(), state.covariance.copy(), stamp_shift(state, source, c)
+    if c.above[source] == 1:
+        z += x[SWING]  # which its offset has
+    turn_heading(x, P, source, 1.0, c)
     to_delayed(x, P, shift, 1.0)
     innovation = np.array((wrap(z[0] - x[YAW]),))
     predicted = P[YAW : YAW + 1, YAW : YAW + 1].copy()
     update.dof, update.gate = 1, soft * width_of(state, measurement, c)
     if state.aligning:
-        _align(state, innovation[0], stated[0, 0], c)
+        spread = P[SWING, SWING] if c.above[source] == 1 else 0.0
+        _align(state, innovation[0], stated[0, 0] + spread, c)
         state.consistent_ns[source], update.follows = measurement.stamp_ns, False
         return
     factors = state.adaptation.fix_factors
@@ -57,22 +63,28 @@ def use_heading(state: Any, measurement: Any, c: Any, update: Any) -> None:
         state.consistent_ns[source] = measurement.stamp_ns
     elif update.nis <= soft:
         R = R + (update.nis / limit - 1.0) * S
+    elif may_swing(state, source, c):
+        open_swing(state.covariance, c)
+        update.outcome = _GATED
+        return
     else:
         update.prior_covariance[YAW, YAW] += innovation[0] ** 2
         P[YAW, YAW] += innovation[0] ** 2
     correct(HEADING, x, P, (x[YAW : YAW + 1] + innovation, R), (0.0, 0.0), c)
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
-    state.mean[:], state.covariance[:] = x, P
+    turn_heading(x, P, source, -1.0, c)
+    state.mean[: c.size], state.covariance[:] = x, P
 
 
 @compiled
 def _align(state: Any, rotation: float, variance: float, c: Any) -> None:
     """The heading is found: the pose turns by ``rotation`` about the latest fix of an antenna."""
     if state.refused_count == 0:  # none since the start
-        x, P = state.mean.copy(), state.covariance.copy()
-        lever = sensor_place(state, _latest(state, c), c)
-        to_sensor(x, P, lever, 1.0)
+        x, P = state.mean[: c.size].copy(), state.covariance.copy()
+        latest = _latest(state, c)
+        lever = sensor_place(state.attitude.level, x[SWING], latest, c)
+        to_sensor(x, P, state.attitude.level, latest, 1.0, c)
         variance_of_fix = max((P[X, X] + P[Y, Y]) / 2.0 - lever[0] ** 2 - lever[1] ** 2, 0.0)
         keep_refused(state, (x[X], x[Y]), (x[X], x[Y]), variance_of_fix)
     fix, count = state.refused[state.refused_count - 1], state.refused_count

@@ -26,6 +26,7 @@ from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.config import ConfigRecord, make_config
 from trackslip_estimation.slip.models.dispatch import MODELS
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.sources import Mounted
 
 FloatArray = NDArray[np.float64]
 
@@ -98,18 +99,27 @@ def _machine_digest(p: SlipEstimatorParameters) -> str:
     content = {
         "vehicle": to_flat(p.vehicle),
         "model": p.model,
-        "poses": {name: (source.lever[:2], source.stamp_error) for name, source in p.poses().items()},
+        "poses": {
+            name: (source.lever[:2], source.stamp_error, *_mount(source))
+            for name, source in p.poses().items()
+        },
         "gyros": {
             name: (
                 imu.sign,
                 imu.scale,
                 *((imu.mounting,) if imu.mounting and not imu.mounting_from_tf else ()),
+                *_mount(imu),
             )
             for name, imu in p.gyros().items()
         },
         "least_track_error": p.adaptation.least_track_error,
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _mount(source: Mounted) -> tuple[str, ...]:
+    """What of a digest says that a sensor sits above."""
+    return (source.mount,) if source.above else ()
 
 
 def _kept_states(p: SlipEstimatorParameters) -> dict[str, int]:

@@ -87,6 +87,16 @@ class HeadingFix:
     variance: float  # rad²
 
 
+@dataclass(frozen=True)
+class SwingAngle:
+    """Angle of the upper structure against the undercarriage, by a sensor of the swing."""
+
+    source: str
+    stamp_ns: int
+    angle: float  # rad, counter-clockwise; nan: the message has none
+    variance: float  # rad²
+
+
 @dataclass(frozen=True, eq=False)
 class OdometryPose:
     """Pose of a laser or camera in its own odom frame, which drifts; only what it moved counts."""
@@ -99,8 +109,8 @@ class OdometryPose:
     variances: FloatArray  # (2, 3) linear and angular, of twist or pose, as the source's parameters want
 
 
-Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix | HeadingFix | OdometryPose
-KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix, OdometryPose)  # of measurements, for isinstance
+Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix | HeadingFix | OdometryPose | SwingAngle
+KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix, OdometryPose, SwingAngle)  # for isinstance
 
 
 @dataclass(frozen=True)

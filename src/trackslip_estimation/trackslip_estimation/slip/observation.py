@@ -3,11 +3,11 @@
 
     z, R   measurement and its covariance, as used       (m,), (m, m)
     h, H   predicted measurement, its Jacobian           (m,), (m, n)
-    l      place of a sensor beside C, seen from above   (2,), m
     c      record of ``config.CONFIG``
 
 Yaw rate: z = s_g φ̇ + b_g. Pose: z = (x, y) of the sensor and, where its heading is used, φ. Slips: z = (i_L,
-i_R). Heading: z = φ. Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R. A pose
+i_R). Heading: z = φ. Swing: z = σ. For a sensor off base_link, or above, the state is put in its coordinates
+before (``levers``). Yaw rate and slips are predicted from sprocket speeds, whose rounding adds to R. A pose
 or heading is that of δ σ_t before its stamp, σ_t being the stamp error of its source.
 """
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import sandwich
+from trackslip_estimation.slip.levers import compass_offset, unknown_arm
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
     body_twist,
@@ -27,9 +28,9 @@ from trackslip_estimation.slip.models.dispatch import (
     twist,
     twist_jacobian,
 )
-from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE, YAW, X, Y
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, YAW, X
 from trackslip_estimation.slip.motion import rounding, steady_speeds
-from trackslip_estimation.slip.records import HEADING, POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SLIPS, YAW_RATE
 
 FloatArray = NDArray[np.float64]
 
@@ -47,6 +48,8 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
     if kind == HEADING:
         variance = max(measurement.noise[0, 0], c.heading_floor[source] ** 2)
         return np.array((measurement.value[0] - compass_offset(state, source, c),)), np.array(((variance,),))
+    if kind == ON_SWING:
+        return measurement.value[:1] - c.heading_offset[source], measurement.noise[:1, :1].copy()
     if kind == SLIPS:
         return measurement.value[:2].copy(), measurement.noise[:2, :2].copy()
     rows = 3 if shows_heading(measurement, c) else 2
@@ -56,6 +59,8 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
         R[i, i] = max(R[i, i], floor * floor)
     for i in range(2):
         R[i, i] += c.levers[source, 2] ** 2 * state.attitude.level.lean_variance
+        if c.above[source] == 1:
+            R[i, i] += unknown_arm(state.covariance, source, c)
     return z, R
 
 
@@ -86,6 +91,8 @@ def expected(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
         return x[X : X + rows].copy()
     if kind == HEADING:
         return x[YAW : YAW + 1].copy()
+    if kind == ON_SWING:
+        return x[SWING : SWING + 1].copy()
     twist_ = twist(x, left, right, c)
     if kind == YAW_RATE:
         return np.array(((1.0 + x[GYRO_SCALE]) * twist_[2] + x[GYRO_BIAS],))
@@ -99,6 +106,8 @@ def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
         return np.eye(rows, x.size)
     if kind == HEADING:
         return np.eye(1, x.size, YAW)
+    if kind == ON_SWING:
+        return np.eye(1, x.size, SWING)
     left, right = speeds
     J = twist_jacobian(x, left, right, c)
     if kind == YAW_RATE:
@@ -111,7 +120,7 @@ def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
 @compiled
 def add_rounding(kind: int, x: FloatArray, R: FloatArray, state: Any, c: Any) -> None:
     """R of a yaw rate or of slips, with what the rounding of the counts adds to their prediction."""
-    if kind in (POSE, HEADING) or not state.speeds.differenced:
+    if kind in (POSE, HEADING, ON_SWING) or not state.speeds.differenced:
         return
     left, right, interval = comparable_speeds(kind, state, c)
     if interval <= 0.0 or c.encoder_resolution == 0.0:
@@ -135,7 +144,7 @@ def _outputs(state: Any, left: float, right: float, c: Any) -> FloatArray:
 @compiled
 def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
     """Twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
-    x, P = state.mean, state.covariance
+    x, P = state.mean[: c.size], state.covariance
     left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
     found = _outputs(state, left, right, c)
     twist_ = (found[0], found[1], found[2])
@@ -154,67 +163,3 @@ def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
     for i in range(3):
         estimate.horizontal[i] = horizontal[i]
     estimate.twist_covariance[:], estimate.slip_covariance[:] = twist_covariance, slip_covariance
-
-
-@compiled
-def sensor_place(state: Any, source: int, c: Any) -> FloatArray:
-    """(2,) l: how far a sensor is ahead of C and to its left, seen from above, as the machine leans."""
-    x, y, z = c.levers[source]
-    level = state.attitude.level
-    ahead = x * (1.0 + level.forward) + y * level.across + z * level.lean_x
-    return np.array((ahead, y * (1.0 + level.sideways) + z * level.lean_y))
-
-
-@compiled
-def compass_offset(state: Any, source: int, c: Any) -> float:
-    """Direction that a compass shows, from that of the machine, seen from above, rad."""
-    offset, level = c.heading_offset[source], state.attitude.level
-    if level.tilted == 0:
-        return float(offset)
-    cos, sin = np.cos(offset), np.sin(offset)
-    return float(np.arctan2(sin * (1.0 + level.sideways), cos * (1.0 + level.forward) + sin * level.across))
-
-
-@compiled
-def to_sensor(x: FloatArray, P: FloatArray, lever: FloatArray, sign: float) -> None:
-    """The state with a sensor's place for that of base_link (``sign`` 1), or back again (−1); in place."""
-    if lever[0] == 0.0 and lever[1] == 0.0:
-        return
-    cos, sin = np.cos(x[YAW]), np.sin(x[YAW])
-    east = sign * (cos * lever[0] - sin * lever[1])
-    north = sign * (sin * lever[0] + cos * lever[1])
-    x[X] += east
-    x[Y] += north
-    for j in range(x.size):
-        P[X, j] -= north * P[YAW, j]
-        P[Y, j] += east * P[YAW, j]
-    for i in range(x.size):
-        P[i, X] -= north * P[i, YAW]
-        P[i, Y] += east * P[i, YAW]
-
-
-@compiled
-def to_delayed(x: FloatArray, P: FloatArray, shift: tuple[float, float, float], sign: float) -> None:
-    """The state with the pose of δ σ_t ago for that of now (``sign`` 1), or back again (−1); in place.
-
-    ``shift`` is how the pose changes in σ_t: m, m, rad.
-    """
-    for i in range(YAW + 1):
-        x[i] -= sign * shift[i] * x[FIX_DELAY]
-        for j in range(x.size):
-            P[i, j] -= sign * shift[i] * P[FIX_DELAY, j]
-    for i in range(x.size):
-        for j in range(YAW + 1):
-            P[i, j] -= sign * shift[j] * P[i, FIX_DELAY]
-
-
-@compiled
-def stamp_shift(state: Any, source: int, c: Any) -> tuple[float, float, float]:
-    """How the pose of a source's sensor changes in its σ_t; nothing while nobody knows how fast it does."""
-    seconds = 0.0 if state.coasting else c.stamp_errors[source]
-    v_x, v_y, rate = horizontal_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
-    place = sensor_place(state, source, c)
-    v_x -= rate * place[1]
-    v_y += rate * place[0]
-    cos, sin = np.cos(state.mean[YAW]), np.sin(state.mean[YAW])
-    return (cos * v_x - sin * v_y) * seconds, (sin * v_x + cos * v_y) * seconds, rate * seconds

@@ -17,14 +17,18 @@ from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
+from trackslip_estimation.slip.models.swing import SwingParameters
 from trackslip_estimation.slip.motion import MotionParameters
 from trackslip_estimation.slip.records import MOST_ODOMETRIES, MOST_SOURCES
 from trackslip_estimation.slip.sources import (
     KINDS,
+    SWINGS,
     HeadingSource,
+    Mounted,
     OdometrySource,
     PoseSource,
     Source,
+    SwingSource,
     YawRateSource,
     group_name,
     named,
@@ -37,6 +41,13 @@ NODE = "slip_estimator"
 DEFAULT_FILES = ("slip_estimator.yaml",)
 GNSS_POSE = "gnss_pose"  # the topic whose lever arm the vehicle states
 _ANTENNA = "vehicle.sensors.antenna"
+_MOUNTS = {
+    "box_pose": "box",
+    GNSS_POSE: "antenna",
+    "heading": "antenna",
+    "imu/data_raw": "imu",
+}  # topics of them
+_ENCODER = "vehicle.sensors.swing_encoder.stddev"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +57,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     motion: MotionParameters
     adaptation: AdaptationParameters
     attitude: AttitudeParameters
+    swing: SwingParameters
     use_attitude: bool = parameter("whether roll and pitch are estimated; else the ground counts as flat")
     filter: str = parameter("extended Kalman filter, or the thesis' Fig. 4.3", choices=("ekf", "daf"))
     kappa: float = parameter("of the daf: scales the higher moments of its points", gt=-7.0, le=100.0)
@@ -64,6 +76,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     heading_sources: tuple[str, ...] = parameter(
         "topics of headings, such as a pair of antennas shows; '' names none. With one and start: first_fix, "
         "the start heading is what it says"
+    )
+    swing_sources: tuple[str, ...] = parameter(
+        "topics of JointState whose joint 'swing' is the angle of the upper structure; '' names none. Used "
+        "where the vehicle has a sensors.swing_encoder, and something sits above"
     )
     odometry_sources: tuple[str, ...] = parameter(
         "topics of Odometry of a laser or camera: what it moved counts, never where it is; '' names none"
@@ -120,6 +136,11 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         if self.max_gap < self.history_window:
             accepted = f"at least history_window, {self.history_window:g} s"
             raise InputError(f"{NODE}: max_gap: {self.max_gap:g} is out of range; accepted: {accepted}")
+        if self.swings and self.model == "free_slips":
+            above = ", ".join(topic for topic, source in self.mounted().items() if source.above)
+            raise InputError(
+                f"{NODE}: model: 'free_slips' knows no swing, and {above} sits above; accepted: turning, icr"
+            )
         if len(self.timeouts_ns()) >= MOST_SOURCES:
             raise InputError(
                 f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}"
@@ -143,7 +164,17 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         """
         lists = {kind: checked(cls, kind, values[kind], where) for kind in KINDS if kind in values}
         antenna = {f"lever_arm_{axis}": values.get(f"{_ANTENNA}.{axis}") for axis in "xyz"}
-        mounted = {GNSS_POSE: {key: value for key, value in antenna.items() if value is not None}}
+        mounted = {
+            topic: {"mount": values.get(f"vehicle.sensors.mounts.{of}")} for topic, of in _MOUNTS.items()
+        }
+        mounted[GNSS_POSE] |= antenna
+        if _ENCODER not in values:  # nothing is stated of what there is not
+            lists.pop(SWINGS, None)
+        mounted |= {topic: {"stddev": values.get(_ENCODER)} for topic in lists.get(SWINGS, ())}
+        mounted = {
+            topic: {key: value for key, value in stated.items() if value is not None}
+            for topic, stated in mounted.items()
+        }
         return {"sources": source_groups(lists, mounted, where)}
 
     @classmethod
@@ -163,7 +194,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         }
 
     def of_kind(self, kind: str) -> dict[str, Any]:
-        """Topic → what is stated of it, of the sources of one of the lists of ``KINDS``."""
+        """Topic → what is stated of it, of the sources of one of the lists of ``KINDS`` that are in use."""
+        if kind == SWINGS and not (self.swings and self.vehicle.has_swing_encoder):
+            return {}
         return {topic: self.sources[group_name(topic)] for topic in named(getattr(self, kind))}
 
     def poses(self) -> dict[str, PoseSource]:
@@ -173,6 +206,24 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     def gyros(self) -> dict[str, YawRateSource]:
         """By topic."""
         return self.of_kind("yaw_rate_sources")
+
+    def angles(self) -> dict[str, SwingSource]:
+        """By topic, the sensors of the swing."""
+        return self.of_kind(SWINGS)
+
+    def mounted(self) -> dict[str, Mounted]:
+        """By topic, what may sit on the upper structure."""
+        return {**self.poses(), **self.gyros(), **self.compasses()}
+
+    @property
+    def swings(self) -> bool:
+        """Whether anything sits on the upper structure, whose angle then is a part of the state."""
+        return any(source.above for source in self.mounted().values())
+
+    def initial_swing(self) -> tuple[float, float]:
+        """Mean and variance of its angle at the start; a sensor that is still to tell it knows it better."""
+        stddev = self.swing.initial_angle_stddev
+        return self.swing.initial_angle, (max(stddev, math.pi) if self.angles() else stddev) ** 2
 
     @property
     def tilt_source(self) -> str | None:

@@ -16,10 +16,11 @@ from trackslip_estimation.attitude.filter import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.increments import is_pose
+from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.observation import fill_outputs, sensor_place, to_sensor
+from trackslip_estimation.slip.observation import fill_outputs
 from trackslip_estimation.slip.odometry import begin_odometry
 from trackslip_estimation.slip.records import (
     HEADING,
@@ -31,6 +32,7 @@ from trackslip_estimation.slip.records import (
     SPROCKETS,
 )
 from trackslip_estimation.slip.sprockets import remember, stand_still
+from trackslip_estimation.slip.swing import fill_swing
 from trackslip_estimation.slip.tilt import fill_tilt
 from trackslip_estimation.slip.window import (
     SPARE,
@@ -252,7 +254,11 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
             for i in range(rows):
                 floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
                 P[i, i] = max(P[i, i], floor * floor)
-            to_sensor(x, P, sensor_place(state, source, c), -1.0)
+            if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
+                x[YAW] += x[SWING]
+                P[YAW, YAW] += P[SWING, SWING]
+                P[YAW, SWING] = P[SWING, YAW] = P[SWING, SWING]
+            to_sensor(x[: c.size], P, state.attitude.level, source, -1.0, c)
         if source != MANUAL and P[YAW, YAW] > UNKNOWN_HEADING**2:  # to any side, which no tangent shows
             for i in range(YAW):
                 P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
@@ -287,6 +293,7 @@ def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
     """What is published of a state, into a record of ``ESTIMATE``."""
     fill_outputs(state, c, estimate)
     fill_tilt(state, estimate.tilt, c)
+    fill_swing(state, estimate.swing, c)
     estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
     if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction

@@ -20,6 +20,7 @@ from trackslip_estimation.slip.measurements import (
     PoseFix,
     SlipFix,
     Sprockets,
+    SwingAngle,
     YawRate,
 )
 from trackslip_estimation.slip.models.model import SIZE
@@ -28,7 +29,7 @@ from trackslip_estimation.slip.motion import MOTION, SPEEDS
 MOST_SOURCES = 12  # gyros, poses, slips, headings and odometries together
 MOST_ODOMETRIES = 2
 
-SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING, ODOMETRY = range(6)  # kinds, in the order at one stamp
+SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING, ODOMETRY, ON_SWING = range(7)  # kinds, in the order at one stamp
 
 MEASUREMENT = np.dtype(
     [
@@ -168,6 +169,16 @@ TILT = np.dtype(  # of an estimate
     align=True,
 )
 
+SWINGING = np.dtype(  # of an estimate
+    [
+        ("known", np.int64),  # 0 or 1: whether anything sits above; the rest is zero where it does not
+        ("angle", np.float64),  # σ in (−π, π], rad
+        ("rate", np.float64),  # rad/s
+        ("covariance", np.float64, (2, 2)),
+    ],
+    align=True,
+)
+
 ESTIMATE = np.dtype(
     [
         ("stamp_ns", np.int64),
@@ -180,6 +191,7 @@ ESTIMATE = np.dtype(
         ("slips", np.float64, (3,)),  # left slip, right slip, slip angle rad
         ("slip_covariance", np.float64, (3, 3)),
         ("motion", np.int64),
+        ("swing", SWINGING),
     ],
     align=True,
 )
@@ -223,6 +235,9 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
         elif isinstance(m, HeadingFix):
             record["kind"], record["source"] = HEADING, sources[m.source]
             record["value"][0], record["noise"][0, 0] = m.heading, m.variance
+        elif isinstance(m, SwingAngle):
+            record["kind"], record["source"] = ON_SWING, sources[m.source]
+            record["value"][0], record["noise"][0, 0] = m.angle, m.variance
         elif isinstance(m, OdometryPose):
             record["kind"], record["source"] = ODOMETRY, sources[m.source]
             record["value"], record["turn"], record["frame"] = m.place, m.turn, m.frame

@@ -15,8 +15,10 @@ from typing import Any
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, Parameters, parameter
+from trackslip_common.vehicle import MOUNTS, UPPER
 from trackslip_estimation.slip.mounting import Rotation, quaternion_of, rotation
 
+_MOUNT = "what it sits on; upper: its place is that with the upper structure looking forward"
 _TIMEOUT = "with nothing accepted for so long it counts as lost"
 
 
@@ -34,7 +36,19 @@ class Source(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseSource(Source):
+class Mounted(Source):
+    """A sensor that may sit on the upper structure."""
+
+    mount: str = parameter(_MOUNT, choices=MOUNTS)
+
+    @property
+    def above(self) -> bool:
+        """Whether it swings."""
+        return self.mount == UPPER
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSource(Mounted):
     """Poses of one sensor."""
 
     use_heading: bool = parameter("whether its heading is a measurement too")
@@ -73,7 +87,7 @@ class PoseSource(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class YawRateSource(Source):
+class YawRateSource(Mounted):
     """A gyro; its gate widens with each further timeout."""
 
     mounting_roll: float = parameter(
@@ -132,7 +146,7 @@ HEADING_MESSAGES = {"imu": "sensor_msgs/msg/Imu", "quaternion": "geometry_msgs/m
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeadingSource(Source):
+class HeadingSource(Mounted):
     """A pair of antennas, or another compass; its gate widens with each further timeout."""
 
     message: str = parameter(
@@ -153,6 +167,19 @@ class HeadingSource(Source):
         ge=0.0,
         le=10.0,
     )
+
+
+SWINGS = "swing_sources"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingSource(Source):
+    """A sensor of the swing; its gate widens with each further timeout."""
+
+    offset: float = parameter(
+        "what it shows while the upper structure looks forward", unit="rad", ge=-6.2832, le=6.2832
+    )
+    stddev: float = parameter("of one reading", unit="rad", gt=0.0)
 
 
 COVARIANCES = ("twist", "pose", "declared")  # in the order of ``increments``
@@ -204,6 +231,7 @@ KINDS: Mapping[str, type[Source]] = {
     "yaw_rate_sources": YawRateSource,
     "slip_sources": SlipSource,
     "heading_sources": HeadingSource,
+    SWINGS: SwingSource,
     "odometry_sources": OdometrySource,
 }
 

@@ -21,6 +21,7 @@ from trackslip_estimation.slip.adaptation import lose_track, pass_time
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.coasting import begin_coast, inflate, reset_velocity
 from trackslip_estimation.slip.heading import use_heading
+from trackslip_estimation.slip.levers import to_gyro
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
@@ -31,11 +32,21 @@ from trackslip_estimation.slip.models.dispatch import (
     twist_jacobian,
 )
 from trackslip_estimation.slip.models.model import SIZE, YAW
+from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import Motion, update_motion
 from trackslip_estimation.slip.odometry import follow_motion, use_odometry
 from trackslip_estimation.slip.own_errors import exchange_bias
-from trackslip_estimation.slip.records import HEADING, MANUAL, ODOMETRY, POSE, SPROCKETS, YAW_RATE
+from trackslip_estimation.slip.records import (
+    HEADING,
+    MANUAL,
+    ODOMETRY,
+    ON_SWING,
+    POSE,
+    SPROCKETS,
+    YAW_RATE,
+)
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
+from trackslip_estimation.slip.swing import use_swing
 from trackslip_estimation.slip.tilt import rise, tilt_by
 from trackslip_estimation.slip.update import use_pose, use_rate, use_slips
 
@@ -65,12 +76,21 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         exchange_bias(state, update, own)
         if measurement.source == c.tilt_source:
             tilt_by(state, measurement, c)
+        above = c.above[measurement.source] == 1
+        if above:
+            to_gyro(state.mean, state.covariance, 1.0)
+            to_gyro(update.prior_mean, update.prior_covariance, 1.0)
         use_rate(state, measurement, c, update)
+        if above:
+            to_gyro(state.mean, state.covariance, -1.0)
+            to_gyro(update.prior_mean, update.prior_covariance, -1.0)
         exchange_bias(state, update, own)
     elif measurement.kind == HEADING:
         use_heading(state, measurement, c, update)
     elif measurement.kind == ODOMETRY:
         use_odometry(state, measurement, c, update)
+    elif measurement.kind == ON_SWING:
+        use_swing(state, measurement, c, update)
     else:
         use_slips(state, measurement, c, update)
 
@@ -117,7 +137,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
 @compiled
 def propagate(state: Any, dt: float, c: Any) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
-    x, P = state.mean, state.covariance
+    x, P = state.mean[: c.size], state.covariance
     follow_motion(state, dt, c)
     rise(state, dt, c)
     if has_velocity_errors(c):
@@ -125,14 +145,17 @@ def propagate(state: Any, dt: float, c: Any) -> None:
     moved, F, Q = linearize(x, P, state, dt, c)
     if not c.sigma_points:
         x[:] = moved
+        if c.swings:
+            shear(P, F)
         ekf.propagate_covariance(P, F, Q, COUPLED)
         return
-    points, weights = daf.sigma_points(x, P, c.kappa, c.active)
+    own = P[: x.size, : x.size].copy()
+    points, weights = daf.sigma_points(x, own, c.kappa, c.active)
     for i in range(weights.size):
         points[i] = move(points[i], state, dt, c)
     mean, departures, weights = daf.moments(points, weights, YAW)
     x[:] = mean
-    P[:] = daf.spread_covariance(departures, weights) + Q
+    P[: x.size, : x.size] = daf.spread_covariance(departures, weights) + Q
 
 
 @compiled

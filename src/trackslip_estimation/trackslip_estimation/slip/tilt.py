@@ -2,17 +2,21 @@
 """Between the slip estimator and the attitude filter, which is part of its state; compiled.
 
 One IMU of the gyros tells the attitude (``config.tilt_source``); its samples pass in the order of stamps with
-all other measurements, so that the attitude too is a function of their set.
+all other measurements, so that the attitude too is a function of their set. One on the upper structure is
+turned back by the swing; while that is not known, it tells nothing.
 """
 
 from typing import Any
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.attitude.filter import climb, use_sample
+from trackslip_estimation.attitude.filter import climb, force_of, use_sample
 from trackslip_estimation.attitude.records import HEIGHT, ROLL
+from trackslip_estimation.slip.levers import swing_lever
 from trackslip_estimation.slip.models.dispatch import body_twist, has_velocity_errors
-from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
+
+_WIDEST_SWING = 0.5  # rad, standard deviation beyond which an IMU above does not tell where base_link leans
 
 
 @compiled
@@ -27,8 +31,14 @@ def tilt_by(state: Any, measurement: Any, c: Any) -> None:
         imu.rate_variances[k] = factor * measurement.noise[(k + 1) % 3, (k + 1) % 3]
     imu.stamp_ns, imu.force[:] = measurement.stamp_ns, measurement.acceleration
     imu.force_variance, imu.lever[:] = measurement.acceleration_variance, c.tilt_lever
-    v_x, v_y, _ = body_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
+    v_x, v_y, rate = body_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
     imu.velocity[0], imu.velocity[1] = v_x, v_y
+    imu.turn, imu.turn_variance, imu.lost = 0.0, 0.0, 0
+    if c.above[source] == 1:
+        imu.turn, imu.turn_variance = state.mean[SWING], state.covariance[SWING, SWING]
+        imu.lost = 1 if imu.turn_variance > _WIDEST_SWING**2 else 0
+        swing_lever(imu, state.mean[SWING_RATE], c)
+        imu.rates[2] = rate  # its own has the swing, which starts before the state knows
     imu.known_velocity = 0 if state.coasting else 1
     use_sample(a, c.attitude)
 
@@ -53,9 +63,10 @@ def fill_tilt(state: Any, tilt: Any, c: Any) -> None:
         tilt.tilt[:], tilt.covariance[:], tilt.rates[:], tilt.rate_variances[:] = 0.0, 0.0, 0.0, 0.0
         tilt.force[:], tilt.force_variance = 0.0, 0.0
         return
+    force = force_of(a.sample)
     for i in range(3):
         tilt.tilt[i], tilt.rates[i] = a.mean[ROLL + i], a.rates[i]
-        tilt.rate_variances[i], tilt.force[i] = a.sample.rate_variances[i], a.sample.force[i]
+        tilt.rate_variances[i], tilt.force[i] = a.sample.rate_variances[i], force[i]
         for j in range(3):
             tilt.covariance[i, j] = a.covariance[ROLL + i, ROLL + j]
     if has_velocity_errors(c):

@@ -22,10 +22,12 @@ from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wr
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, keep_refused, realign
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
+from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor, widen_swing_rate
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
-from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, YAW, X, Y
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import YAW_RATE_ERROR
+from trackslip_estimation.slip.models.swing import may_swing, open_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import (
     add_rounding,
@@ -33,10 +35,6 @@ from trackslip_estimation.slip.observation import (
     expected,
     jacobian,
     observed,
-    sensor_place,
-    stamp_shift,
-    to_delayed,
-    to_sensor,
 )
 from trackslip_estimation.slip.records import HEADING, POSE, SLIPS, YAW_RATE
 
@@ -53,7 +51,7 @@ def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
     left, right, _ = comparable_speeds(SLIPS, state, c)
     limit, update.dof = c.gate_limits[z.size], z.size
     update.gate = limit * width_of(state, measurement, c)
-    x, P, prior_P = state.mean.copy(), state.covariance.copy(), state.covariance.copy()
+    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), state.covariance.copy()
     add_rounding(SLIPS, x, R, state, c)
     update.nis, update.log_determinant = correct(SLIPS, x, P, (z, R), (left, right), c)
     if update.nis > update.gate:
@@ -61,18 +59,19 @@ def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
         return
     if update.nis > limit:
         widen(SLIPS, z, state.mean, prior_P, (left, right), c)
-        x[:], P[:] = state.mean, prior_P
+        x[:], P[:] = state.mean[: c.size], prior_P
         correct(SLIPS, x, P, (z, R), (left, right), c)
     else:
         state.consistent_ns[source] = measurement.stamp_ns
     update.prior_covariance[:] = prior_P
-    state.mean[:], state.covariance[:] = x, P
+    state.mean[: c.size], state.covariance[:] = x, P
 
 
 @inlined
 def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     """A yaw rate: in full inside g; with less weight where only the largest noise that may be explains it.
 
+    The state is in the coordinates of its gyro (``levers.to_gyro``).
     Beyond that it is refused, until several agree on other ground, or the gate has widened (``gate``).
     """
     source = measurement.source
@@ -82,10 +81,10 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     left, right, _ = comparable_speeds(YAW_RATE, state, c)
     limit, update.dof = c.gate_limits[1], 1
     update.gate = limit * width_of(state, measurement, c)
-    x, P, prior_P = state.mean.copy(), state.covariance.copy(), state.covariance.copy()
+    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), state.covariance.copy()
     add_rounding(YAW_RATE, x, R, state, c)
     nis, log_determinant = correct(YAW_RATE, x, P, (z, R), (left, right), c)
-    rate, variance = _rate_shown(state, z[0], R[0, 0], c)
+    rate, variance = _rate_shown(state, source, (z[0], R[0, 0]), c)
     possible = np.isinf(limit) or not on_no_ground(rate, variance, (left, right), c)
     surprise, again = nis, False
     if possible and has_velocity_errors(c) and not state.coasting:
@@ -99,7 +98,7 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     elif other_ground(rate, learned, streak, (left, right), c):
         streak.count = 0
         forget_ground(prior_P, c)
-        x[:], P[:] = state.mean, prior_P
+        x[:], P[:] = state.mean[: c.size], prior_P
         nis, log_determinant = correct(YAW_RATE, x, P, (z, R), (left, right), c)
         surprise = nis
     elif nis <= limit:
@@ -112,14 +111,17 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
         update.outcome = _GATED
         return
     if surprise > limit:
-        widen(YAW_RATE, z, state.mean, prior_P, (left, right), c)
+        if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
+            widen_swing_rate(prior_P, c.swing.fastest**2)
+        else:
+            widen(YAW_RATE, z, state.mean, prior_P, (left, right), c)
         again = True
     if again:
-        x[:], P[:] = state.mean, prior_P
+        x[:], P[:] = state.mean[: c.size], prior_P
         correct(YAW_RATE, x, P, (z, R), (left, right), c)
     state.consistent_ns[source] = measurement.stamp_ns
     update.prior_covariance[:] = prior_P
-    state.mean[:], state.covariance[:] = x, P
+    state.mean[: c.size], state.covariance[:] = x, P
 
 
 @compiled
@@ -136,9 +138,14 @@ def _rate_error(state: Any, c: Any) -> float:
 
 
 @compiled
-def _rate_shown(state: Any, shown: float, variance: float, c: Any) -> tuple[float, float]:
-    """The machine's yaw rate by a gyro alone, rad/s, and its variance with what the tracks may err by."""
-    P = state.covariance
+def _rate_shown(state: Any, source: int, measured: tuple[float, float], c: Any) -> tuple[float, float]:
+    """The machine's yaw rate by a gyro alone, rad/s, and its variance with what the tracks may err by.
+
+    ``measured``: what it shows, and the variance of that.
+    """
+    P, (shown, variance) = state.covariance, measured
+    if c.above[source] == 1:
+        shown -= state.mean[SWING_RATE]
     variance += P[GYRO_BIAS, GYRO_BIAS]
     if has_velocity_errors(c):
         variance += P[YAW_RATE_ERROR, YAW_RATE_ERROR]
@@ -155,15 +162,14 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     source = measurement.source
     z, R = observed(measurement, state, c)
     m, limit = z.size, c.gate_limits[z.size]
-    x, P = state.mean.copy(), state.covariance.copy()
+    x, P = state.mean[: c.size].copy(), state.covariance.copy()
     shift = stamp_shift(state, source, c)
-    lever = sensor_place(state, source, c)
-    to_sensor(x, P, lever, 1.0)
+    to_sensor(x, P, state.attitude.level, source, 1.0, c)
     to_delayed(x, P, shift, 1.0)
     innovation, predicted = z - x[:m], P[:m, :m].copy()
     if m > YAW:
         innovation[YAW] = wrap(innovation[YAW])
-    stated, finds_heading = R, state.aligning and m <= YAW
+    stated, finds_heading = R, state.aligning and (m <= YAW or c.above[source] == 1)
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.correlation_times[source])
     R = state.adaptation.fix_factors[source] * stated
     update.dof, update.gate = m, c.adaptation.soft_gate * limit
@@ -177,7 +183,11 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     nis = weighted_square(root_of_S, innovation)
     update.nis, update.log_determinant = nis, log_determinant_of(root_of_S)
     refused = finds_heading or nis > update.gate
-    if refused or nis > limit:
+    if (refused or nis > limit) and may_swing(state, source, c):
+        state.refused_count = 0  # how it swings is no way that was driven
+        if refused and not finds_heading and width_of(state, measurement, c) > 1.0:
+            open_swing(state.covariance, c)
+    elif refused or nis > limit:
         keep_refused(state, (x[X], x[Y]), (z[X], z[Y]), (R[X, X] + R[Y, Y]) / 2.0)
         if realign(state, c):
             state.consistent_ns[source] = measurement.stamp_ns
@@ -194,8 +204,8 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     correct(POSE, x, P, (z, known * R), (0.0, 0.0), c)
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
-    to_sensor(x, P, lever, -1.0)
-    state.mean[:], state.covariance[:] = x, P
+    to_sensor(x, P, state.attitude.level, source, -1.0, c)
+    state.mean[: c.size], state.covariance[:] = x, P
     state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
 
 
@@ -216,13 +226,15 @@ def correct(
     z, R = measured
     scale, scale_variance = x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE]
     if c.sigma_points:
-        points, weights = daf.sigma_points(x, P, c.kappa, c.active)
+        own = P[: x.size, : x.size].copy()
+        points, weights = daf.sigma_points(x, own, c.kappa, c.active)
         Z = np.empty((weights.size, z.size))
         for i in range(weights.size):
             Z[i] = expected(kind, points[i], z.size, speeds, c)
             if kind == HEADING:
                 Z[i, 0] = x[YAW] + wrap(Z[i, 0] - x[YAW])
-        nis, log_determinant = daf.correct(x, P, (points, weights), measured, Z, YAW)
+        nis, log_determinant = daf.correct(x, own, (points, weights), measured, Z, YAW)
+        P[: x.size, : x.size] = own
         if kind == YAW_RATE:
             x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE] = scale, scale_variance
         return nis, log_determinant

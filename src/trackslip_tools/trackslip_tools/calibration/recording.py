@@ -123,7 +123,7 @@ def read_recording(
         InputError: the bag lacks the sprockets, or a topic is of a type that does not serve.
     """
     require_topics(bag, [SPROCKETS])
-    shown = _compass(bag, *compass) if compass else _Wanted("", QuaternionFields, headings_of)
+    shown = _compass(bag, *compass) if compass else _Wanted("", PoseFields, _poses)
     driven, turns, fixes, oil, turned = _series(
         bag,
         _Wanted(SPROCKETS, SprocketFields, _sprockets),

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from trackslip_common.message_fields import (
     At,
     ForceFields,
-    Joint,
     OdometryFields,
     PoseFields,
     RecordClass,
     SlipFields,
     SoilFields,
+    SwingFields,
     heading_of,
 )
-from trackslip_common.topics import SWING_JOINT, TOPICS
+from trackslip_common.topics import TOPICS
 
 FloatArray = NDArray[np.float64]
 
@@ -36,12 +36,6 @@ class AttitudeFields(NamedTuple):
     qz: Annotated[float, At("orientation.z")]
     qw: Annotated[float, At("orientation.w")]
     covariance: Annotated[FloatArray, At("orientation_covariance", (0, 4), (2,))]  # of roll, pitch, rad²
-
-
-class SwingFields(NamedTuple):
-    """Of sensor_msgs/JointState."""
-
-    angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
 
 
 RECORDS: dict[str, RecordClass] = {

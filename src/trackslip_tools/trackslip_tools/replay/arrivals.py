@@ -26,6 +26,7 @@ from trackslip_common.message_fields import (
     RecordClass,
     SlipFields,
     SprocketFields,
+    SwingFields,
     headings_of,
     poses_of,
 )
@@ -36,6 +37,7 @@ from trackslip_estimation.slip.records import (
     MANUAL,
     MEASUREMENT,
     ODOMETRY,
+    ON_SWING,
     POSE,
     SLIPS,
     SPROCKETS,
@@ -47,12 +49,13 @@ from trackslip_estimation.slip.sources import (
     HeadingSource,
     OdometrySource,
     Refusal,
+    SwingSource,
     YawRateSource,
 )
 
 Rows = NDArray[np.void]
 
-IS_COMMAND, IS_RELOAD = ODOMETRY + 1, ODOMETRY + 2  # more kinds: its source is the command; new parameters
+IS_COMMAND, IS_RELOAD = ON_SWING + 1, ON_SWING + 2  # more kinds: its source is the command; new parameters
 
 _FIELDS = MEASUREMENT.names or ()
 ARRIVAL = np.dtype(
@@ -91,6 +94,11 @@ def heading_reader(type_name: str, compass: HeadingSource) -> SourceReader:
     if type_name == HEADING_MESSAGES["imu"]:
         return SourceReader(HEADING, OrientationFields, compass, ("absent", Refusal.NO_ORIENTATION))
     return SourceReader(HEADING, QuaternionFields, compass)
+
+
+def swing_reader(angle: SwingSource) -> SourceReader:
+    """Of a sensor of the swing."""
+    return SourceReader(ON_SWING, SwingFields, angle)
 
 
 def odometry_reader(odometry: OdometrySource) -> SourceReader:
@@ -148,6 +156,10 @@ def _fill_headings(rows: Rows, read: Rows, compass: HeadingSource) -> None:
         rows["noise"][stated, 0, 0] = read["variance_z"][stated]
 
 
+def _fill_swings(rows: Rows, read: Rows, angle: SwingSource) -> None:
+    rows["value"][:, 0], rows["noise"][:, 0, 0] = read["angle"], angle.stddev**2
+
+
 def _fill_odometry(rows: Rows, read: Rows, odometry: OdometrySource) -> None:
     rows["value"] = np.column_stack([read[name] for name in "xyz"])
     rows["turn"] = np.column_stack([read[f"q{axis}"] for axis in "xyzw"])
@@ -163,4 +175,5 @@ _FILL: dict[int, Callable[[Rows, Rows, Any], None]] = {
     SLIPS: _fill_slips,
     HEADING: _fill_headings,
     ODOMETRY: _fill_odometry,
+    ON_SWING: _fill_swings,
 }

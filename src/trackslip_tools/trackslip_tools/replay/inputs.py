@@ -25,7 +25,14 @@ from trackslip_bags.parameters import bag_parameters, read_parameters
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
-from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields, frame_number
+from trackslip_common.message_fields import (
+    ABSENT,
+    RECORDS,
+    FrameFields,
+    ReportFields,
+    SwingFields,
+    frame_number,
+)
 from trackslip_common.parameters import reloadable
 from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
@@ -52,6 +59,7 @@ from trackslip_tools.replay.arrivals import (
     SourceReader,
     heading_reader,
     odometry_reader,
+    swing_reader,
     to_measurements,
     yaw_rate_reader,
 )
@@ -60,7 +68,8 @@ from trackslip_tools.replay.live_order import LINE, JournalCounts, LiveOrder
 from trackslip_tools.replay.series import Series, SeriesCollector
 
 SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
-LOCAL_ODOMETRY, ATTITUDE = "odometry/local", "attitude"
+LOCAL_ODOMETRY, ATTITUDE, SWING_ESTIMATE = "odometry/local", "attitude", "swing/estimate"
+TRUE_SWING = "truth/swing"
 
 _COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
 
@@ -218,7 +227,11 @@ class InputStream:
 
     def _logged(self, stretch: Stretch) -> dict[str, Logged]:
         return {
-            self._names[topic]: Logged(table.log_times_ns, table.rows(RECORDS[table.type_name]), table)
+            self._names[topic]: Logged(
+                table.log_times_ns,
+                table.rows(SwingFields if self._names[topic] == TRUE_SWING else RECORDS[table.type_name]),
+                table,
+            )
             for topic, table in stretch.items()
             if self._names[topic] in self._tables
         }
@@ -292,6 +305,7 @@ def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, 
     readers |= {topic: yaw_rate_reader(imu) for topic, imu in p.gyros().items()}
     for topic, compass in p.compasses().items():
         readers[topic] = heading_reader(types.get(topic, ""), compass)
+    readers |= {topic: swing_reader(angle) for topic, angle in p.angles().items()}
     readers |= {topic: odometry_reader(odometry) for topic, odometry in p.odometries().items()}
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
@@ -311,6 +325,7 @@ def _require_types(
     expected = dict.fromkeys(p.yaw_rate_sources, "imu/data_raw")
     expected |= dict.fromkeys(("reference_pose", *p.pose_sources), "box_pose")
     expected |= dict.fromkeys(p.slip_sources, TRACK_SLIP)
+    expected |= dict.fromkeys(p.angles(), TRUE_SWING)
     expected |= dict.fromkeys(p.odometry_sources, ODOMETRY)
     require_one_type(bag, names)
     for topic, name in names.items():

@@ -21,7 +21,14 @@ from trackslip_estimation.slip.learned_text import lines_of, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.inputs import ATTITUDE, LOCAL_ODOMETRY, ODOMETRY, REPORTS, TRACK_SLIP
+from trackslip_tools.replay.inputs import (
+    ATTITUDE,
+    LOCAL_ODOMETRY,
+    ODOMETRY,
+    REPORTS,
+    SWING_ESTIMATE,
+    TRACK_SLIP,
+)
 from trackslip_tools.replay.run import Part, Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
@@ -67,6 +74,9 @@ class EstimateWriter:
                     self._write(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
                 if estimate.outputs.tilt is not None:
                     self._write(ATTITUDE, message_of(ATTITUDE, estimate, self._p), estimate.stamp_ns)
+                if estimate.outputs.swing is not None:
+                    message = message_of(SWING_ESTIMATE, estimate, self._p)
+                    self._write(SWING_ESTIMATE, message, estimate.stamp_ns)
                 message = message_of(LOCAL_ODOMETRY, self._local.after(estimate), self._p)
                 self._write(LOCAL_ODOMETRY, message, estimate.stamp_ns)
 
@@ -96,6 +106,8 @@ def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> An
         return conversions.odometry(make, estimate, parent, frames.base)
     if topic == ATTITUDE:
         return conversions.attitude(make, estimate, frames.base)
+    if topic == SWING_ESTIMATE:
+        return conversions.swing(make, estimate, frames.base)
     return conversions.track_slip(make, estimate, frames.base)
 
 
@@ -111,6 +123,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
     of_filter = result.scores.get("filter")
     rmse["heading"] = of_filter.heading if of_filter else None
     rmse["slip"] = result.slip_rmse
+    rmse["swing"] = result.swing_rmse
     rmse["attitude"], rmse["height"] = result.attitude_rmse, result.height_rmse
     if result.withheld:
         last = result.withheld[-1].as_dict()
@@ -190,6 +203,8 @@ def _scores(result: Replay) -> list[str]:
     if result.attitude_rmse is not None:
         degrees = math.degrees(result.attitude_rmse)
         lines.append(f"  attitude RMSE {degrees:.2f}°  height RMSE {result.height_rmse:.3f} m")
+    if result.swing_rmse is not None:
+        lines.append(f"  swing RMSE {result.swing_rmse:.4f} rad")
     if result.nees is not None:
         lines.append(f"  mean NEES of pose {result.nees:.2f} (3 if consistent)")
     elif result.nees_position is not None:

@@ -35,13 +35,21 @@ from trackslip_tools.replay.comparison import (
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
-from trackslip_tools.replay.inputs import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, InputStream, Logged
+from trackslip_tools.replay.inputs import (
+    LOCAL_ODOMETRY,
+    ODOMETRY,
+    TRACK_SLIP,
+    TRUE_SWING,
+    InputStream,
+    Logged,
+)
 from trackslip_tools.replay.no_estimate import Taken, why_no_estimate
 from trackslip_tools.replay.reckoning import Reckoning
 from trackslip_tools.replay.scoring import Score, in_order, path_of, reference_path
 from trackslip_tools.replay.series import Series, SeriesCollector, reduced
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilReplay, SoilRun
 from trackslip_tools.replay.start import learned_before
+from trackslip_tools.replay.swing import SwingErrors
 from trackslip_tools.replay.tilt import TiltErrors
 from trackslip_tools.replay.withheld import Withheld, WithheldErrors
 
@@ -98,6 +106,7 @@ class Replay:
     slip_rmse: float | None = None
     attitude_rmse: float | None = None  # of roll and of pitch, rad
     height_rmse: float | None = None  # m
+    swing_rmse: float | None = None  # rad
     live: LiveComparison | None = None
     paths: dict[str, Path] = field(default_factory=dict)
     soil: SoilReplay | None = None  # where the bag has hydraulics
@@ -195,6 +204,7 @@ class _Collector:
         self._estimates, self._series = GrowingRows(KEPT, MOST_DRAWN), SeriesCollector(most=MOST_DRAWN)
         self._last, self._rejected = np.empty(0, KEPT), stream.refused
         self._errors, self._slips, self._tilt = PathErrors(), SlipErrors(vehicle.tread), TiltErrors()
+        self._swing = SwingErrors()
         self._reckonings = {
             name: Reckoning(vehicle, with_gyro=name == "encoder_gyro")
             for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
@@ -219,6 +229,7 @@ class _Collector:
             self._series.add(topic, rows)
         self._slips.add(estimates, *(tables.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY)))
         self._tilt.add(estimates, tables.get(TRUE_ODOMETRY))
+        self._swing.add(estimates, tables.get(TRUE_SWING))
         if self._reference is not None:
             known = tables.get(self._reference)
             reference = None if known is None else reduced(known)
@@ -237,6 +248,7 @@ class _Collector:
         )
         found.reference, found.series = self._reference, self._series.series()
         found.slip_rmse = self._slips.rmse
+        found.swing_rmse = self._swing.rmse
         found.attitude_rmse, found.height_rmse = self._tilt.attitude, self._tilt.height
         if len(found.estimates):
             found.paths["filter"] = path_of(in_order(found.estimates))
@@ -282,7 +294,7 @@ class _Collector:
 
 
 def _scored(reference: str | None) -> frozenset[str]:
-    return frozenset(filter(None, (TRUE_SLIP, TRUE_ODOMETRY, reference)))
+    return frozenset(filter(None, (TRUE_SLIP, TRUE_ODOMETRY, TRUE_SWING, reference)))
 
 
 def own_reference(bag: Bag) -> str | None:

@@ -92,16 +92,17 @@ def _estimates(window: Window, config: Records) -> Records:
 @compiled
 def _smooth_back(window: Window, last: int, config: Records) -> None:
     c, states = config[0], window.states
-    x, P = states[last].mean.copy(), states[last].covariance.copy()
+    n = c.size
+    x, P = states[last].mean[:n].copy(), states[last].covariance[:n, :n].copy()
     for k in range(last, 0, -1):
         before, update = states[k - 1], window.updates[k]
-        filtered = before.mean.copy(), before.covariance.copy()
+        filtered = before.mean[:n].copy(), before.covariance[:n, :n].copy()
         if update.follows:
             dt = (states[k].stamp_ns - before.stamp_ns) * 1e-9
             F = linearize(filtered[0], filtered[1], states[k], dt, c)[1]
-            predicted = update.prior_mean.copy(), update.prior_covariance.copy()
+            predicted = update.prior_mean[:n].copy(), update.prior_covariance[:n, :n].copy()
             x, P = step_back(filtered, predicted, (x, P), F, YAW)
-            before.mean[:], before.covariance[:] = x, P
+            before.mean[:n], before.covariance[:n, :n] = x, P
         else:
             x, P = filtered
 

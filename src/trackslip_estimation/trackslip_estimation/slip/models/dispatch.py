@@ -10,7 +10,7 @@
     c          record of ``config.CONFIG``
 
 Noise densities are in continuous time, so that splitting a step does not change what it adds. F is diagonal
-below the pose.
+below the pose, but for what the swing moves.
 """
 
 import math
@@ -29,6 +29,8 @@ from trackslip_estimation.slip.models.free_slips import SlipNoise
 from trackslip_estimation.slip.models.icr import IcrNoise
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, VELOCITY_ERRORS, YAW_RATE_ERROR
+from trackslip_estimation.slip.models.swing import CONSTANTS as SWING_CONSTANTS
+from trackslip_estimation.slip.models.swing import linearize_swing, move_swing
 from trackslip_estimation.slip.models.turning import TurningNoise
 from trackslip_estimation.slip.motion import Motion
 
@@ -43,6 +45,7 @@ CONSTANTS = [
     ("velocity_errors", speed.CONSTANTS),  # of the model that is chosen
     ("turning", turning.CONSTANTS),
     ("free_slips", free_slips.CONSTANTS),
+    ("swing", SWING_CONSTANTS),
 ]
 
 
@@ -149,6 +152,8 @@ def move(x: FloatArray, drive: Any, dt: float, c: Any) -> FloatArray:
     moved[YAW] = wrap(x[YAW] + rate * dt)
     if has_velocity_errors(c):
         moved[VELOCITY_ERRORS] = x[VELOCITY_ERRORS] * kept
+    if c.swings:
+        move_swing(x, moved, dt, drive, c)
     return moved
 
 
@@ -159,7 +164,7 @@ def linearize(
     """f, F and Q of a step, worked out together.
 
     Q has each state's random walk and the velocity errors', and for sprocket speeds that are inputs their
-    noise (3.21). P, what is known of x, or zeros, matters where Q depends on x.
+    noise (3.21). P, what is known of x, or zeros, matters where Q depends on x. All have the size of x.
     """
     n = x.size
     F, Q, moved = np.zeros((n, n)), np.zeros((n, n)), x.copy()
@@ -201,6 +206,9 @@ def linearize(
         speeds = np.array((((encoder * left) ** 2 / dt, 0.0), (0.0, (encoder * right) ** 2 / dt)))
         Q[:COUPLED, :COUPLED] += sandwich(S, speeds)
     moved[X], moved[Y], moved[YAW] = x[X] + east, x[Y] + north, wrap(x[YAW] + rate * dt)
+    if c.swings:
+        move_swing(x, moved, dt, drive, c)
+        linearize_swing(x, F, Q, dt, drive, c)
     return moved, F, Q
 
 

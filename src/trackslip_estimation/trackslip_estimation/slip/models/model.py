@@ -17,11 +17,12 @@ X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
 GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its own
 DOWNHILL = 12  # of the models that know how the vehicle turns
 POSE = slice(X, YAW + 1)
-SENSOR_ERRORS, MOST_SENSOR_ERRORS = (
-    14,
-    3,
-)  # one number of each source that has an error of its own (``config``)
-SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; what a model has not is zero
+BELOW = 14  # numbers of a machine that nothing swings on, and no source of which errs by itself
+SENSOR_ERRORS = BELOW  # one number of each source that has an error of its own (``config``)
+MOST_SENSOR_ERRORS = 3
+SWING = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # σ of the upper structure (``swing``), rad
+SWING_RATE = SWING + 1  # σ̇, rad/s
+SIZE = SWING_RATE + 1  # of every state record; what a model has not is zero
 
 
 class Part(NamedTuple):

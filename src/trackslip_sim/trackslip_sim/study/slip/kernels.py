@@ -28,6 +28,7 @@ from trackslip_estimation.kalman.linear_algebra import (
     weighted_square,
     wrap,
 )
+from trackslip_estimation.slip.levers import stamp_shift, to_delayed
 from trackslip_estimation.slip.models.dispatch import COUPLED, body_jacobian, body_twist, linearize, slips
 from trackslip_estimation.slip.models.model import POSE, YAW
 from trackslip_estimation.slip.observation import (
@@ -37,8 +38,6 @@ from trackslip_estimation.slip.observation import (
     fill_outputs,
     jacobian,
     observed,
-    stamp_shift,
-    to_delayed,
 )
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS, STATE
 from trackslip_estimation.slip.records import POSE as POSE_FIX

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the angle of an upper structure, of a machine that estimates it."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_tools.replay.errors import Waiting
+
+Rows = NDArray[np.void]
+
+
+class SwingErrors:
+    """Of estimates that come piece by piece, against a true swing that is never behind them."""
+
+    def __init__(self) -> None:
+        self._truth, self._estimates = Waiting(), Waiting()
+        self._sum, self._count = 0.0, 0
+
+    def add(self, estimates: Rows, truth: Rows | None) -> None:
+        """More of both: records of ``ESTIMATE``, and rows of ``SwingFields``."""
+        self._truth.add(truth)
+        known = estimates[estimates["swing"]["known"] == 1]
+        rows = np.zeros(len(known), [("stamp_ns", np.int64), ("angle", np.float64)])
+        rows["stamp_ns"], rows["angle"] = known["stamp_ns"], known["swing"]["angle"]
+        self._estimates.add(rows)
+        until_ns = min(self._estimates.last_ns, self._truth.last_ns)
+        found, true = self._estimates.due(until_ns), self._truth.due(until_ns)
+        if found is None or true is None:
+            return
+        inside = (found["stamp_ns"] >= true["stamp_ns"][0]) & (found["stamp_ns"] <= true["stamp_ns"][-1])
+        found = found[inside]
+        expected = np.interp(found["stamp_ns"], true["stamp_ns"], np.unwrap(true["angle"]))
+        errors = np.angle(np.exp(1j * (found["angle"] - expected)))
+        self._sum, self._count = self._sum + float(np.sum(errors**2)), self._count + len(found)
+
+    @property
+    def rmse(self) -> float | None:
+        """RMS, rad; None where nothing was compared."""
+        return math.sqrt(self._sum / self._count) if self._count else None

@@ -1,0 +1,376 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sensors on a cab that swings: where they are, what they see, and what the machine below does meanwhile."""
+
+import math
+import random
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.filter_steps import Drive, Gaussian, config_of, moved, state_of, transition
+from fixtures.swinging_cab import CAB, ENCODER, FIX, GYRO, Cab, Part, Recording, dig, record, upper_pose
+from numpy.typing import NDArray
+
+from trackslip_common.errors import InputError
+from trackslip_common.make import header
+from trackslip_common.nodes.messages import make
+from trackslip_common.vehicle import GRAVITY, vehicle_layer
+from trackslip_estimation.slip.conversions import swing as swing_message
+from trackslip_estimation.slip.conversions import swing_angle
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.levers import sensor_place, stamp_shift, to_gyro, to_sensor
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, SwingAngle, YawRate
+from trackslip_estimation.slip.models.model import (
+    BELOW,
+    GYRO_BIAS,
+    SIZE,
+    SWING,
+    SWING_RATE,
+    YAW,
+)
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.observation import expected, jacobian
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.slip.records import YAW_RATE
+
+FloatArray = NDArray[np.float64]
+WITH, WITHOUT = {"vehicle": "pc05_cab"}, {"vehicle": "pc05_cab", "swing_sources": [""]}
+ANTENNA = {**WITH, "pose_sources": ["gnss_pose"]}
+
+
+def of_cab(**changed: Any) -> SlipEstimatorParameters:
+    return load_slip_parameters(WITH, {name.replace("__", "."): value for name, value in changed.items()})
+
+
+def estimates(measurements: list[Measurement], p: SlipEstimatorParameters) -> list[Estimate]:
+    return [e for _, e in SlipEstimator(p).process_all(measurements) if e is not None]
+
+
+def errors(found: list[Estimate], truth: Recording) -> FloatArray:
+    """(k, 8) time, errors of x, y, heading and swing, and 3 standard deviations of x, heading, swing."""
+    rows = []
+    for e in found:
+        t = e.stamp_ns * 1e-9 - 1.0
+        true = [np.interp(t, truth.t, column) for column in (*truth.poses.T, truth.swings[:, 0])]
+        assert e.outputs.swing is not None
+        off = (*(e.pose - true[:3]), e.outputs.swing.angle - true[3])
+        P = e.pose_covariance
+        spread = 3.0 * np.sqrt((max(P[0, 0], P[1, 1]), P[2, 2], e.outputs.swing.covariance[0, 0]))
+        rows.append(
+            (t, *off[:2], math.remainder(off[2], math.tau), math.remainder(off[3], math.tau), *spread)
+        )
+    return np.array(rows)
+
+
+def random_state(seed: int = 1) -> Gaussian:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(SIZE, SIZE))
+    return Gaussian(rng.normal(size=SIZE) * 0.3, root @ root.T * 0.01)
+
+
+def derivative(function: Any, x: FloatArray, step: float = 1e-6) -> FloatArray:
+    columns = [(function(x + step * u) - function(x - step * u)) / (2.0 * step) for u in np.eye(x.size)]
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("tilted", [False, True])
+def test_a_lever_above_turns_with_the_cab_and_back(tilted: bool) -> None:
+    """The pose of the antenna on the cab, its derivative, and the way back from another state."""
+    c, known = config_of(ANTENNA)[0], random_state()
+    state = state_of(known)[0]
+    level = state["attitude"]["level"]
+    if tilted:
+        roll, pitch = 0.1, -0.2
+        level["tilted"], level["forward"], level["sideways"] = 1, math.cos(pitch) - 1.0, math.cos(roll) - 1.0
+        level["across"], level["lean_x"] = math.sin(roll) * math.sin(pitch), math.cos(roll) * math.sin(pitch)
+        level["lean_y"] = -math.sin(roll)
+
+    def at_sensor(x: FloatArray) -> FloatArray:
+        there = x.copy()
+        to_sensor(there, np.zeros((SIZE, SIZE)), level, 0, 1.0, c)
+        return there
+
+    x, P = known.mean.copy(), known.covariance.copy()
+    to_sensor(x, P, level, 0, 1.0, c)
+    T = derivative(at_sensor, known.mean)
+    np.testing.assert_allclose(P, T @ known.covariance @ T.T, atol=4e-3 if tilted else 1e-8)
+    to_sensor(x, P, level, 0, -1.0, c)
+    np.testing.assert_allclose(x, known.mean, atol=1e-12)
+    np.testing.assert_allclose(P, known.covariance, atol=1e-12)
+    if not tilted:
+        antenna = CAB.sensors.antenna
+        swing, axis = known.mean[SWING], np.array(CAB.swing_axis)
+        arm = np.array((antenna.x, antenna.y)) - axis
+        turned = axis + np.array(((np.cos(swing), -np.sin(swing)), (np.sin(swing), np.cos(swing)))) @ arm
+        np.testing.assert_allclose(sensor_place(level, swing, 0, c)[:2], turned, atol=1e-12)
+
+
+def test_a_box_above_is_where_the_cab_has_turned_it() -> None:
+    c, x = config_of(WITH)[0], np.zeros(SIZE)
+    x[: YAW + 1], x[SWING] = (1.0, 2.0, 0.7), 2.5
+    level = state_of(Gaussian(x, np.zeros((SIZE, SIZE))))[0]["attitude"]["level"]
+    expected_ = upper_pose(x[:3], 2.5)
+    to_sensor(x, np.zeros((SIZE, SIZE)), level, 0, 1.0, c)
+    np.testing.assert_allclose(x[:3], expected_, atol=1e-12)
+
+
+def test_a_swing_moves_what_is_above_by_its_lever() -> None:
+    """Of a machine that stands."""
+    c, known = config_of(ANTENNA)[0], Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE)))
+    known.mean[SWING], known.mean[SWING_RATE] = 1.0, 0.5
+    state = state_of(known)[0]
+    later, now = known.mean.copy(), known.mean.copy()
+    later[SWING] += 0.5e-6
+    P = np.zeros((SIZE, SIZE))
+    to_sensor(now, P, state["attitude"]["level"], 0, 1.0, c)
+    to_sensor(later, P, state["attitude"]["level"], 0, 1.0, c)
+    found = np.array(stamp_shift(state, 0, c)) / c["stamp_errors"][0]
+    np.testing.assert_allclose(found, (later - now)[:3] * 1e6, atol=1e-6)
+
+
+def test_a_gyro_above_shows_both_turns() -> None:
+    c, known = config_of(WITH)[0], random_state(2)
+    speeds = (1.0, 2.0)
+
+    def shown(x: FloatArray) -> FloatArray:
+        there = x.copy()
+        to_gyro(there, np.zeros((SIZE, SIZE)), 1.0)
+        return expected(YAW_RATE, there, 1, speeds, c)
+
+    below = expected(YAW_RATE, known.mean, 1, speeds, c)
+    scale = 1.0 + known.mean[10]
+    np.testing.assert_allclose(shown(known.mean) - below, scale * known.mean[SWING_RATE], atol=1e-12)
+    x, P = known.mean.copy(), known.covariance.copy()
+    to_gyro(x, P, 1.0)
+    H, h = jacobian(YAW_RATE, x, 1, speeds, c), derivative(shown, known.mean)
+    np.testing.assert_allclose(H @ P @ H.T, h @ known.covariance @ h.T, atol=1e-8)
+    to_gyro(x, P, -1.0)
+    np.testing.assert_allclose(P, known.covariance, atol=1e-12)
+
+
+@pytest.mark.parametrize("motion", [Motion.STANDING, Motion.STRAIGHT, Motion.UNKNOWN])
+@pytest.mark.parametrize("rate", [0.0, 0.3])
+def test_transition_of_the_swing(motion: Motion, rate: float) -> None:
+    config, x = config_of(WITH), random_state(3).mean
+    x[SWING_RATE] = rate
+    drive = Drive(1.0, 1.2, motion)
+    F = derivative(lambda at: moved(at, drive, 0.05, config), x)
+    rows = (SWING, SWING_RATE, 9)
+    found = transition(x, drive, 0.05, config)
+    np.testing.assert_allclose(found[rows, :], F[rows, :], atol=2e-3 if motion is Motion.STRAIGHT else 1e-7)
+
+
+def test_nothing_above_costs_nothing() -> None:
+    """The same bits as the machine without a cab; the two states are not looked at."""
+    below = dict.fromkeys(
+        (f"vehicle.sensors.mounts.{name}" for name in ("box", "antenna", "imu")), "undercarriage"
+    )
+    p, plain = load_slip_parameters(WITH, below), load_slip_parameters()
+    assert (p.swings, p.angles(), p.initial_pose()[0][2]) == (False, {}, 0.0)
+    assert config_of(WITH, below)[0]["size"] == BELOW < config_of(WITH)[0]["size"] == SIZE
+    taken = record(dig(), Cab(encoder=False)).measurements
+    own, other = SlipEstimator(p), SlipEstimator(plain)
+    for (_, a), (_, b) in zip(own.process_all(taken), other.process_all(taken), strict=True):
+        assert (a is None) == (b is None)
+        if a is not None and b is not None:
+            np.testing.assert_array_equal(a.pose, b.pose)
+            np.testing.assert_array_equal(a.pose_covariance, b.pose_covariance)
+            np.testing.assert_array_equal(a.outputs.slips, b.outputs.slips)
+            assert a.outputs.swing is None
+    last = own.window.states[own.window.count - 1]
+    assert not last["mean"][BELOW:].any()
+    assert not last["covariance"][BELOW:].any()
+
+
+@pytest.mark.parametrize("model", ["turning", "icr"])
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+@pytest.mark.parametrize("encoder", [True, False])
+def test_a_slew_is_no_turn(model: str, filter_: str, encoder: bool) -> None:
+    truth = record(dig(), Cab(encoder=encoder))
+    p = load_slip_parameters(WITH if encoder else WITHOUT, {"model": model, "filter": filter_})
+    found = errors(estimates(truth.measurements, p), truth)
+    late = found[found[:, 0] > 6.0]
+    assert np.sqrt(np.mean(late[:, 3] ** 2)) < (0.01 if encoder else 0.03)
+    assert np.abs(late[:, 1:3]).max() < 0.06
+    assert np.mean(np.abs(late[:, 3]) < late[:, 6]) > 0.97
+    assert np.mean(np.abs(late[:, 4]) < late[:, 7]) > 0.97
+    assert np.mean(np.abs(late[:, 1:3]).max(axis=1) < late[:, 5]) > 0.9
+
+
+@pytest.mark.parametrize("minutes", [6, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("encoder", [True, False])
+def test_standing_and_slewing_turns_the_undercarriage_by_no_more_than_is_stated(
+    minutes: int, encoder: bool
+) -> None:
+    """To and fro by nearly a turn; then it drives off, and heading and swing are found again."""
+    swings = [Part(8.0, swing_to=target) for _ in range(2 * minutes) for target in (3.0, -3.0, 2.0, 0.0)]
+    way = [Part(6.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(6.0, 2.0, 2.0)]
+    truth = record([Part(2.0), *way[:1], Part(2.0), *swings, *way], Cab(encoder=encoder, fix_hertz=1.0))
+    found = errors(estimates(truth.measurements, load_slip_parameters(WITH if encoder else WITHOUT)), truth)
+    standing = found[(found[:, 0] > 10.0) & (found[:, 0] < 10.0 + 64.0 * minutes)]
+    assert (np.abs(standing[:, 3]) < standing[:, 6]).all()
+    assert standing[-1, 6] < 3.0 * (0.01 if encoder else 0.04)
+    assert np.abs(found[-40:, 3]).max() < (0.01 if encoder else 0.02)
+    assert np.abs(found[-40:, 4]).max() < (0.01 if encoder else 0.02)
+    assert (np.abs(found[-40:, 3]) < found[-40:, 6]).all()
+
+
+def test_no_bias_is_learned_of_a_slew() -> None:
+    """Gyro alone: what it shows at a stand may all be swing."""
+    truth = record([Part(30.0), Part(30.0, swing_to=6.0)], Cab(encoder=False, bias=0.0))
+    first = next(m for m in truth.measurements if isinstance(m, PoseFix))
+    given = [m for m in truth.measurements if not isinstance(m, PoseFix) or m is first]
+    own = SlipEstimator(load_slip_parameters(WITHOUT))
+    own.process_all(given)
+    last, prior = own.window.states[own.window.count - 1], own.config[0]["prior_variance"]
+    assert last["covariance"][GYRO_BIAS, GYRO_BIAS] > 0.98 * prior[GYRO_BIAS]
+    assert abs(last["mean"][GYRO_BIAS]) < 2e-4
+    assert abs(last["mean"][YAW]) < 3.0 * math.sqrt(last["covariance"][YAW, YAW])
+    below = {"vehicle.sensors.mounts.imu": "undercarriage", "vehicle.sensors.mounts.box": "undercarriage"}
+    rest = SlipEstimator(load_slip_parameters(WITHOUT, below))
+    rest.process_all([m for m in given if m.stamp_ns < 30 * 10**9])
+    at_rest = rest.window.states[rest.window.count - 1]
+    assert at_rest["covariance"][GYRO_BIAS, GYRO_BIAS] < 0.1 * prior[GYRO_BIAS]
+
+
+@pytest.mark.parametrize("start", [-3.0, 2.0])
+def test_a_cab_that_looks_aside_at_the_start(start: float) -> None:
+    """With an encoder the heading is known from its first reading."""
+    truth = record([Part(3.0), Part(6.0, 2.0, 2.0)], Cab(start=start))
+    found = errors(estimates(truth.measurements, of_cab()), truth)
+    assert np.abs(found[found[:, 0] > 0.2, 3]).max() < 0.06
+    assert np.abs(found[found[:, 0] > 0.2, 1:3]).max() < 0.05
+    assert (np.abs(found[:, 3]) < found[:, 6]).all()
+
+
+def test_driving_off_finds_the_heading_of_a_cab_that_nobody_measures() -> None:
+    """It looks 0.25 rad aside at the start, and all sensors sit on it."""
+    parts = [Part(3.0), Part(8.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(8.0, 2.0, 2.0)]
+    truth = record(parts, Cab(start=0.25, encoder=False))
+    p = load_slip_parameters(WITHOUT, {"swing.initial_angle_stddev": 0.2})
+    found = errors(estimates(truth.measurements, p), truth)
+    assert (np.abs(found[:, 3]) < found[:, 6]).all()
+    assert np.abs(found[-60:, 3]).max() < 0.03
+    assert np.abs(found[-60:, 4]).max() < 0.03
+
+
+def test_a_swing_that_nobody_knows_is_found_from_the_way_driven() -> None:
+    parts = [Part(3.0), Part(10.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(8.0, 2.0, 2.0)]
+    truth = record(parts, Cab(start=2.4, encoder=False))
+    p = load_slip_parameters(WITHOUT, {"swing.initial_angle_stddev": 3.0})
+    found = errors(estimates(truth.measurements, p), truth)
+    assert np.abs(found[-60:, 3]).max() < 0.05
+    assert np.abs(found[-60:, 4]).max() < 0.05
+    assert np.abs(found[-60:, 1:3]).max() < 0.06
+
+
+def test_a_swing_while_it_drives_is_seen_by_the_encoder() -> None:
+    parts = [Part(2.0), Part(6.0, 2.0, 2.0), Part(6.0, 2.0, 2.0, 1.5), Part(6.0, 2.0, 2.0)]
+    truth = record(parts, Cab())
+    found = errors(estimates(truth.measurements, of_cab()), truth)
+    assert np.abs(found[:, 4]).max() < 0.15
+    assert np.abs(found[-60:, 3]).max() < 0.02
+
+
+def test_a_spike_of_the_encoder_is_refused_and_what_insists_is_believed() -> None:
+    truth = record([Part(2.0), Part(8.0, 2.0, 2.0)], Cab())
+    readings = [k for k, m in enumerate(truth.measurements) if isinstance(m, SwingAngle)]
+    spoilt = list(truth.measurements)
+    for k in readings[100:101] + readings[150:]:
+        spoilt[k] = replace(spoilt[k], angle=spoilt[k].angle + 0.5)  # type: ignore[type-var]
+    steps = SlipEstimator(of_cab()).process_all(spoilt)
+    outcomes = [report.outcome for report, _ in steps if report.source == ENCODER]
+    assert outcomes[100] is Outcome.GATED
+    assert Outcome.GATED not in outcomes[20:100] + outcomes[101:150]
+    assert outcomes[150] is Outcome.GATED
+    assert outcomes[-1] is Outcome.ACCEPTED
+
+
+def test_the_order_of_arrival_does_not_matter() -> None:
+    measurements = record(dig(), Cab()).measurements
+    in_order, shuffler = SlipEstimator(of_cab()), random.Random(4)
+    in_order.process_all(measurements)
+    expected_ = in_order.estimate()
+    head = measurements[:4]
+    late = sorted(measurements[4:], key=lambda m: m.stamp_ns + shuffler.randrange(800) * 1_000_000)
+    own = SlipEstimator(of_cab())
+    assert Outcome.TOO_LATE not in [report.outcome for report, _ in own.process_all([*head, *late])]
+    found = own.estimate()
+    np.testing.assert_array_equal(found.pose, expected_.pose)
+    assert found.outputs.swing.angle == expected_.outputs.swing.angle  # type: ignore[union-attr]
+
+
+def leaning(recording: Recording, roll: float, pitch: float) -> list[Measurement]:
+    """The same on a slope, for the IMU alone."""
+    below = GRAVITY * np.array(
+        (-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch))
+    )
+    found: list[Measurement] = []
+    for m in recording.measurements:
+        if isinstance(m, YawRate):
+            swing = np.interp(m.stamp_ns * 1e-9 - 1.0, recording.t, recording.swings[:, 0])
+            cos, sin = math.cos(swing), math.sin(swing)
+            x, y, z = below.tolist()
+            m = replace(m, acceleration=(cos * x + sin * y, cos * y - sin * x, z))
+        found.append(m)
+    return found
+
+
+def test_an_imu_above_tells_how_the_undercarriage_leans() -> None:
+    truth = record([Part(5.0), Part(8.0, swing_to=2.5), Part(2.0)], Cab())
+    for e in estimates(leaning(truth, 0.1, -0.15), of_cab())[40:]:
+        assert e.outputs.tilt is not None
+        np.testing.assert_allclose(e.outputs.tilt.tilt[:2], (0.1, -0.15), atol=0.01)
+        np.testing.assert_allclose(e.outputs.tilt.force[:2], (1.4655, 0.968), atol=0.1)
+
+
+def test_an_imu_above_tells_nothing_while_nobody_knows_how_it_is_turned() -> None:
+    truth = record([Part(5.0)], Cab(encoder=False))
+    own = SlipEstimator(load_slip_parameters(WITHOUT, {"swing.initial_angle_stddev": 2.0}))
+    own.process_all(truth.measurements)
+    assert own.estimate().outputs.tilt is None
+    assert "imu/data_raw sits on the upper structure, whose angle is not known" in own.attitude
+
+
+def test_the_vehicle_says_what_sits_above() -> None:
+    p = load_slip_parameters(ANTENNA, {"heading_sources": ["heading"]})
+    assert {name: source.above for name, source in p.mounted().items()} == {
+        "gnss_pose": True,
+        GYRO: True,
+        "heading": True,
+    }
+    assert p.angles()[ENCODER].stddev == 0.002
+    assert of_cab(sources__box_pose__mount="undercarriage").poses()[FIX].above is False
+    assert load_slip_parameters({"sources.box_pose.mount": "upper"}).angles() == {}  # no encoder in its file
+    other = {name: value for name, value in vehicle_layer(CAB).items() if "swing_encoder" not in name}
+    assert load_slip_parameters(other).angles() == {}
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"model": "free_slips"}, "'free_slips' knows no swing, and box_pose, imu/data_raw sits above"),
+        ({"sources.box_pose.mount": "roof"}, r"mount: 'roof'.*accepted: one of undercarriage, upper"),
+        ({"swing.acceleration": 0.0}, "swing.acceleration: 0.0 is out of range"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load_slip_parameters(WITH, changed)
+
+
+def test_messages_carry_the_swing() -> None:
+    end = estimates(record([Part(3.0), Part(4.0, swing_to=1.0)], Cab()).measurements, of_cab())[-1]
+    message, swing = swing_message(make, end, "base_link"), end.outputs.swing
+    assert swing is not None
+    assert list(message.name) == ["swing", "swing_stddev"]
+    assert list(message.position) == [swing.angle, math.sqrt(swing.covariance[0, 0])]
+    assert list(message.velocity) == [swing.rate, math.sqrt(swing.covariance[1, 1])]
+    assert swing_angle(message, ENCODER, 1e-4).angle == swing.angle
+    nameless = make(
+        "sensor_msgs/msg/JointState", header=header(make, 10**9, ""), name=["boom"], position=[1.0]
+    )
+    own = SlipEstimator(of_cab())
+    report, _ = own.process(swing_angle(nameless, ENCODER, 1e-4))
+    assert report.outcome is Outcome.INVALID

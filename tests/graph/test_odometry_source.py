@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera's odometry beside the sprockets, live: taken, counted, recorded, and replayed bit for bit."""
+
+import json
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import JointState
+
+BEGIN_S, STEP_MS, STEPS, EVERY = 100, 20, 100, 5
+SPEED, RADIUS = 1.5, 0.159  # rad/s, m
+LOST = -1.0  # first element of a covariance that there is not
+
+
+def stamped(kind, at_ms):
+    message = kind()
+    message.header.stamp.sec, message.header.stamp.nanosec = BEGIN_S + at_ms // 1000, at_ms % 1000 * 1_000_000
+    return message
+
+
+def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
+    healths = observer.healths()
+    reports, found = observer.subscribe("measurement_reports"), observer.subscribe("odometry")
+    sprockets, fixes, camera = (
+        observer.publisher(topic, kind)
+        for topic, kind in (("sprockets", None), ("box_pose", None), ("camera/odom", "odometry"))
+    )
+    programs.node("slip_estimator", odometry_sources=["camera/odom"])
+    recorder = programs.node("record", output="bag", more_topics="/camera/odom")
+    for topic in ("sprockets", "box_pose", "camera/odom"):
+        observer.wait_for_ends(topic, "slip_estimator", "record")
+    observer.wait_for_recorder(healths, "odometry", "measurement_reports", "camera/odom")
+    sent = refused = 0
+    for step in range(STEPS):
+        message = stamped(JointState, step * STEP_MS)
+        message.name = ["left_sprocket", "right_sprocket"]
+        message.velocity, message.position = [SPEED] * 2, [SPEED * step * STEP_MS * 1e-3] * 2
+        sprockets.publish(message)
+        sent += 1
+        if step == 0:
+            pose = stamped(PoseWithCovarianceStamped, 0)
+            pose.pose.pose.orientation.w = 1.0
+            pose.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
+            observer.wait(lambda: reports, "a report of the sprockets")
+            fixes.publish(pose)
+            sent += 1
+        if step % EVERY == 2:
+            seen = stamped(Odometry, step * STEP_MS - 7)
+            seen.header.frame_id, seen.pose.pose.orientation.w = "camera_odom", 1.0
+            seen.pose.pose.position.y = 0.9 * RADIUS * SPEED * (step * STEP_MS - 7) * 1e-3  # it looks left
+            seen.pose.pose.orientation.z, seen.pose.pose.orientation.w = np.sin(np.pi / 4), np.cos(np.pi / 4)
+            seen.twist.covariance[0] = LOST if step == 52 else 0.0
+            camera.publish(seen)
+            refused += step == 52
+            sent += step != 52
+        observer.wait(lambda sent=sent: len(reports) == sent, "all reports")
+    assert refused == 1
+    outcomes = [report.outcome for report in reports if report.source == "camera/odom"]
+    assert outcomes[:2] == [10, 0]  # begun, accepted
+    assert set(outcomes[2:]) == {0}
+    assert found[-1].twist.twist.linear.x < 0.97 * RADIUS * SPEED  # the tracks slip by 10 %
+    wanted = "camera/odom whose covariance says that it has no velocity"
+    observer.wait(lambda: any(wanted in {v.key for v in s.values} for s in healths), "its count")
+    assert recorder.end()[0] == 0
+    program = programs.tool("trackslip", "replay", "bag", "--json", "found.json")
+    assert program.wait() == 0, program.stderr
+    summary = json.loads((programs.folder / "found.json").read_text(encoding="utf-8"))
+    assert summary["replay_matches"] is True
+    assert summary["rejected"]["camera/odom"] == {
+        "begun": 1,
+        "whose covariance says that it has no velocity": 1,
+    }

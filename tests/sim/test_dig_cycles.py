@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""dig_cycles on the shear truth: all sensors on a cab that swings by half turns, with and without encoder."""
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import open_bag
+from trackslip_common.message_fields import headings_of
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_tools.cli.main import main
+from trackslip_tools.replay.inputs import TRUE_SWING
+from trackslip_tools.replay.run import TRUE_ODOMETRY, Part, replay
+
+FloatArray = NDArray[np.float64]
+
+WITHOUT = {"swing_sources": [""]}
+BARS = [(True, 0.01), (False, 0.03)]
+_BEGUN = 10.0  # s, for the first drive to show the heading
+
+
+class Run(NamedTuple):
+    """Errors of a replay at its estimates."""
+
+    t: FloatArray  # (k,) s
+    errors: FloatArray  # (k, 4) x, y, heading, swing
+    stddevs: FloatArray  # (k, 4)
+    driving: NDArray[np.bool_]  # (k,)
+    swing_rmse: float | None
+
+    def longest_beyond(self, column: int) -> float:
+        """The longest time for which an error is more than three standard deviations, s."""
+        beyond = np.abs(self.errors[:, column]) > 3.0 * self.stddevs[:, column]
+        edges = np.flatnonzero(np.diff(np.concatenate(((0,), beyond.astype(np.int64), (0,)))))
+        spans = self.t[edges[1::2] - 1] - self.t[edges[::2]]
+        return float(spans.max(initial=0.0))
+
+
+def record(path: Path, seconds: float) -> Path:
+    command = ["simulate", "--scenario", "dig_cycles", "--duration", str(seconds), "--output", str(path)]
+    assert main(command) == 0
+    return path
+
+
+def run(bag: Path, encoder: bool) -> Run:
+    parts: list[Part] = []
+    with open_bag(bag) as opened:
+        p = load_slip_parameters({"vehicle": "pc05_cab"}, {} if encoder else WITHOUT)
+        result = replay(opened, p, InputFilters(), None, watch=parts.append)
+    found = np.concatenate([part.estimates for part in parts])
+    odometry, swing = (
+        np.concatenate([part.tables[topic].rows for part in parts if topic in part.tables])
+        for topic in (TRUE_ODOMETRY, TRUE_SWING)
+    )
+    t = found["stamp_ns"] * 1e-9
+    found, t = found[t <= odometry["stamp_ns"][-1] * 1e-9], t[t <= odometry["stamp_ns"][-1] * 1e-9]
+    true = [odometry["x"], odometry["y"], np.unwrap(headings_of(odometry))]
+    true = [np.interp(t, odometry["stamp_ns"] * 1e-9, column) for column in (*true, odometry["v_x"])]
+    turned = np.interp(t, swing["stamp_ns"] * 1e-9, np.unwrap(swing["angle"]))
+    errors = np.column_stack((found["pose"] - np.stack(true[:3], axis=1), found["swing"]["angle"] - turned))
+    errors[:, 2:] = np.angle(np.exp(1j * errors[:, 2:]))
+    variances = np.diagonal(found["pose_covariance"], axis1=1, axis2=2), found["swing"]["covariance"][:, 0, 0]
+    begun = t - t[0] > _BEGUN
+    return Run(
+        t[begun],
+        errors[begun],
+        np.sqrt(np.column_stack(variances))[begun],
+        np.abs(true[3][begun]) > 0.05,
+        result.swing_rmse,
+    )
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("dig") / "bag", 105.0)
+
+
+@pytest.mark.parametrize(("encoder", "most"), BARS)
+def test_heading_and_swing_while_it_digs(short: Path, encoder: bool, most: float) -> None:
+    found = run(short, encoder)
+    assert np.sqrt(np.mean(found.errors[found.driving, 2] ** 2)) < most
+    assert max(map(found.longest_beyond, range(4))) <= 1.0
+    assert found.swing_rmse is not None
+    assert found.swing_rmse < most
+
+
+def test_the_summary_has_the_swing(short: Path, tmp_path: Path) -> None:
+    summary, output = tmp_path / "end.json", tmp_path / "out"
+    assert main(["replay", str(short), "--stop", "12", "--json", str(summary), "--output", str(output)]) == 0
+    content: dict[str, Any] = json.loads(summary.read_text(encoding="utf-8"))
+    assert content["vehicle"] == "pc05_cab"
+    assert 0.0 < content["rmse"]["swing"] < 0.01
+    assert content["messages"]["swing"] > 0
+    with open_bag(output) as bag:
+        assert bag.topics["/swing/estimate"].count == bag.topics["/odometry"].count
+
+
+@pytest.mark.slow
+def test_twenty_minutes_of_it(tmp_path: Path) -> None:
+    """On sand; ten slews and more of half a turn."""
+    bag = record(tmp_path / "bag", 1200.0)
+    for encoder, most in BARS:
+        found = run(bag, encoder)
+        heading = found.errors[:, 2] if encoder else found.errors[found.driving, 2]
+        assert np.sqrt(np.mean(heading**2)) < most
+        assert found.longest_beyond(2) <= 1.0
+        assert max(map(found.longest_beyond, (0, 1))) <= 1.0
