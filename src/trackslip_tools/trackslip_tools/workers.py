@@ -67,7 +67,8 @@ def _processes(count: int, shared: Any) -> Iterator[Map]:
 
     def mapped(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         try:
-            futures = [pool.submit(_run, function, item) for item in items]
+            with _for_processes():  # those that are not started yet
+                futures = [pool.submit(_run, function, item) for item in items]
             yield from _results(futures)
         except BrokenProcessPool as error:
             raise InputError(
@@ -76,7 +77,8 @@ def _processes(count: int, shared: Any) -> Iterator[Map]:
 
     try:
         with _for_processes():
-            pool.submit(os.getpid)  # starts all of them
+            for _ in range(count):
+                pool.submit(os.getpid)  # starts one
         compile_kernels()
         yield mapped
     except BaseException:
