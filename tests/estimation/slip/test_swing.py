@@ -50,9 +50,9 @@ def estimates(measurements: list[Measurement], p: SlipEstimatorParameters) -> li
 def errors(found: list[Estimate], truth: Recording) -> FloatArray:
     """(k, 8) time, errors of x, y, heading and swing, and 3 standard deviations of x, heading, swing."""
     rows = []
-    for e in found:
-        t = e.stamp_ns * 1e-9 - 1.0
-        true = [np.interp(t, truth.t, column) for column in (*truth.poses.T, truth.swings[:, 0])]
+    times = np.array([e.stamp_ns * 1e-9 - 1.0 for e in found])
+    expected_ = [np.interp(times, truth.t, column) for column in (*truth.poses.T, truth.swings[:, 0])]
+    for e, t, *true in zip(found, times, *expected_, strict=True):
         assert e.outputs.swing is not None
         off = (*(e.pose - true[:3]), e.outputs.swing.angle - true[3])
         P = e.pose_covariance
