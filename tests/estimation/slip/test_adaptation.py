@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, drive, parameters
 
+from trackslip_estimation.slip.adaptation import repeats_stand
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Outcome, PoseFix, YawRate
 from trackslip_estimation.slip.models.model import GYRO_SCALE
@@ -58,6 +59,13 @@ def test_gaussian_fixes_as_good_as_they_state_are_not_found_better() -> None:
     # Student's t alone takes Gaussian noise for 0.83 of its variance, and the pose is then overconfident.
     factors = [run(Machine(seed=seed))["adaptation"]["fix_factors"][0] for seed in range(8)]
     assert np.mean(factors) == pytest.approx(1.0, abs=0.08)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.6])
+def test_fixes_of_a_stand_tell_together_what_the_common_part_leaves(share: float) -> None:
+    for count in (1, 2, 10, 500):
+        told = sum(1.0 / repeats_stand(k, share) for k in range(1, count + 1))
+        assert 1.0 / told == pytest.approx(share + (1.0 - share) / count)
 
 
 @pytest.mark.parametrize("scale", [0.97, 1.0, 1.03])

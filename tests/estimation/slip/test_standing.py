@@ -50,8 +50,14 @@ def test_nothing_is_learned_of_slips_by_standing_from_the_start(
     np.testing.assert_allclose(np.sqrt(np.diag(last.outputs.slip_covariance)), (0.1, 0.1, 0.01), rtol=1e-6)
 
 
-def test_standing_fixes_pin_the_pose(drive: Callable[..., Any], thesis_run: Run) -> None:
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5])
+def test_standing_fixes_pin_the_pose_down_to_what_they_share(
+    drive: Callable[..., Any], thesis_run: Run, share: float
+) -> None:
     found = drive([(10.0, 0.0, 0.0, 0.0, 0.0, 0.0)]).measurements
-    last = thesis_run(found, initial_position_stddev=1.0).estimates[-1]
-    assert np.sqrt(last.pose_covariance[0, 0]) == pytest.approx(0.03 / np.sqrt(51), rel=0.05)
+    changes = {"initial_position_stddev": 1.0, "sources__box_pose__standing_share": share}
+    last = thesis_run(found, **changes).estimates[-1]
+    expected = 0.03 * np.sqrt(share + (1.0 - share) / 51)
+    assert np.sqrt(last.pose_covariance[0, 0]) == pytest.approx(expected, rel=0.05)
     assert np.hypot(*last.pose[:2]) < 0.03
+    assert np.sqrt(last.pose_covariance[2, 2]) < 0.02  # of the heading they share nothing

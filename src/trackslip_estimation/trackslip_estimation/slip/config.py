@@ -70,6 +70,7 @@ CONFIG = np.dtype(
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_offset", np.float64, (MOST_SOURCES,)),  # rad
         ("correlation_times", np.float64, (MOST_SOURCES,)),  # s
+        ("standing_share", np.float64, (MOST_SOURCES,)),
         ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
         ("mountings", np.float64, (MOST_SOURCES, 4)),  # of odometry: from its axes to base_link's, x, y, z, w
         ("odometries", np.int64),  # how many there are
@@ -150,6 +151,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
         c["stamp_errors"][k] = pose.stamp_error
         c["position_floor"][k], c["heading_floor"][k] = pose.position_floor, pose.heading_floor
         c["heading_ceiling"][k], c["correlation_times"][k] = pose.heading_ceiling, pose.correlation_time
+        c["standing_share"][k] = pose.standing_share
     for name, compass in p.compasses().items():
         k = numbers[name]
         c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
@@ -158,9 +160,6 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
         c["heading_offset"][numbers[name]] = angle.offset
     above = [numbers[name] for name, source in p.mounted().items() if source.above]
     c["above"][above] = 1
-    for name, pose in p.poses().items():
-        if pose.above:
-            c["correlation_times"][numbers[name]] = max(pose.correlation_time, p.swing.repeat_time)
     c["swing_place"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale

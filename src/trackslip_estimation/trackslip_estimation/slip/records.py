@@ -118,6 +118,10 @@ REFUSED = np.dtype(  # a fix that the gate refused
     align=True,
 )
 
+STAND = np.dtype(  # of a machine, to a source: fixes from there, and the angle of what swings, rad
+    [("count", np.int64), ("swing", np.float64)], align=True
+)
+
 STATE = np.dtype(
     [
         ("stamp_ns", np.int64),
@@ -128,6 +132,7 @@ STATE = np.dtype(
         ("coasting", np.bool_),  # the sprockets have been silent for too long
         ("sample", SAMPLE),  # the last of the sprockets
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
+        ("stands", STAND, (MOST_SOURCES,)),
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
         ("adaptation", ADAPTATION),
         ("attitude", ATTITUDE),

@@ -79,6 +79,11 @@ class PoseSource(Mounted):
         ge=0.0,
         le=600.0,
     )
+    standing_share: float = parameter(
+        "share of a position's variance that all fixes of a machine standing there have in common",
+        ge=0.0,
+        lt=1.0,
+    )
 
     @property
     def lever(self) -> tuple[float, float, float]:
