@@ -160,6 +160,9 @@ def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
         c["heading_offset"][numbers[name]] = angle.offset
     above = [numbers[name] for name, source in p.mounted().items() if source.above]
     c["above"][above] = 1
+    for name, pose in p.poses().items():
+        if pose.above:
+            c["correlation_times"][numbers[name]] = max(pose.correlation_time, p.swing.repeat_time)
     c["swing_place"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale

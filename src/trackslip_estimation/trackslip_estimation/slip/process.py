@@ -275,6 +275,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     for k in range(MOST_SOURCES):
         state.consistent_ns[k] = stamp_ns
         state.streaks[k].count, state.streaks[k].value = 0, 0.0
+        state.stands[k].count = 0
 
 
 @inlined

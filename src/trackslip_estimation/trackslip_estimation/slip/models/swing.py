@@ -69,6 +69,13 @@ class SwingParameters(Parameters):
         unit="m/√rad",
         ge=0.0,
     )
+    repeat_time: float = parameter(
+        "correlation_time that fixes of what sits above have at the least: its place against the swing "
+        "axis errs alike from one to the next",
+        unit="s",
+        ge=0.0,
+        le=600.0,
+    )
     initial_angle: float = parameter("where it looks at the start", unit="rad", ge=-6.2832, le=6.2832)
     initial_angle_stddev: float = parameter(
         "its standard deviation, where no sensor of the swing tells", unit="rad", gt=0.0
