@@ -13,7 +13,8 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
-from signal import SIG_BLOCK, SIG_SETMASK, SIGINT, pthread_sigmask
+from signal import SIG_BLOCK, SIG_SETMASK, SIGINT, pthread_sigmask, signal
+from threading import current_thread, main_thread
 from typing import Any, Protocol, TypeVar
 
 from trackslip_common.errors import InputError
@@ -108,8 +109,18 @@ def _results(futures: list["Future[Result]"]) -> Iterator[Result]:
 
 @contextmanager
 def _for_processes() -> Iterator[None]:
-    """What is started meanwhile has one thread, and is deaf to Ctrl-C: this process ends it."""
+    """What is started meanwhile has one thread, and is deaf to Ctrl-C: this process ends it.
+
+    A Ctrl-C takes effect at the end, also where another thread is given it: a process half started would
+    complain of what it was not told.
+    """
     resource_tracker.ensure_running()  # it would let signals through again
+    pressed: list[int] = []
+    own = (
+        signal(SIGINT, lambda number, _: pressed.append(number))
+        if current_thread() is main_thread()
+        else None
+    )
     mask = pthread_sigmask(SIG_BLOCK, {SIGINT})
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
@@ -121,7 +132,11 @@ def _for_processes() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+        if own is not None:
+            signal(SIGINT, own)
         pthread_sigmask(SIG_SETMASK, mask)
+    if pressed:
+        raise KeyboardInterrupt
 
 
 @contextmanager
