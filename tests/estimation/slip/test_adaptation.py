@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, drive, parameters
 
-from trackslip_estimation.slip.adaptation import repeats_stand
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Outcome, PoseFix, YawRate
 from trackslip_estimation.slip.models.model import GYRO_SCALE
 from trackslip_estimation.slip.records import to_records
+from trackslip_estimation.slip.stands import repeats_stand
 
 
 def run(machine: Machine, **changed: object) -> Any:

@@ -230,16 +230,6 @@ def repeats(elapsed_ns: int, correlation_time: float) -> float:
 
 
 @compiled
-def repeats_stand(count: int, share: float) -> float:
-    """For how many fixes the ``count``-th of a stand counts, where all have ``share`` ρ of R in common.
-
-    By it n fixes together have the variance ρ R + (1 − ρ) R/n, and not R/n.
-    """
-    before = share * (count - 1) + 1.0 - share
-    return (before + share) * before / (1.0 - share)
-
-
-@compiled
 def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any) -> None:
     """Weighs f of a source by a fix that was predicted with P (m, m), and states R (m, m)."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size

@@ -19,13 +19,13 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import log_determinant as log_determinant_of
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
-from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats, repeats_stand
+from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, keep_refused, realign
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor, widen_swing_rate
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
-from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE, YAW, X, Y
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import may_swing, open_swing
 from trackslip_estimation.slip.motion import Motion
@@ -37,10 +37,10 @@ from trackslip_estimation.slip.observation import (
     observed,
 )
 from trackslip_estimation.slip.records import HEADING, POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.stands import count_fix, stands_still
 
 FloatArray = NDArray[np.float64]
 
-_SWUNG = 0.1  # rad, beyond which what sits above is seen from another side
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 
 
@@ -203,28 +203,14 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
         return
     if nis > limit:
         R = R + (nis / limit - 1.0) * (predicted + R)
-    stand = state.stands[source]
-    if alone:
-        stand.count, stand.swing = 0, state.mean[SWING]
-    stand.count += 1
-    again, R = np.sqrt(repeats_stand(stand.count, c.standing_share[source])), known * R
-    R[:YAW] *= again
-    R[:, :YAW] *= again
+    R = known * R
+    count_fix(state, source, alone, R, c)
     correct(POSE, x, P, (z, R), (0.0, 0.0), c)
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
     to_sensor(x, P, state.attitude.level, source, -1.0, c)
     state.mean[: c.size], state.covariance[:] = x, P
     state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
-
-
-@compiled
-def stands_still(state: Any, source: int, c: Any) -> bool:
-    """Whether a sensor, whose fixes from one place share a part, stands where it was at the last."""
-    stand, shares = state.stands[source], c.standing_share[source] > 0.0
-    turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - stand.swing)) > _SWUNG
-    stands = shares and state.motion.motion == _STANDING and not state.coasting
-    return bool(stands and stand.count > 0 and not turned)
 
 
 @compiled
