@@ -82,9 +82,11 @@ class TrackFile:
 
     def read(self) -> Track | None:
         """The track that is there; None where there is none of use, see ``failure``."""
-        if self._path is None or not self._path.is_file():
+        if self._path is None:
             return None
         try:
+            if not self._path.is_file():
+                return None
             with self._path.open("rb") as file:
                 content = file.read(_LARGEST + 1)
             return parse_track(content.decode("utf-8", errors="replace"))

@@ -105,8 +105,8 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["window_ns"] = round(p.history_window * 1e9) if window_ns is None else window_ns
     c["clock"] = (round(p.max_gap * 1e9), p.jump_confirmations, c["sprocket_timeout_ns"])
     _set_model(c, p)
-    _set_sources(c, p)
     numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
+    _set_sources(c, p, numbers)
     _set_odometry(c, p, numbers)
     _set_own_errors(c, p, numbers)
     return config
@@ -136,13 +136,12 @@ def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
             c["process_noise"][motion, int(changing)] = np.square(density)
 
 
-def _set_sources(c: Any, p: SlipEstimatorParameters) -> None:
+def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     """Sources are numbered as ``timeouts_ns`` names them."""
     tail = 1.0 - p.gate_probability
     c["gate_limits"] = [np.inf, *(float(chdtri(dof, tail)) for dof in (1, 2, 3))]
     c["gate_relaxation"], c["gate_confirmations"] = p.gate_relaxation, p.gate_confirmations
     c["rate_scale"] = c["timeouts_ns"] = 1
-    numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
     for name, timeout_ns in p.timeouts_ns().items():
         c["timeouts_ns"][numbers[name]] = timeout_ns
     for name, pose in p.poses().items():

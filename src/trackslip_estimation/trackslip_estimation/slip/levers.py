@@ -24,7 +24,7 @@ from trackslip_estimation.slip.models.model import FIX_DELAY, SWING, SWING_RATE,
 from trackslip_estimation.slip.models.speed import YAW_RATE_ERROR
 
 FloatArray = NDArray[np.float64]
-_UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which there is none
+UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which there is none
 Place = tuple[float, float, float, float]
 
 
@@ -38,7 +38,7 @@ def arm_of(source: int, c: Any) -> tuple[float, float]:
 def unknown_arm(P: FloatArray, source: int, c: Any) -> float:
     """Variance of its place along an axis, m², where nobody knows σ: no derivative goes round a circle."""
     x, y = arm_of(source, c)
-    known = P[SWING, SWING] <= _UNKNOWN_SWING**2
+    known = P[SWING, SWING] <= UNKNOWN_SWING**2
     return 0.0 if known else float(x * x + y * y)
 
 

@@ -11,12 +11,10 @@ from typing import Any
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.filter import climb, force_of, use_sample
 from trackslip_estimation.attitude.records import HEIGHT, ROLL
-from trackslip_estimation.slip.levers import swing_lever
+from trackslip_estimation.slip.levers import UNKNOWN_SWING, swing_lever
 from trackslip_estimation.slip.models.dispatch import body_twist, has_velocity_errors
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
-
-_WIDEST_SWING = 0.5  # rad, standard deviation beyond which an IMU above does not tell where base_link leans
 
 
 @compiled
@@ -36,7 +34,7 @@ def tilt_by(state: Any, measurement: Any, c: Any) -> None:
     imu.turn, imu.turn_variance, imu.lost = 0.0, 0.0, 0
     if c.above[source] == 1:
         imu.turn, imu.turn_variance = state.mean[SWING], state.covariance[SWING, SWING]
-        imu.lost = 1 if imu.turn_variance > _WIDEST_SWING**2 else 0
+        imu.lost = 1 if imu.turn_variance > UNKNOWN_SWING**2 else 0
         swing_lever(imu, state.mean[SWING_RATE], c)
         imu.rates[2] = rate  # its own has the swing, which starts before the state knows
     imu.known_velocity = 0 if state.coasting else 1
