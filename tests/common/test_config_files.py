@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from trackslip_bags.nodes.record import RecordParameters
+from trackslip_bags.recording import RecordParameters
 from trackslip_common.config_files import (
     config_directory,
     config_file,

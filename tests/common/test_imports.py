@@ -3,6 +3,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -19,7 +20,6 @@ ALLOWED["trackslip_sim"].add("trackslip_drivers")
 ROSDEP_KEYS = {
     "bokeh": "python3-bokeh-pip",
     "can": "python3-can",
-    "cantools": "python3-cantools-pip",
     "jinja2": "python3-jinja2",
     "matplotlib": "python3-matplotlib",
     "msgpack": "python3-msgpack",
@@ -27,14 +27,17 @@ ROSDEP_KEYS = {
     "numpy": "python3-numpy",
     "pymap3d": "python3-pymap3d",
     "rich": "python3-rich",
-    "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "serial": "python3-serial",
     "tornado": "python3-tornado",
     "yaml": "python3-yaml",
 }
-# rosdep has no key of theirs: from pip, as the README says; lz4 and zstandard come with mcap.
-PIP_ONLY = {"distributed", "lz4", "mcap", "pynmeagps", "zstandard"}
+# rosdep has no key of theirs: from pip, as the README says.
+WITHOUT_KEY = {"distributed", "mcap", "pynmeagps"}
+# Of these rosdep has a key by which pip installs them. A build farm takes no such key, so it stands in the
+# packages of the desk alone; lz4 and zstandard come with mcap.
+PIP_ONLY = WITHOUT_KEY | {"cantools", "lz4", "rosbags", "zstandard"}
+KEYS_OF_PIP = {"python3-bokeh-pip", "python3-cantools-pip", "python3-rosbags-pip"}
 
 
 def imported(package: str) -> dict[str, set[str]]:
@@ -77,6 +80,21 @@ for name, topic in TOPICS.items():
     if name != "tf":  # its package is optional
         own_schema(topic.type_name)
 """
+
+
+def test_packages_of_the_vehicle_had_keys_that_no_build_farm_takes() -> None:
+    texts = {package: (SOURCES / package / "package.xml").read_text(encoding="utf-8") for package in ALLOWED}
+    of_pip = {package: set(re.findall(r">(\S+-pip)<", text)) for package, text in texts.items()}
+    assert [package for package in VEHICLE if of_pip[package]] == []
+    assert set.union(*of_pip.values()) == KEYS_OF_PIP
+
+
+@pytest.mark.parametrize("file", ["README.md", "deploy/Dockerfile", ".github/workflows/ci.yml"])
+def test_what_rosdep_has_no_key_of_was_missing_in_the_image(file: str) -> None:
+    """There the GNSS driver had no pynmeagps."""
+    text = (SOURCES.parent / file).read_text(encoding="utf-8")
+    line = text.split("pip install ", 1)[1].splitlines()[0]
+    assert set(line.split("#")[0].rstrip(" \\").split()) == WITHOUT_KEY
 
 
 def _executables() -> dict[str, str]:

@@ -123,6 +123,19 @@ def test_a_bad_value_is_refused_by_name_value_and_range(
     assert accepted in message.removeprefix(f"{thing}: {value}")
 
 
+@pytest.mark.parametrize("value", [1e308, -1e160, 1e31])
+def test_numbers_whose_square_is_none_were_tracebacks(value: float) -> None:
+    """Such as a standard deviation of 1e308 in ``--params`` of a replay."""
+    assert refusal(drift=value).startswith(f"cart: drift: {value!r} is no size of anything; accepted: ")
+
+
+@pytest.mark.parametrize("value", [5e-324, 1e-31])
+def test_numbers_whose_inverse_is_none_were_tracebacks(value: float) -> None:
+    """Such as an acceleration of 5e-324; a coordinate may be as small as it likes."""
+    assert f"gears[0]: {value!r} is no size of anything" in refusal(gears=[value])
+    assert cart(drift=-value).drift == -value
+
+
 @pytest.mark.parametrize("changes", [{"name": 7}, {"open": "yes"}])
 def test_no_range_is_made_up_for_text_and_flags(changes: dict[str, Any]) -> None:
     assert "finite" not in refusal(**changes)

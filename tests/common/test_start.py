@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from trackslip_common.errors import ExitCode
+
 LOSING = {
     "a_callback": """
 import ctypes
@@ -36,6 +38,16 @@ try:
 except KeyboardInterrupt:
     sys.exit(130)
 """
+
+
+def test_a_library_that_is_not_installed_was_a_traceback() -> None:
+    code = "import sys; sys.modules['cantools'] = None; from trackslip_drivers import executables as e"
+    command = [sys.executable, "-c", f"{code}; e.can_driver()"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == ExitCode.BAD_INPUT
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("can_driver: ")
+    assert "cantools" in line
 
 
 @pytest.mark.parametrize("place", LOSING)

@@ -17,9 +17,10 @@ from trackslip_drivers.protocols.sick_scan import RawScan
 from trackslip_drivers.protocols.sick_session import SickSession
 from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, Telegram, TelegramParser, frame
 from trackslip_drivers.protocols.watson import Layout
-from trackslip_drivers.protocols.watson_stream import WatsonStream
+from trackslip_drivers.protocols.watson_stream import IMU, WatsonStream
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
 from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_drivers.stamping import StampEvent
 from trackslip_sim.devices.can_device import CanDevice
 from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
@@ -91,6 +92,22 @@ def test_stamps_of_the_inertial_unit():
         data = device.step(now)
         stamps += [sample.stamp_ns for sample in stream.feed(data, now)] if data else []
     assert p99(np.array(stamps), device) < 5.0
+
+
+def test_lines_that_waited_while_the_host_was_held_were_stamped_up_to_a_second_late():
+    device = WatsonDevice(LAYOUT, BaudLine(9600, 10), inertia, True, 0)
+    stream, samples = WatsonStream(LAYOUT, 9600, 0, Tally()), []
+    before, after = 20 * S, 25 * S
+    prompt, late = range(0, before, 6 * MS), range(after, 2 * after, 6 * MS)
+    for now in (*prompt, *late):
+        samples += stream.feed(device.step(now), now)
+    stamps, true = np.array([sample.stamp_ns for sample in samples]), np.array(device.stamps)
+    assert stream.tally.total[IMU, StampEvent.WAITED.value] > 3000
+    assert (stamps > after).sum() > 200
+    assert np.abs(stamps[:, np.newaxis] - true).min(axis=1).max() < 10 * MS
+    assert [sample.angular_velocity[2] for sample in samples] == pytest.approx(
+        np.cos(stamps * 1e-9), abs=0.02
+    )
 
 
 class Scanner:

@@ -16,6 +16,7 @@ from trackslip_drivers.protocols.sick_scan import RawScan, Scan, ScanFault
 from trackslip_drivers.protocols.sick_session import Phase, SessionFault, SickSession
 from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, TO_SENSOR, frame
 from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_drivers.stamping import StampEvent
 from trackslip_sim.devices import sick_device
 from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
@@ -87,6 +88,18 @@ class Bench:
             self.poll()
         return (self.now_ns - began_ns) / S
 
+    def hold_the_host(self, seconds: float) -> None:
+        """What comes while the host is held waits, and is then read 4096 bytes at a time."""
+        end_ns, waiting = self.now_ns + round(seconds * S), b""
+        while self.now_ns < end_ns:
+            self.now_ns += 5 * MS
+            waiting += self.device.step(self.now_ns)
+        while waiting:
+            self.now_ns += 6 * MS
+            waiting += self.device.step(self.now_ns)
+            self.scans += self.session.receive(waiting[:4096], self.now_ns)
+            waiting = waiting[4096:]
+
     def count(self, fault: SessionFault) -> int:
         return self.session.tally.total["scan", fault.value]
 
@@ -121,6 +134,24 @@ def test_stamps_and_ranges_are_those_of_the_sweep(longest_poll_ms: int) -> None:
     for scan, stamp_ns in zip(bench.scans, bench.device.stamps, strict=True):
         assert abs(scan.sample.stamp_ns - stamp_ns) <= 5 * MS
         np.testing.assert_allclose(scan.sample.ranges, room(stamp_ns), atol=1e-9)
+
+
+@pytest.mark.parametrize("baud", [9600, 38400, 500000])
+@pytest.mark.parametrize("held_s", [0.5, 5.0, 60.0])
+def test_scans_that_waited_while_the_host_was_held_were_stamped_as_of_now(baud: int, held_s: float) -> None:
+    """The box localizer then sought the box where it had been, and did not find it again."""
+    bench = Bench(replace(PLS, serial_baud=baud))
+    bench.run_until(Phase.STREAMING, within=3.0)
+    bench.run(2.0)
+    bench.hold_the_host(held_s)
+    bench.run(5.0)
+    for scan in bench.scans:
+        stamp_ns = min(bench.device.stamps, key=lambda true_ns: abs(true_ns - scan.sample.stamp_ns))
+        assert abs(scan.sample.stamp_ns - stamp_ns) <= 5 * MS
+        np.testing.assert_allclose(scan.sample.ranges, room(stamp_ns), atol=1e-9)
+    assert bench.now_ns - bench.scans[-1].sample.stamp_ns < 2 * S
+    assert bench.count(SessionFault.SILENT) == 0
+    assert bench.session.tally.total["scan", StampEvent.WAITED.value] > 0
 
 
 @pytest.mark.parametrize("boot_delay", [0.0, 15.0])

@@ -54,6 +54,9 @@ def test_frame_round_trip(values):
         assert error <= 1.000001 * channel.full_scale / 8192
 
 
+LOOK_NS = 100_000_000  # between looks at the port
+
+
 @seeded
 @given(
     st.lists(st.tuples(st.booleans(), VALUES), max_size=8),
@@ -66,11 +69,14 @@ def test_cutting_of_the_stream_changes_nothing(lines, places):
     )
     whole = WatsonStream(LAYOUT, 9600, 0, Tally()).feed(data, 10**15)
     parser = WatsonStream(LAYOUT, 9600, 0, Tally())
-    left = len(data)
+    left, looked_ns = len(data), 10**15 - len(data) * 10**10 // 9600
     pieces = []
     for piece in cut(data, places):
         left -= len(piece)
-        pieces += parser.feed(piece, 10**15 - left * 10**10 // 9600)
+        arrival_ns = 10**15 - left * 10**10 // 9600
+        for empty_ns in range(looked_ns, arrival_ns, LOOK_NS):
+            parser.feed(b"", empty_ns)
+        pieces, looked_ns = pieces + parser.feed(piece, arrival_ns), arrival_ns
     assert len(pieces) == len(lines)
     for piece, sample in zip(pieces, whole, strict=True):
         assert piece.stamp_ns == pytest.approx(sample.stamp_ns, abs=3)

@@ -115,6 +115,13 @@ class ImuFields(NamedTuple):
     acceleration_variance_x: Annotated[float, At("linear_acceleration_covariance", (0,))]  # −1: none
     acceleration_variance_y: Annotated[float, At("linear_acceleration_covariance", (4,))]  # (m/s²)²
     acceleration_variance_z: Annotated[float, At("linear_acceleration_covariance", (8,))]
+    qx: Annotated[float, At("orientation.x")]
+    qy: Annotated[float, At("orientation.y")]
+    qz: Annotated[float, At("orientation.z")]
+    qw: Annotated[float, At("orientation.w")]
+    orientation_variance_x: Annotated[float, At("orientation_covariance", (0,))]  # −1: none
+    orientation_variance_y: Annotated[float, At("orientation_covariance", (4,))]  # rad²; 0 unknown
+    orientation_variance_z: Annotated[float, At("orientation_covariance", (8,))]
 
 
 class OrientationFields(NamedTuple):

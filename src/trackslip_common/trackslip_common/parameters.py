@@ -29,6 +29,9 @@ from trackslip_common.errors import InputError, listed
 T = TypeVar("T", bound="Parameters")
 
 _METADATA_KEY = "trackslip"
+_LARGEST = (
+    1e30  # in any unit, and 1/_LARGEST the smallest of what must be above 0: squares and inverses stay finite
+)
 _SCALARS: Mapping[type, str] = MappingProxyType(
     {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 )
@@ -305,3 +308,6 @@ def _check(name: str, value: Any, kind: Any, spec: Spec) -> None:
         raise InputError(f"{name}: {value!r} is not {_SCALARS[kind]}{accepted}")
     if kind is not bool and not spec.accepts(value):
         raise InputError(f"{name}: {value!r} is out of range; accepted: {spec.accepted()}")
+    least = 1.0 / _LARGEST if spec.gt == 0.0 else -_LARGEST
+    if kind is float and not least <= value <= _LARGEST:
+        raise InputError(f"{name}: {value!r} is no size of anything; accepted: {least:g} to {_LARGEST:g}")

@@ -15,10 +15,16 @@ _AGAIN = 0.1  # s
 def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
     """Import ``module`` and leave with what its ``main`` returns, or as ``interrupted`` by an early Ctrl-C.
 
-    A job that a shell put in the background ignores SIGINT from the start; here it receives it again.
+    A job that a shell put in the background ignores SIGINT from the start; here it receives it again. Of a
+    library that is not installed one line says which.
     """
     signal.signal(signal.SIGINT, lambda *_: os._exit(interrupted))  # nothing is open yet
-    main = importlib.import_module(module).main
+    try:
+        main = importlib.import_module(module).main
+    except ModuleNotFoundError as error:
+        program = module.rpartition(".")[2]
+        print(f"{program}: {error} (README, On the vehicle)", file=sys.stderr)
+        sys.exit(ExitCode.BAD_INPUT)
     repeat_lost_interrupts()
     sys.exit(main())
 

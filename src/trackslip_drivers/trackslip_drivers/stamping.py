@@ -28,12 +28,16 @@ _JUMP_NS = 20_000_000  # a change of the host's clock that no slewing makes
 _SLEWING = 1e-3  # of the time between looks; ntpd and chronyd stay below
 _OLDEST_NS = 1_000_000_000  # an arrival further back is from before a jump
 
+_HELD_NS = 400_000_000  # between two looks at a port that take no longer than 0.1 s
+_PROMPT_NS = 20_000_000  # by which a read may come late and still be prompt
+
 
 class StampEvent(Enum):
     """What befell a stamp or the clock."""
 
     MOVED = "stamp moved to stay in order"
     CLOCK_JUMPED = "jumped"
+    WAITED = "bytes that waited while the host was held up"
 
 
 class PeriodicStamps:
@@ -127,6 +131,26 @@ class SenderClock:
         self._told_ns, self._raw_ns, self._last_ns = told_ns, stamp_ns, stamp_ns
         self._late, self._least_late_ns = 0, _DAY_NS
         return stamp_ns
+
+
+class Backlog:
+    """Which reads of a line hold what waited while the host was held up (suspended, stopped, starved).
+
+    Nothing tells when such bytes came, and there are more than one read returns. The backlog ends with the
+    read that holds no more than the line carries since the one before it.
+    """
+
+    def __init__(self) -> None:
+        self._looked_ns: int | None = None
+        self._waits = False
+
+    def includes(self, transfer_ns: int, arrival_ns: int) -> bool:
+        """Whether a read is of it: when, and how long the line takes for its bytes; 0: nothing was there."""
+        since_ns = 0 if self._looked_ns is None else arrival_ns - self._looked_ns
+        self._looked_ns = arrival_ns
+        is_late = since_ns >= _HELD_NS or (self._waits and transfer_ns > since_ns + _PROMPT_NS)
+        self._waits = is_late and transfer_ns > 0
+        return self._waits
 
 
 @dataclass

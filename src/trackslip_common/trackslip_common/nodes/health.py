@@ -10,6 +10,8 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from trackslip_common.console import clear_line
+
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
     DiagnosticStatus.WARN,
@@ -33,9 +35,10 @@ class Health:
 
 
 def to_console(logger: Any) -> Callable[[bytes, str], None]:
-    """Logs by the level of a state; ``logger`` is a node's."""
+    """Logs by the level of a state, on a line of its own; ``logger`` is a node's."""
 
     def log(level: bytes, text: str) -> None:
+        clear_line()
         if level == OK:
             logger.info(text)
         elif level == WARN:

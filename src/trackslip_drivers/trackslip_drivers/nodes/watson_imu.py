@@ -60,7 +60,14 @@ class WatsonNode(DriverNode[WatsonParameters]):
 
     def receive(self, data: bytes, arrival_ns: int) -> None:
         """Bytes of some lines."""
-        for decoded in self._stream.feed(data, self.arrived(arrival_ns)):
+        self._receive(data, self.arrived(arrival_ns))
+
+    def on_silence(self) -> None:
+        """So that only the host's own pauses count as such."""
+        self._receive(b"", time.monotonic_ns())
+
+    def _receive(self, data: bytes, steady_ns: int) -> None:
+        for decoded in self._stream.feed(data, steady_ns):
             sample = self.stamped(decoded)
             self._over_range += sample.over_range
             self._imu.publish(conversions.fill_imu(self._motion, sample))

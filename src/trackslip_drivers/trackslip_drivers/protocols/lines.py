@@ -55,8 +55,8 @@ class LineCutter:
         for part in ended:
             left -= len(part) + 1
             self._hold(part)
-            ended_ns = arrival_ns - self._transfer_ns(left)
-            self._bound(ended_ns - self._transfer_ns(1))
+            ended_ns = arrival_ns - self.transfer_ns(left)
+            self._bound(ended_ns - self.transfer_ns(1))
             text = None if self._overlong else bytes(self._pending)
             line = Line(text, round(self._begun_ns), ended_ns)
             self.reset()
@@ -68,7 +68,7 @@ class LineCutter:
 
     def _bound(self, arrived_ns: int) -> None:
         """What is pending had come by then."""
-        self._begun_ns = min(self._begun_ns, arrived_ns - self._transfer_ns(len(self._pending)))
+        self._begun_ns = min(self._begun_ns, arrived_ns - self.transfer_ns(len(self._pending)))
 
     def _hold(self, part: bytes) -> None:
         """Keep bytes of an unfinished line, unless it has grown past any line's length.
@@ -82,6 +82,6 @@ class LineCutter:
         else:
             self._pending += part
 
-    def _transfer_ns(self, count: int) -> int:
+    def transfer_ns(self, count: int) -> int:
         """How long ``count`` characters occupy the line."""
         return count * self._bits_per_char * _NS_PER_S // self._baud if self._baud else 0

@@ -44,7 +44,7 @@ from trackslip_drivers.protocols.sick_telegram import (
     frame,
 )
 from trackslip_drivers.sick_parameters import SickParameters
-from trackslip_drivers.stamping import PeriodicStamps
+from trackslip_drivers.stamping import Backlog, PeriodicStamps, StampEvent
 
 T = TypeVar("T")
 Script = Generator[None, None, T]  # resumed by each step; returns what came of it
@@ -113,6 +113,7 @@ class SickSession:
         self.baud = parameters.serial_baud
         self._parameters = parameters
         self._parser = TelegramParser(FROM_SENSOR, self.baud, parameters.bits_per_char, self.tally, _SOURCE)
+        self._backlog = Backlog()
         self._starts: PeriodicStamps | None = None
         self._wanted_baud = parameters.serial_baud  # or less, where the scanner refuses that
         self._refusals = 0  # of it, in a row
@@ -128,6 +129,11 @@ class SickSession:
         """Process what one read returned (also nothing) and when; gives the scans that are now complete."""
         if data:
             self._last_byte_ns = arrival_ns
+        if self._backlog.includes(self._transfer_ns(len(data)), arrival_ns):
+            self.tally.add(_SOURCE, StampEvent.WAITED, len(data))
+            self._parser.cut()
+            self._last_scan_ns = arrival_ns  # it was not the scanner that fell silent
+            return []
         scans: list[Scan] = []
         for event in self._parser.feed(data, arrival_ns):
             result = event if isinstance(event, Control) else self._understand(event)

@@ -98,9 +98,14 @@ class TelegramParser:
     def set_baud(self, baud: int) -> None:
         """Follow a change of the line's rate: what is held came at the old one and is dropped."""
         self._char_ns = self._bits_per_char * _NS_PER_S / baud
+        self.cut()
+        self._hunting = False
+
+    def cut(self) -> None:
+        """Bytes were left out: what is held has no rest, and what comes may be the rest of another."""
         self._reject(TelegramFault.GARBAGE_BYTE, len(self._buffer))
         self._drop(len(self._buffer))
-        self._hunting = False
+        self._hunting = True
 
     def feed(self, data: bytes, arrival_ns: int) -> list[Telegram | Control]:
         """Parse the bytes that one read returned, and the time at which it returned.

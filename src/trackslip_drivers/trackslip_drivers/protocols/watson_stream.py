@@ -15,7 +15,7 @@ from trackslip_drivers.protocols.watson import (
     wrong_count,
 )
 from trackslip_drivers.records import ImuSample
-from trackslip_drivers.stamping import PeriodicStamps
+from trackslip_drivers.stamping import Backlog, PeriodicStamps, StampEvent
 
 IMU = "imu/data_raw"
 FIELD = "imu/mag"
@@ -44,6 +44,7 @@ class WatsonStream:
         limit = 4 * layout.line_length  # a banner's line may be longer than a line of data
         self._lines = LineCutter(TERMINATOR, limit, BITS_PER_CHAR, baud)
         self._stamps = PeriodicStamps(_LINE_PERIOD_NS, _CLOCK_TOLERANCE, _PATIENCE)
+        self.reset()
 
     @property
     def bytes_held(self) -> int:
@@ -56,12 +57,17 @@ class WatsonStream:
         return self._lines.limit
 
     def feed(self, data: bytes, arrival_ns: int) -> list[ImuSample]:
-        """What one read returned, and when: its last byte was there by ``arrival_ns``."""
+        """What one read returned (also nothing), and when: its last byte was there by ``arrival_ns``."""
+        if self._backlog.includes(self._lines.transfer_ns(len(data)), arrival_ns):
+            self.tally.add(IMU, StampEvent.WAITED, len(data))
+            self._lines.reset()
+            return []
         decoded = [self._finish(line) for line in self._lines.feed(data, arrival_ns)]
         return [sample for sample in decoded if sample is not None]
 
     def reset(self) -> None:
         """Drop a half-received line: the port was reopened."""
+        self._backlog = Backlog()
         self._lines.reset()
         self._stamps.restart()
 
