@@ -118,6 +118,19 @@ def test_frames_and_bytes_go_missing_at_the_rate_asked_for():
     assert bytes_of[0] == pytest.approx(0.9 * bytes_of[1], rel=0.03)
 
 
+def test_nothing_passes_an_unplugged_line(monkeypatch):
+    """A recorded drive has no ports that could disappear: in bags/outage_sandy_loam the laser went on."""
+    sent = run(Fault("watson", "unplug", 6.0, 2.0))
+    assert [bool(between(sent, at, at + 1.0, 2)) for at in (5.0, 6.0, 7.0, 8.0)] == [True, False, False, True]
+    heard = []
+    excavator = EmulatedExcavator(PARAMETERS, TRUTH, 0)
+    monkeypatch.setattr(excavator.sick, "receive", lambda *told: heard.append(told))
+    excavator.faults.add(Fault("sick", "unplug", 6.0, 2.0), 0)
+    for at_s in (5.0, 7.0, 9.0):
+        excavator.receive_sick(b"?", round(at_s * S), 9600)
+    assert [now_ns / S for _, now_ns, _ in heard] == [5.0, 9.0]
+
+
 @pytest.mark.parametrize(
     ("kind", "value"), [("doubled_bytes", 0.1), ("corrupted_bytes", 0.1), ("wrong_baud", 0.0)]
 )

@@ -2,6 +2,7 @@
 """Emulated drives of a machine of 20 t with a GNSS receiver and no laser: bag, replay, and their bars."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import config_file, node_parameters, parameters_text, read_yaml
 from trackslip_common.parameters import to_flat
+from trackslip_common.vehicle import load_vehicle, vehicle_text
 from trackslip_estimation.slip.conversions import heading_fix
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import HEADING
@@ -22,7 +24,7 @@ from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.inputs import read_inputs
+from trackslip_tools.replay.whole_inputs import read_inputs
 
 OFFSET = 1.2  # rad, of the antenna pair
 SEGMENTS = [
@@ -43,11 +45,11 @@ def record(path: Path, faults: list[dict[str, Any]]) -> Path:
     return path
 
 
-def replayed(bag: Path, **changed: Any) -> dict[str, Any]:
+def replayed(bag: Path, vehicle: str = "excavator_20t", **changed: Any) -> dict[str, Any]:
     """The summary of ``trackslip replay`` with ``config/gnss.yaml``."""
     options = [f"--set=slip_estimator.{name}={json.dumps(value)}" for name, value in changed.items()]
     summary, params = bag.parent / "summary.json", str(config_file("gnss.yaml"))
-    command = ["replay", str(bag), "--vehicle", "excavator_20t", "--params", params, *options]
+    command = ["replay", str(bag), "--vehicle", vehicle, "--params", params, *options]
     assert main([*command, "--json", str(summary)]) == 0
     found: dict[str, Any] = json.loads(summary.read_text(encoding="utf-8"))
     return found
@@ -66,6 +68,28 @@ def test_rtk_and_heading_keep_the_bars(fixed: Path, use_attitude: bool, most: fl
     assert found["rmse"]["heading"] <= 0.005
     assert found["nees"] < 6.0
     assert "gnss_pose" not in found["rejected"]
+
+
+@pytest.fixture(scope="module")
+def on_cab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """``dig_cycles`` of a PC05 whose antennas and gyro are on its cab, without an encoder of the swing."""
+    folder = tmp_path_factory.mktemp("cab")
+    cab = load_vehicle("pc05_cab")
+    assert cab.sensors is not None
+    bare = replace(cab, name="bare", sensors=replace(cab.sensors, swing_encoder=None))
+    (folder / "bare.yaml").write_text(vehicle_text(bare), encoding="utf-8")
+    options = ["--vehicle", str(folder / "bare.yaml"), "--duration", "60", "--output", str(folder / "bag")]
+    assert main(["simulate", "--scenario", "dig_cycles", *options]) == 0
+    return folder / "bag"
+
+
+def test_antennas_on_a_cab_without_an_encoder(on_cab: Path) -> None:
+    """A drive of a machine with an antenna had no fixes, and so no estimate."""
+    found = replayed(on_cab, vehicle=str(on_cab.parent / "bare.yaml"))
+    assert "swing" not in found["messages"]
+    assert found["rmse"]["filter"] < 0.03
+    assert found["rmse"]["heading"] < 0.03
+    assert found["rmse"]["swing"] < 0.03
 
 
 def test_one_antenna_finds_the_heading(fixed: Path) -> None:

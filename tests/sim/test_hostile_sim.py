@@ -16,6 +16,7 @@ FAULTS = {
     "an_infinite_number": "{sensor: laser, kind: unplugged, start: 1e400}",
     "no_number": "{sensor: laser, kind: unplugged, start: .nan}",
     "a_list_for_a_name": "{sensor: [laser], kind: {a: b}}",
+    "a_number_for_a_key": "{sensor: sick, kind: unplug, duration: 3.1,5}",
     "escapes": '{sensor: "\\e[2J", kind: unplugged}',
     "nothing": "",
 }

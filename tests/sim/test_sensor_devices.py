@@ -41,9 +41,7 @@ def unit(reference=True, measure=motion):
 def run(device, parser, start_ns, stop_ns, step_ns=MS):
     samples = []
     for now_ns in range(start_ns, stop_ns, step_ns):
-        data = device.step(now_ns)
-        if data:
-            samples += parser.feed(data, now_ns)
+        samples += parser.feed(device.step(now_ns), now_ns)
     return samples
 
 

@@ -2,17 +2,19 @@
 """``trackslip study``: its files, its memory, and what it refuses."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.study.slip import study as slip_study
 from trackslip_sim.study.slip.evaluate import evaluate
-from trackslip_sim.study.slip.figures import runs
+from trackslip_sim.study.slip.figures import on_terrain, runs
 from trackslip_sim.study.slip.parameters import Cell, cells, load_study_parameters
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
@@ -66,6 +68,17 @@ def test_it_writes_rows_table_and_figures(
     assert drawn == {
         f"study_{what}_{truth}.png" for what in ("rmse", "nees") for truth in ("shear", "matched")
     }
+
+
+def test_cells_on_terrain_have_a_table_and_a_figure_of_their_own(tmp_path: Path) -> None:
+    on_hill = _row(terrain="hill", ignoring_position_rmse=6.0, ignoring_nees_pose=30.0)
+    still = replace(on_hill, soil="dry_clay", turning_slip_rmse=math.nan, ignoring_turning_slip_rmse=None)
+    still = replace(still, turning_slip_bound=math.nan)
+    SlipStudy({}, []).write([replace(on_hill, ignoring_turning_slip_rmse=2.0), still, _row()], tmp_path)
+    assert {path.name for path in tmp_path.rglob("*.*")} == {"slope_table.md", "study_slopes.png"}
+    figure = on_terrain([replace(on_hill, ignoring_turning_slip_rmse=2.0), still])
+    drawn = [[float(y) for line in axes.lines[1:] for y in line.get_ydata()] for axes in figure.axes]
+    np.testing.assert_equal(drawn, [[1.0, 6.0]] * 2 + [[1.0, 2.0], [math.nan] * 2] + [[1.0 / 3.0, 10.0]] * 2)
 
 
 def test_an_interrupted_study_goes_on(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,6 +70,16 @@ def test_halving_the_step_moves_the_end_by_less_than_a_millimetre(name: str, see
     assert np.hypot(whole.x[-1] - half.x[-1], whole.y[-1] - half.y[-1]) < 1e-3
 
 
+@pytest.mark.parametrize("name", ["slalom", "field_trial"])
+def test_a_heavy_machine_on_stiff_ground_is_balanced_to_what_rounding_leaves(name: str) -> None:
+    """These two ended in UnsolvedStepError: 1e-6 N is below the rounding of the forces of 21 t."""
+    heavy = load_vehicle("excavator_20t").whole()
+    scenario = load_scenario(name)
+    driven = simulate(scenario, soil="dry_clay", vehicle=heavy)
+    assert driven.duration == pytest.approx(scenario.duration, abs=0.01)
+    assert np.isfinite(driven.x).all()
+
+
 @pytest.mark.parametrize("name", SOILS)
 def test_spot_turn_with_low_relief_stalls_and_stands(name: str) -> None:
     scenario = load_scenario("spot_turn")

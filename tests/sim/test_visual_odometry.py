@@ -20,7 +20,7 @@ from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.inputs import read_inputs
+from trackslip_tools.replay.whole_inputs import read_inputs
 
 SEGMENTS = 13  # of the field trial: 99 s
 SETTINGS = {

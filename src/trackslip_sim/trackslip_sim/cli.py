@@ -8,8 +8,10 @@ from pathlib import Path
 
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, InputError, show
+from trackslip_common.vehicle import load_vehicle
+from trackslip_sim.devices.nmea_device import RECEIVER_RATE
 from trackslip_sim.machine.offline import record_drive
-from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario, scenario_names
 from trackslip_sim.scenarios.terrains import load_terrain, terrain_names
 from trackslip_sim.truth.record import Truth
@@ -69,7 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.terrain is not None:
         scenario = dataclasses.replace(scenario, terrain=load_terrain(arguments.terrain))
     given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
-    p = load_emulator_parameters({**given, "vehicle": arguments.vehicle or scenario.vehicle})
+    vehicle = arguments.vehicle or scenario.vehicle
+    p = load_emulator_parameters({**given, "vehicle": vehicle, **_receiver(vehicle)})
     whole, upper = p.vehicle.whole(), p.vehicle.upper_structure
     pieces = simulate_in_pieces(
         scenario, soil=arguments.soil, mode=arguments.mode, vehicle=whole, upper=upper
@@ -77,11 +80,9 @@ def run(arguments: argparse.Namespace) -> int:
     duration = duration_of(scenario, load_settings())
     refuse_existing(arguments.output)
     require_writable(json=arguments.json)
-    with counted(duration, "simulating") as advance:
-        drive = TruthWindow(_followed(pieces, advance), duration)
-        if arguments.output is not None:
-            record_drive(p, drive, arguments.output)
-        drive.advance(drive.duration)
+    drive = (
+        _recorded(p, pieces, duration, arguments.output) if arguments.output else _driven(pieces, duration)
+    )
     elapsed = waited_s()
     show(text(p.vehicle.name, drive.truth, elapsed))
     if arguments.output is not None:
@@ -89,6 +90,29 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_json(arguments.json, {"vehicle": p.vehicle.name, **summary(drive.truth, elapsed)})
     return int(ExitCode.DONE)
+
+
+def _receiver(vehicle: str) -> dict[str, float]:
+    """Of a machine that has an antenna."""
+    sensors = load_vehicle(vehicle).sensors
+    return {} if sensors is None or sensors.antenna is None else {"gnss.device.rate": RECEIVER_RATE}
+
+
+def _driven(pieces: Iterable[Truth], duration: float) -> TruthWindow:
+    """To the end, with a bar."""
+    with counted(duration, "simulating") as advance:
+        window = TruthWindow(_followed(pieces, advance), duration)
+        window.advance(duration)
+    return window
+
+
+def _recorded(p: EmulatorParameters, pieces: Iterable[Truth], duration: float, path: Path) -> TruthWindow:
+    """To the end, into a new bag, with a bar: it is recording that takes its time."""
+    with counted(p.lead_in + duration, "simulating") as advance:
+        window = TruthWindow(pieces, duration)
+        record_drive(p, window, path, advance)
+    window.advance(duration)
+    return window
 
 
 def _followed(pieces: Iterable[Truth], advance: Callable[[float], None]) -> Iterator[Truth]:
@@ -111,7 +135,7 @@ def text(vehicle: str, truth: Truth, elapsed: float) -> str:
             f"  speed {end['v_x']:.3f} m/s  yaw rate {end['yaw_rate']:.4f} rad/s",
             *(
                 f"  {side:<5} track: slip {100.0 * end[f'{side}_slip']:.1f} %, "
-                f"thrust {end[f'{side}_thrust']:.0f} N"
+                f"thrust {round(end[f'{side}_thrust'])} N"
                 for side in ("left", "right")
             ),
         )

@@ -5,10 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from trackslip_common.config_files import node_defaults
+from trackslip_sim.devices.nmea_device import RECEIVER_RATE
 
 SENSOR_TOPICS = ("sprockets", "hydraulics", "imu/data_raw", "imu/mag", "scan", "fix", "heading")
-
-_GNSS_RATE = 10.0  # Hz
 
 _CAN = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2"}
 
@@ -53,7 +52,7 @@ def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
         "duration": options.duration,
         "soil": options.soil,
         "scenario": options.scenario,
-        "gnss.device.rate": _GNSS_RATE if options.gnss else 0.0,
+        "gnss.device.rate": RECEIVER_RATE if options.gnss else 0.0,
     }
     estimator = {**vehicle, **node_defaults("slip_estimator", "gnss.yaml")} if options.gnss else vehicle
     return [

@@ -14,6 +14,7 @@ from trackslip_common.parameters import Parameters, parameter
 from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, pashr, rmc
 from trackslip_sim.devices.line import NEVER_NS, BaudLine
 
+RECEIVER_RATE = 10.0  # Hz, of a machine that has an antenna, where nobody says another
 SINGLE, FLOAT, FIXED = 1, 5, 4  # quality
 _STEPS = (
     (2.0, None),

@@ -24,7 +24,7 @@ from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.nmea_device import NmeaDevice
 from trackslip_sim.devices.sick_device import SickDevice
 from trackslip_sim.devices.watson_device import WatsonDevice
-from trackslip_sim.machine.faults import CAN, GNSS, POWER_CYCLE, SICK, WATSON, WRONG_BAUD, Faults
+from trackslip_sim.machine.faults import CAN, GNSS, POWER_CYCLE, SICK, UNPLUG, WATSON, WRONG_BAUD, Faults
 from trackslip_sim.machine.faulty_line import FaultyBus, FaultySerial
 from trackslip_sim.machine.faulty_readings import FaultyReadings, FullScales
 from trackslip_sim.machine.gnss_model import GnssModel
@@ -179,7 +179,8 @@ class EmulatedExcavator:
         return sensor not in self._without_power
 
     def _can_receive(self, sensor: str, now_ns: int) -> bool:
-        return self._powered(sensor, now_ns) and self.faults.at(sensor, WRONG_BAUD, now_ns) is None
+        deaf = any(self.faults.at(sensor, kind, now_ns) is not None for kind in (UNPLUG, WRONG_BAUD))
+        return self._powered(sensor, now_ns) and not deaf
 
 
 def _full_scales(frames: FrameSet, layout: Layout, sick: SickParameters) -> FullScales:

@@ -51,9 +51,11 @@ class FaultySerial:
         self._held: _HeldBack[int] = _HeldBack()
 
     def transmit(self, data: bytes, now_ns: int) -> bytes:
-        """What arrives now of what was sent; what an unplugged port loses is the port's affair."""
+        """What arrives now of what was sent."""
         if not self._faults and not self._held:
             return data
+        if self._faults.at(self._sensor, f.UNPLUG, now_ns) is not None:
+            return b""
         if self._faults.at(self._sensor, f.WRONG_BAUD, now_ns) is not None:
             data = self._bytes.noise(len(data))
         bursts = self._faults.at(self._sensor, f.BURSTS, now_ns)

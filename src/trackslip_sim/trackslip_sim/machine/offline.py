@@ -64,14 +64,22 @@ _TICK_NS = 2_000_000
 _TRUTH_NS = 10_000_000
 _SWING_NS = 20_000_000  # of the encoder, and of its truth
 _FORCES_NS = 100_000_000
-_SOIL_NS = 1_000_000_000
+_SECOND_NS = 1_000_000_000
+_SOIL_NS = _SECOND_NS
 _WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes, while the window still has the truth
 _DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
 _BODY_FRAME, _SITE_FRAME = "base_link", "map"
 
 
-def record_drive(p: EmulatorParameters, truth: Truth | TruthWindow, path: Path) -> dict[str, int]:
+def record_drive(
+    p: EmulatorParameters,
+    truth: Truth | TruthWindow,
+    path: Path,
+    advance: Callable[[float], None] = lambda _: None,
+) -> dict[str, int]:
     """Write what the sensors see of the drive, and the truth; returns the messages per topic.
+
+    ``advance`` hears of every second that is done, counted from power-on.
 
     Raises:
         InputError: the bag exists already.
@@ -82,7 +90,9 @@ def record_drive(p: EmulatorParameters, truth: Truth | TruthWindow, path: Path) 
         now_ns = START_NS
         while now_ns <= host.excavator.end_ns + _DRAIN_NS:
             host.step(now_ns)
-            now_ns = host.next_ns(now_ns)
+            before_ns, now_ns = now_ns, host.next_ns(now_ns)
+            if (seconds := now_ns // _SECOND_NS - before_ns // _SECOND_NS) > 0:
+                advance(seconds)
         host.recording.write()
     return bag.counts
 
@@ -125,7 +135,7 @@ class _Host:
             for sample in self._can.receive(*frame, now_ns):
                 add("sprockets" if isinstance(sample, SprocketSample) else "hydraulics", sample, now_ns)
         sent = self.excavator.step_watson(now_ns)
-        for line in self._imu.feed(sent, now_ns) if sent else ():
+        for line in self._imu.feed(sent, now_ns):
             add("imu/data_raw", line, now_ns)
             if line.magnetic_field is not None:
                 add("imu/mag", line, now_ns)

@@ -31,7 +31,7 @@ def refuse_unknown(tree: Mapping[str, Any], keys: tuple[str, ...]) -> None:
     """Raise ``InputError`` for a key that is not among ``keys``."""
     for key in tree:
         if key not in keys:
-            raise InputError(f"unknown key '{key}'{suggestion(key, keys)}")
+            raise InputError(f"unknown key '{key}'{suggestion(str(key), keys)}")
 
 
 def number(tree: Mapping[str, Any], key: str) -> float:

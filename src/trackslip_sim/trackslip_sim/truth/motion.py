@@ -22,7 +22,7 @@ from trackslip_sim.truth.contact import Shear, ShearSums, Tracks, shear_sums
 from trackslip_sim.truth.record import FloatArray
 
 SIZE = 5
-TOLERANCE = 1e-6  # N or N m left unbalanced
+TOLERANCE = 8e-11  # of the weight, N, left unbalanced: a few times what rounding leaves of stiff ground
 MAX_ITERATIONS = 60
 MAX_ATTEMPTS = 20
 FLAT = 0.1  # of its initial slope: where the search along a Newton step ends
@@ -41,6 +41,7 @@ class Machine(NamedTuple):
     sliding_floor: float
     rolling_floor: float
     slip_floor: float
+    tolerance: float  # N or N m left unbalanced
 
 
 class Newton(NamedTuple):
@@ -154,7 +155,7 @@ def solve_step(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, ne
     set_relief_limits(q, machine, newton.limits)
     evaluate(q, machine, tracks, shear, newton)
     for iteration in range(MAX_ITERATIONS):
-        if balanced(newton.gradient):
+        if balanced(newton.gradient, machine.tolerance):
             return iteration
         assemble(q, machine, tracks, newton)
         solve_symmetric(newton.matrix, newton.gradient, newton.change)
@@ -182,11 +183,11 @@ def solve_step(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, ne
 
 
 @compiled
-def balanced(gradient: FloatArray) -> bool:
+def balanced(gradient: FloatArray, tolerance: float) -> bool:
     """Whether all forces are."""
     count = 0
     for force in gradient:
-        count += abs(force) < TOLERANCE
+        count += abs(force) < tolerance
     return count == len(gradient)
 
 

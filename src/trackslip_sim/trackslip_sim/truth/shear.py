@@ -29,7 +29,15 @@ from trackslip_sim.truth.contact import (
 from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
 from trackslip_sim.truth.lag import Valves, spools, valves_of
 from trackslip_sim.truth.load import Load, press, weigh
-from trackslip_sim.truth.motion import MAX_ITERATIONS, SIZE, Machine, Newton, new_step, solve_step
+from trackslip_sim.truth.motion import (
+    MAX_ITERATIONS,
+    SIZE,
+    TOLERANCE,
+    Machine,
+    Newton,
+    new_step,
+    solve_step,
+)
 from trackslip_sim.truth.pose import attitude_of, body_rates, move, pose_rates
 from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved
@@ -262,6 +270,7 @@ def _machine(vehicle: Vehicle, settings: TruthSettings, relief_pressure: float) 
         sliding_floor=settings.sliding_floor,
         rolling_floor=settings.rolling_floor,
         slip_floor=settings.slip_floor,
+        tolerance=TOLERANCE * vehicle.weight,
     )
 
 

@@ -4,7 +4,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib import style
@@ -14,10 +14,11 @@ from matplotlib.ticker import NullLocator
 
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_sim.demo.plots import BAND, COLOURS, STYLE, save
-from trackslip_sim.study.slip.drive import make_drive
+from trackslip_sim.study.slip.drive import FloatArray, make_drive
 from trackslip_sim.study.slip.evaluate import Trace, make_setting, trace
 from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters
 from trackslip_sim.study.slip.results import Row
+from trackslip_sim.study.table import words
 
 # name → filter, σ_xy m, σ_ω rad/s, and which figures of the thesis have these
 CONDITIONS: Mapping[str, tuple[str, float, float, str]] = MappingProxyType(
@@ -35,6 +36,12 @@ _PANEL = (3.3, 2.5)  # inches
 _EVERY = 10  # samples, of an estimate that is drawn
 _RMSE = {"position": (1e3, "position (mm)"), "slip": (100.0, "slip (%)")}  # name → scale, label
 _NEES = {"nees_pose": (1.0, "NEES of the pose"), "nees_slip": (1.0, "NEES of the slips")}
+_RATIOS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+_ON_TERRAIN = {  # name → what it is divided by, label
+    "position_rmse": ("position_bound", "position ÷ bound"),
+    "turning_slip_rmse": ("turning_slip_bound", "slip in turns ÷ bound"),
+    "nees_pose": ("", "NEES of the pose ÷ 3"),
+}
 
 
 def runs(p: StudyParameters, estimator: SlipEstimatorParameters) -> Iterator[tuple[str, Figure]]:
@@ -55,6 +62,33 @@ def runs(p: StudyParameters, estimator: SlipEstimatorParameters) -> Iterator[tup
         yield name, figure
 
 
+def write_slopes(rows: Sequence[Row], folder: Path) -> None:
+    """``on_terrain`` as a PNG file."""
+    with style.context(dict(STYLE)):
+        save(on_terrain(rows), folder / "study_slopes.png")
+
+
+def on_terrain(rows: Sequence[Row]) -> Figure:
+    """Errors over their bounds, and NEES over 3, on each terrain; hollow: of the filter that ignores it.
+
+    A column of panels for each soil. A consistent filter at its bound has 1 everywhere.
+    """
+    soils = list(dict.fromkeys(row.soil for row in rows))
+    terrains = list(dict.fromkeys(row.terrain for row in rows))
+    figure, axes = _grid(len(_ON_TERRAIN), len(soils), sharey="row")
+    for column, soil in enumerate(soils):
+        for panels, (name, (least, text)) in zip(axes, _ON_TERRAIN.items(), strict=True):
+            _draw_terrains(panels[column], [row for row in rows if row.soil == soil], terrains, (name, least))
+            panels[column].set(yscale="log", ylabel=text)
+            panels[column].set_yticks(_RATIOS, [f"{ratio:g}" for ratio in _RATIOS])
+            panels[column].yaxis.set_minor_locator(NullLocator())
+            panels[column].label_outer()
+        axes[0][column].set_title(words(soil))
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="upper right", ncols=2, fontsize=8)
+    figure.suptitle("On terrain, beside the bound; hollow: taking the ground for flat", x=0.01, ha="left")
+    return figure
+
+
 def write_monte_carlo(rows: Sequence[Row], folder: Path) -> None:
     """All of ``monte_carlo`` as PNG files."""
     with style.context(dict(STYLE)):
@@ -72,9 +106,11 @@ def monte_carlo(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
         yield f"study_nees_{truth}", _over_sigma(chosen, title, _NEES, _draw_nees)
 
 
-def _grid(rows: int, columns: int) -> tuple[Figure, list[list[Axes]]]:
+def _grid(
+    rows: int, columns: int, sharey: Literal["none", "row"] = "none"
+) -> tuple[Figure, list[list[Axes]]]:
     figure = Figure(figsize=(_PANEL[0] * columns, _PANEL[1] * rows))
-    return figure, [list(row) for row in figure.subplots(rows, columns, squeeze=False)]
+    return figure, [list(row) for row in figure.subplots(rows, columns, squeeze=False, sharey=sharey)]
 
 
 def _draw_path(axes: Axes, found: Trace, soil: str) -> None:
@@ -133,6 +169,33 @@ def _over_sigma(
     axes[0][0].legend(fontsize=7)
     figure.suptitle(title, x=0.01, ha="left")
     return figure
+
+
+def _draw_terrains(
+    axes: Axes, rows: Sequence[Row], terrains: Sequence[str], quantity: tuple[str, str]
+) -> None:
+    name, least = quantity
+    axes.axhline(1.0, color=_TRUTH, linewidth=0.8)
+    for colour, sigma in zip((_LEFT, _RIGHT), sorted({row.sigma_xy for row in rows}), strict=False):
+        chosen = [row for row in rows if row.sigma_xy == sigma]
+        where = [terrains.index(row.terrain) for row in chosen]
+        for which, fill in (("", colour), ("ignoring_", "none")):
+            values = _numbers(chosen, which + name) / (_numbers(chosen, least) if least else 3.0)
+            look = {
+                "markerfacecolor": fill,
+                "color": colour,
+                "marker": "o",
+                "markersize": 4,
+                "linewidth": 0.0,
+            }
+            axes.plot(where, values, label=None if which else f"σ_xy = {1e3 * sigma:g} mm", **look)
+    axes.set_xticks(range(len(terrains)), [words(name) for name in terrains], rotation=45, ha="right")
+    axes.xaxis.set_minor_locator(NullLocator())
+
+
+def _numbers(rows: Sequence[Row], name: str) -> FloatArray:
+    """NaN where nothing moved."""
+    return np.array([getattr(row, name) for row in rows], np.float64)
 
 
 def _label_ticks(axes: Axes, sigma: Sequence[float]) -> None:

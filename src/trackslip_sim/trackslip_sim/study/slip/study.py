@@ -184,13 +184,12 @@ class SlipStudy(Study[Cell, Row]):
 
     def write(self, rows: Sequence[Row], folder: Path) -> None:
         """The table, and in ``figures`` what the Monte Carlo gives."""
-        from trackslip_sim.study.slip.figures import (
-            write_monte_carlo,  # matplotlib: not for every command's start
-        )
+        from trackslip_sim.study.slip import figures  # matplotlib: not for every command's start
 
-        if any(row.terrain for row in rows):
-            (folder / _SLOPES).write_text(self.markdown(rows), encoding="utf-8")
-            return
-        super().write(rows, folder)
         (folder / "figures").mkdir(exist_ok=True)
-        write_monte_carlo(rows, folder / "figures")
+        if sloping := [row for row in rows if row.terrain]:
+            (folder / _SLOPES).write_text(self.markdown(rows), encoding="utf-8")
+            figures.write_slopes(sloping, folder / "figures")
+        else:
+            super().write(rows, folder)
+            figures.write_monte_carlo(rows, folder / "figures")
