@@ -140,7 +140,10 @@ def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
     last = tmp_path / "bag" / "bag_3.mcap"
     last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    recovery = recover(tmp_path / "bag", tmp_path / "out")
+    shares: list[float] = []
+    recovery = recover(tmp_path / "bag", tmp_path / "out", shares.append)
+    assert len(shares) > 4  # more than one of each file
+    assert sum(shares) == pytest.approx(1.0)
     assert (recovery.cut, len(recovery.problems)) == (1, 1)
     assert len(list((tmp_path / "out").glob("*.mcap"))) == 4
     found = contents(tmp_path / "out")

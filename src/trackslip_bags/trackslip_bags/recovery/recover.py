@@ -2,9 +2,10 @@
 """Makes a whole bag of a damaged one: what can be read of it, with a new index and ``metadata.yaml``."""
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import parse_yaml
 
 _CDR = b"\0"  # how every CDR message begins
+_SHOWN = 1000  # messages between two words on how far it is
 _ENCODINGS = {MessageDefinitionFormat.MSG: SchemaEncoding.ROS2, MessageDefinitionFormat.IDL: "ros2idl"}
 
 
@@ -46,31 +48,34 @@ class _Found(NamedTuple):
     data: bytes
 
 
-Part = Iterator[_Found | SalvagedTopic]  # messages of one file, then all its topics, the silent ones too
+Found = Iterator[_Found | SalvagedTopic]  # messages of one file, then all its topics, the silent ones too
+Part = Callable[[Callable[[float], None]], Found]  # reads one file; it tells of each share that it has read
 
 
-def recover(
-    path: Path, output: Path, shown: Callable[[Sequence[Part]], Iterable[Part]] = lambda parts: parts
-) -> Recovery:
+def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda _: None) -> Recovery:
     """Write what can be read of the bag at ``path`` to a new one; ``path`` itself stays as it is.
 
     Args:
         path: a bag's directory, or one file of it.
         output: the directory to create.
-        shown: passes the parts on, one for each file, and may show how far it is.
+        advance: hears which share of the bag has been read since it was last called.
 
     Raises:
         InputError: there is no bag at ``path``, or ``output`` exists or cannot be written.
     """
     recovery = Recovery(stated=_stated_count(path))
     parts = _parts(path, recovery)
+
+    def advance_in_part(share: float) -> None:
+        advance(share / len(parts))
+
     bag = BagWriter(output)
     try:
         with bag:
-            for k, part in enumerate(shown(parts)):
+            for k, part in enumerate(parts):
                 if k > 0:
                     bag.split()
-                _copy(part, bag, recovery)
+                _copy(part(advance_in_part), bag, recovery)
     except BaseException:
         shutil.rmtree(output, ignore_errors=True)  # half a recovery would look like a whole one
         raise
@@ -88,19 +93,23 @@ def _parts(path: Path, recovery: Recovery) -> list[Part]:
     refuse_pipes(path)
     files = [file for file in bag_files(path) if is_mcap(file)]
     if files:
-        return [_from_mcap(file, recovery) for file in files]
-    return [_from_others(open_bag(path), recovery)]
+        return [partial(_from_mcap, file, recovery) for file in files]
+    return [partial(_from_others, open_bag(path), recovery)]
 
 
-def _from_mcap(path: Path, recovery: Recovery) -> Part:
+def _from_mcap(path: Path, recovery: Recovery, advance: Callable[[float], None]) -> Found:
     file = DamagedFile(path)
-    problem = ""
+    problem, shown = "", 0.0
     try:
         for message in file.messages():
+            if file.share_read > shown:  # chunk by chunk
+                advance(file.share_read - shown)
+                shown = file.share_read
             topic = file.topics[message.channel_id]
             yield _Found(topic, message.log_time, message.publish_time, message.data)
     except OSError as error:  # a bad disk: what came before it is kept
         problem = error.strerror or "unreadable"
+    advance(1.0 - shown)
     yield from file.topics.values()
     recovery.cut += file.is_cut
     recovery.lost_bytes += file.lost_bytes
@@ -108,14 +117,16 @@ def _from_mcap(path: Path, recovery: Recovery) -> Part:
         recovery.problems.append(f"{path.name}: {problem or file.problem}")
 
 
-def _from_others(bag: Bag, recovery: Recovery) -> Part:
+def _from_others(bag: Bag, recovery: Recovery, advance: Callable[[float], None]) -> Found:
     """A bag of SQLite files, which repair themselves as they are opened, or one of compressed files."""
     topics = {name: _topic(name, info) for name, info in bag.topics.items()}
     if bag.damage:
         recovery.problems.append(bag.damage)
     with bag:
         try:
-            for message in bag.messages():
+            for k, message in enumerate(bag.messages()):
+                if k > 0 and k % _SHOWN == 0:
+                    advance(_SHOWN / bag.message_count)
                 yield _Found(topics[message.topic], message.log_time_ns, message.log_time_ns, message.raw)
         except InputError as error:
             recovery.problems.append(str(error))
@@ -131,7 +142,7 @@ def _topic(name: str, info: TopicInfo) -> SalvagedTopic:
     return SalvagedTopic(name, info.type_name, schema, "")
 
 
-def _copy(part: Part, bag: BagWriter, recovery: Recovery) -> None:
+def _copy(part: Found, bag: BagWriter, recovery: Recovery) -> None:
     for item in part:
         topic = item.topic if isinstance(item, _Found) else item
         try:

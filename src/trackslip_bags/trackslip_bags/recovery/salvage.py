@@ -69,6 +69,7 @@ class DamagedFile:
         self.lost_bytes = 0  # behind the last whole record
         self.bad_chunks = 0
         self.bad_records = 0  # inside whole chunks: of no known channel, or without a time
+        self.share_read = 0.0  # of the file, so far
         self._schemas: dict[int, Schema] = {}
 
     @property
@@ -124,8 +125,9 @@ class DamagedFile:
             if len(head) < _HEAD or not sound or end + _HEAD + length > size:
                 self.lost_bytes = size - end
                 return
-            yield opcode, stream.read(length)
             end += _HEAD + length
+            self.share_read = end / size
+            yield opcode, stream.read(length)
         self.is_cut = stream.read() != _MAGIC
 
     def _inside(self, opcode: int, content: bytes) -> list[object]:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from trackslip_bags.writer import BagWriter
+from trackslip_common.console import clear_line
 
 _PERIOD = 60.0  # s between lines, where there is no terminal
 
@@ -13,7 +14,7 @@ _PERIOD = 60.0  # s between lines, where there is no terminal
 class RecordProgress:
     """On a terminal a line that is renewed, else a line in the log once a minute."""
 
-    def __init__(self, bag: BagWriter, log: Callable[[str], None]) -> None:
+    def __init__(self, bag: BagWriter, log: Callable[[str], object]) -> None:
         self._bag, self._log = bag, log
         self._began_s = self._shown_s = time.monotonic()
         self._topics: set[str] = set()
@@ -24,6 +25,7 @@ class RecordProgress:
         counts = {topic: count for topic, count in self._bag.counts.items() if count}
         if new := sorted(counts.keys() - self._topics):
             self._topics.update(new)
+            clear_line()
             self._log(f"writing {', '.join(new)}")
         now_s = time.monotonic()
         line = self._line(counts, now_s - self._began_s, minutes_left)

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a recorder listens to: serialized messages of topics that are known, and of those found later."""
+
+import re
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from trackslip_bags.qos import offered_qos
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import InputError
+from trackslip_common.nodes.messages import message_class, type_name_of
+from trackslip_common.nodes.qos import best_effort, latched, reliable
+from trackslip_common.topics import TOPICS, Flow
+
+_GATHER = 0.05  # s from a message until all that came meanwhile are taken
+_BURST = 100  # messages of one topic, before the others have their turn
+_LATCHED_DEPTH = 100  # several publishers of one topic keep one message each, such as /tf_static has
+
+Write = Callable[[str, str, bytes, Any], None]  # topic, type, serialized message, info
+
+
+class Taps:
+    """Subscriptions of a recorder, undecoded; ``write`` gets each message.
+
+    Args:
+        node: on which to subscribe.
+        bag: in which topics are made known before their first message.
+        more: which further topics to record.
+        write: takes topic, type, message, and when it was sent, as which one, and when it came.
+    """
+
+    def __init__(self, node: Node, bag: BagWriter, more: re.Pattern[str], write: Write) -> None:
+        self._node, self._bag, self._more, self._write = node, bag, more, write
+        self._known: set[str] = set()
+        self._taps: dict[str, Any] = {}  # subscription of each topic
+        self._choices: dict[str, tuple[str, ...]] = {}  # types of a topic that has no publisher yet
+        self._reliable: set[str] = set()
+        self.alone: set[str] = set()  # topics that have one publisher
+        self.not_recorded: dict[str, str] = {}  # why
+        for name, topic in TOPICS.items():
+            full = f"/{name}" if name in ("tf", "diagnostics") else node.resolve_topic_name(name)
+            if topic.others:
+                self._choices[full] = (topic.type_name, *topic.others)
+            self._record(full, topic.type_name, topic.flow is Flow.LATCHED)
+
+    def publishers(self) -> dict[str, int]:
+        """How many each topic has."""
+        return {topic: tap.get_publisher_count() for topic, tap in self._taps.items()}
+
+    def discover(self) -> None:
+        """Subscribe to new topics that the expression matches; ask for no more than publishers offer."""
+        for topic, types in self._node.get_topic_names_and_types():
+            if topic not in self._known and self._more.fullmatch(topic):
+                offers = {info.qos_profile.durability for info in self._offers(topic)}
+                self._record(topic, types[0], offers == {DurabilityPolicy.TRANSIENT_LOCAL})
+        self._choose()
+        for topic in list(self._reliable):
+            offers = {info.qos_profile.reliability for info in self._offers(topic)}
+            if ReliabilityPolicy.BEST_EFFORT in offers:
+                self._reliable.remove(topic)
+                kind = self._taps[topic].msg_type
+                self._node.destroy_subscription(self._taps[topic])
+                self._tap(kind, topic, best_effort())
+        self.alone = {topic for topic, count in self.publishers().items() if count == 1}
+
+    def _offers(self, topic: str) -> list[Any]:
+        offers: list[Any] = self._node.get_publishers_info_by_topic(topic)
+        return offers
+
+    def _record(self, topic: str, type_name: str, is_latched: bool) -> None:
+        self._known.add(topic)
+        try:
+            kind = message_class(type_name)
+            if topic not in self._choices:
+                self._bag.add_topic(topic, type_name, offered_qos(is_latched))
+        except (ImportError, AttributeError, InputError) as error:
+            if topic != "/tf":  # its package is optional
+                self.not_recorded[topic] = f"not recorded: {error}"
+                self._node.get_logger().warning(f"cannot record {topic} ({type_name}): {error}")
+            return
+        self._reliable.add(topic)
+        self._tap(kind, topic, latched(_LATCHED_DEPTH) if is_latched else reliable())
+
+    def _tap(self, kind: type, topic: str, qos: QoSProfile) -> None:
+        take = partial(self._take, topic, type_name_of(kind))
+        self._taps[topic] = self._node.create_subscription(kind, topic, take, qos, raw=True)
+
+    def _take(self, topic: str, type_name: str, data: bytes, info: Any) -> None:
+        """A message, and all that come in the moment after it, on any topic.
+
+        One by one, the executor takes three times the CPU, just when others work on the same messages, and
+        loses three times sooner.
+        """
+        self._write(topic, type_name, data, info)
+        time.sleep(_GATHER)
+        for name, tap in self._taps.items():
+            kind = type_name_of(tap.msg_type)
+            for _ in range(_BURST):
+                with tap.handle:
+                    taken = tap.handle.take_message(tap.msg_type, True)
+                if taken is None:
+                    break
+                self._write(name, kind, *taken)
+
+    def _choose(self) -> None:
+        """Record topics that may be of several types by the one that is published."""
+        for topic, types in list(self._choices.items()):
+            offered = [info.topic_type for info in self._offers(topic)]
+            published = next((name for name in offered if name in types), None)
+            if published is None:
+                continue
+            del self._choices[topic]
+            if published == type_name_of(self._taps[topic].msg_type):
+                self._bag.add_topic(topic, published, offered_qos(False))
+            else:
+                self._node.destroy_subscription(self._taps.pop(topic))
+                self._record(topic, published, is_latched=False)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bag of a recorder on a disk that refuses, or is to take no more than so much."""
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trackslip_bags.recording import Recording, RecordParameters
+
+LOG = logging.getLogger("recorder")
+MESSAGE = b"\0\1\0\0\1\0\0\0\0"
+Begin = Callable[..., Recording]
+
+
+@pytest.fixture
+def begin(tmp_path: Path) -> Begin:
+    """Begins a recording with parameters."""
+    rest: dict[str, Any] = {"more_topics": "", "split_size": 0, "split_duration": 0.0, "max_disk": 0}
+
+    def made(**parameters: Any) -> Recording:
+        return Recording(RecordParameters(output=str(tmp_path / "bag"), **(rest | parameters)), LOG)
+
+    return made
+
+
+def write(recording: Recording, number: int) -> None:
+    recording.write("/topic", "std_msgs/msg/String", MESSAGE, number, number)
+
+
+def fail() -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_what_comes_after_the_disk_refused_is_counted_and_the_rest_stays(begin: Begin) -> None:
+    recording = begin()
+    write(recording, 1)
+    recording.save()
+    write(recording, 2)
+    recording.bag.flush = fail  # type: ignore[method-assign]
+    recording.save()
+    write(recording, 3)
+    recording.close()
+    assert recording.disk_error == "cannot write (No space left on device)"
+    assert recording.losses.total == {"/topic": 2}
+
+
+def test_a_disk_error_of_one_bag_is_none_of_the_next(begin: Begin) -> None:
+    """What was being saved when the recorder was deactivated failed after the next bag was begun."""
+    failed: Future[None] = Future()
+    failed.set_exception(OSError(5, "Input/output error"))
+    first = begin()
+    first._saving = failed
+    first.close()
+    second = begin()
+    write(second, 7)
+    second.save()
+    second.close()
+    assert first.disk_error == "cannot write (Input/output error)"
+    assert second.disk_error == ""
+    assert second.losses.total.total() == 0
+
+
+def test_the_oldest_files_go_where_the_disk_is_to_take_no_more(begin: Begin, tmp_path: Path) -> None:
+    recording = begin(max_disk=1)
+    for number in (1, 2, 3):
+        write(recording, number)
+        recording.bag.split()
+    (tmp_path / "mine.mcap").write_bytes(bytes(10_000))
+    recording.save()
+    assert recording.disk_error == ""
+    assert sorted(path.name for path in tmp_path.rglob("*.mcap")) == ["bag_3.mcap", "mine.mcap"]
+    recording.close()
