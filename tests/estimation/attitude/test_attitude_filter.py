@@ -69,7 +69,7 @@ class Ride:
         force[:, 2] -= q * self.speed
         found["force"] = force + self.random.normal(0.0, noise, force.shape)
         found["force_variance"] = 0.05**2
-        found["velocity"][:, 0], found["known_velocity"] = self.speed, 1
+        found["velocity"][:, 0], found["known_velocity"], found["levels"] = self.speed, 1, 1
         return found
 
 

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from trackslip_bags.messages import make
-from trackslip_estimation.slip.conversions import Frames, transforms
+from trackslip_estimation.slip.conversions import Frames
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.local_odometry import TWIST, LocalOdometry
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.transforms import transforms
 
 STEP_NS = 10_000_000
 

@@ -11,7 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.vehicle import GRAVITY
-from trackslip_estimation.soil.ground_load import GROUND_LOAD, centre_of, set_load
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.soil.ground_load import (
+    GROUND_LOAD,
+    burden_of,
+    burden_variance,
+    centre_of,
+    follow_burden,
+    set_load,
+)
 from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.shear_field import Contact, Rolling, SlidingError, element_places, shares
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
@@ -50,6 +58,27 @@ def test_loads_bear_the_weight_and_its_moments(roll: float, pitch: float) -> Non
     aside = -mass * GRAVITY * math.cos(pitch) * math.sin(roll)
     moment = 0.5 * VEHICLE.tread * (load["normal"][0] - load["normal"][1])
     assert moment == pytest.approx(CENTRE.z * aside, abs=1e-6)
+
+
+def doubt(vehicle: Any, moments: list[tuple[float, Motion]]) -> float:
+    """Standard deviation of the thrust that a weight of 1 N needs, after seconds of each motion."""
+    burden, sample = burden_of(vehicle)[0], np.zeros(1, SAMPLE)[0]
+    sample["dt"] = 0.1
+    for seconds, motion in moments:
+        sample["motion"] = motion
+        for _ in range(round(seconds * 10)):
+            follow_burden(burden, sample, NUMBERS["load"])
+    return math.sqrt(burden_variance(burden, 1.0, NUMBERS["load"]))
+
+
+def test_a_bucket_may_be_filled_where_the_tracks_stand() -> None:
+    """Not before the first drive, whose weight is the file's, nor at a halt, nor without a bucket."""
+    stand, drive, halt = (8.0, Motion.STANDING), (5.0, Motion.STRAIGHT), (2.0, Motion.STANDING)
+    assert VEHICLE.bucket is not None
+    assert doubt(VEHICLE, [stand, drive]) == 0.0
+    assert doubt(VEHICLE, [stand, drive, halt, drive, halt]) == 0.0
+    assert doubt(VEHICLE, [stand, drive, stand, drive]) == pytest.approx(P.load.bucket_share)
+    assert doubt(replace(VEHICLE, bucket=None), [stand, drive, stand, drive]) == 0.0
 
 
 def test_a_downhill_nose_is_pulled_forward_and_presses_in_front() -> None:

@@ -52,8 +52,24 @@ def corrupted(corrupt: Corrupt) -> list[SoilInput]:
 
 def accused(estimator: SoilEstimator) -> set[str]:
     """Of what the pressures were accused; the first moment has none, for readings come after the slips."""
-    before = {Doubt.BRIEF.value, PressureFault.DROPPED.value}
+    before = {*(doubt.value for doubt in Doubt), PressureFault.DROPPED.value}
     return {reason for _, reason in estimator.tally.total} - before
+
+
+def test_oil_that_something_presses_on_at_rest_is_counted() -> None:
+    """The arm digs while the tracks stand: 3 bar, below the limit of an offset."""
+    inputs = given(segments=((10.0, 0.0, 0.0),))
+    digging = [
+        replace(one, left_pressure=one.left_pressure + 3e5)
+        if isinstance(one, Hydraulics) and one.stamp_ns > START_NS + 6e9
+        else one
+        for one in inputs
+    ]
+    still, digs = SoilEstimator(P), SoilEstimator(P)
+    run(inputs, still)
+    run(digging, digs)
+    assert still.tally.total["hydraulics", Doubt.AT_REST.value] == 0
+    assert digs.tally.total["hydraulics", Doubt.AT_REST.value] == pytest.approx(400, abs=5)
 
 
 FAULTS: dict[PressureFault, Corrupt] = {

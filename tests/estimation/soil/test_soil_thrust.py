@@ -30,10 +30,11 @@ class Meter:
         self._numbers, self._motor = record_of(P.thrust)[0], motor_of(P.vehicle.whole())[0]
         self.offsets = new_offsets(P.thrust)[0]
 
-    def learn(self, pressures: np.ndarray | None) -> None:
-        """STEP later, standing where there are pressures."""
+    def learn(self, pressures: np.ndarray | None) -> bool:
+        """STEP later, standing where there are pressures; whether one of them was refused."""
         stands = pressures is not None
-        update_offsets(self.offsets, pressures if stands else np.zeros(2), stands, STEP, self._numbers)
+        shown = pressures if stands else np.zeros(2)
+        return update_offsets(self.offsets, shown, stands, STEP, self._numbers)
 
     def measure(self, pressures: np.ndarray, speeds: np.ndarray) -> np.void:
         thrust = np.zeros(1, THRUST)
@@ -44,10 +45,27 @@ class Meter:
         hold_thrust(thrust, STEP, self._numbers, self._motor)
 
 
-def learned(meter: Meter, pressures: np.ndarray, seconds: float, noise: float = 0.0) -> None:
+def learned(meter: Meter, pressures: np.ndarray, seconds: float, noise: float = 0.0) -> int:
+    """Of how many moments a pressure was refused."""
     rng = np.random.default_rng(1)
-    for _ in range(round(seconds / STEP)):
-        meter.learn(pressures + noise * rng.standard_normal(2))
+    return sum(meter.learn(pressures + noise * rng.standard_normal(2)) for _ in range(round(seconds / STEP)))
+
+
+def test_what_digging_presses_on_is_no_offset() -> None:
+    """3 bar for 8 s, below the limit of an offset, after a stand that has shown it."""
+    meter, noise = Meter(), P.thrust.pressure_stddev
+    own = np.array((0.2 * BAR, -0.4 * BAR))
+    assert learned(meter, own, 10.0, noise) == 0
+    assert learned(meter, own + 3.0 * BAR, 8.0, noise) > 750
+    np.testing.assert_allclose(meter.offsets["mean"], own, atol=0.05 * BAR)
+    assert learned(meter, own, 10.0, noise) == 0
+
+
+def test_an_offset_that_has_become_another_is_believed_in_the_end() -> None:
+    meter, noise = Meter(), P.thrust.pressure_stddev
+    learned(meter, np.zeros(2), 10.0, noise)
+    learned(meter, np.full(2, 3.0 * BAR), 2.0 * P.thrust.insist_time, noise)
+    np.testing.assert_allclose(meter.offsets["mean"], 3.0 * BAR, atol=0.2 * BAR)
 
 
 @pytest.mark.parametrize("soil", ["sand", "sandy_loam", "clayey_soil", "dry_clay"])

@@ -18,7 +18,8 @@ a state, whose variance stays in that of the tilt until turns show it: the groun
 
 The noise of the accelerometers finds its own size: a mean of ν² − H P Hᵀ over the last seconds, no less than
 stated; a shaken machine then goes by its gyro. What the IMU shows without gravity, or with gravity from
-aside or below, is not used: it has no accelerometers that feel it, or is not mounted as stated.
+aside or below, is not used: it has no accelerometers that feel it, or is not mounted as stated. Its own
+orientation, where that is wanted, is used in ``orientation``.
 """
 
 import math
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import GRAVITY
+from trackslip_estimation.attitude.orientation import NEVER, SWING_UNKNOWN, begin, use_orientation
 from trackslip_estimation.attitude.records import (
     BIAS_P,
     BIAS_Q,
@@ -46,7 +48,6 @@ FloatArray = NDArray[np.float64]
 GRAVITY_DOUBT = 1.0  # m/s², by which the mean of what is felt may differ from gravity
 UPRIGHT = 0.5 * GRAVITY  # m/s², least that its z axis shows of gravity
 _MEAN_TIME = 1.0  # s, of that mean
-_FIRST_NOISE = 1.0  # (m/s²)², before a sample tells
 _LONGEST = 0.5  # s, between samples of which one follows from the other
 _LOST = 0.3  # rad, beyond which a roll or pitch is not known any more
 _SURPRISE = 25.0  # ν²/S beyond which a sample counts for less
@@ -59,7 +60,8 @@ _DOUBT_TIMES = 1.0, 10.0  # s, for which the tilt errs to one side, and the gyro
 @compiled
 def forget_attitude(a: Any) -> None:
     """The record ``a`` of ``ATTITUDE`` as nobody has seen anything."""
-    a.known = a.seen = a.stamp_ns = 0
+    a.known = a.seen = a.stamp_ns = a.refusal = 0
+    a.oriented_ns = NEVER
     a.mean[:], a.covariance[:] = 0.0, 0.0
     a.rates[:], a.mean_force[:], a.velocity[:], a.sample.force[:] = 0.0, 0.0, 0.0, np.nan
     set_level(a)
@@ -74,11 +76,15 @@ def feels_gravity(a: Any) -> bool:
 
 
 @compiled
-def use_sample(a: Any, n: Any) -> None:
-    """The record ``a`` of ``ATTITUDE`` at the stamp of its new ``sample``; ``n``: ``CONSTANTS``."""
+def use_sample(a: Any, n: Any) -> int:
+    """The record ``a`` of ``ATTITUDE`` at the stamp of its new ``sample``; ``n``: ``CONSTANTS``.
+
+    Returns why its orientation was not used; 0 where it was, or is not wanted.
+    """
     imu = a.sample
     if imu.lost == 1 and a.seen == 0:
-        return
+        a.refusal = SWING_UNKNOWN if imu.oriented == 1 else 0
+        return int(a.refusal)
     imu.cos, imu.sin = math.cos(imu.turn), math.sin(imu.turn)
     dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
     follows = 0.0 < dt <= _LONGEST
@@ -86,6 +92,7 @@ def use_sample(a: Any, n: Any) -> None:
         _turn(a, _rates(a), dt, n)
         if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > _LOST**2:
             a.known = 0
+    a.refusal = use_orientation(a, n) if imu.oriented == 1 else 0
     if _follow_force(a, dt) and feels_gravity(a):
         if a.known == 0:
             _begin(a, n)
@@ -99,6 +106,7 @@ def use_sample(a: Any, n: Any) -> None:
     a.velocity[0], a.velocity[1] = _velocity_at(imu, _rates(a))
     a.stamp_ns, a.seen = imu.stamp_ns, 1
     set_level(a)
+    return int(a.refusal)
 
 
 @compiled
@@ -131,9 +139,9 @@ def force_of(imu: Any) -> tuple[float, float, float]:
 
 @compiled
 def _follow_force(a: Any, dt: float) -> bool:
-    """Low-pass the force; whether there is one."""
+    """Low-pass the force; whether there is one that may tell the tilt."""
     force = force_of(a.sample)
-    if a.sample.lost == 1 or not math.isfinite(force[0] + force[1] + force[2]):
+    if a.sample.levels == 0 or a.sample.lost == 1 or not math.isfinite(force[0] + force[1] + force[2]):
         return False
     share = 1.0 if a.seen == 0 or dt > _LONGEST else -math.expm1(-dt / _MEAN_TIME)
     for i in range(3):
@@ -151,20 +159,13 @@ def _velocity_at(imu: Any, rates: tuple[float, float, float]) -> tuple[float, fl
 
 @compiled
 def _begin(a: Any, n: Any) -> None:
-    """As gravity lies, with all of its variance still to come; height and biases stay."""
-    x, P = a.mean, a.covariance
+    """As gravity lies."""
+    x = a.mean
     f_x, f_y, f_z = a.mean_force
-    for i in range(SIZE):
-        if P[BIAS_X, BIAS_X] == 0.0 and i != BIAS_X:
-            P[i, i] = n.initial[i] ** 2
-        for j in range(PITCH + 1):
-            P[i, j] = P[j, i] = 0.0
-    P[BIAS_X, BIAS_X] = max(P[BIAS_X, BIAS_X], n.initial[BIAS_X] ** 2)
-    P[ROLL, ROLL], P[PITCH, PITCH] = n.initial[ROLL] ** 2, n.initial[PITCH] ** 2
     cos, sin = a.sample.cos, a.sample.sin
-    x[ROLL] = math.atan2(f_y - (sin * x[BIAS_X] + cos * x[BIAS_Y]), f_z)
-    x[PITCH] = math.atan2((cos * x[BIAS_X] - sin * x[BIAS_Y]) - f_x, math.sqrt(f_y * f_y + f_z * f_z))
-    a.noise[:], a.noise_count[:], a.known = _FIRST_NOISE, 1.0, 1
+    roll = math.atan2(f_y - (sin * x[BIAS_X] + cos * x[BIAS_Y]), f_z)
+    pitch = math.atan2((cos * x[BIAS_X] - sin * x[BIAS_Y]) - f_x, math.sqrt(f_y * f_y + f_z * f_z))
+    begin(a, roll, pitch, n)
 
 
 @compiled

@@ -4,10 +4,23 @@
 base_link has x forward, y left, z up (REP-103); ψ, θ, φ turn about z, y, x (ZYX), θ > 0 is nose down.
 """
 
+from enum import IntEnum
+
 import numpy as np
 
 ROLL, PITCH, HEIGHT, BIAS_P, BIAS_Q, BIAS_X, BIAS_Y = range(7)  # rad, rad, m, rad/s, rad/s, m/s², m/s²
 SIZE = 7
+
+
+class OrientationRefusal(IntEnum):
+    """Why an orientation that was wanted is not used; 0 where it is."""
+
+    NO_ORIENTATION = 1  # its covariance begins with −1
+    NO_COVARIANCE = 2  # zeros: it is not known
+    NO_ROTATION = 3  # a quaternion of another length than 1
+    ORIENTATION_GATED = 4  # it lies outside the gate
+    SWING_UNKNOWN = 5  # nobody knows how the IMU, on the upper structure, is turned
+
 
 LEVEL = (
     np.dtype(  # what the attitude does to a motion along the ground; all zero where it is flat, or not known
@@ -36,6 +49,10 @@ IMU = np.dtype(  # one sample, x and y along its own axes
         ("rate_variances", np.float64, (3,)),
         ("force", np.float64, (3,)),  # specific force: upward at rest, m/s²; nan where there is none
         ("force_variance", np.float64),
+        ("levels", np.int64),  # 0 or 1: whether the force may tell the tilt
+        ("up", np.float64, (3,)),  # by its orientation
+        ("up_variances", np.float64, (2,)),  # of rotations about x and y, rad²; −1: it has none
+        ("oriented", np.int64),  # 0 or 1: whether that may tell the tilt
         ("velocity", np.float64, (2,)),  # of C along the tracks, m/s
         ("known_velocity", np.int64),  # 0 or 1
         ("lever", np.float64, (3,)),  # place of the IMU in base_link, m
@@ -61,6 +78,8 @@ ATTITUDE = np.dtype(
         ("velocity", np.float64, (2,)),  # of the IMU's place along the tracks at that sample, m/s
         ("noise", np.float64, (2,)),  # variance of what both horizontal axes show beyond the model, (m/s²)²
         ("noise_count", np.float64, (2,)),  # samples in it
+        ("oriented_ns", np.int64),  # stamp of the last orientation that was used
+        ("refusal", np.int64),  # ``OrientationRefusal`` of the last one; 0: it was used, or none is wanted
         ("level", LEVEL),
     ],
     align=True,
@@ -73,6 +92,8 @@ CONSTANTS = np.dtype(
         ("rate_scale", np.float64),  # standard deviation of the gyro's scale about p and q
         ("noise_time", np.float64),  # s
         ("correlation_time", np.float64),  # s
+        ("orientation_time", np.float64),  # s, for which an error of an orientation lasts
+        ("gate", np.float64),  # χ² of two, of orientations
         ("unknown_rate", np.float64),  # rad/s, of ground whose tilt changes while no gyro sees it
     ],
     align=True,

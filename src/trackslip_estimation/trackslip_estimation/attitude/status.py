@@ -8,7 +8,7 @@ import numpy as np
 
 from trackslip_common.vehicle import GRAVITY
 from trackslip_estimation.attitude.filter import GRAVITY_DOUBT, UPRIGHT
-from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL
+from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL, OrientationRefusal
 
 _OFF = 0.1  # m/s², of a bias that is worth a word, where it is
 _SIGNIFICANT = 3.0  # standard deviations
@@ -19,12 +19,12 @@ def attitude_text(a: Any, source: str | None) -> str:
     if source is None:
         return "flat: no IMU is to tell (use_attitude, yaw_rate_sources)"
     if int(a["known"]) == 0:
-        return f"flat: {_lacking(a, source)}"
+        return f"flat: {_lacking(a, source)}{_refused(a, source)}"
     roll, pitch, height = (float(a["mean"][k]) for k in (ROLL, PITCH, HEIGHT))
     of_roll, of_pitch, of_height = (math.sqrt(float(a["covariance"][k, k])) for k in (ROLL, PITCH, HEIGHT))
     tilt = f"roll {math.degrees(roll):.1f}° ± {math.degrees(of_roll):.1f}"
     tilt += f", pitch {math.degrees(pitch):.1f}° ± {math.degrees(of_pitch):.1f} (nose down positive)"
-    return f"{tilt}, height {height:.2f} m ± {of_height:.2f}{_tilted(a, source)}"
+    return f"{tilt}, height {height:.2f} m ± {of_height:.2f}{_tilted(a, source)}{_refused(a, source)}"
 
 
 def _lacking(a: Any, source: str) -> str:
@@ -34,6 +34,8 @@ def _lacking(a: Any, source: str) -> str:
         return f"{source} sits on the upper structure, whose angle is not known (± {swing:.0f}°)"
     if int(a["seen"]) == 0:
         return f"nothing of {source} yet"
+    if int(a["sample"]["levels"]) == 0:
+        return f"{source} has no orientation that can be used"
     if not np.isfinite(a["sample"]["force"]).all():
         return f"{source} has no accelerations"
     force = a["mean_force"]
@@ -47,6 +49,13 @@ def _lacking(a: Any, source: str) -> str:
         where = f"{source} feels gravity along ({x}, {y}, {z}) m/s²"
         return f"accelerations are refused: {where}, and not along z; its mounting is to be stated"
     return f"{source} is silent"
+
+
+def _refused(a: Any, source: str) -> str:
+    """What its last orientation lacks, where one is wanted."""
+    refusal = int(a["refusal"])
+    words = OrientationRefusal(refusal).name.lower().replace("_", " ") if refusal else ""
+    return f"; the orientation of {source} is refused: {words}" if words else ""
 
 
 def _tilted(a: Any, source: str) -> str:

@@ -80,6 +80,8 @@ CONFIG = np.dtype(
         ("odometry_gap", np.float64, (MOST_SOURCES,)),  # s
         ("tilt_source", np.int64),  # the IMU that tells the attitude; −1: none, the ground is flat
         ("tilt_lever", np.float64, (3,)),  # its place, m
+        ("tilt_acceleration", np.int64),  # 0 or 1: whether its accelerations tell,
+        ("tilt_orientation", np.int64),  # and whether its orientation does
         ("attitude", ATTITUDE_CONSTANTS),
     ],
     align=True,
@@ -167,7 +169,10 @@ def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int])
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale
     c["attitude"], c["tilt_source"] = attitude_constants(p.attitude), -1
     if p.tilt_source is not None:
-        c["tilt_source"], c["tilt_lever"] = numbers[p.tilt_source], p.gyros()[p.tilt_source].lever
+        imu = p.gyros()[p.tilt_source]
+        c["tilt_source"], c["tilt_lever"] = numbers[p.tilt_source], imu.lever
+        c["tilt_acceleration"], c["tilt_orientation"] = imu.use_acceleration, imu.use_orientation
+        c["attitude"]["orientation_time"], c["attitude"]["gate"] = imu.orientation_time, c["gate_limits"][2]
 
 
 def _set_odometry(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:

@@ -7,6 +7,7 @@ and replay share it.
 """
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,7 +42,7 @@ from trackslip_estimation.slip.measurements import (
     SwingAngle,
     YawRate,
 )
-from trackslip_estimation.slip.mounting import quaternion_of, turned, turned_variances
+from trackslip_estimation.slip.mounting import quaternion_of, turned, turned_variances, up_by
 from trackslip_estimation.slip.sources import ODOMETRY_FIELDS, OdometrySource, Refusal, YawRateSource
 
 FloatArray = NDArray[np.float64]
@@ -88,7 +89,13 @@ def yaw_rate(message: Any, source: str, imu: YawRateSource) -> YawRate | Refusal
         a = (x, y, z)
         mean = (m.acceleration_variance_x + m.acceleration_variance_y + m.acceleration_variance_z) / 3.0
         of_a = mean if mean != 0.0 else imu.acceleration_stddev**2
-    return YawRate(source, m.stamp_ns, r, of_r, (p, q), (of_p, of_q), a, of_a)
+    found = YawRate(source, m.stamp_ns, r, of_r, (p, q), (of_p, of_q), a, of_a)
+    if not imu.use_orientation:
+        return found
+    up_x, up_y, up_z = turned(R, up_by(m.qx, m.qy, m.qz, m.qw))
+    of_up = [m.orientation_variance_x, m.orientation_variance_y, m.orientation_variance_z]
+    of_x, of_y, _ = turned_variances(R, of_up) if m.orientation_variance_x != ABSENT else (ABSENT,) * 3
+    return replace(found, up=(up_x, up_y, up_z), up_variances=(of_x, of_y))
 
 
 def pose_fix(message: Any, source: str) -> PoseFix:
@@ -198,46 +205,6 @@ def fill_attitude(message: Any, estimate: Estimate, tilt: Tilt) -> None:
     message.linear_acceleration_covariance = np.diag(np.full(3, tilt.force_variance)).ravel()
 
 
-def transforms(make: Make, estimate: Estimate, local: Estimate, frames: Frames) -> Any:
-    """tf2_msgs/TFMessage of an estimate and of its pose in odom: map → odom → base_link."""
-    turn = estimate.pose[2] - local.pose[2]
-    roll, pitch, height = (0.0, 0.0, 0.0) if local.outputs.tilt is None else local.outputs.tilt.tilt.tolist()
-    c, s = math.cos(turn), math.sin(turn)
-    x, y, _ = local.pose
-    map_odom = np.array((estimate.pose[0] - c * x + s * y, estimate.pose[1] - s * x - c * y, turn))
-    level = (0.0, 0.0, 0.0)
-    chain = (
-        (frames.map, frames.odom, map_odom, level),
-        (frames.odom, frames.base, local.pose, (roll, pitch, height)),
-    )
-    return make(
-        "tf2_msgs/msg/TFMessage",
-        transforms=[
-            _transform(make, (estimate.stamp_ns, parent, child), pose, tilt)
-            for parent, child, pose, tilt in chain
-        ],
-    )
-
-
-def _transform(
-    make: Make, heads: tuple[int, str, str], pose: FloatArray, tilt: tuple[float, float, float]
-) -> Any:
-    """geometry_msgs/TransformStamped of (3,) x, y, heading, and of roll, pitch, height."""
-    (stamp_ns, parent, child), (x, y, heading) = heads, map(float, pose)
-    turn = dict(zip("xyzw", quaternion_of(tilt[0], tilt[1], heading), strict=True))
-    transform = make(
-        "geometry_msgs/msg/Transform",
-        translation=_vector(make, x, y, tilt[2]),
-        rotation=make("geometry_msgs/msg/Quaternion", **turn),
-    )
-    return make(
-        "geometry_msgs/msg/TransformStamped",
-        header=header(make, stamp_ns, parent),
-        child_frame_id=child,
-        transform=transform,
-    )
-
-
 def blank_swing(make: Make, base_frame: str) -> Any:
     """sensor_msgs/JointState for ``fill_swing``."""
     names = [SWING_JOINT, SWING_STDDEV_JOINT]
@@ -315,7 +282,3 @@ def in_six(covariance: FloatArray) -> FloatArray:
     six = _BLANK_36.copy()
     six[_PLANE_IN_36] = covariance.ravel()
     return six
-
-
-def _vector(make: Make, x: float, y: float, z: float) -> Any:
-    return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)

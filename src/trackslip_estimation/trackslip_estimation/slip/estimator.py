@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.attitude.records import OrientationRefusal
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
@@ -203,8 +204,9 @@ class SlipEstimator:
 
 def make_step(result: Any, source: str) -> Step:
     """What a record of ``RESULT`` says."""
-    stamp_ns, outcome, dof, nis, gate, published, estimate = result
-    report = Report(source, int(stamp_ns), Outcome(outcome), float(nis), float(gate), int(dof))
+    stamp_ns, outcome, dof, nis, gate, orientation, published, estimate = result
+    refusal = OrientationRefusal(orientation) if orientation else None
+    report = Report(source, int(stamp_ns), Outcome(outcome), float(nis), float(gate), int(dof), refusal)
     return report, make_estimate(estimate) if published else None
 
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -104,7 +103,7 @@ def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[B
         count = last - first + 1
         window.measurements[1:count] = rest[first:last]
         window.status["count"] = count
-        run_window(window, 1, count, config)
+        run(window, 1, count, config[0])
         yield Block(first, window)
         window.measurements[0], window.states[0] = window.measurements[count - 1], window.states[count - 1]
         first = last
@@ -116,7 +115,7 @@ def run_whole(rest: Records, start: Window, config: ConfigRecord) -> Window:
     window = make_window(count)
     window.measurements[0], window.states[0] = start.measurements[0], start.states[0]
     window.measurements[1:], window.status["count"] = rest, count
-    run_window(window, 1, count, config)
+    run(window, 1, count, config[0])
     return window
 
 
@@ -125,9 +124,3 @@ def _end_of_block(rest: Records, first: int) -> int:
     last = min(first + _BLOCK, len(rest))
     samples = np.flatnonzero(rest["kind"][first:last] == SPROCKETS)
     return first + int(samples[-1]) + 1 if samples.size and last < len(rest) else last
-
-
-@compiled
-def run_window(window: Window, first: int, last: int, config: Records) -> None:
-    """``window.run`` as called from Python."""
-    run(window, first, last, config[0])

@@ -9,6 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.attitude.records import OrientationRefusal
+
 FloatArray = NDArray[np.float64]
 
 # What a user asks of the node stands in the journal under these names, beside the topics of the sensors.
@@ -52,6 +54,8 @@ class YawRate:
     tilt_variances: tuple[float, float] = (_NONE, _NONE)  # (rad/s)²
     acceleration: tuple[float, float, float] = (_NONE, _NONE, _NONE)  # specific force: upward at rest, m/s²
     acceleration_variance: float = _NONE  # of each axis, (m/s²)²
+    up: tuple[float, float, float] = (_NONE, _NONE, _NONE)  # which way that is, by its orientation
+    up_variances: tuple[float, float] = (_NONE, _NONE)  # of rotations about x and y, rad²; −1: it has none
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,3 +168,4 @@ class Report:
     nis: float = float("nan")  # normalised innovation squared
     gate: float = float("nan")  # its limit
     dof: int = 0
+    orientation: OrientationRefusal | None = None  # why that of an IMU was not used, where it was wanted

@@ -54,6 +54,11 @@ def quaternion_by(halves: Sequence[tuple[Any, Any]]) -> tuple[Any, Any, Any, Any
     )
 
 
+def up_by(x: Number, y: Number, z: Number, w: Number) -> list[Number]:
+    """The way up along the axes that the quaternion turns into the world, times its norm squared."""
+    return [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w + z * z - x * x - y * y]
+
+
 def turned(R: Rotation | None, vector: Sequence[Number]) -> list[Number]:
     """R times a vector: numbers, or columns (n,)."""
     return list(vector) if R is None else [_sum(row, vector) for row in R]

@@ -105,6 +105,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         "how long sprocket speeds are taken to go on; then the pose is held and its uncertainty grows",
         unit="s",
         gt=0.0,
+        le=3600.0,
     )
     max_sprocket_speed: float = parameter(
         "fastest a sprocket can turn; positions asking for more have jumped", unit="rad/s", gt=0.0
@@ -228,8 +229,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     @property
     def tilt_source(self) -> str | None:
         """Topic of the IMU that tells the attitude; None: the ground counts as flat."""
-        able = (topic for topic, imu in self.gyros().items() if imu.use_acceleration)
-        return next(able, None) if self.use_attitude else None
+        imus = self.gyros().items()
+        oriented = [topic for topic, imu in imus if imu.use_orientation]
+        able = [*oriented, *(topic for topic, imu in imus if imu.use_acceleration)]
+        return able[0] if able and self.use_attitude else None
 
     def compasses(self) -> dict[str, HeadingSource]:
         """By topic."""

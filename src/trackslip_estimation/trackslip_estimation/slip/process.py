@@ -8,37 +8,20 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.attitude.filter import forget_attitude
-from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
-from trackslip_estimation.slip.increments import is_pose
-from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.models.model import SWING, YAW
-from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import fill_outputs
-from trackslip_estimation.slip.odometry import begin_odometry
-from trackslip_estimation.slip.records import (
-    HEADING,
-    MANUAL,
-    MOST_SOURCES,
-    ODOMETRY,
-    POSE,
-    SLIPS,
-    SPROCKETS,
-)
-from trackslip_estimation.slip.sprockets import remember, stand_still
+from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
+from trackslip_estimation.slip.start import begin
 from trackslip_estimation.slip.swing import fill_swing
 from trackslip_estimation.slip.tilt import fill_tilt
+from trackslip_estimation.slip.usable import is_usable
 from trackslip_estimation.slip.window import (
     SPARE,
     Records,
     Window,
-    drop,
     horizon_ns,
     insert,
     is_at,
@@ -49,10 +32,6 @@ from trackslip_estimation.slip.window import (
     trim,
 )
 
-FloatArray = NDArray[np.float64]
-
-_LARGEST = 1e9  # m, rad, rad/s: beyond it is no measurement, and its square no number to reckon with
-_ROUNDING = 1e-9  # of a correlation of 1
 _NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
 _NEVER = -(2**62)  # ns
 
@@ -61,7 +40,6 @@ _INVALID, _WAITING, _AHEAD = int(Outcome.INVALID), int(Outcome.WAITING), int(Out
 _JUMPED, _RESTARTED, _FROZEN = int(Outcome.JUMPED), int(Outcome.RESTARTED), int(Outcome.FROZEN)
 _STAMP_AHEAD, _STAMP_BEHIND = int(StampStatus.AHEAD), int(StampStatus.BEHIND)
 _STAMP_BACK = int(StampStatus.BACK)
-_UNKNOWN = int(Motion.UNKNOWN)
 
 
 @compiled
@@ -78,7 +56,7 @@ def process(window: Window, arrivals: Records, results: Records, c: Any) -> int:
 @inlined
 def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
     status = window.status[0]
-    result.published, result.dof = False, 0
+    result.published, result.dof, result.orientation = False, 0, 0
     result.nis = result.gate = np.nan
     was_head_ns = status.clock.head_ns if status.clock.running else _NEVER
     outcome = _check(window, measurement, c)
@@ -86,7 +64,7 @@ def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
         if status.started:
             outcome, entry = _add(window, measurement, c)
         else:
-            began = _start(window, measurement, c)
+            began = begin(window, measurement, c)
             outcome, entry = _RESTARTED if outcome == _RESTARTED else began, 0
             if entry + 1 < status.count and began == _ACCEPTED:
                 run(window, entry + 1, status.count, c)
@@ -95,6 +73,7 @@ def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
         if status.started and outcome != _TOO_LATE and outcome != _DUPLICATE and entry > 0:
             update = window.updates[entry]
             result.nis, result.gate, result.dof = update.nis, update.gate, update.dof
+            result.orientation = update.orientation
     result.stamp_ns, result.outcome = measurement.stamp_ns, outcome
 
 
@@ -136,43 +115,6 @@ def clear(window: Window) -> None:
 
 
 @compiled
-def is_usable(measurement: Any, c: Any) -> bool:
-    """Whether its numbers are such, and none beyond reason."""
-    if measurement.kind == SPROCKETS:
-        left, right = measurement.left_angle, measurement.right_angle
-        return (
-            abs(measurement.left_speed) < _LARGEST
-            and abs(measurement.right_speed) < _LARGEST
-            and ((math.isnan(left) and math.isnan(right)) or (abs(left) < _LARGEST and abs(right) < _LARGEST))
-        )
-    if measurement.kind == ODOMETRY:
-        return is_pose(measurement)
-    rows = 1
-    if measurement.kind == SLIPS:
-        rows = 2
-    elif measurement.kind == POSE:
-        rows = 3 if measurement.source == MANUAL or c.use_heading[measurement.source] == 1 else 2
-    return is_gaussian(measurement.value, measurement.noise, rows)
-
-
-@compiled
-def is_gaussian(mean: FloatArray, covariance: FloatArray, rows: int) -> bool:
-    """Whether the first ``rows`` are numbers with a covariance: symmetric, no negative variance anywhere."""
-    for i in range(rows):
-        if not (abs(mean[i]) < _LARGEST and 0.0 < covariance[i, i] < _LARGEST**2):
-            return False
-    r = np.eye(3)
-    for i in range(rows):
-        for j in range(i):
-            deviations = math.sqrt(covariance[i, i]) * math.sqrt(covariance[j, j])
-            r[i, j], r[j, i] = covariance[i, j] / deviations, covariance[j, i] / deviations
-            if not (abs(r[i, j] - r[j, i]) <= _ROUNDING and abs(r[i, j]) <= 1.0 + _ROUNDING):
-                return False
-    determinant = 1.0 + 2.0 * r[1, 0] * r[2, 0] * r[2, 1] - r[1, 0] ** 2 - r[2, 0] ** 2 - r[2, 1] ** 2
-    return bool(determinant >= -_ROUNDING)
-
-
-@compiled
 def _contradicts(window: Window, sample: Any, c: Any) -> bool:
     """Whether positions of a late sample cannot be reached from those of the last one up to its stamp."""
     status, measurements = window.status[0], window.measurements
@@ -205,77 +147,6 @@ def _add(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
         first = max(last_sample(measurements, entry) + 1, 1)
     run(window, first, status.count, c)
     return int(window.updates[entry].outcome), entry
-
-
-@inlined
-def _start(window: Window, measurement: Any, c: Any) -> int:
-    """Begin with a fix, a manual pose, or the initial pose at the first sprocket sample; else wait."""
-    status, measurements = window.status[0], window.measurements
-    entry = place_of(measurements, status.count, measurement)
-    begins = measurement.kind == POSE and (c.starts_with_fix or measurement.source == MANUAL)
-    if measurement.kind == SPROCKETS:
-        begins = not c.starts_with_fix
-        if is_at(measurements, status.count, entry, measurement):
-            return _DUPLICATE
-    if not begins:
-        if measurement.kind == SPROCKETS:
-            insert(window, entry)
-        return _WAITING
-    insert(window, entry)
-    state, sample = window.states[entry], window.states[entry].sample
-    sample.seen = sample.known = False
-    stand_still(sample.speeds)
-    for k in range(entry + 1):
-        if measurements[k].kind == SPROCKETS:
-            remember(state, measurements[k], c)
-    drop(window, entry)
-    _set_start(window.states[0], measurements[0], c)
-    window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
-    status.started = True
-    return _ACCEPTED
-
-
-@inlined
-def _set_start(state: Any, measurement: Any, c: Any) -> None:
-    """The state at the start; a heading that a fix does not have is that of the parameters."""
-    x, P, stamp_ns = state.mean, state.covariance, measurement.stamp_ns
-    forget_attitude(state.attitude)
-    x[:] = c.prior_mean
-    P[:] = c.prior_covariance
-    x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance
-    if measurement.kind == POSE:
-        source = measurement.source
-        has_heading = is_gaussian(measurement.value, measurement.noise, 3)
-        rows = 3 if has_heading and measurement.noise[YAW, YAW] <= math.pi**2 else 2
-        P[:3, :3] = 0.0
-        P[YAW, YAW] = c.initial_covariance[YAW, YAW]
-        x[:rows], P[:rows, :rows] = measurement.value[:rows], measurement.noise[:rows, :rows]
-        if source != MANUAL:
-            for i in range(rows):
-                floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
-                P[i, i] = max(P[i, i], floor * floor)
-            if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
-                x[YAW] += x[SWING]
-                P[YAW, YAW] += P[SWING, SWING]
-                P[YAW, SWING] = P[SWING, YAW] = P[SWING, SWING]
-            to_sensor(x[: c.size], P, state.attitude.level, source, -1.0, c)
-        if source != MANUAL and P[YAW, YAW] > UNKNOWN_HEADING**2:  # to any side, which no tangent shows
-            for i in range(YAW):
-                P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
-    stand_still(state.speeds)
-    motion = state.motion
-    motion.motion, motion.changing = _UNKNOWN, True
-    motion.left = motion.right = motion.left_mean = motion.right_mean = motion.departure = 0.0
-    state.stamp_ns, state.coasting = stamp_ns, False
-    begin_adaptation(state.adaptation, c)
-    if c.resumes:
-        resume_adaptation(state.adaptation, c.start)
-    begin_odometry(state)
-    state.aligning, state.refused_count = P[YAW, YAW] > UNKNOWN_HEADING**2, 0
-    for k in range(MOST_SOURCES):
-        state.consistent_ns[k] = stamp_ns
-        state.streaks[k].count, state.streaks[k].value = 0, 0.0
-        state.stands[k].count = 0
 
 
 @inlined

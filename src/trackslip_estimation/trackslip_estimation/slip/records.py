@@ -50,6 +50,8 @@ MEASUREMENT = np.dtype(
         ("frame", np.int64),  # and number of its odom frame
         ("acceleration", np.float64, (3,)),  # of an IMU: specific force, m/s²; nan where it has none
         ("acceleration_variance", np.float64),  # (m/s²)²
+        ("up", np.float64, (3,)),  # by its orientation, of any length about 1
+        ("up_variances", np.float64, (2,)),  # rad²; −1: it has none
     ],
     align=True,
 )
@@ -154,6 +156,7 @@ UPDATE = np.dtype(
         ("nis", np.float64),
         ("gate", np.float64),
         ("log_determinant", np.float64),  # ln |S|
+        ("orientation", np.int64),  # ``OrientationRefusal`` of an IMU; 0: used, or not wanted
         ("follows", np.bool_),  # whether the prior follows from the state before by the model
         ("prior_mean", np.float64, (SIZE,)),  # before the measurement, widened where it surprised
         ("prior_covariance", np.float64, (SIZE, SIZE)),
@@ -208,6 +211,7 @@ RESULT = np.dtype(
         ("dof", np.int64),
         ("nis", np.float64),
         ("gate", np.float64),
+        ("orientation", np.int64),
         ("published", np.bool_),
         ("estimate", ESTIMATE),  # where published
     ],
@@ -230,6 +234,7 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
             record["noise"] = np.diag((m.variance, *m.tilt_variances))
             record["acceleration"] = m.acceleration
             record["acceleration_variance"] = m.acceleration_variance
+            record["up"], record["up_variances"] = m.up, m.up_variances
         elif isinstance(m, PoseFix):
             record["kind"] = POSE
             record["source"] = MANUAL if m.source == SET_POSE else sources[m.source]

@@ -116,6 +116,13 @@ class YawRateSource(Mounted):
     use_acceleration: bool = parameter(
         "whether its accelerations tell roll and pitch; of several such IMUs the first one's do"
     )
+    use_orientation: bool = parameter(
+        "whether roll and pitch of its orientation are measured ones; of several such IMUs the first one "
+        "tells the attitude, before any that has accelerations alone"
+    )
+    orientation_time: float = parameter(
+        "for which an error of its orientation lasts", unit="s", gt=0.0, le=3600.0
+    )
     lever_arm_x: float = parameter("its place in base_link, forward", unit="m", ge=-100.0, le=100.0)
     lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
     lever_arm_z: float = parameter("above the ground", unit="m", ge=-100.0, le=100.0)

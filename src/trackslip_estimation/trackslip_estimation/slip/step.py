@@ -58,6 +58,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     """The state at the measurement's stamp, with the measurement used or not."""
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
+    update.orientation = 0
     update.nis = update.gate = update.log_determinant = np.nan
     update.prior_mean[:], update.prior_covariance[:] = state.mean, state.covariance
     if measurement.kind == POSE:
@@ -75,7 +76,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         own = c.own_errors[measurement.source]
         exchange_bias(state, update, own)
         if measurement.source == c.tilt_source:
-            tilt_by(state, measurement, c)
+            update.orientation = tilt_by(state, measurement, c)
         above = c.above[measurement.source] == 1
         if above:
             to_gyro(state.mean, state.covariance, 1.0)

@@ -18,8 +18,8 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP
 
 
 @compiled
-def tilt_by(state: Any, measurement: Any, c: Any) -> None:
-    """The attitude at the stamp of a sample of its IMU."""
+def tilt_by(state: Any, measurement: Any, c: Any) -> int:
+    """The attitude at the stamp of a sample of its IMU; why its orientation was not used, 0 where it was."""
     imu, a, source = state.attitude.sample, state.attitude, measurement.source
     scale = c.rate_scale[source]
     r = (measurement.value[0] / scale - state.mean[GYRO_BIAS]) / (1.0 + state.mean[GYRO_SCALE])
@@ -29,6 +29,8 @@ def tilt_by(state: Any, measurement: Any, c: Any) -> None:
         imu.rate_variances[k] = factor * measurement.noise[(k + 1) % 3, (k + 1) % 3]
     imu.stamp_ns, imu.force[:] = measurement.stamp_ns, measurement.acceleration
     imu.force_variance, imu.lever[:] = measurement.acceleration_variance, c.tilt_lever
+    imu.up[:], imu.up_variances[:] = measurement.up, measurement.up_variances
+    imu.levels, imu.oriented = c.tilt_acceleration, c.tilt_orientation
     v_x, v_y, rate = body_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
     imu.velocity[0], imu.velocity[1] = v_x, v_y
     imu.turn, imu.turn_variance, imu.lost = 0.0, 0.0, 0
@@ -38,7 +40,7 @@ def tilt_by(state: Any, measurement: Any, c: Any) -> None:
         swing_lever(imu, state.mean[SWING_RATE], c)
         imu.rates[2] = rate  # its own has the swing, which starts before the state knows
     imu.known_velocity = 0 if state.coasting else 1
-    use_sample(a, c.attitude)
+    return int(use_sample(a, c.attitude))
 
 
 @compiled

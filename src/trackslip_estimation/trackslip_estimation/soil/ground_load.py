@@ -24,6 +24,9 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.vehicle import GRAVITY, Vehicle
+from trackslip_estimation.slip.motion import Motion
+
+_STANDING, _STRAIGHT, _TURNING = int(Motion.STANDING), int(Motion.STRAIGHT), int(Motion.TURNING)
 
 CENTRE = np.dtype([("x", "f8"), ("y", "f8"), ("height", "f8"), ("height_variance", "f8")])  # m, m²
 GROUND_LOAD = np.dtype(
@@ -49,8 +52,20 @@ class LoadParameters(Parameters):
     level_share: float = parameter(
         "pull over weight up to which pressures at rest are offsets", gt=0.0, le=1.0
     )
+    bucket_share: float = parameter(
+        "standard deviation of what a bucket may have taken up at a stand, of the weight", ge=0.0, lt=1.0
+    )
+    filling_time: float = parameter("of a stand in which it may", unit="s", ge=0.0)
 
 
+BURDEN = np.dtype(  # what the bucket may hold
+    [
+        ("has_bucket", "i8"),
+        ("stood", "f8"),  # s since the tracks stand
+        ("has_driven", "i8"),  # before that
+        ("may_differ", "i8"),  # the machine may weigh more or less than it did at first
+    ]
+)
 _LEAST = 0.05  # of g_j: a track that hardly touches the ground
 
 
@@ -60,6 +75,27 @@ def centre_of(vehicle: Vehicle) -> NDArray[Any]:
     if centre is None:
         return np.array([(0.0, 0.0, 0.0, (0.5 * vehicle.tread) ** 2)], CENTRE)
     return np.array([(centre.x, centre.y, centre.z, 0.0)], CENTRE)
+
+
+def burden_of(vehicle: Vehicle) -> NDArray[Any]:
+    """(1,) BURDEN at the start."""
+    return np.array([(vehicle.bucket is not None, 0.0, 0, 0)], BURDEN)
+
+
+@compiled
+def follow_burden(burden: Any, sample: Any, p: Any) -> None:
+    """Whether a bucket may have been filled by now: only while the tracks stand; ``p``: of LoadParameters."""
+    if sample.motion == _STRAIGHT or sample.motion == _TURNING:
+        burden.has_driven = 1
+    burden.stood = burden.stood + sample.dt if sample.motion == _STANDING else 0.0
+    if burden.has_bucket == 1 and burden.has_driven == 1 and burden.stood >= p.filling_time:
+        burden.may_differ = 1
+
+
+@compiled
+def burden_variance(burden: Any, needed: float, p: Any) -> float:
+    """Of the thrust that the weight ``needed``, N²: resistance and the pull of a slope grow with it alike."""
+    return float((p.bucket_share * needed) ** 2 if burden.may_differ == 1 else 0.0)
 
 
 @compiled

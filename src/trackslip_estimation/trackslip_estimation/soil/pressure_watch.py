@@ -27,6 +27,7 @@ class Doubt(Enum):
     """Why pressures are not used before a fault is named."""
 
     BRIEF = "pressures in doubt for a moment"
+    AT_REST = "pressures at rest that are no offsets: digging, a slope, or oil shut in"
 
 
 class PressureFault(Enum):

@@ -17,8 +17,17 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil import dynamics, pressure_watch, time_synchronizer
 from trackslip_estimation.soil.dynamics import DYNAMICS, MU_R, new_dynamics
 from trackslip_estimation.soil.flow_check import volumetric_efficiency
-from trackslip_estimation.soil.ground_load import CENTRE, GROUND_LOAD, centre_of, set_load
-from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, WATCH, PressureFault
+from trackslip_estimation.soil.ground_load import (
+    BURDEN,
+    CENTRE,
+    GROUND_LOAD,
+    burden_of,
+    burden_variance,
+    centre_of,
+    follow_burden,
+    set_load,
+)
+from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, WATCH, Doubt, PressureFault
 from trackslip_estimation.soil.records import FORCES, RESTARTED
 from trackslip_estimation.soil.reserve import Reserve, thrust_reserve
 from trackslip_estimation.soil.slip_seed import SEEDER, is_seed_due
@@ -45,6 +54,7 @@ _STANDING, _STRAIGHT = int(Motion.STANDING), int(Motion.STRAIGHT)
 _LIKELY = 0.5  # probability
 _ROOM = 256  # forces that are kept until they are fetched
 _BRIEF = len(PressureFault)  # a doubt that has not lasted; it names nothing
+_AT_REST = _BRIEF + 1
 
 # Why the loop stopped
 PROCESSED, FULL, RESTART, OPEN = range(4)  # no input left; no more room; the clock went back; see ``OPEN``
@@ -59,6 +69,7 @@ KNOWN = np.dtype(
         ("watch", WATCH),
         ("centre", CENTRE),
         ("load", GROUND_LOAD),
+        ("burden", BURDEN),
         ("dynamics", DYNAMICS),
         ("mu", "f8", 2),  # μ_r, mobilised μ_l
         ("mu_variance", "f8", 2),  # the error of the efficiency included
@@ -84,7 +95,7 @@ class State(NamedTuple):
     """All that the loop works on; it never grows."""
 
     known: NDArray[Any]  # (1,) KNOWN
-    faults: NDArray[np.int64]  # (n + 1,) samples whose pressures were not used, by PressureFault; then _BRIEF
+    faults: NDArray[np.int64]  # (n,) samples whose pressures were not used, by PressureFault and Doubt
     synchronizer: TimeSynchronizer
     limits: FloatArray  # (l,) F_max of the cells, N
     limit_probabilities: FloatArray  # (l,) of the newest state
@@ -101,7 +112,7 @@ class Stop(NamedTuple):
 
 def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
     """At the start."""
-    faults = np.zeros(_BRIEF + 1, np.int64)
+    faults = np.zeros(_BRIEF + len(Doubt), np.int64)
     forces = np.zeros(_ROOM, FORCES)
     return State(initial(p), faults, new_synchronizer(), limits, np.zeros_like(limits), forces)
 
@@ -111,7 +122,7 @@ def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
     known, motor = np.zeros(1, KNOWN), motor_of(p.vehicle.whole())
     known["motor"], known["thrust"] = motor, unknown_thrust(motor[0])
     known["offsets"], known["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
-    known["centre"] = centre_of(p.vehicle.whole())
+    known["centre"], known["burden"] = centre_of(p.vehicle.whole()), burden_of(p.vehicle.whole())
     known["volumetric_efficiency"] = np.nan
     return known
 
@@ -161,7 +172,9 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
     set_load(known.load, known.centre, sample, p)
     is_level = abs(known.load.pull) < p.load.level_share * p.vehicle.mass * GRAVITY
     stands = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
-    update_offsets(known.offsets, sample.pressures, stands, sample.dt, p.thrust)
+    if update_offsets(known.offsets, sample.pressures, stands, sample.dt, p.thrust):
+        faults[_AT_REST] += 1
+    follow_burden(known.burden, sample, p.load)
     if fault == NO_FAULT:
         _measure(known, sample, p)
     else:
@@ -175,6 +188,7 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
         known.mu[k], known.mu_variance[k] = mean, variance + (p.thrust.efficiency_stddev * mean) ** 2
     normal = known.load.normal[0] + known.load.normal[1]
     of_pull = known.load.pull_variance + (p.thrust.efficiency_stddev * known.load.pull) ** 2
+    of_pull += burden_variance(known.burden, known.mu[0] * normal - known.load.pull, p.load)
     known.mu_variance[0] += of_pull / max(normal, 1.0) ** 2  # they last, so that no filter averages them
     known.gathered = gather(known.average, sample, known.thrust, known.load, p.strength)
     known.seed_due = is_seed_due(known.seeder, sample, known.thrust, p)

@@ -26,6 +26,8 @@ from trackslip_estimation.terramechanics.hydraulics import speed_of_flow, thrust
 
 FloatArray = NDArray[np.float64]
 
+_FAR = 5.0  # standard deviations from a known offset
+
 OFFSETS = np.dtype([("mean", "f8", 2), ("variance", "f8", 2), ("stood", "f8")])  # Pa, Pa², s
 THRUST = np.dtype(
     [
@@ -54,6 +56,9 @@ class ThrustParameters(Parameters):
     offset_stddev: float = parameter("offset of a transducer, before it is learned", unit="Pa", gt=0.0)
     offset_limit: float = parameter("beyond it a standing pressure is trapped, no offset", unit="Pa", gt=0.0)
     offset_residue: float = parameter("what standing cannot tell from an offset", unit="Pa", gt=0.0)
+    insist_time: float = parameter(
+        "at rest, after which a pressure far from the offset that is known is another one", unit="s", gt=0.0
+    )
     offset_drift: float = parameter("random walk of an offset", unit="Pa/√s", ge=0.0)
     settling_time: float = parameter("standing with closed spools, before offsets show", unit="s", ge=0.0)
     closed_spool: float = parameter("spool position below which a valve is closed", gt=0.0, lt=1.0)
@@ -81,19 +86,29 @@ def unknown_thrust(motor: Any) -> NDArray[Any]:
 
 
 @compiled
-def update_offsets(offsets: Any, pressures: FloatArray, stands: bool, dt: float, p: Any) -> None:
+def update_offsets(offsets: Any, pressures: FloatArray, stands: bool, dt: float, p: Any) -> bool:
     """``dt`` s later: a random walk that is seen while the machine stands with closed spools.
 
-    ``p``: record of ThrustParameters.
+    ``p``: record of ThrustParameters. Returns whether a pressure was refused that should show an offset: one
+    that is too large for any, or far from what is known of it, is oil that something presses on.
     """
     offsets.stood = offsets.stood + dt if stands else 0.0
+    refused = False
     for k in range(2):
         variance = min(offsets.variance[k] + p.offset_drift**2 * dt, p.offset_stddev**2)
-        if stands and offsets.stood >= p.settling_time and abs(pressures[k]) <= p.offset_limit:
-            gain = variance / (variance + p.pressure_stddev**2)
-            offsets.mean[k] += gain * (pressures[k] - offsets.mean[k])
-            variance *= 1.0 - gain
+        if stands and offsets.stood >= p.settling_time:
+            spread, far = variance + p.pressure_stddev**2, (pressures[k] - offsets.mean[k]) ** 2 / _FAR**2
+            if abs(pressures[k]) > p.offset_limit:
+                refused = True
+            elif far > spread:
+                refused = True
+                variance += far * dt / p.insist_time
+            else:
+                gain = variance / spread
+                offsets.mean[k] += gain * (pressures[k] - offsets.mean[k])
+                variance *= 1.0 - gain
         offsets.variance[k] = variance
+    return refused
 
 
 @compiled

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Update of the attitude filter with the orientation that an IMU states of itself; compiled.
+
+    u          the way up along the axes of base_link, by the orientation, mounting and swing    1
+    φ, θ       roll and pitch that it shows: atan2(u_y, u_z), atan2(−u_x, √(u_y² + u_z²))        rad
+    R, S       covariance that it states of both, and of the innovation                          rad²
+    τ, Δt      time for which its error lasts, and since the orientation before                  s
+
+The heading of it counts nothing. It is used inside the gate, which goes by R; there R counts coth(Δt/2τ)
+times, since the errors of orientations that follow each other are alike. Beyond the gate it is refused,
+however long it insists: it is the mounting that is wrong then, or what it was made of was shaken.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.compiled import compiled
+from trackslip_common.message_fields import ABSENT
+from trackslip_estimation.attitude.records import BIAS_X, PITCH, ROLL, SIZE, OrientationRefusal
+from trackslip_estimation.kalman.ekf import correct
+from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
+
+_NONE, _NO_COVARIANCE = int(OrientationRefusal.NO_ORIENTATION), int(OrientationRefusal.NO_COVARIANCE)
+_NO_ROTATION, _GATED = int(OrientationRefusal.NO_ROTATION), int(OrientationRefusal.ORIENTATION_GATED)
+SWING_UNKNOWN = int(OrientationRefusal.SWING_UNKNOWN)
+_LARGEST = math.pi**2  # rad², variance of an angle that may be any
+_ROUNDING = 0.1  # of the norm squared of a quaternion
+_SHORTEST = 1e-3  # s between orientations
+_FIRST_NOISE = 1.0  # (m/s²)², of the accelerometers, before a sample tells
+NEVER = -(2**62)  # ns
+
+
+@compiled
+def begin(a: Any, roll: float, pitch: float, n: Any) -> None:
+    """The record ``a`` of ``ATTITUDE`` with this tilt, its variance still to come; height and biases stay."""
+    x, P = a.mean, a.covariance
+    for i in range(SIZE):
+        if P[BIAS_X, BIAS_X] == 0.0 and i != BIAS_X:
+            P[i, i] = n.initial[i] ** 2
+        for j in range(PITCH + 1):
+            P[i, j] = P[j, i] = 0.0
+    P[BIAS_X, BIAS_X] = max(P[BIAS_X, BIAS_X], n.initial[BIAS_X] ** 2)
+    P[ROLL, ROLL], P[PITCH, PITCH] = n.initial[ROLL] ** 2, n.initial[PITCH] ** 2
+    x[ROLL], x[PITCH] = roll, pitch
+    a.noise[:], a.noise_count[:], a.known = _FIRST_NOISE, 1.0, 1
+
+
+@compiled
+def use_orientation(a: Any, n: Any) -> int:
+    """Update with that of the new sample, or begin with it; why it was not used, 0 where it was."""
+    imu, x, P = a.sample, a.mean, a.covariance
+    of_x, of_y = imu.up_variances
+    if of_x == ABSENT:
+        return _NONE
+    if not (0.0 < of_x < _LARGEST and 0.0 < of_y < _LARGEST):
+        return _NO_COVARIANCE
+    size = math.sqrt(imu.up[0] ** 2 + imu.up[1] ** 2 + imu.up[2] ** 2)
+    if not abs(size - 1.0) < _ROUNDING:
+        return _NO_ROTATION
+    if imu.lost == 1:
+        return SWING_UNKNOWN
+    up_x = (imu.cos * imu.up[0] - imu.sin * imu.up[1]) / size
+    up_y = (imu.sin * imu.up[0] + imu.cos * imu.up[1]) / size
+    roll, pitch = math.atan2(up_y, imu.up[2] / size), -math.asin(min(max(up_x, -1.0), 1.0))
+    R = imu.turn_variance * np.outer(np.array((up_x, up_y)), np.array((up_x, up_y)))
+    R[ROLL, ROLL] += imu.cos**2 * of_x + imu.sin**2 * of_y
+    R[PITCH, PITCH] += imu.sin**2 * of_x + imu.cos**2 * of_y
+    again = 1.0
+    if a.known == 0:
+        begin(a, roll, pitch, n)
+    else:
+        elapsed = max((imu.stamp_ns - a.oriented_ns) * 1e-9, _SHORTEST)
+        again = 1.0 / math.tanh(elapsed / (2.0 * n.orientation_time))
+    innovation = np.array((wrap(roll - x[ROLL]), pitch - x[PITCH]))
+    if weighted_square(root(P[: PITCH + 1, : PITCH + 1] + R), innovation) > n.gate:
+        return _GATED
+    correct(x, P, innovation, np.eye(PITCH + 1, SIZE), again * R)
+    a.oriented_ns = imu.stamp_ns
+    return 0

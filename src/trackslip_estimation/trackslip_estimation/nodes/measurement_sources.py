@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The topics that measurements come on: subscribed to, checked for their frame, converted, handed on."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.messages import message_class, topic_class
+from trackslip_estimation.nodes.static_mountings import StaticMountings
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE, Measurement
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.sources import HEADING_MESSAGES, OdometrySource, Refusal, named
+
+
+class MeasurementSources:
+    """Gives ``process`` each measurement; what is refused before is counted by the node."""
+
+    def __init__(
+        self, node: TrackslipNode[SlipEstimatorParameters], process: Callable[[Measurement], None]
+    ) -> None:
+        p = node.settings
+        self._node, self._process = node, process
+        self._heard_s: float | None = None  # steady: when the last sprocket sample came
+        self._frames = p.frames_of_sources()
+        node.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
+        self._pose_set = node.advertise(topic_class(POSE_SET), POSE_SET)
+        node.subscribe(topic_class(SET_POSE), SET_POSE, self._on_set_pose)
+        self._mountings = StaticMountings(node, conversions.Frames(*p.frames).base, p.gyros())
+        for source in p.gyros():
+            self._listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
+        for source in named(p.pose_sources):
+            self._listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
+        for source, compass in p.compasses().items():
+            on_heading = partial(self._on_heading, source=source, variance=compass.stddev**2)
+            self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
+        for source, angle in p.angles().items():
+            on_swing = partial(self._on_swing, source=source, variance=angle.stddev**2)
+            self._listen(topic_class("swing"), source, on_swing)
+        for source, stated in p.odometries().items():
+            on_odometry = partial(self._on_odometry, source=source, stated=stated)
+            self._listen(topic_class("odometry"), source, on_odometry)
+        for source in named(p.slip_sources):
+            self._listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
+
+    @property
+    def sprocket_silence_s(self) -> float | None:
+        """Since the last sprocket sample; None before the first one."""
+        return None if self._heard_s is None else time.monotonic() - self._heard_s
+
+    def _listen(self, kind: type, source: str, callback: Callable[[Any], None]) -> None:
+        """Subscribe to a source; what is in another frame than it may be in is refused."""
+
+        def when_in_frame(message: Any) -> None:
+            if self._frames.get(source) in (None, message.header.frame_id):
+                callback(message)
+            else:
+                self._node.tally.add(source, Refusal.OTHER_FRAME)
+
+        self._node.subscribe(kind, source, when_in_frame)
+
+    def _on_sprockets(self, message: Any) -> None:
+        self._heard_s = time.monotonic()
+        self._process(conversions.sprockets(message, "sprockets"))
+
+    def _on_imu(self, message: Any, source: str) -> None:
+        imu, found = self._mountings.imu(source, message.header.frame_id)
+        if found:  # a bag has them from now on
+            self._node.settings = self._node.settings.changed(found)
+            self._node.publish_parameters()
+        self._use(source, Refusal.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu))
+
+    def _on_pose(self, message: Any, source: str) -> None:
+        self._process(conversions.pose_fix(message, source))
+
+    def _on_set_pose(self, message: Any) -> None:
+        """Repeated first: a recorder knows this node, and may never have met who set the pose."""
+        self._pose_set.publish(message)
+        self._on_pose(message, SET_POSE)
+
+    def _on_heading(self, message: Any, source: str, variance: float) -> None:
+        self._use(source, conversions.heading_fix(message, source, variance))
+
+    def _on_swing(self, message: Any, source: str, variance: float) -> None:
+        self._process(conversions.swing_angle(message, source, variance))
+
+    def _on_odometry(self, message: Any, source: str, stated: OdometrySource) -> None:
+        self._use(source, conversions.odometry_pose(message, source, stated))
+
+    def _on_slips(self, message: Any, source: str) -> None:
+        self._process(conversions.slip_fix(message, source))
+
+    def _use(self, source: str, given: Measurement | Refusal) -> None:
+        if isinstance(given, Refusal):
+            self._node.tally.add(source, given)
+        else:
+            self._process(given)

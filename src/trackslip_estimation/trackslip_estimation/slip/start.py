@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How an estimate begins: with which measurement, and in which state; compiled into ``process``."""
+
+import math
+from typing import Any
+
+from trackslip_common.compiled import inlined
+from trackslip_estimation.attitude.filter import forget_attitude
+from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
+from trackslip_estimation.slip.levers import to_sensor
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.model import SWING, YAW
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.odometry import begin_odometry
+from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCKETS
+from trackslip_estimation.slip.sprockets import remember, stand_still
+from trackslip_estimation.slip.usable import is_gaussian
+from trackslip_estimation.slip.window import Window, drop, insert, is_at, place_of
+
+_ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE), int(Outcome.WAITING)
+_UNKNOWN = int(Motion.UNKNOWN)
+
+
+@inlined
+def begin(window: Window, measurement: Any, c: Any) -> int:
+    """Begin with a fix, a manual pose, or the initial pose at the first sprocket sample; else wait."""
+    status, measurements = window.status[0], window.measurements
+    entry = place_of(measurements, status.count, measurement)
+    begins = measurement.kind == POSE and (c.starts_with_fix or measurement.source == MANUAL)
+    if measurement.kind == SPROCKETS:
+        begins = not c.starts_with_fix
+        if is_at(measurements, status.count, entry, measurement):
+            return _DUPLICATE
+    if not begins:
+        if measurement.kind == SPROCKETS:
+            insert(window, entry)
+        return _WAITING
+    insert(window, entry)
+    state, sample = window.states[entry], window.states[entry].sample
+    sample.seen = sample.known = False
+    stand_still(sample.speeds)
+    for k in range(entry + 1):
+        if measurements[k].kind == SPROCKETS:
+            remember(state, measurements[k], c)
+    drop(window, entry)
+    _set_start(window.states[0], measurements[0], c)
+    window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
+    status.started = True
+    return _ACCEPTED
+
+
+@inlined
+def _set_start(state: Any, measurement: Any, c: Any) -> None:
+    """The state at the start; a heading that a fix does not have is that of the parameters."""
+    x, P, stamp_ns = state.mean, state.covariance, measurement.stamp_ns
+    forget_attitude(state.attitude)
+    x[:] = c.prior_mean
+    P[:] = c.prior_covariance
+    x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance
+    if measurement.kind == POSE:
+        source = measurement.source
+        has_heading = is_gaussian(measurement.value, measurement.noise, 3)
+        rows = 3 if has_heading and measurement.noise[YAW, YAW] <= math.pi**2 else 2
+        P[:3, :3] = 0.0
+        P[YAW, YAW] = c.initial_covariance[YAW, YAW]
+        x[:rows], P[:rows, :rows] = measurement.value[:rows], measurement.noise[:rows, :rows]
+        if source != MANUAL:
+            for i in range(rows):
+                floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
+                P[i, i] = max(P[i, i], floor * floor)
+            if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
+                x[YAW] += x[SWING]
+                P[YAW, YAW] += P[SWING, SWING]
+                P[YAW, SWING] = P[SWING, YAW] = P[SWING, SWING]
+            to_sensor(x[: c.size], P, state.attitude.level, source, -1.0, c)
+        if source != MANUAL and P[YAW, YAW] > UNKNOWN_HEADING**2:  # to any side, which no tangent shows
+            for i in range(YAW):
+                P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
+    stand_still(state.speeds)
+    motion = state.motion
+    motion.motion, motion.changing = _UNKNOWN, True
+    motion.left = motion.right = motion.left_mean = motion.right_mean = motion.departure = 0.0
+    state.stamp_ns, state.coasting = stamp_ns, False
+    begin_adaptation(state.adaptation, c)
+    if c.resumes:
+        resume_adaptation(state.adaptation, c.start)
+    begin_odometry(state)
+    state.aligning, state.refused_count = P[YAW, YAW] > UNKNOWN_HEADING**2, 0
+    for k in range(MOST_SOURCES):
+        state.consistent_ns[k] = stamp_ns
+        state.streaks[k].count, state.streaks[k].value = 0, 0.0
+        state.stands[k].count = 0

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Orientations that IMUs state: roll and pitch measured, through the mounting, gated, and refused by name."""
+
+import json
+import math
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.swinging_cab import CAB, Cab, Part, record
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trackslip_bags.messages import serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.make import header
+from trackslip_common.nodes.messages import make
+from trackslip_common.vehicle import GRAVITY, vehicle_layer
+from trackslip_estimation.attitude.records import OrientationRefusal
+from trackslip_estimation.slip.conversions import yaw_rate
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Report, Sprockets, YawRate
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.sources import YawRateSource
+from trackslip_tools.cli.main import main
+
+FloatArray = NDArray[np.float64]
+MS, R, IMU = 1_000_000, 0.159, "imu/data_raw"
+GROUP = "sources.imu_data_raw."
+WANTED = {f"{GROUP}use_orientation": True}
+ROLL, PITCH = -0.12, -0.2  # rad, of the slope that is driven
+BIAS = 0.15  # m/s² of both horizontal accelerometers: 0.9°, three times what is assumed
+STDDEV = 0.003  # rad, of the orientation
+ABSENT, ZERO = np.array((-1.0, *(0.0,) * 8)), np.zeros(9)
+ANGLES = st.floats(-math.pi, math.pi)
+
+
+def message(
+    turn: Any, covariance: FloatArray, force: Any = (0.0, 0.0, GRAVITY), stamp_ns: int = MS, size: float = 1.0
+) -> Any:
+    """sensor_msgs/Imu of a unit with this orientation, a scipy Rotation; its quaternion of this length."""
+    x, y, z, w = (size * turn.as_quat()).tolist()
+    quaternion = make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+    forces = dict(zip("xyz", (float(f) for f in force), strict=True))
+    return make(
+        "sensor_msgs/msg/Imu",
+        header=header(make, stamp_ns, "imu_link"),
+        orientation=quaternion,
+        orientation_covariance=covariance,
+        angular_velocity_covariance=np.diag((9e-6, 9e-6, 9e-6)).ravel(),
+        linear_acceleration=make("geometry_msgs/msg/Vector3", **forces),
+        linear_acceleration_covariance=np.diag((2.5e-3, 2.5e-3, 2.5e-3)).ravel(),
+    )
+
+
+def machine(roll: float = ROLL, pitch: float = PITCH, yaw: float = 0.4) -> Any:
+    return Rotation.from_euler("ZYX", (yaw, pitch, roll))
+
+
+def imu_of(**changed: Any) -> YawRateSource:
+    p = load_slip_parameters({**WANTED, **{GROUP + name: value for name, value in changed.items()}})
+    return p.gyros()[IMU]
+
+
+def drive(state: Any = None, seconds: float = 20.0) -> list[Measurement]:
+    """Stands for 5 s on the slope, then drives at 0.4 m/s; 20 Hz, fixes once a second.
+
+    ``state``: seconds → the covariance that the IMU states, and the length of its quaternion.
+    """
+    rng, found, imu = np.random.default_rng(3), list[Measurement](), imu_of()
+    force = machine().inv().apply((0.0, 0.0, GRAVITY)) + np.array((BIAS, BIAS, 0.0))
+    own = np.diag((STDDEV**2,) * 3).ravel(), 1.0
+    for k in range(round(seconds * 20)):
+        stamp_ns, way = (k + 1) * 50 * MS, 0.4 * max(k * 0.05 - 5.0, 0.0)
+        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (way / R, way / R)))
+        shown = machine() * Rotation.from_rotvec(rng.normal(0.0, STDDEV, 3))
+        covariance, size = own if state is None else state(k * 0.05)
+        felt = force + rng.normal(0.0, 0.05, 3)
+        measured = yaw_rate(message(shown, covariance, felt, stamp_ns, size), IMU, imu)
+        assert isinstance(measured, YawRate)
+        found.append(measured)
+        if k % 20 == 0:
+            along = way * math.cos(PITCH)
+            pose = np.array((along * math.cos(0.4), along * math.sin(0.4), 0.4))
+            found.append(PoseFix("box_pose", stamp_ns, pose, np.diag((4e-4, 4e-4, 1e-4))))
+    return found
+
+
+def run(measurements: list[Measurement], **changed: Any) -> tuple[Any, SlipEstimator, list[Report]]:
+    own = SlipEstimator(load_slip_parameters(changed))
+    reports = [report for report, _ in own.process_all(measurements)]
+    return own.estimate(), own, reports
+
+
+def off(estimate: Any) -> float:
+    """Error of roll and pitch, degrees."""
+    return math.degrees(float(np.hypot(*(estimate.outputs.tilt.tilt[:2] - (ROLL, PITCH)))))
+
+
+def refused(reports: list[Report]) -> list[OrientationRefusal]:
+    return [report.orientation for report in reports if report.orientation is not None]
+
+
+def test_a_good_orientation_holds_against_biased_accelerometers() -> None:
+    measurements = drive()
+    with_it, _, reports = run(measurements, **WANTED)
+    without, _, _ = run(measurements)
+    assert refused(reports) == []
+    assert off(with_it) < 0.4
+    assert off(without) > 1.0
+    errors = with_it.outputs.tilt.tilt[:2] - (ROLL, PITCH)
+    assert errors @ np.linalg.solve(with_it.outputs.tilt.covariance[:2, :2], errors) < 9.2  # χ² of two, 99 %
+
+
+def test_it_alone_tells_the_attitude() -> None:
+    alone, own, _ = run(drive(), **WANTED, **{f"{GROUP}use_acceleration": False})
+    assert off(alone) < 0.3
+    assert "roll -6." in own.attitude
+
+
+def test_its_errors_do_not_average_away_within_their_time() -> None:
+    """As many samples in less time say no more."""
+    brief, _, _ = run(drive(seconds=3.0), **WANTED)
+    assert brief.outputs.tilt.covariance[1, 1] > 0.5 * STDDEV**2
+
+
+@pytest.mark.parametrize(
+    ("covariance", "size", "refusal"),
+    [
+        (ABSENT, 1.0, OrientationRefusal.NO_ORIENTATION),
+        (ZERO, 1.0, OrientationRefusal.NO_COVARIANCE),
+        (np.full(9, math.nan), 1.0, OrientationRefusal.NO_COVARIANCE),
+        (np.eye(3).ravel() * 1e-5, 0.0, OrientationRefusal.NO_ROTATION),
+        (np.eye(3).ravel() * 1e-5, math.nan, OrientationRefusal.NO_ROTATION),
+    ],
+)
+def test_what_is_no_orientation_is_refused_by_name(
+    covariance: FloatArray, size: float, refusal: OrientationRefusal
+) -> None:
+    """And the rest of the message counts as if none were wanted, to the last bit."""
+    measurements = drive(lambda _: (covariance, size), seconds=8.0)
+    found, own, reports = run(measurements, **WANTED)
+    expected, _, plain = run(measurements)
+    imus = [report for report in reports if report.source == IMU and not report.outcome.refused]
+    assert len(imus) > 100
+    assert {report.orientation for report in imus[1:]} == {refusal}
+    assert refused(plain) == []
+    np.testing.assert_array_equal(found.pose, expected.pose)
+    np.testing.assert_array_equal(found.outputs.tilt.tilt, expected.outputs.tilt.tilt)
+    assert f"is refused: {refusal.name.lower().replace('_', ' ')}" in own.attitude
+
+
+def test_one_that_contradicts_gyro_and_gravity_is_gated() -> None:
+    """The mounting is off by 0.4 rad from the tenth second on."""
+    measurements = drive(seconds=20.0)
+    for k, m in enumerate(measurements):
+        if isinstance(m, YawRate) and m.stamp_ns > 10_000 * MS:
+            up = Rotation.from_rotvec((0.0, 0.4, 0.0)).apply(m.up)
+            measurements[k] = YawRate(**{**vars(m), "up": tuple(up.tolist())})
+    found, own, reports = run(measurements, **WANTED)
+    gated = [r for r in reports if r.orientation is OrientationRefusal.ORIENTATION_GATED]
+    assert {r.stamp_ns > 10_000 * MS for r in gated} == {True}
+    assert len(gated) == 200
+    assert off(found) < 1.0
+    assert "orientation gated" in own.attitude
+
+
+def test_the_order_of_arrival_does_not_matter() -> None:
+    measurements = drive(seconds=8.0)
+    begin, rest = measurements[:3], measurements[3:]
+    shuffler = random.Random(5)
+    late = sorted(rest, key=lambda m: m.stamp_ns + shuffler.randrange(800) * MS)
+    found, _, _ = run([*begin, *late], **WANTED)
+    expected, _, _ = run(measurements, **WANTED)
+    np.testing.assert_array_equal(found.outputs.tilt.tilt, expected.outputs.tilt.tilt)
+    np.testing.assert_array_equal(found.outputs.tilt.covariance, expected.outputs.tilt.covariance)
+
+
+@given(ANGLES, st.floats(-1.5, 1.5), ANGLES)
+def test_the_mounting_is_taken_off(roll: float, pitch: float, yaw: float) -> None:
+    mounting = Rotation.from_euler("ZYX", (yaw, pitch, roll))
+    imu = imu_of(mounting_roll=roll, mounting_pitch=pitch, mounting_yaw=yaw)
+    own = np.diag(mounting.as_matrix().T @ np.diag((1e-6, 4e-6, 9e-6)) @ mounting.as_matrix())
+    found = yaw_rate(message(machine() * mounting, np.diag(own).ravel()), IMU, imu)
+    assert isinstance(found, YawRate)
+    np.testing.assert_allclose(found.up, machine().inv().apply((0.0, 0.0, 1.0)), atol=1e-9)
+    expected = np.diag(mounting.as_matrix() @ np.diag(own) @ mounting.as_matrix().T)
+    np.testing.assert_allclose(found.up_variances, expected[:2], atol=1e-12)
+
+
+def test_a_cab_that_looks_aside_turns_it_back() -> None:
+    """σ is 1.2 rad, as the encoder shows; the ground has the slope of ``drive``."""
+    recording = record([Part(3.0), Part(4.0, swing_to=1.2), Part(4.0)], Cab())
+    on_cab = Rotation.from_matrix(machine().as_matrix())
+    measurements: list[Measurement] = []
+    for m in recording.measurements:
+        if isinstance(m, YawRate):
+            swing = np.interp(m.stamp_ns * 1e-9 - 1.0, recording.t, recording.swings[:, 0])
+            unit = on_cab * Rotation.from_rotvec((0.0, 0.0, float(swing)))
+            up, lean = unit.inv().apply((0.0, 0.0, 1.0)), (STDDEV**2, STDDEV**2)
+            m = YawRate(**{**vars(m), "up": tuple(up.tolist()), "up_variances": lean})
+        measurements.append(m)
+    given_ = {**WANTED, f"{GROUP}use_acceleration": False, **vehicle_layer(CAB)}
+    found, _, reports = run(measurements, **given_)
+    assert refused(reports) == [OrientationRefusal.SWING_UNKNOWN]  # before the first reading of the encoder
+    assert found.outputs.swing.angle == pytest.approx(1.2, abs=0.02)
+    assert off(found) < 0.3
+
+
+def test_it_is_off_until_somebody_wants_it() -> None:
+    assert not load_slip_parameters().gyros()[IMU].use_orientation
+    found = yaw_rate(message(machine(), np.eye(3).ravel()), IMU, load_slip_parameters().gyros()[IMU])
+    assert isinstance(found, YawRate)
+    assert np.isnan((*found.up, *found.up_variances)).all()
+
+
+def test_an_imu_with_an_orientation_goes_before_one_with_accelerations() -> None:
+    both = {"yaw_rate_sources": ["one", "two"], "sources.two.use_orientation": True}
+    assert load_slip_parameters(both).tilt_source == "two"
+    assert load_slip_parameters({**both, "sources.one.use_orientation": True}).tilt_source == "one"
+
+
+def test_a_replay_counts_what_it_refuses(emulated_bag: Path, tmp_path: Path) -> None:
+    with open_bag(emulated_bag) as bag, BagWriter(tmp_path / "bag") as writer:
+        covariances = (ABSENT, ZERO, np.eye(3).ravel() * 1e-4)
+        count = 0
+        for m in bag.messages():
+            raw = bytes(m.raw)
+            if m.topic == "/imu/data_raw":
+                content = bag.deserialize(m.raw, m.type_name)
+                content.orientation_covariance = covariances[count % 3]
+                raw, count = serialize(content), count + 1
+            writer.write(m.topic, m.type_name, raw, m.log_time_ns)
+    command = ["replay", str(tmp_path / "bag"), "--json", str(tmp_path / "found.json")]
+    assert main([*command, "--set", f"slip_estimator.{GROUP}use_orientation=true"]) == 0
+    counted = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["rejected"][IMU]
+    waited = counted.get("waiting", 0)
+    assert counted["no_orientation"] == pytest.approx((count - waited) / 3, abs=1)
+    assert counted["no_covariance"] == pytest.approx((count - waited) / 3, abs=1)
