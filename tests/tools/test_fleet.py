@@ -7,8 +7,9 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from trackslip_tools.workers import workers
 ROOT = Path(__file__).parents[2]
 BAGS = ROOT / "bags"
 SHORT = ("--stop", "8")
+_NOBODY = 65534
 
 
 @pytest.fixture
@@ -50,6 +52,28 @@ def test_a_folder_stands_for_the_bags_in_it(fleet: Path) -> None:
 def test_a_folder_without_bags_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no bag in folder"):
         find_bags([tmp_path])
+
+
+@pytest.fixture
+def locked() -> Iterator[Path]:
+    """A folder that nobody may look into, in one that everybody may; who asks is not root meanwhile."""
+    me = os.geteuid()
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+        folder = Path(name, "locked")
+        folder.mkdir()
+        for path, mode in ((folder.parent, 0o755), (folder, 0)):
+            path.chmod(mode)
+        os.seteuid(_NOBODY if me == 0 else me)
+        yield folder
+        os.seteuid(me)
+        folder.chmod(0o700)
+
+
+def test_a_folder_that_may_not_be_looked_into_is_named(locked: Path) -> None:
+    """``trackslip replay /`` told of a metadata.yaml that nobody had named."""
+    for path in (locked, locked.parent):
+        with pytest.raises(InputError, match=f"^folder '{locked}' cannot be read .Permission denied"):
+            find_bags([path])
 
 
 def test_any_workers_give_the_same_numbers_and_a_broken_bag_is_one_line(

@@ -17,7 +17,7 @@ from trackslip_estimation.slip.conversions import yaw_rate
 from trackslip_estimation.slip.measurements import YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.inputs import read_inputs
+from trackslip_tools.replay.whole_inputs import read_inputs
 
 ANGLES = {"mounting_roll": math.pi, "mounting_pitch": 0.2, "mounting_yaw": -0.7}
 
@@ -35,6 +35,9 @@ def changed(bag_path: Path, path: Path, every: int) -> Path:
                     content.angular_velocity_covariance = absent
                 elif count % every == 1:
                     content.linear_acceleration_covariance = absent
+                elif count % every == 2:
+                    content.orientation_covariance = np.diag((1e-4, 2e-4, 3e-4)).ravel()
+                    content.orientation.x, content.orientation.w = 0.1 * math.sin(count), 0.995
                 raw, count = serialize(content), count + 1
             writer.write(m.topic, m.type_name, raw, m.log_time_ns)
     return path
@@ -46,7 +49,8 @@ def lacking(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 def test_columns_are_what_the_node_makes_of_each_message(lacking: Path) -> None:
-    p = load_slip_parameters({f"sources.imu_data_raw.{name}": angle for name, angle in ANGLES.items()})
+    stated = {**ANGLES, "use_orientation": True}
+    p = load_slip_parameters({f"sources.imu_data_raw.{name}": value for name, value in stated.items()})
     imu = p.gyros()["imu/data_raw"]
     with open_bag(lacking) as bag:
         messages = [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["imu/data_raw"])]
@@ -56,6 +60,7 @@ def test_columns_are_what_the_node_makes_of_each_message(lacking: Path) -> None:
     assert list(map(repr, found)) == list(map(repr, expected))
     assert len(live) > len(expected) > 100
     assert {np.isnan(m.acceleration_variance) for m in found} == {True, False}
+    assert {m.up_variances[0] for m in found} > {-1.0}
 
 
 def test_messages_without_rates_are_counted_by_name(

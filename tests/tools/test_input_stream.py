@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
+from numpy.typing import NDArray
 
 from trackslip_bags import chunks
 from trackslip_bags.input_filters import InputFilters, Thin, Withhold
@@ -25,7 +26,8 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND
-from trackslip_tools.replay.inputs import InputStream, read_inputs
+from trackslip_tools.replay.inputs import InputStream
+from trackslip_tools.replay.whole_inputs import read_inputs
 
 P = load_slip_parameters()
 REPORT = "trackslip_msgs/msg/MeasurementReport"
@@ -50,6 +52,13 @@ def test_a_bag_comes_in_batches_of_some_seconds(emulated_bag: Path) -> None:
             assert batch.tables["truth/odometry"].rows.dtype == dtype_of(OdometryFields)
 
 
+def same_rows(found: NDArray[np.void], expected: NDArray[np.void]) -> None:
+    """Field by field: records that hold a NaN are equal to no other."""
+    assert found.dtype == expected.dtype
+    for name in found.dtype.names or ():
+        np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
+
+
 @pytest.mark.parametrize("filters", [InputFilters(), FILTERS])
 @pytest.mark.parametrize("seconds", [0.7, 1000.0])
 def test_the_length_of_the_batches_changes_nothing(
@@ -60,7 +69,7 @@ def test_the_length_of_the_batches_changes_nothing(
         monkeypatch.setattr(chunks, "STRETCH_NS", round(seconds * 1e9))
         found = read_inputs(bag, P, filters, ("truth/odometry",))
     assert len(found.rows) > 1000
-    np.testing.assert_array_equal(found.rows, expected.rows)
+    same_rows(found.rows, expected.rows)
     series = "truth/odometry"
     np.testing.assert_array_equal(found.series[series].rows, expected.series[series].rows)
     assert (found.messages, found.duration_s) == (expected.messages, expected.duration_s)
@@ -111,7 +120,7 @@ def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path:
     lines[2000] = (lines[2000][0], Report(RESET, 0, Outcome.ACCEPTED))
     with open_bag(journaled(tmp_path / "bag", emulated_bag, lines)) as bag:
         found = read_inputs(bag, P, InputFilters(), ())
-    np.testing.assert_array_equal(np.delete(found.rows, 2000), np.delete(live, 2000))
+    same_rows(np.delete(found.rows, 2000), np.delete(live, 2000))
     assert found.counts.lines == len(lines)
     assert (found.counts.lost_lines, found.counts.lost_inputs) == (0, 0)
     command = found.rows[2000]

@@ -16,8 +16,6 @@ from trackslip_tools.live.parameters import LiveParameters
 from trackslip_tools.live.server import PageServer
 from trackslip_tools.live.state import PERIOD, LiveState
 
-pytestmark = pytest.mark.xdist_group("live_browser")  # one browser
-
 ROWS = "rows => Bokeh.documents[0].get_model_by_name('line-0').data.value.length > rows"
 FOLLOWS = "frames => Number(document.documentElement.dataset.frames) > frames"
 

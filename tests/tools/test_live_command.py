@@ -68,6 +68,20 @@ def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
     assert feed.advance(wall_s + 100.0)["time"] == feed.advance(wall_s + 200.0)["time"]  # it stands still
 
 
+def test_a_lost_fix_is_an_event_over_a_bag_without_diagnostics() -> None:
+    """The laser of this drive is unplugged for 8 s."""
+    with open_bag(BAG.with_name("outage_sandy_loam")) as bag, with_estimates(bag) as whole:
+        state = LiveState("a test", load_vehicle())
+        feed = BagFeed(whole, state, 1.0, InputFilters())
+        wall_s, told = 100.0, []
+        while not feed.finished:
+            told += [(wall_s - 100.0, text) for *_, text in feed.advance(wall_s)["events"]]
+            wall_s += 0.25
+    fixes = [(at_s, text) for at_s, text in told if text.startswith("fix")]
+    assert [text for _, text in fixes] == ["fix lost: box_pose", "fix back: box_pose"]
+    assert fixes[1][0] - fixes[0][0] == pytest.approx(8.0, abs=1.0)
+
+
 @pytest.fixture
 def serving() -> Iterator[tuple[Any, str]]:
     """The command over a bag, and the address that it prints."""

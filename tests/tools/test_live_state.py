@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_bags.messages import make
+from trackslip_common.config_files import parameters_text
 from trackslip_common.vehicle import load_vehicle, vehicle_text
 from trackslip_tools.live import strips, trail
 from trackslip_tools.live.state import PERIOD, LiveState
@@ -101,6 +102,53 @@ def test_soil_and_fixes_are_shown(state: LiveState) -> None:
     assert "new_fixes" not in state.tick(0.1, 0.1)
 
 
+def parameters(**named: float) -> Any:
+    """What the slip estimator states of sources of poses and their timeouts."""
+    groups = {name: {"timeout": timeout} for name, timeout in named.items()}
+    stated = {"pose_sources": list(named), "sources": groups}
+    return make("std_msgs/msg/String", data=parameters_text(stated, "slip_estimator"))
+
+
+@pytest.mark.parametrize("source", ["reference_pose", "rtk"])
+def test_fixes_of_any_source_are_drawn(state: LiveState, source: str) -> None:
+    state.take("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
+    assert source in state.pose_sources
+    state.take(source, messages.fix(3.0, 4.0), 0.0)
+    assert as_json(state.tick(0.0, 0.0))["new_fixes"] == [[3.0, 4.0]]
+
+
+def test_a_source_that_falls_silent_is_a_lost_fix_and_then_one_that_is_back(state: LiveState) -> None:
+    state.take("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
+    told = []
+    for now_s in (0.0, 1.9, 2.1, 9.0, 12.0):
+        if now_s in (0.0, 12.0):
+            state.take("rtk", messages.fix(0.0, 0.0), now_s)
+        told += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]
+    assert told == [(2.1, "fix lost: rtk"), (12.0, "fix back: rtk")]
+
+
+def test_a_lost_fix_is_left_to_the_estimator_where_it_speaks(state: LiveState) -> None:
+    state.take("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
+    state.take("rtk", messages.fix(0.0, 0.0), 0.0)
+    state.take("diagnostics", messages.diagnostics("slip_estimator"), 3.0)
+    assert state.tick(3.0, 0.0)["events"] == []
+
+
+@pytest.mark.parametrize(
+    "text", ["}{", "[]", "slip_estimator: 1", "slip_estimator: {ros__parameters: {pose_sources: 1}}"]
+)
+def test_parameters_that_are_none_change_nothing(state: LiveState, text: str) -> None:
+    known = state.pose_sources
+    state.take("slip_estimator/parameters", make("std_msgs/msg/String", data=text), 0.0)
+    assert state.pose_sources == known
+    as_json(state.tick(0.0, 0.0))
+
+
+def test_a_place_too_far_to_be_rounded_is_not_drawn(state: LiveState) -> None:
+    state.take("odometry", messages.odometry(0.0, 1e307), 0.0)
+    assert as_json(state.tick(0.0, 0.0))["outlines"]["machine"] == [[], []]
+
+
 def test_a_message_of_another_type_is_refused(state: LiveState) -> None:
     with pytest.raises(AttributeError):
         state.take("odometry", messages.soil(), 0.0)
@@ -124,7 +172,8 @@ def test_whatever_numbers_and_texts_come_frames_are_json(values: list[float], te
     swing = make("sensor_msgs/msg/JointState", name=["swing"], position=[values[7]])
     state.take("swing", swing, 0.0)
     state.take("diagnostics", messages.diagnostics(text, 2, text, **{"rate (Hz)": str(values[2])}), 0.0)
-    state.take("vehicle", make("std_msgs/msg/String", data=text), 0.0)
+    for topic in ("vehicle", "slip_estimator/parameters"):
+        state.take(topic, make("std_msgs/msg/String", data=text), 0.0)
     as_json(state.tick(0.0, 0.0))
     as_json(state.whole())
 

@@ -25,8 +25,8 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import POSE, to_records
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay.arrivals import Rows
-from trackslip_tools.replay.inputs import Inputs, read_inputs
 from trackslip_tools.replay.run import replay
+from trackslip_tools.replay.whole_inputs import Inputs, read_inputs
 from trackslip_tools.report.details import Details
 
 SERIES = ("truth/odometry", "truth/track_slip")

@@ -18,8 +18,6 @@ from trackslip_tools.report.recording import Recording
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.spells import Spell
 
-pytestmark = pytest.mark.xdist_group("report_browser")  # one browser
-
 DRAWN = "document.documentElement.dataset.drawn === 'all' && Bokeh.documents[0].is_idle"
 MATHS = "$$\\href{javascript:alert(1)}{x}$$"
 ENDING = "</script><script>alert(1)</script>"
@@ -220,6 +218,23 @@ def test_one_finger_scrolls_a_button_zooms_and_a_tap_chooses_the_moment(
     page.locator("#path-zoom [data-zoom='0.625']").tap()
     start, end = shown_range(page, "path")
     assert end - start == pytest.approx(0.625 * (path[1] - path[0]), rel=1e-3)
+    assert complaints == []
+
+
+def test_the_first_swipe_after_a_mouse_scrolls_too(
+    open_page: OpenPage, one_run: Path, complaints: list[str]
+) -> None:
+    """The tools of the mouse took it, and zoomed: the page scrolled from the second swipe on."""
+    page = open_page(TABLET, "file:")
+    show(page, one_run)
+    whole = shown_range(page, "time-0")
+    x, y, _ = middle(page, 3)
+    page.mouse.move(x, y, steps=3)
+    page.wait_for_function(
+        "[...Bokeh.documents[0].all_models].some(m => m.type == 'BoxZoomTool' && m.active)"
+    )
+    scroll_with_a_finger(page, '[data-plot="time-3"]')
+    assert shown_range(page, "time-0") == whole
     assert complaints == []
 
 

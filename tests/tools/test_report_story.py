@@ -105,9 +105,14 @@ def test_lost_fixes_and_refusals_of_the_gate_are_events(emulated_run: Run) -> No
     of_fixes = reports["source"] == fixes["source"][0]
     reports["outcome"][of_fixes & (reports_s > 20.0) & (reports_s < 26.0)] = Outcome.GATED
     details._reports.add(reports)
-    told = [event.text for event in events_of(dataclasses.replace(emulated_run, details=details))]
+    changed = dataclasses.replace(emulated_run, details=details)
+    told = [event.text for event in events_of(changed)]
     assert len(told) == 2
-    assert any(text.startswith("fix lost: nothing accepted of box_pose for 6.") for text in told)
+    (strip,) = strips([changed])
+    ((start, stop, *_), _) = strip.rows["box_pose"][0]
+    assert (start, stop) == pytest.approx((20.0, 26.0), abs=0.5)
+    words = f"for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
+    assert f"fix lost: nothing accepted of box_pose {words}" in told
     assert any(text.startswith(f"gate refuses {lost.sum()} of box_pose within") for text in told)
 
 

@@ -23,11 +23,12 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.conversions import message_of
 from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.output import EstimateWriter
 from trackslip_tools.replay.run import Part, Replay, replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_messages
+from trackslip_tools.replay.whole_inputs import read_inputs
+from trackslip_tools.tuning.reading import read_task
 
 SOURCE = {"slip_sources": ["slip_seed"]}
 MODELS = ("free_slips", "turning")
@@ -136,6 +137,14 @@ def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pyt
     monkeypatch.setattr(tables, "_LAYOUTS", 0)
     assert seeds() == by_column
     assert len(by_column) == 2
+
+
+def test_tuning_with_seeds_ended_in_an_index_error(seeded: Path) -> None:
+    with open_bag(seeded) as bag:
+        task = read_task(bag, load_slip_parameters(SOURCE), InputFilters(), None, needs_reference=True)
+    found = task.score({})
+    assert "slip_seed" in found.nis
+    assert np.isfinite((found.log_likelihood, found.position)).all()
 
 
 def test_a_topic_of_another_type_is_refused(seeded: Path) -> None:

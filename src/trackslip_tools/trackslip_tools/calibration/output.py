@@ -51,7 +51,7 @@ def _lines(name: str, finding: Finding) -> list[str]:
         return [f"{name:<25}–  {finding.reason}"]
     low, high = finding.interval
     unit = "" if finding.unit == "1" else finding.unit
-    line = f"{name:<25}{finding.value:>11.5g} {unit:<5}[{low:.5g}, {high:.5g}]"
+    line = f"{name:<25}{finding.value:>11.5g} {unit:<6}[{low:.5g}, {high:.5g}]"
     whole = f"{line:<69}{finding.basis}"
     return [whole] if len(whole) <= WIDTH else [line, f"  {finding.basis}"]
 

@@ -114,10 +114,11 @@ def read_recording(
     poses: str,
     limits: MotionParameters,
     compass: tuple[str, HeadingSource] | None = None,
+    advance: Callable[[float], None] = lambda _: None,
 ) -> Recording:
     """Read the sprockets, the gyro and the pose source of these names, and the hydraulics.
 
-    ``compass``: a source of headings, and what is stated of it.
+    ``compass``: a source of headings, and what is stated of it; ``advance`` hears of the seconds read.
 
     Raises:
         InputError: the bag lacks the sprockets, or a topic is of a type that does not serve.
@@ -126,6 +127,7 @@ def read_recording(
     shown = _compass(bag, *compass) if compass else _Wanted("", PoseFields, _poses)
     driven, turns, fixes, oil, turned = _series(
         bag,
+        advance,
         _Wanted(SPROCKETS, SprocketFields, _sprockets),
         _Wanted(gyro, ImuFields, _rates),
         _Wanted(poses, PoseFields, _poses),
@@ -176,10 +178,14 @@ def _motions(t: FloatArray, angles: FloatArray, records: Any, found: NDArray[np.
         found[k] = motion[0].motion
 
 
-def _series(bag: Bag, *wanted: _Wanted) -> list[Series]:
+def _series(bag: Bag, advance: Callable[[float], None], *wanted: _Wanted) -> list[Series]:
     """Topics by stamp, the first of each stamp; readings that are no numbers are left out."""
     parts = [[one.readings(np.empty(0, dtype_of(one.kind)))] for one in wanted]
+    reached_ns = bag.start_ns
     for stretch in read_tables(bag, [one.topic for one in wanted if one.topic]):
+        newest_ns = max((int(table.log_times_ns.max()) for table in stretch.values()), default=reached_ns)
+        advance(max(newest_ns - reached_ns, 0) * 1e-9)
+        reached_ns = max(newest_ns, reached_ns)
         tables = {relative(name): table for name, table in stretch.items()}
         for one, own in zip(wanted, parts, strict=True):
             if one.topic in tables:

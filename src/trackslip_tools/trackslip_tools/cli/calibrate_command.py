@@ -15,7 +15,7 @@ from trackslip_tools.calibration.recording import read_recording
 from trackslip_tools.cli import machine_options, replay_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.outputs import require_writable
-from trackslip_tools.cli.progress import counted, shown
+from trackslip_tools.cli.progress import counted, in_shares
 
 EXAMPLE = "trackslip calibrate bags/slalom_sand out/demo/bag --output calibration.yaml"
 
@@ -61,12 +61,14 @@ def run(args: argparse.Namespace) -> int:
         gyro, poses = _sources(args, bag, p)
         compass = next(iter(p.compasses().items()), None)
     recordings = []
-    for path in shown(args.bags, "reading"):
-        with open_bag(path, args.namespace) as bag:
-            if bag.damage:
-                show(f"note: {bag.damage}", file=sys.stderr)
-            require_topics(bag, filter(None, (args.gyro, args.poses)))
-            recordings.append(read_recording(bag, gyro, poses, p.motion, compass))
+    with counted(len(args.bags), "reading") as advance:
+        for path in args.bags:
+            with open_bag(path, args.namespace) as bag:
+                if bag.damage:
+                    show(f"note: {bag.damage}", file=sys.stderr)
+                require_topics(bag, filter(None, (args.gyro, args.poses)))
+                moved_on = in_shares(advance, bag.duration_s)
+                recordings.append(read_recording(bag, gyro, poses, p.motion, compass, moved_on))
     with counted(None, "calibrating"):
         result = calibrate(recordings, p, (gyro, poses), hard_ground=args.hard_ground, everything=args.all)
     names = [str(path) for path in args.bags]

@@ -41,6 +41,11 @@ def counted(total: float | None, label: str) -> Iterator[Callable[[float], None]
         yield lambda done: bar.advance(task, done)
 
 
+def in_shares(advance: Callable[[float], None], whole: float) -> Callable[[float], None]:
+    """Moves a bar that counts pieces of work on by parts of one of them, which together are ``whole``."""
+    return lambda part: advance(part / (whole or 1.0))
+
+
 def following(bag: "Bag", advance: Callable[[float], None]) -> Callable[["Part"], None]:
     """Moves a bar of seconds on by the parts of a replay that it watches."""
     reached_ns = bag.start_ns

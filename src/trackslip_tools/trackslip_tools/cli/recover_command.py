@@ -2,7 +2,6 @@
 """``trackslip recover``: a whole bag from one whose recorder was killed, or whose disk failed."""
 
 import argparse
-from functools import partial
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
@@ -10,7 +9,7 @@ from trackslip_bags.recovery.recover import Recovery, recover
 from trackslip_bags.writer import CHUNK_SPAN_NS, refuse_existing
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli.description import describe
-from trackslip_tools.cli.progress import shown
+from trackslip_tools.cli.progress import counted
 
 EXAMPLE = "trackslip recover bags/power_cut --output out/recovered"
 
@@ -32,7 +31,9 @@ def run(args: argparse.Namespace) -> int:
     damaged = args.bag.resolve()
     output = args.output or damaged.with_name(f"{damaged.stem}_recovered")
     refuse_existing(output)
-    for line in _lines(recover(args.bag, output, partial(shown, label="recovering"))):
+    with counted(1.0, "recovering") as advance:
+        recovery = recover(args.bag, output, advance)
+    for line in _lines(recovery):
         show(line)
     with open_bag(output) as bag:
         show(describe(bag))

@@ -12,7 +12,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import fleet_command, replay_options, worker_options
 from trackslip_tools.cli.outputs import require_writable
-from trackslip_tools.cli.progress import shown
+from trackslip_tools.cli.progress import counted, following, in_shares
 from trackslip_tools.fleet.entry import Entry, entry_of, exit_code
 from trackslip_tools.fleet.find import is_folder
 from trackslip_tools.fleet.pages import INDEX, make_folder, write_pages
@@ -76,10 +76,13 @@ def run(args: argparse.Namespace) -> int:
     recordings: dict[Path, Recording] = {}
     runs = []
     require_writable(output=args.output)
-    for path, name in shown(pairs, "replaying"):
-        label = _label(names[path], name, *several)
-        runs.append(_run(args, path, name, recordings.get(path), label))
-        recordings[path] = runs[-1].recording
+    with counted(len(pairs), "replaying") as advance:
+        for path, name in pairs:
+            label = _label(names[path], name, *several)
+            with open_bag(path, args.namespace) as bag:
+                watch = following(bag, in_shares(advance, bag.duration_s))
+                runs.append(_run(args, bag, name, recordings.get(path), label, watch))
+            recordings[path] = runs[-1].recording
     page = _page(runs, limits)
     _write(args.output, page)
     show(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
@@ -87,24 +90,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(
-    args: argparse.Namespace, path: Path, name: str, recording: Recording | None, label: str, *watches: Watch
+    args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, further: Watch
 ) -> Run:
     """A bag with a parameter file; ``recording``: what the bag holds, where that is known."""
     filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
-    with open_bag(path, args.namespace) as bag:
-        given = ([] if name == _OWN else [name], args.set)
-        p = replay_options.parameters_of(bag, *given, args.vehicle)
-        of_soil = replay_options.soil_parameters_of(bag, p, *given)
-        replay_options.require_named(bag, p, filters, reference)
-        recording = recording or read_recording(bag, filters, args.namespace)
-        details = Details()
+    given = ([] if name == _OWN else [name], args.set)
+    p = replay_options.parameters_of(bag, *given, args.vehicle)
+    of_soil = replay_options.soil_parameters_of(bag, p, *given)
+    replay_options.require_named(bag, p, filters, reference)
+    recording = recording or read_recording(bag, filters, args.namespace)
+    details = Details()
 
-        def watch(part: Part) -> None:
-            for one in (details.add, *watches):
-                one(part)
+    def watch(part: Part) -> None:
+        details.add(part)
+        further(part)
 
-        result = replay(bag, p, filters, reference, of_soil, watch)
-        smoothed = _smoothed(bag, p, filters) if args.smooth else None
+    result = replay(bag, p, filters, reference, of_soil, watch)
+    smoothed = _smoothed(bag, p, filters) if args.smooth else None
     return Run(label, recording, p, filters, result, details, smoothed)
 
 
@@ -124,7 +126,8 @@ def _entry(args: argparse.Namespace, path: Path) -> Entry:
 
     def replayed(watch: Watch) -> tuple[Replay, str]:
         (name,) = args.params or [_OWN]
-        one = _run(args, path, name, None, path.name, watch)
+        with open_bag(path, args.namespace) as bag:
+            one = _run(args, bag, name, None, path.name, watch)
         return one.replay, _page([one], load_limits(args.limits or ()))
 
     return entry_of(path, replayed)

@@ -4,29 +4,40 @@
 from functools import partial
 from typing import Any
 
-from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.playback import Playback, Played, played
 from trackslip_bags.reader import Bag, absolute
 from trackslip_tools.live import inputs
 from trackslip_tools.live.clock import shown_ms
+from trackslip_tools.live.fixes import timeouts_of
 from trackslip_tools.live.state import LiveState
+
+_COMMANDS = ("slip_estimator/set_pose", "slip_estimator/pose_set")  # poses that nobody measured
 
 
 def shown_topics(bag: Bag) -> dict[str, str]:
-    """Topic as published → type, of what the page looks at and the bag has in that type."""
+    """Topic as published → type, of what the page looks at and the bag has in that type, and of all poses."""
     return {
         absolute(topic): info.type_name
         for topic, info in bag.topics.items()
-        if inputs.TYPES.get(topic.removeprefix("/")) == info.type_name
+        if inputs.TYPES.get(topic.removeprefix("/"), inputs.POSE_TYPE) == info.type_name
+        and topic.removeprefix("/") not in _COMMANDS
     }
 
 
 class BagFeed:
-    """Gives the state what the bag holds; time is that of the bag."""
+    """Gives the state what the bag holds; time is that of the bag.
+
+    Raises:
+        InputError: what the bag holds on the estimator's topic are no parameters.
+    """
 
     def __init__(self, bag: Bag, state: LiveState, rate: float, filters: InputFilters) -> None:
         self._bag, self._state = bag, state
         self._topics = shown_topics(bag)
+        timeouts = timeouts_of(bag_parameters(bag))  # also where it starts after they were published
+        state.expect({relative(source): timeout for source, timeout in timeouts.items()})
         self._playback = Playback(partial(played, bag, filters, self._topics), rate)
 
     @property

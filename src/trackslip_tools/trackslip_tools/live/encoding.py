@@ -19,6 +19,6 @@ def finite(values: Any) -> Any:
 
 def outline(points: NDArray[np.float64]) -> tuple[list[float], list[float]]:
     """x and y of (n, 2) points, to the millimetre; none of them where one is not finite."""
-    whole = points if np.isfinite(points).all() else points[:0]
-    x, y = np.round(whole, 3).T.tolist() if len(whole) else ([], [])
+    rounded = np.round(points, 3)  # the largest numbers become infinite
+    x, y = rounded.T.tolist() if len(rounded) and np.isfinite(rounded).all() else ([], [])
     return x, y

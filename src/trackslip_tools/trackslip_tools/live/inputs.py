@@ -24,7 +24,9 @@ FloatArray = NDArray[np.float64]
 
 ODOMETRY, TRACK_SLIP, FORCES, SOIL = "odometry", "track_slip", "track_forces", "soil"
 ATTITUDE, SWING, VEHICLE, DIAGNOSTICS = "attitude", "swing", "vehicle", "diagnostics"
-FIXES = ("box_pose", "gnss_pose")
+PARAMETERS = "slip_estimator/parameters"
+BOX_POSE = "box_pose"
+POSES = (BOX_POSE, "gnss_pose", "reference_pose")  # and those that the slip estimator states
 _IMU = "sensor_msgs/msg/Imu"
 
 
@@ -45,16 +47,18 @@ RECORDS: dict[str, RecordClass] = {
     SOIL: SoilFields,
     ATTITUDE: AttitudeFields,
     SWING: SwingFields,
-    **dict.fromkeys(FIXES, PoseFields),
 }
-"""What is read of each topic; of the others, the text or the lines that they carry."""
+"""What is read of each topic; of any other, that of a pose, or the text or the lines that it carries."""
 
+POSE_TYPE = TOPICS[BOX_POSE].type_name
 TYPES = {
-    topic: TOPICS[topic].type_name if topic in TOPICS else _IMU for topic in (*RECORDS, VEHICLE, DIAGNOSTICS)
-}
-"""Message type of each topic."""
+    topic: TOPICS[topic].type_name if topic in TOPICS else _IMU
+    for topic in (*RECORDS, VEHICLE, PARAMETERS, DIAGNOSTICS)
+} | dict.fromkeys(POSES, POSE_TYPE)
+"""Message type of each topic that is always looked at."""
 
-EVERY_MESSAGE = (DIAGNOSTICS, VEHICLE)  # of the others the newest does
+LATCHED = (VEHICLE, PARAMETERS)
+EVERY_MESSAGE = (DIAGNOSTICS, *LATCHED)  # of the others the newest does
 
 
 def pose_of(record: PoseFields | OdometryFields) -> FloatArray:

@@ -29,7 +29,7 @@ def outlines_of(now: Snapshot, now_s: float, vehicle: VehicleParameters) -> dict
         swing = now.get(inputs.SWING, now_s)
         if swing is not None:
             found["upper"] = _upper(pose, swing.angle, vehicle)
-    fix, sensors = now.get(inputs.FIXES[0], now_s), vehicle.sensors
+    fix, sensors = now.get(inputs.BOX_POSE, now_s), vehicle.sensors
     if fix is not None and sensors is not None and sensors.box is not None:
         found["box"] = box_outline(sensors.box, inputs.pose_of(fix))
     return found

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_common.message_fields import read
+from trackslip_common.message_fields import PoseFields, read
 from trackslip_tools.live import inputs
 from trackslip_tools.live.strips import MOTION
 from trackslip_tools.report.quantities import Columns
 
 STANDING = 1  # motion_state of TrackSlip
 _FRESH_S = 1.0
-_FRESH_OF = {inputs.SOIL: 5.0, inputs.FORCES: 1.5, **dict.fromkeys(inputs.FIXES, 1.5)}  # of slower topics
+_FRESH_OF = {inputs.SOIL: 5.0, inputs.FORCES: 1.5, inputs.BOX_POSE: 1.5}  # of slower topics
 
 
 class Snapshot:
@@ -22,18 +22,18 @@ class Snapshot:
         self._records: dict[str, tuple[Any, float]] = {}
         self.classes: dict[str, float] = {}  # soil → probability
         self.reason = ""  # why the soil cannot be identified
-        self.counts = dict.fromkeys(inputs.RECORDS, 0)  # of records taken
 
-    def take(self, topic: str, message: Any, now_s: float) -> None:
-        """A message of one of ``inputs.RECORDS``.
+    def take(self, topic: str, message: Any, now_s: float) -> Any:
+        """The record of a message of one of ``inputs.RECORDS``, or of a pose.
 
         Raises:
             Exception: it is not of the topic's type.
         """
-        self._records[topic] = (read(inputs.RECORDS[topic], message), now_s)
-        self.counts[topic] += 1
+        record = read(inputs.RECORDS.get(topic, PoseFields), message)
+        self._records[topic] = (record, now_s)
         if topic == inputs.SOIL:
             self.classes, self.reason = inputs.classes_of(message), str(message.reason)
+        return record
 
     def get(self, topic: str, now_s: float) -> Any | None:
         """The record of a topic; None where there is none, or an old one."""

@@ -5,10 +5,9 @@ A frame is what has changed since the one before it, as values that JSON knows; 
 needs which has just come. Memory is bounded, whatever comes for however long.
 """
 
-import math
 import threading
 import uuid
-from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from trackslip_common.vehicle import VehicleParameters, vehicle_of_text
 from trackslip_tools.live import inputs
 from trackslip_tools.live.encoding import finite, outline
 from trackslip_tools.live.facts import facts_of
+from trackslip_tools.live.fixes import Fixes, timeouts_of_text
 from trackslip_tools.live.outlines import outlines_of
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.live.strips import Strips
@@ -27,8 +27,8 @@ from trackslip_tools.report.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.report.plots import visible
 
 PERIOD = 0.125  # s between frames
-_FIXES = 400  # that are shown
 _CLASSES = 3  # of soil that are shown
+_JUDGE = "slip_estimator"  # name of its light
 _VIEW_PERIOD_S = 1.0  # between looks at what range of values the panels should show
 
 
@@ -42,16 +42,24 @@ class LiveState:
         self._lock = threading.Lock()
         self._now, self._lights, self._events = Snapshot(), Lights(), Events()
         self._strips, self._trail = Strips(), Trail()
-        self._fixes: deque[tuple[float, float]] = deque(maxlen=_FIXES)
-        self._fix_counts = 0
+        self._fixes = Fixes()
         self._number, self._told = 0, 0  # frames, events
         self._views: list[tuple[float, float]] = []
         self._viewed_s = -_VIEW_PERIOD_S
         self._frame: dict[str, Any] = {}
         self._clock = (0.0, 0.0)  # now_s, time_ms
 
+    @property
+    def pose_sources(self) -> frozenset[str]:
+        """Topics of poses to look at."""
+        return frozenset((*inputs.POSES, *self._fixes.timeouts))
+
+    def expect(self, timeouts: Mapping[str, float]) -> None:
+        """Sources of poses, and for how long each may be silent, s."""
+        self._fixes.expect(timeouts)
+
     def take(self, topic: str, message: Any, now_s: float) -> None:
-        """A message of one of ``inputs.TYPES``.
+        """A message of one of ``inputs.TYPES``, or a pose.
 
         Raises:
             Exception: it is not of the topic's type.
@@ -61,8 +69,12 @@ class LiveState:
                 self._lights.update(statuses_of(message, self._namespace), now_s)
             elif topic == inputs.VEHICLE:
                 self._take_vehicle(message.data)
+            elif topic == inputs.PARAMETERS:
+                self._take_parameters(message.data)
             else:
-                self._now.take(topic, message, now_s)
+                record = self._now.take(topic, message, now_s)
+                if topic not in inputs.RECORDS:
+                    self._fixes.take(topic, record.x, record.y, now_s)
 
     def tick(self, now_s: float, time_ms: float) -> dict[str, Any]:
         """The next frame; ``time_ms`` is on the clock that is shown."""
@@ -95,7 +107,7 @@ class LiveState:
                 "rows": finite(values),
                 "views": finite(self._views),
                 "trail": list(self._trail.points),
-                "fixes": list(self._fixes),
+                "fixes": list(self._fixes.kept),
                 "events": [_line(event) for event in self._events.kept],
             }
             return self._frame | kept
@@ -106,8 +118,16 @@ class LiveState:
         except InputError as error:
             self._events.add(Level.WARN, str(error), *self._clock)
 
+    def _take_parameters(self, text: str) -> None:
+        try:
+            self.expect(timeouts_of_text(text, inputs.PARAMETERS))
+        except InputError as error:
+            self._events.add(Level.WARN, str(error), *self._clock)
+
     def _see_events(self, lights: list[Light], now_s: float, time_ms: float) -> None:
         self._events.see_lights(lights, now_s, time_ms)
+        if all(light.name != _JUDGE for light in lights):  # else it says itself what it accepts
+            self._fixes.see(self._events, now_s, time_ms)
         for values in self._lights.news():
             self._events.see_values(values, now_s, time_ms)
         if self._now.get(inputs.SOIL, now_s) is not None:
@@ -138,16 +158,7 @@ class LiveState:
             gained["path"] = self._trail.points[-1]
             if self._trail.thinned != thinned:
                 gained["trail"] = list(self._trail.points)
-        count = sum(self._now.counts[topic] for topic in inputs.FIXES)
-        if count != self._fix_counts:
-            self._fix_counts = count
-            places = [self._now.get(topic, now_s) for topic in inputs.FIXES]
-            news = [
-                (round(fix.x, 3), round(fix.y, 3))
-                for fix in places
-                if fix is not None and math.isfinite(fix.x + fix.y)
-            ]
-            self._fixes += news
+        if news := self._fixes.news():
             gained["new_fixes"] = news
         return gained
 

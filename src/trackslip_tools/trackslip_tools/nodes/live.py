@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
@@ -44,12 +45,8 @@ class LiveNode(TrackslipNode[LiveParameters]):
         self._files = files(f"Trackslip: {namespace or 'live'}")
         self._state = LiveState(namespace or "live", load_vehicle(), namespace)
         self._waiting: dict[str, deque[bytes]] = {}
-        for topic, kind in inputs.TYPES.items():
-            every = topic in inputs.EVERY_MESSAGE
-            self._waiting[topic] = deque(maxlen=_MOST_WAITING if every else 1)
-            qos = latched() if topic == inputs.VEHICLE else best_effort() if every else _NEWEST
-            full = f"/{topic}" if topic == inputs.DIAGNOSTICS else topic
-            self.create_subscription(message_class(kind), full, partial(self._keep, topic), qos, raw=True)
+        for topic in inputs.TYPES:
+            self._listen(topic)
         self.create_timer(PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def activate(self) -> None:
@@ -69,7 +66,20 @@ class LiveNode(TrackslipNode[LiveParameters]):
         assert self._server is not None
         return [Health(OK, f"serving {self._server.address}", {"pages": self._server.pages})]
 
+    def _listen(self, topic: str) -> None:
+        every = topic in inputs.EVERY_MESSAGE
+        self._waiting[topic] = deque(maxlen=_MOST_WAITING if every else 1)
+        qos = latched() if topic in inputs.LATCHED else best_effort() if every else _NEWEST
+        full = f"/{topic}" if topic == inputs.DIAGNOSTICS else topic
+        kind = message_class(inputs.TYPES.get(topic, inputs.POSE_TYPE))
+        self.create_subscription(kind, full, partial(self._keep, topic), qos, raw=True)
+
     def _tick(self) -> None:
+        for topic in self._state.pose_sources - self._waiting.keys():
+            try:
+                self._listen(topic)
+            except InvalidTopicNameException as error:
+                self.callback_failures.add(inputs.PARAMETERS, error)
         for topic, waiting in self._waiting.items():
             while waiting:
                 self._take(topic, waiting.popleft())
@@ -83,7 +93,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
 
     def _take(self, topic: str, data: bytes) -> None:
         try:
-            message: Any = deserialize_message(data, message_class(inputs.TYPES[topic]))
+            message: Any = deserialize_message(data, message_class(inputs.TYPES.get(topic, inputs.POSE_TYPE)))
             self._state.take(topic, message, time.monotonic())
         except Exception as error:  # noqa: BLE001 (whatever is in it, the page goes on)
             self.callback_failures.add(topic, error)

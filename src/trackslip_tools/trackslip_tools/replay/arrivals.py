@@ -31,7 +31,7 @@ from trackslip_common.message_fields import (
     poses_of,
 )
 from trackslip_estimation.slip.measurements import SET_POSE
-from trackslip_estimation.slip.mounting import turned, turned_variances
+from trackslip_estimation.slip.mounting import turned, turned_variances, up_by
 from trackslip_estimation.slip.records import (
     HEADING,
     MANUAL,
@@ -138,6 +138,12 @@ def _fill_yaw_rates(rows: Rows, read: Rows, imu: YawRateSource) -> None:
     rows["acceleration"] = np.where(present[:, None], a, np.nan)
     mean = np.where(mean != 0.0, mean, imu.acceleration_stddev**2)
     rows["acceleration_variance"] = np.where(present, mean, np.nan)
+    rows["up"] = rows["up_variances"] = np.nan
+    if imu.use_orientation:
+        rows["up"] = np.column_stack(turned(R, up_by(*(read[f"q{axis}"] for axis in "xyzw"))))
+        stated = [read[f"orientation_variance_{axis}"] for axis in "xyz"]
+        of_up = np.column_stack(turned_variances(R, stated)[:2])
+        rows["up_variances"] = np.where(stated[0][:, None] != ABSENT, of_up, ABSENT)
 
 
 def _fill_poses(rows: Rows, read: Rows, _: Any) -> None:

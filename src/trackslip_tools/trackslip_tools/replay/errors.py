@@ -49,6 +49,24 @@ class Waiting:
         return in_order(rows[due]) if due.any() else None
 
 
+class Pairs:
+    """Estimates, and true rows around them, both of which come piece by piece."""
+
+    def __init__(self) -> None:
+        self._truth, self._estimates = Waiting(), Waiting()
+
+    def add(self, estimates: Rows, truth: Rows | None) -> tuple[Rows, Rows] | None:
+        """More of both; the estimates that have true rows on both sides, and those. None: none yet."""
+        self._truth.add(truth)
+        self._estimates.add(estimates)
+        until_ns = min(self._estimates.last_ns, self._truth.last_ns)
+        found, true = self._estimates.due(until_ns), self._truth.due(until_ns)
+        if found is None or true is None:
+            return None
+        inside = (found["stamp_ns"] >= true["stamp_ns"][0]) & (found["stamp_ns"] <= true["stamp_ns"][-1])
+        return found[inside], true
+
+
 class PathErrors:
     """RMS errors of a path, and its mean NEES where its poses have covariances.
 

@@ -7,13 +7,11 @@
         batch.tables["truth/odometry"].rows   # (m,) named columns of message_fields, in log order
     stream.counts, stream.messages, stream.duration_s     # known by then
 
-``to_measurements`` makes the estimator's own records of the rows.
-``read_inputs`` reads a whole bag of moderate length at once.
+``to_measurements`` makes the estimator's own records of the rows; ``whole_inputs`` reads a bag at once.
 """
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,7 +48,6 @@ from trackslip_estimation.slip.records import ODOMETRY as ODOMETRY_KIND
 from trackslip_estimation.slip.sources import HEADING_MESSAGES, Refusal
 from trackslip_tools.replay.arrivals import (
     ARRIVAL,
-    IS_COMMAND,
     IS_RELOAD,
     POSE_READER,
     SLIP_READER,
@@ -60,12 +57,10 @@ from trackslip_tools.replay.arrivals import (
     heading_reader,
     odometry_reader,
     swing_reader,
-    to_measurements,
     yaw_rate_reader,
 )
 from trackslip_tools.replay.filtering import Filtering
 from trackslip_tools.replay.live_order import LINE, JournalCounts, LiveOrder
-from trackslip_tools.replay.series import Series, SeriesCollector
 
 SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
 LOCAL_ODOMETRY, ATTITUDE, SWING_ESTIMATE = "odometry/local", "attitude", "swing/estimate"
@@ -259,44 +254,6 @@ class _ParameterChanges:
                 self._reloads.append(Reload(changed))
             self._before = now
         return rows[changes]
-
-
-@dataclass
-class Inputs:
-    """A whole bag's inputs."""
-
-    sources: tuple[str, ...] = ()
-    rows: Rows = field(default_factory=lambda: np.empty(0, ARRIVAL))  # in live order
-    reloads: list[Reload] = field(default_factory=list)
-    series: dict[str, Series] = field(default_factory=dict)  # by topic
-    messages: Counter[str] = field(default_factory=Counter)  # by topic, all that was read
-    counts: JournalCounts = field(default_factory=JournalCounts)
-    duration_s: float = 0.0  # of the stamps
-
-    def measurements(self, numbers: Mapping[str, int]) -> Rows:
-        """(n,) MEASUREMENT without the commands; ``numbers``: the estimator's of each source."""
-        measured = self.rows[self.rows["kind"] < IS_COMMAND]
-        return to_measurements(measured, self.sources, numbers)
-
-
-def read_inputs(
-    bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, series: tuple[str, ...]
-) -> Inputs:
-    """All inputs in live order, the filters applied, and the series of the topics named.
-
-    Raises:
-        InputError: as ``InputStream``.
-    """
-    stream = InputStream(bag, p, filters, series)
-    collector = SeriesCollector()
-    parts = [np.empty(0, ARRIVAL)]
-    for batch in stream:
-        parts.append(batch.rows)
-        for topic, logged in batch.tables.items():
-            collector.add(topic, logged.rows)
-    rows = np.concatenate(parts)
-    found = (collector.series(), stream.messages, stream.counts, stream.duration_s)
-    return Inputs(stream.sources, rows, stream.reloads, *found)
 
 
 def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:

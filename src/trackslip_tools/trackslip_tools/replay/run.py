@@ -16,6 +16,7 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Kinematics
+from trackslip_estimation.attitude.records import OrientationRefusal
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned_text import Finding, findings
 from trackslip_estimation.slip.local_odometry import LocalOdometry
@@ -218,12 +219,12 @@ class _Collector:
         estimates = part.estimates
         self._keep(estimates)
         self._learned += part.learned
-        refused = part.results["outcome"] != Outcome.ACCEPTED
-        pairs = np.column_stack((part.arrivals["source"][refused], part.results["outcome"][refused]))
         for source, count in enumerate(np.bincount(part.arrivals["source"]).tolist()):
             self.taken.given[part.sources[source]] += count
-        for (source, outcome), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
-            self._rejected.add(part.sources[source], Outcome(outcome), int(count))
+        for name, outcome, n in _refused(part, "outcome"):
+            self._rejected.add(name, Outcome(outcome), n)
+        for name, refusal, n in _refused(part, "orientation"):
+            self._rejected.add(name, OrientationRefusal(refusal), n)
         tables = {topic: part.tables[topic].rows for topic in self._scored & part.tables.keys()}
         for topic, rows in tables.items():
             self._series.add(topic, rows)
@@ -291,6 +292,14 @@ class _Collector:
         if TRACK_SLIP in self._stream.topics:
             live = tables[TRACK_SLIP].rows if TRACK_SLIP in tables else nothing
             self._comparer.add_slips(live, slip_rows(estimates))
+
+
+def _refused(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:
+    """Source, reason and how many of what a field of the results is not 0 for."""
+    refused = part.results[field_] != 0
+    pairs = np.column_stack((part.arrivals["source"][refused], part.results[field_][refused]))
+    for (source, reason), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
+        yield part.sources[source], int(reason), int(count)
 
 
 def _scored(reference: str | None) -> frozenset[str]:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_tools.replay.errors import Waiting
+from trackslip_tools.replay.errors import Pairs
 
 Rows = NDArray[np.void]
 
@@ -15,22 +15,18 @@ class SwingErrors:
     """Of estimates that come piece by piece, against a true swing that is never behind them."""
 
     def __init__(self) -> None:
-        self._truth, self._estimates = Waiting(), Waiting()
+        self._pairs = Pairs()
         self._sum, self._count = 0.0, 0
 
     def add(self, estimates: Rows, truth: Rows | None) -> None:
         """More of both: records of ``ESTIMATE``, and rows of ``SwingFields``."""
-        self._truth.add(truth)
         known = estimates[estimates["swing"]["known"] == 1]
         rows = np.zeros(len(known), [("stamp_ns", np.int64), ("angle", np.float64)])
         rows["stamp_ns"], rows["angle"] = known["stamp_ns"], known["swing"]["angle"]
-        self._estimates.add(rows)
-        until_ns = min(self._estimates.last_ns, self._truth.last_ns)
-        found, true = self._estimates.due(until_ns), self._truth.due(until_ns)
-        if found is None or true is None:
+        pairs = self._pairs.add(rows, truth)
+        if pairs is None:
             return
-        inside = (found["stamp_ns"] >= true["stamp_ns"][0]) & (found["stamp_ns"] <= true["stamp_ns"][-1])
-        found = found[inside]
+        found, true = pairs
         expected = np.interp(found["stamp_ns"], true["stamp_ns"], np.unwrap(true["angle"]))
         errors = np.angle(np.exp(1j * (found["angle"] - expected)))
         self._sum, self._count = self._sum + float(np.sum(errors**2)), self._count + len(found)

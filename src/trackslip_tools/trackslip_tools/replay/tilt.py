@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_fields import tilts_of
-from trackslip_tools.replay.errors import Waiting
+from trackslip_tools.replay.errors import Pairs
 
 Rows = NDArray[np.void]
 
@@ -16,23 +16,19 @@ class TiltErrors:
     """Of estimates that come piece by piece, against true odometry that is never behind them."""
 
     def __init__(self) -> None:
-        self._truth, self._estimates = Waiting(), Waiting()
+        self._pairs = Pairs()
         self._tilt = self._height = 0.0  # sums of squares
         self._count = 0
 
     def add(self, estimates: Rows, truth: Rows | None) -> None:
         """More of both: records of ``ESTIMATE``, and rows of odometry."""
-        self._truth.add(truth)
         known = estimates[estimates["tilt"]["known"] == 1]
         rows = np.zeros(len(known), [("stamp_ns", np.int64), ("tilt", np.float64, (3,))])
         rows["stamp_ns"], rows["tilt"] = known["stamp_ns"], known["tilt"]["tilt"]
-        self._estimates.add(rows)
-        until_ns = min(self._estimates.last_ns, self._truth.last_ns)
-        found, true = self._estimates.due(until_ns), self._truth.due(until_ns)
-        if found is None or true is None:
+        pairs = self._pairs.add(rows, truth)
+        if pairs is None:
             return
-        inside = (found["stamp_ns"] >= true["stamp_ns"][0]) & (found["stamp_ns"] <= true["stamp_ns"][-1])
-        found = found[inside]
+        found, true = pairs
         expected = (*tilts_of(true).T, true["z"])
         errors = np.column_stack(
             [

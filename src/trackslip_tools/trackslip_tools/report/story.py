@@ -42,6 +42,8 @@ _TROUBLES = {
     int(Trouble.STALLED): Look(ORANGE, WORDS[Trouble.STALLED]),
     int(Trouble.STUCK): Look(AMBER, WORDS[Trouble.STUCK]),
 }
+_LOST = 0
+_LOOK_OF_LOST = {_LOST: Look(PURPLE, "nothing accepted")}
 
 
 def motion_spells(run: Run) -> list[Spell]:
@@ -63,6 +65,20 @@ def trouble_spells(run: Run) -> dict[str, list[Spell]]:
     }
 
 
+def lost_spells(run: Run) -> dict[str, list[Spell]]:
+    """Source of poses → stretches, longer than its timeout, in which nothing of it was accepted."""
+    fixes, allowed = run.details.fixes, timeouts_of(run)
+    found: dict[str, list[Spell]] = {}
+    for number, source in enumerate(run.details.sources):
+        own = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
+        times = np.sort(run.recording.seconds(fixes["stamp_ns"][own]))
+        if source in allowed and len(times):
+            ends = np.append(times[1:], max(run.recording.stop_s, times[-1]))
+            gaps = np.flatnonzero(ends - times > allowed[source])
+            found[source] = [Spell(float(times[k]), float(ends[k]), _LOST) for k in gaps]
+    return {source: own for source, own in found.items() if own}
+
+
 def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
     """Which track was in which trouble for how long; empty where none was."""
     told = [
@@ -81,15 +97,16 @@ def timeouts_of(run: Run) -> dict[str, float]:
 
 
 def strips(runs: Sequence[Run]) -> list[Strip]:
-    """How each run moved with its tracks' troubles, and the lights of each bag that has them."""
+    """How each run moved with its tracks' troubles and lost fixes; the lights of each bag that has them."""
     found = []
     for run in runs:
         of = "" if len(runs) == 1 else f", {run.label}"
         rows = {"motion": bars(motion_spells(run), _MOTIONS)}
         for side, own in trouble_spells(run).items():
             rows[f"{side} track"] = bars(own, _TROUBLES)
+        rows |= {source: bars(own, _LOOK_OF_LOST) for source, own in lost_spells(run).items()}
         if any(rows.values()):
-            found.append(Strip(f"Motion, and tracks in trouble{of}", rows))
+            found.append(Strip(f"Motion, tracks in trouble, lost fixes{of}", rows))
     for run in recordings(runs):
         of = "" if len(runs) == 1 else f", {run.label}"
         rows = {name: bars(own, _LIGHTS) for name, own in run.recording.lights.items()}
@@ -136,20 +153,10 @@ def _troubles(run: Run) -> Iterator[Event]:
 
 
 def _fixes(run: Run) -> Iterator[Event]:
-    """Sources of poses from which nothing was accepted for longer than their timeouts."""
-    fixes, allowed = run.details.fixes, timeouts_of(run)
-    for number, source in enumerate(run.details.sources):
-        own = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
-        times = np.sort(run.recording.seconds(fixes["stamp_ns"][own]))
-        limit = allowed.get(source)
-        if limit is None or not len(times):
-            continue
-        end = max(run.recording.stop_s, times[-1])
-        for start, stop in zip(times, np.append(times[1:], end), strict=True):
-            if stop - start > limit:
-                yield _event(
-                    start, Level.WARN, f"fix lost: nothing accepted of {source} for {stop - start:.1f} s"
-                )
+    for source, own in lost_spells(run).items():
+        for start, stop, *_ in own:
+            lasted = f"for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
+            yield _event(start, Level.WARN, f"fix lost: nothing accepted of {source} {lasted}")
 
 
 def _silences(run: Run) -> Iterator[Event]:

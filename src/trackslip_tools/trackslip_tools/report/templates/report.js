@@ -41,6 +41,13 @@ function wrap(plot, legend, width) {
   plot.height += more
 }
 
+// What a finger will do a browser decides before any script hears of it: by the style that Bokeh gives plots with
+// active tools. Those of a mouse that was there before must not take the first swipe.
+function leave_fingers_to_the_page() {
+  const [view] = Bokeh.index
+  Object.getPrototypeOf(view)._update_touch_action = () => {}
+}
+
 function use_tools(active) {
   for (const tool of Bokeh.documents[0].all_models) if (DRAGGED.includes(tool.type)) tool.active = active
 }
@@ -89,6 +96,7 @@ const there = setInterval(() => {
   if (Bokeh.documents.length === 0 || !Bokeh.documents[0].is_idle) return
   clearInterval(there)
   if (innerWidth < NARROW) narrow()
+  leave_fingers_to_the_page()
   let is_mouse = null
   addEventListener("pointerover", ({pointerType}) => {
     if (is_mouse === (pointerType === "mouse")) return

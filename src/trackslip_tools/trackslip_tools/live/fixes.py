@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the sources of poses say that the machine is, and which of them have fallen silent."""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+from trackslip_common.config_files import node_parameters
+from trackslip_common.errors import InputError
+from trackslip_common.yaml_text import parse_yaml
+from trackslip_estimation.slip.sources import group_name
+from trackslip_tools.report.events import Events
+from trackslip_tools.report.lights import Level
+
+KEPT = 400  # that are shown
+_MOST_SOURCES = 12  # that are looked for, whatever is stated
+_NODE = "slip_estimator"
+
+Place = tuple[float, float]  # x, y, m
+
+
+class Fixes:
+    """Times are seconds of one clock that goes forward."""
+
+    def __init__(self) -> None:
+        self.kept: deque[Place] = deque(maxlen=KEPT)
+        self.timeouts: dict[str, float] = {}  # of the sources that the slip estimator states, s
+        self._news: deque[Place] = deque(maxlen=KEPT)
+        self._came_s: dict[str, float] = {}
+        self._lost: set[str] = set()
+
+    def expect(self, timeouts: Mapping[str, float]) -> None:
+        """What is silent for longer than its timeout (s) counts as lost."""
+        self.timeouts = dict(list(timeouts.items())[:_MOST_SOURCES])
+
+    def take(self, source: str, x: float, y: float, now_s: float) -> None:
+        """A fix."""
+        self._came_s[source] = now_s
+        if math.isfinite(x) and math.isfinite(y):
+            self._news.append((round(x, 3), round(y, 3)))
+
+    def news(self) -> list[Place]:
+        """Those that came since this was last asked."""
+        news, self._news = list(self._news), deque(maxlen=KEPT)
+        self.kept += news
+        return news
+
+    def see(self, events: Events, now_s: float, time_ms: float) -> None:
+        """Say which sources have fallen silent, and which are back."""
+        for source, timeout in self.timeouts.items():
+            is_lost = now_s - self._came_s.get(source, now_s) > timeout
+            if is_lost and source not in self._lost:
+                events.add(Level.WARN, f"fix lost: {source}", now_s, time_ms)
+            elif not is_lost and source in self._lost:
+                events.add(Level.OK, f"fix back: {source}", now_s, time_ms)
+            (self._lost.add if is_lost else self._lost.discard)(source)
+
+
+def timeouts_of(values: Mapping[str, Any]) -> dict[str, float]:
+    """Source of poses → its timeout, s, of the slip estimator's parameters by dotted name."""
+    named = values.get("pose_sources")
+    found = {}
+    for source in named if isinstance(named, list) else ():
+        with suppress(TypeError, ValueError):
+            found[str(source)] = float(values.get(f"sources.{group_name(str(source))}.timeout", math.inf))
+    return {source: timeout for source, timeout in found.items() if source and not math.isnan(timeout)}
+
+
+def timeouts_of_text(text: str, where: str) -> dict[str, float]:
+    """The same of a parameter file.
+
+    Raises:
+        InputError: it is none.
+    """
+    tree = parse_yaml(text, where)
+    if not isinstance(tree, Mapping):
+        raise InputError(f"{where}: expected names and values (a YAML mapping)")
+    return timeouts_of(node_parameters(tree, _NODE, where))
