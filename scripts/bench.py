@@ -23,8 +23,8 @@ from trackslip_bags.reader import Bag, open_bag
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_sim.truth.bench import drive_seconds
-from trackslip_tools.replay.inputs import read_inputs
 from trackslip_tools.replay.run import replay
+from trackslip_tools.replay.whole_inputs import read_inputs
 
 RUNS = 3
 DRIVE = 20.0  # s of the live graph
@@ -50,8 +50,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="trackslip_bench_") as directory:
         for row in bench_bags.rows(Path(directory)):
             show(*row)
-        _drivers(Path(directory))
-        _graph(Path(directory))
+        for measure in (_drivers, _graph):  # each with devices of its own
+            folder = Path(directory) / measure.__name__
+            folder.mkdir()
+            measure(folder)
     return 0
 
 

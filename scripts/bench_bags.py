@@ -17,8 +17,9 @@ from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.simulate import simulate
-from trackslip_tools.replay.inputs import InputStream, read_inputs
+from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.run import replay
+from trackslip_tools.replay.whole_inputs import read_inputs
 from trackslip_tools.tuning.reading import read_task
 from trackslip_tools.tuning.task import score_of
 from trackslip_tools.workers import cores, workers

@@ -95,8 +95,9 @@ def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
     estimator.process_records(log.begin)
     states = run_whole(log.rest, estimator.window, estimator.config).states[1:]  # what the sprockets did
     c, start = estimator.config[0], estimator.window.states[0]
-    their = kalman.ExtendedKalmanFilter(start["mean"].size, 1)
-    their.x, their.P = start["mean"].copy(), start["covariance"].copy()
+    size = int(c["size"])
+    their = kalman.ExtendedKalmanFilter(size, 1)
+    their.x, their.P = start["mean"][:size].copy(), start["covariance"][:size, :size].copy()
     began = time.process_time()
     for measurement, drive_ in zip(log.rest, states, strict=True):
         moved, their.F, their.Q = linearize(their.x, their.P, drive_, STEP_NS * 1e-9, c)
@@ -105,7 +106,7 @@ def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
         kind = int(measurement["kind"])
         if kind == SPROCKETS:  # they drive, and measure nothing
             continue
-        z, R = observed(measurement, False, c)
+        z, R = observed(measurement, drive_, c)
         speeds = comparable_speeds(kind, drive_, c)[:2]
         arguments = (1, speeds, c)
         their.update(

@@ -16,10 +16,17 @@ from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import config_directory, load_parameters, parameters_text
+from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_common.vehicle import load_vehicle, vehicle_of_text, vehicle_text
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
+from trackslip_estimation.box.parameters import DEFAULT_FILES as BOX_FILES
+from trackslip_estimation.box.parameters import NODE as BOX_NODE
+from trackslip_estimation.box.parameters import BoxNodeParameters
+from trackslip_estimation.box.quarters import CERTAIN, Headings, SideEvidence
+from trackslip_estimation.box.track import Track
+from trackslip_estimation.box.track_file import TrackFile, track_text
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import meaning
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -29,7 +36,7 @@ from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.inputs import read_inputs
+from trackslip_tools.replay.whole_inputs import read_inputs
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import changed, read_plan
 from trackslip_tools.tuning.task import Score
@@ -226,6 +233,23 @@ def state(_: Path) -> Reader:
     return Reader([text.encode()], read)
 
 
+def track(_: Path) -> Reader:
+    """The track that the box localizer keeps, and where it seeks the box then."""
+    p = load_parameters(BoxNodeParameters, BOX_NODE, BOX_FILES)
+    headings = Headings(CERTAIN, SideEvidence())
+    begun = Track.begun(10**18, np.array((1.0, 2.0, 0.3)), np.array((0.01, 0.01, 0.001)), headings, p)
+    seed = track_text(begun.predicted(10**18 + 10**9, p)).encode()
+
+    def read(path: Path) -> None:
+        file = TrackFile(str(path))
+        kept = file.read()
+        if kept is None:
+            raise InputError(file.failure)
+        assert np.isfinite(kept.expectation(kept.stamp_ns + 10**9, p).pose).all()
+
+    return Reader([seed], read, ".json")
+
+
 def journal(_: Path) -> Reader:
     """Scores of an interrupted search, and what the search makes of them."""
     score = Score(1.5, {"box_pose": 1.0}, {"box_pose": 3}, 0.1, math.nan, 2.0, -3.0)
@@ -284,6 +308,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     made.__name__: made
     for made in (
         *(vehicle, scenario, fault, parameters, carried, plan, roles, dbc, mapping, table),
-        *(state, journal, cache),
+        *(state, track, journal, cache),
     )
 }

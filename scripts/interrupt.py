@@ -4,8 +4,8 @@
     python3 scripts/interrupt.py [--times 20] [--seed 1]
 
 It runs in the checkout that it stands in; use a clone: an interrupted set-up leaves the environment to be
-made. An interrupted command must end within 20 s, with no traceback of ours; at the end all of them are run
-to their ends. The exit code is 1 if anything did not go so.
+made. Each command in turn is interrupted TIMES / 5 times, must end within 20 s, with no traceback of ours,
+and is then run to its end. The exit code is 1 if anything did not go so.
 """
 
 import argparse
@@ -38,13 +38,13 @@ COMMANDS: dict[str, tuple[Sequence[str], float]] = {
             "--output",
             "out/interrupt/tuned",
         ),
-        30.0,
+        15.0,
     ),
-    "study": ((TRACKSLIP, "study", "--soil", "sand", "--filter", "ekf", "--seeds", "2"), 30.0),
+    "study": ((TRACKSLIP, "study", "--soil", "sand", "--filter", "ekf", "--seeds", "20"), 15.0),
 }
 PLAN = """\
 objective: likelihood
-evaluations: 20
+evaluations: 200
 seed: 0
 parameters:
   turning.loss: {low: 0.001, high: 0.1, scale: log}
@@ -63,14 +63,12 @@ def main() -> int:
     plan = ROOT / "out" / "interrupt" / "plan.yaml"
     plan.parent.mkdir(parents=True, exist_ok=True)
     plan.write_text(PLAN, encoding="utf-8")
-    fine = True
-    for number in range(args.times):
-        name = draw.choice(list(COMMANDS))
-        if not Path(TRACKSLIP).exists():
-            name = "setup"  # the others need it
-        fine &= _interrupted(number, name, draw.uniform(0.1, COMMANDS[name][1]))
-    works = [_whole(name) for name in COMMANDS]
-    return 0 if all(works) and fine else 1
+    fine, each = True, max(args.times // len(COMMANDS), 1)
+    for name, (_, until_s) in COMMANDS.items():
+        for number in range(each):
+            fine &= _interrupted(number, name, draw.uniform(0.1, until_s))
+        fine &= _whole(name)
+    return 0 if fine else 1
 
 
 def _interrupted(number: int, name: str, after_s: float) -> bool:
@@ -110,7 +108,8 @@ def _whole(name: str) -> bool:
         output.seek(0)
         text = output.read()
     print(f"    {name:<6} to its end: exit code {code}", flush=True)
-    if code not in (0, 1) or (code and name not in ("tune", "demo")):  # 1: ran, and failed its own check
+    missed = code == 2 and "missed: " in text  # a check of the demo's own, on a busy machine
+    if code and not missed and (name, code) != ("tune", 1):  # 1: found nothing better
         print(text[-3000:], flush=True)
         return False
     return True

@@ -11,6 +11,7 @@ ended, messages were lost, or something certainly grew by more than its limit.
 import argparse
 import math
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -39,6 +40,7 @@ LIMITS = {"RSS (MB)": 10.0, "threads": 1.0, "open files": 1.0}  # growth in an h
 _SAMPLES = 240  # in a run
 _PERIODS = (1.0, 30.0)  # s between them
 _DISK = 2_000_000_000  # bytes that recordings may take
+_NUMBER = re.compile(r"\d+(\.\d+)?")  # of two messages that differ in numbers the second is the first again
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -104,7 +106,7 @@ class Monitor:
         for status in message.status:
             if status.level == status.ERROR:
                 self.totals["errors"] += 1
-                text = f"{status.name}: {status.message}"
+                text = _NUMBER.sub("…", f"{status.name}: {status.message}")
                 self.errors[text] = self.errors.get(text, 0) + 1
 
 

@@ -46,7 +46,11 @@ class Growth(NamedTuple):
 
 
 def growth(times_s: FloatArray, values: FloatArray) -> Growth:
-    """Slope of (n,) values over their times."""
+    """Slope of (n,) values over their times; NaN: none was there to be seen."""
+    seen = np.isfinite(values)
+    if not seen.any():
+        return Growth(math.nan, math.nan, math.nan, math.nan)
+    times_s, values = times_s[seen], values[seen]
     length_s = times_s[-1] - times_s[0]
     settled = times_s >= times_s[0] + max(_SETTLING * length_s, _SETTLING_S)
     if np.count_nonzero(settled) < 2 * STRETCHES:
@@ -78,7 +82,7 @@ def page(samples: Sequence[Sample], counts: Mapping[str, float], heading: str) -
         "",
         heading,
         "",
-        *(f"- {name}: {value:g}" for name, value in counts.items()),
+        *(f"- {name}: {value:.0f}" for name, value in counts.items()),
         "",
         "| node | quantity | at first | at last | growth in an hour (95 %) |",
         "|---|---|--:|--:|--:|",

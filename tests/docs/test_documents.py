@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import yaml
 from fixtures.documents import DOCUMENTS, ROOT, Document, Place
 
 from trackslip_common.config_files import node_defaults
@@ -26,6 +27,11 @@ PARAMETER = re.compile(
     r"\b([a-z_]+_(?:estimator|localizer|driver|adapter|imu|pls|gnss)|emulator)\.([a-z_]\w*(?:\.\w+)*)"
 )
 PATH = re.compile(r"(?:config|docs|tests|scripts|deploy|bags|src|requirements)/[\w./{},-]*\w")
+QUOTED = re.compile(  # `parameter` (30 s …: a default; "(0.1 to" is a range
+    r"`(?:[a-z_.<>]+\.)?([a-z_]+)`(?: \(| of )([0-9]+(?:\.[0-9]+)?)(?![\d.])"
+    r"(?: ?(km|MiB))?(?! (?:to|or|and)\b|…)"
+)
+UNITS = {"": 1.0, "km": 1e3, "MiB": 2.0**20}
 SUFFIXES = {"yaml", "py", "md", "launch", "msg"}
 FOREIGN = frozenset(  # options of other programs that the documents speak of
     [
@@ -210,6 +216,32 @@ def test_parameters_are_there() -> None:
 )
 def test_parameters_are_told_from_what_is_none(node: str, name: str, there: bool) -> None:
     assert is_parameter(node, name) is there
+
+
+def test_defaults_that_are_quoted_are_those_of_config() -> None:
+    there = _defaults()
+    quoted = [
+        (file.name, name, float(number) * UNITS[unit])
+        for file in DOCUMENTS
+        for name, number, unit in QUOTED.findall(" ".join(file.read_text(encoding="utf-8").split()))
+        if name in there
+    ]
+    assert len(quoted) >= 8
+    assert [quote for quote in quoted if quote[2] not in there[quote[1]]] == []
+
+
+def _defaults() -> dict[str, set[float]]:
+    """Numbers of config/ by their parameters' own names."""
+    found: dict[str, set[float]] = {}
+    for file in (ROOT / "config").glob("*.yaml"):
+        waiting = [yaml.safe_load(file.read_text(encoding="utf-8"))]
+        while waiting:
+            for name, value in waiting.pop().items():
+                if isinstance(value, dict):
+                    waiting.append(value)
+                elif isinstance(value, (int, float)):
+                    found.setdefault(name, set()).add(float(value))
+    return found
 
 
 def test_each_document_is_on_the_map() -> None:

@@ -41,6 +41,16 @@ def test_a_short_run_claims_nothing() -> None:
     assert not found.is_certain
 
 
+def test_samples_in_which_there_was_nothing_to_see_do_not_hide_the_growth_of_the_others() -> None:
+    """One look without a message left the latency of an hour without a number."""
+    times, values = series(30.0, 1)
+    gaps = values.copy()
+    gaps[::7] = np.nan
+    found, whole = growth(times, gaps), growth(times, values)
+    assert abs(found.per_hour - whole.per_hour) < 2.0 * whole.uncertainty
+    assert math.isnan(growth(times, np.full_like(values, np.nan)).first)
+
+
 def test_what_never_changes_does_not_grow() -> None:
     found = growth(np.arange(0.0, 600.0, 5.0), np.full(120, 18.0))
     assert (found.first, found.last, found.per_hour, found.uncertainty) == (18.0, 18.0, 0.0, 0.0)
