@@ -37,11 +37,12 @@ bars: setup ## errors on drives like the demo's on four soils, with and without 
 drives: setup ## forty random drives of random machines, in and out of the laser's sight, against their bars (SEEDS=40)
 	@$(ENTER) exec $(VENV)/python -m trackslip_sim.drives.main $(if $(SEEDS),--seeds '$(SEEDS)')
 
-# The graph's tests run one by one, beside the others; a failed one is tried again and reported: a busy machine can
-# stall a process for seconds.
+# A module's tests run in one worker, and those with whole graphs (group graph) one by one: a third worker on two
+# cores uses what these wait for. A failed one of tests/graph is tried again and reported: a busy machine can stall
+# a process for seconds.
 test: checks ## all tests but the slow ones
 	@$(ENTER) exec timeout --foreground --kill-after=10 1500 \
-		$(VENV)/python -m pytest -n 2 --dist loadgroup -m 'not slow and not soak' -rR
+		$(VENV)/python -m pytest -n 3 --dist loadgroup -m 'not slow and not soak' -rR
 
 lint: checks ## ruff and mypy
 	$(VENV)/python -m ruff check .

@@ -26,6 +26,16 @@ settings.register_profile("trackslip", derandomize=True, deadline=None, max_exam
 settings.load_profile("trackslip")
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """A module's tests share fixtures and caches, so one worker runs them; ``graph`` begins."""
+    if not hasattr(config, "workerinput"):
+        return
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.path.relative_to(ROOT).as_posix()))
+    items.sort(key=lambda item: [mark.args for mark in item.iter_markers("xdist_group")] != [("graph",)])
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real logs; a test that asks for it is skipped where it is absent."""

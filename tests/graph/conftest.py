@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 import rclpy
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from fixtures.node_arguments import ros_arguments
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.context import Context
@@ -37,7 +37,7 @@ PACKAGE_OF = {
     **dict.fromkeys(("box_localizer", "gnss_localizer"), "trackslip_estimation"),
     **dict.fromkeys(("slip_estimator", "soil_estimator"), "trackslip_estimation"),
     "record": "trackslip_bags",
-    "trackslip": "trackslip_tools",
+    **dict.fromkeys(("live", "trackslip"), "trackslip_tools"),
     "emulator": "trackslip_sim",
 }
 TRANSITIONS = {
@@ -67,11 +67,7 @@ _enter()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """``make test`` begins with the group ``graph``, the longest of what runs one after the other.
-
-    It runs other tests beside these, so it tries a failed one again and reports it.
-    """
-    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is None)
+    """``make test``, which runs other tests beside these, tries a failed one again and reports it."""
     if hasattr(config, "workerinput"):
         for item in items:
             if item.path.is_relative_to(Path(__file__).parent):
@@ -146,12 +142,8 @@ class Programs:
         self.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), _MARK: self._mark}
 
     def node(self, executable: str, *arguments: str, **parameters: Any) -> Program:
-        """An executable of ours with ROS parameters; ``noise__gyro_bias`` is ``noise.gyro_bias``."""
-        given = list(arguments)
-        for name, value in parameters.items():
-            text = yaml.safe_dump(value, default_flow_style=True).splitlines()[0]
-            given += ["-p", f"{name.replace('__', '.')}:={text}"]
-        return self.tool(executable, *(["--ros-args", *given] if given else []))
+        """An executable of ours with ROS parameters."""
+        return self.tool(executable, *ros_arguments(*arguments, **parameters))
 
     def tool(self, executable: str, *arguments: str) -> Program:
         """An executable of ours with these arguments."""
@@ -287,17 +279,6 @@ class Observer:
             return answer.result()
         finally:
             self.node.destroy_client(client)
-
-
-@pytest.fixture(autouse=True)
-def turn(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Those of the group ``graph`` load both processors: they take turns, whatever worker they are on."""
-    if request.node.get_closest_marker("xdist_group") is None:
-        yield
-        return
-    with (tmp_path_factory.getbasetemp().parent / "turn.lock").open("a") as lock:  # of all workers
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
 
 
 @pytest.fixture

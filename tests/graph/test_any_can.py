@@ -10,8 +10,6 @@ from fixtures import unseen_bus
 
 from trackslip_drivers.transports.can_bus import CanBus
 
-pytestmark = pytest.mark.xdist_group("graph")
-
 MULTICAST = "239.74.163.2"
 
 

@@ -14,7 +14,9 @@ from matplotlib.image import imread
 from rosbags.highlevel import AnyReader
 
 from trackslip_bags.reader import open_bag
+from trackslip_common.errors import ExitCode
 from trackslip_sim.demo.graph import SENSOR_TOPICS, DemoOptions, demo_nodes
+from trackslip_sim.demo.run import main as run_demo
 
 pytestmark = pytest.mark.xdist_group("graph")
 
@@ -70,7 +72,7 @@ def test_demo_leaves_numbers_picture_and_bag(programs):
 
 
 def test_machine_with_an_antenna_drives_by_gnss(programs):
-    program = demo(programs, "--duration", "5", "--vehicle", "excavator_20t")
+    program = demo(programs, "--duration", "5", "--vehicle", "excavator_20t", "--no-live")
     assert program.wait(150.0) == 0, program.stdout + program.stderr
     summary = json.loads((programs.folder / "demo" / "summary.json").read_text(encoding="utf-8"))
     assert summary["topics"].keys() == set(SENSOR_TOPICS) - {"scan"}
@@ -89,12 +91,17 @@ def test_machine_with_an_antenna_drives_by_gnss(programs):
     ],
     ids=" ".join,
 )
-def test_demo_refuses(programs, arguments, words):
-    program = demo(programs, *arguments)
-    assert program.wait() == 2
-    (line,) = program.stderr.splitlines()
+def test_demo_refuses(arguments, words, tmp_path, capsys):
+    assert run_demo(["--output", str(tmp_path / "demo"), *arguments]) == ExitCode.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
     assert [word for word in words if word not in line] == []
-    assert not (programs.folder / "demo").exists()
+    assert not (tmp_path / "demo").exists()
+
+
+def test_the_program_itself_refuses_with_one_line(programs):
+    program = demo(programs, "--soil", "cheese")
+    assert program.wait() == ExitCode.BAD_INPUT
+    assert len(program.stderr.splitlines()) == 1
 
 
 def answers(address):
@@ -105,7 +112,8 @@ def answers(address):
         return False
 
 
-def test_the_page_comes_at_another_port_where_its_own_is_taken_and_may_end_alone(programs, observer):
+def test_the_page_comes_at_another_port_and_may_end_alone_and_ctrl_c_comes_twice(programs, observer):
+    """Then Ctrl-C twice: an impatient user changes nothing."""
     with socket.socket() as taken:
         with suppress(OSError):  # somebody else has it: just as well
             taken.bind(("127.0.0.1", 5006))
@@ -118,7 +126,10 @@ def test_the_page_comes_at_another_port_where_its_own_is_taken_and_may_end_alone
         (page,) = (pid for pid, command in programs.alive().items() if "trackslip_tools/live" in command)
         os.kill(page, signal.SIGKILL)
         wait_for_drive(observer)
+        program.process.send_signal(signal.SIGINT)
         ends_at_once(programs, program)
+    with open_bag(programs.folder / "demo" / "bag") as bag:
+        assert not bag.damage
 
 
 def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
@@ -131,16 +142,6 @@ def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
         assert bag.topics["/sprockets"].count > 100
         assert sum(1 for _ in bag.messages()) == bag.message_count
     assert not (programs.folder / "demo" / "dev").exists()
-
-
-def test_ctrl_c_twice(programs, observer):
-    """An impatient user changes nothing."""
-    program = demo(programs, "--duration", "60")
-    wait_for_drive(observer)
-    program.process.send_signal(signal.SIGINT)
-    ends_at_once(programs, program)
-    with open_bag(programs.folder / "demo" / "bag") as bag:
-        assert not bag.damage
 
 
 @pytest.mark.parametrize("library", ["multiarray", "matplotlib", "_rclpy_pybind11"])
@@ -159,7 +160,7 @@ def test_ctrl_c_before_the_nodes_are_up(programs, log):
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
 def test_demo_that_is_killed_leaves_no_orphan(programs, observer, number):
-    program = demo(programs, "--duration", "60")
+    program = demo(programs, "--duration", "60", "--no-live")
     wait_for_drive(observer)
     program.end(number)
     observer.wait(lambda: not programs.alive(), "the nodes to notice")
@@ -169,7 +170,7 @@ def test_demo_that_is_killed_leaves_no_orphan(programs, observer, number):
 
 
 def test_node_that_dies_ends_the_demo(programs, observer):
-    program = demo(programs, "--duration", "60")
+    program = demo(programs, "--duration", "60", "--no-live")
     wait_for_drive(observer)
     (victim,) = [pid for pid, command in programs.alive().items() if "watson_imu" in command]
     os.kill(victim, signal.SIGKILL)

@@ -28,8 +28,6 @@ from trackslip_sim.devices.pty_port import PtyPort
 from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
 from trackslip_sim.devices.watson_device import INITIALISATION_NS, WatsonDevice
 
-pytestmark = pytest.mark.xdist_group("graph")
-
 MULTICAST = "239.74.163.2"
 G = 9.80665
 SPEED = (1.5, -0.5)  # rad/s of the sprockets

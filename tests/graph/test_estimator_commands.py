@@ -5,7 +5,6 @@ import json
 import signal
 
 import numpy as np
-import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -13,8 +12,6 @@ from rcl_interfaces.srv import SetParameters
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trackslip_msgs.msg import MeasurementReport as R
-
-pytestmark = pytest.mark.xdist_group("graph")
 
 MS = 1_000_000
 BEGIN_NS = 1_700_000_000_000 * MS

@@ -248,6 +248,12 @@ def test_every_measurement_is_reported_on_and_given_back(programs, observer):
         first = next(raw for _, _, raw in reader.messages([connection]))
         read = reader.deserialize(first, connection.msgtype)
         assert read.pose.pose.position.x == line.odometry[0].pose.pose.position.x
+    program = programs.tool("trackslip", "replay", str(path), "--json", "found.json")
+    assert program.wait() == 0, program.stderr
+    found = json.loads((programs.folder / "found.json").read_text(encoding="utf-8"))
+    taken = sum(found["messages"][topic] for topic in ("sprockets", "imu/data_raw", "gnss", "box_pose"))
+    assert taken == len(line.reports)
+    assert found["final"]["x"] == line.odometry[-1].pose.pose.position.x
 
 
 def test_replay_is_exact_under_load_and_out_of_order(programs, observer):
@@ -263,15 +269,3 @@ def test_replay_is_exact_under_load_and_out_of_order(programs, observer):
     for burner in burners:
         assert burner.end(signal.SIGKILL)[0] == -signal.SIGKILL
     assert len(is_given_back(line.bag())) == len(script) + 1
-
-
-def test_trackslip_replay_reads_the_bag(programs, observer):
-    line = Line(programs, observer)
-    drive(line)
-    path = line.bag()
-    program = programs.tool("trackslip", "replay", str(path), "--json", "found.json")
-    assert program.wait() == 0, program.stderr
-    found = json.loads((programs.folder / "found.json").read_text(encoding="utf-8"))
-    taken = sum(found["messages"][topic] for topic in ("sprockets", "imu/data_raw", "gnss", "box_pose"))
-    assert taken == len(line.reports)
-    assert found["final"]["x"] == line.odometry[-1].pose.pose.position.x

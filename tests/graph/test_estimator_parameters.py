@@ -4,13 +4,10 @@
 import json
 
 import numpy as np
-import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-
-pytestmark = pytest.mark.xdist_group("graph")
 
 BEGIN_S = 1_700_000_000
 WIDE, NARROW = 0.9999, 0.5

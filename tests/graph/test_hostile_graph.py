@@ -17,8 +17,6 @@ from trackslip_common.nodes.qos import publisher_qos
 from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 
-pytestmark = pytest.mark.xdist_group("graph")
-
 DEADLINE = 30.0  # s
 
 

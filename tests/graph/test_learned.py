@@ -14,8 +14,6 @@ from std_srvs.srv import Trigger
 
 from trackslip_estimation.slip.measurements import Sprockets, YawRate
 
-pytestmark = pytest.mark.xdist_group("graph")
-
 EPOCH_NS = 1_700_000_000_000_000_000
 PARAMETERS = {
     "sources__box_pose__use_heading": False,

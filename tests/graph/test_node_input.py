@@ -5,13 +5,30 @@ import re
 import signal
 
 import pytest
+from fixtures.node_arguments import ros_arguments
 
+from trackslip_bags.nodes.record import RecordNode
+from trackslip_common.errors import ExitCode
+from trackslip_common.nodes.run import run
 from trackslip_common.vehicle import load_vehicle, vehicle_of_text
+from trackslip_drivers.nodes.can_driver import CanDriverNode
+from trackslip_drivers.nodes.sick_pls import SickNode
+from trackslip_drivers.nodes.watson_imu import WatsonNode
+from trackslip_estimation.nodes.box_localizer import BoxLocalizerNode
+from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
+from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
+from trackslip_sim.nodes.emulator import EmulatorNode
 
-NODES = (
-    *("can_driver", "watson_imu", "sick_pls", "box_localizer"),
-    *("slip_estimator", "soil_estimator", "record", "emulator"),
-)
+NODES = {
+    "can_driver": CanDriverNode,
+    "watson_imu": WatsonNode,
+    "sick_pls": SickNode,
+    "box_localizer": BoxLocalizerNode,
+    "slip_estimator": SlipEstimatorNode,
+    "soil_estimator": SoilEstimatorNode,
+    "record": RecordNode,
+    "emulator": EmulatorNode,
+}
 REFUSED = {
     "can_driver": {
         "can_port": 80,
@@ -34,44 +51,59 @@ BAR = 3.0  # s from Ctrl-C to the end
 SLACK = 2.0  # on a busy machine
 
 
-def is_refused(program, *words):
-    """Exit code 2 and one line with all these words, nothing else."""
-    assert program.wait() == 2
-    lines = program.stderr.splitlines()
-    assert len(lines) == 1, program.stderr
+def is_one_line(stdout, stderr, *words):
+    """With all these words, and nothing else."""
+    lines = stderr.splitlines()
+    assert len(lines) == 1, stderr
     assert [word for word in words if word not in lines[0]] == [], lines[0]
-    assert program.stdout == ""
+    assert stdout == ""
+
+
+@pytest.fixture
+def is_refused(domain, tmp_path, monkeypatch, capfd):
+    """A function that runs a node in this process with bad arguments: exit code 2 and one line."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.chdir(tmp_path)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def refuses(node, arguments, *words):
+        assert run(NODES[node], arguments) == ExitCode.BAD_INPUT
+        is_one_line(*capfd.readouterr(), *words)
+
+    yield refuses
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
 
 
 @pytest.mark.parametrize("node", NODES)
 def test_unknown_parameter(programs, node):
-    is_refused(programs.node(node, nonsense=1), node, "'nonsense'", "accepted: ")
+    program = programs.node(node, nonsense=1)
+    assert program.wait() == ExitCode.BAD_INPUT
+    is_one_line(program.stdout, program.stderr, node, "'nonsense'", "accepted: ")
 
 
 @pytest.mark.parametrize(
     ("node", "name"), [(node, name) for node, parameters in REFUSED.items() for name in parameters]
 )
-def test_refused_value(programs, node, name):
+def test_refused_value(is_refused, node, name):
     value = REFUSED[node][name]
     shown = value if isinstance(value, str) else f"{value:g}"
-    is_refused(programs.node(node, **{name: value}), name.rpartition("__")[2], shown)
+    is_refused(node, ros_arguments(**{name: value}), name.rpartition("__")[2], shown)
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_parameter_file_that_is_not_there(programs, node):
-    is_refused(programs.node(node, "--params-file", "missing.yaml"), "missing.yaml", "accepted: ")
+def test_parameter_file_that_is_not_there(is_refused, node):
+    is_refused(node, ros_arguments("--params-file", "missing.yaml"), "missing.yaml", "accepted: ")
 
 
-def test_parameter_file_that_is_not_yaml(programs):
-    (programs.folder / "bad.yaml").write_text("sick_pls: [", encoding="utf-8")
-    is_refused(programs.node("sick_pls", "--params-file", "bad.yaml"), "bad.yaml", "accepted: ")
+def test_parameter_file_that_is_not_yaml(is_refused, tmp_path):
+    (tmp_path / "bad.yaml").write_text("sick_pls: [", encoding="utf-8")
+    is_refused("sick_pls", ros_arguments("--params-file", "bad.yaml"), "bad.yaml", "accepted: ")
 
 
-def test_unknown_parameter_in_a_file(programs):
-    (programs.folder / "one.yaml").write_text(
-        "watson_imu: {ros__parameters: {nonsense: 1}}", encoding="utf-8"
-    )
-    is_refused(programs.node("watson_imu", "--params-file", "one.yaml"), "'nonsense'", "serial_port")
+def test_unknown_parameter_in_a_file(is_refused, tmp_path):
+    (tmp_path / "one.yaml").write_text("watson_imu: {ros__parameters: {nonsense: 1}}", encoding="utf-8")
+    is_refused("watson_imu", ros_arguments("--params-file", "one.yaml"), "'nonsense'", "serial_port")
 
 
 def test_parameter_files_of_the_project_are_accepted(programs, observer):
@@ -84,15 +116,15 @@ def test_parameter_files_of_the_project_are_accepted(programs, observer):
     assert "vehicle.kinematics.tread: 0.8" in texts[0].data
 
 
-def test_recorder_does_not_touch_what_exists(programs):
-    (programs.folder / "bag").mkdir()
-    is_refused(programs.node("record", output="bag"), "'bag'", "exists already", "accepted: ")
-    assert list((programs.folder / "bag").iterdir()) == []
+def test_recorder_does_not_touch_what_exists(is_refused, tmp_path):
+    (tmp_path / "bag").mkdir()
+    is_refused("record", ros_arguments(output="bag"), "'bag'", "exists already", "accepted: ")
+    assert list((tmp_path / "bag").iterdir()) == []
 
 
-def test_recorder_that_cannot_write(programs):
-    (programs.folder / "file").write_text("", encoding="utf-8")
-    is_refused(programs.node("record", output="file/bag"), "'file/bag'")
+def test_recorder_that_cannot_write(is_refused, tmp_path):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    is_refused("record", ros_arguments(output="file/bag"), "'file/bag'")
 
 
 @pytest.mark.parametrize("node", NODES)

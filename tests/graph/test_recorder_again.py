@@ -2,8 +2,6 @@
 """The recorder deactivated and activated again: another bag, and nothing of the one before it."""
 
 from collections.abc import Iterator
-from concurrent.futures import Future
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +11,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from trackslip_bags.nodes.record import RecordNode
 from trackslip_bags.reader import open_bag
-
-pytestmark = pytest.mark.xdist_group("graph")
+from trackslip_common.nodes.health import OK, WARN
 
 
 @pytest.fixture
@@ -59,25 +56,13 @@ def test_a_name_that_is_taken_is_passed_over(recorder: RecordNode, tmp_path: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_2", "bag_3"]
 
 
-def test_a_disk_error_of_one_bag_is_none_of_the_next(recorder: RecordNode) -> None:
-    """What was being saved when the node was deactivated failed after the next bag was begun."""
-    failed: Future[None] = Future()
-    failed.set_exception(OSError(5, "Input/output error"))
-    recorder._saving = failed
-    again(recorder)
-    recorder._save()
-    assert recorder._disk_error == ""
-    received(recorder, 7)
-    assert recorder._losses.total.total() == 0
-
-
 def test_publishers_of_one_bag_are_none_of_the_next(recorder: RecordNode) -> None:
     """A topic that had one publisher may have two now: their numbers are no gaps."""
-    recorder._alone = {"/topic"}
+    recorder._taps.alone = {"/topic"}
     again(recorder)
     received(recorder, 1, publisher_gid=None)
     received(recorder, 1000, publisher_gid=None)
-    assert recorder._losses.total.total() == 0
+    assert recorder._recording.losses.total.total() == 0
 
 
 def test_a_recorder_that_is_started_again_goes_on_in_another_bag(
@@ -91,12 +76,12 @@ def test_a_recorder_that_is_started_again_goes_on_in_another_bag(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_2"]
 
 
-def test_the_oldest_files_go_where_the_disk_is_to_take_no_more(recorder: RecordNode, tmp_path: Path) -> None:
-    for number in (1, 2, 3):
-        received(recorder, number)
-        recorder._bag.split()
-    (tmp_path / "mine.mcap").write_bytes(bytes(10_000))
-    recorder.settings = replace(recorder.settings, max_disk=1)
-    recorder._save()
-    assert recorder._disk_error == ""
-    assert sorted(path.name for path in tmp_path.rglob("*.mcap")) == ["bag_3.mcap", "mine.mcap"]
+@pytest.mark.parametrize(("minutes", "level"), [(50, WARN), (70, OK)])
+def test_a_disk_that_fills_is_told_an_hour_ahead(recorder: RecordNode, minutes: int, level: bytes) -> None:
+    free = minutes * 60_000_000
+    recorder._recording._space.add(free + 60_000_000, 0.0)
+    recorder._recording._space.add(free, 60.0)
+    health = recorder.health()[0]
+    assert health.level == level
+    assert health.values["disk full in (min)"] == minutes
+    assert health.message.startswith(f"the disk is full in {minutes} min") == (level == WARN)

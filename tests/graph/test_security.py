@@ -31,8 +31,6 @@ from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 from trackslip_sim.nodes.emulator import EmulatorNode
 from trackslip_tools.nodes.live import LiveNode
 
-pytestmark = pytest.mark.xdist_group("graph")
-
 SECURITY = Path(__file__).parents[2] / "deploy" / "security"
 INCLUDE = "{http://www.w3.org/2001/XInclude}include"
 CONFIGURED = (

@@ -7,8 +7,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import JointState
 from trackslip_msgs.msg import MeasurementReport, TrackSlip
 
-pytestmark = pytest.mark.xdist_group("graph")
-
 BEGIN_S = 1_700_000_000
 
 

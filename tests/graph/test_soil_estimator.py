@@ -23,8 +23,6 @@ from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
 
-pytestmark = pytest.mark.xdist_group("graph")
-
 INPUTS = ("odometry", "track_slip", "hydraulics")
 _BURST = 50  # inputs sent at a time
 PRESSURES = ("left_pressure", "right_pressure", "left_spool", "right_spool")

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The console has one line for each change of a state, and none for a number that runs."""
 
+from io import StringIO
+from types import SimpleNamespace
+
 import pytest
 
-from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health, StateLog
-
-pytestmark = pytest.mark.xdist_group("graph")  # ROS messages are needed, no graph
+from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health, StateLog, to_console
 
 
 class Console:
@@ -50,3 +51,15 @@ def test_what_comes_and_goes_is_logged_once_in_a_while_and_its_end_is_not_lost()
     assert len(console.lines) <= 4
     console.see(Health(STALE, "no bytes"), after_s=2.0)
     assert console.lines[-1] == (STALE, "no bytes")
+
+
+@pytest.mark.parametrize(("terminal", "before"), [(True, "\r\x1b[K"), (False, "")])
+def test_a_line_of_the_log_went_behind_the_bar_on_the_same_line(
+    terminal: bool, before: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stderr = StringIO()
+    monkeypatch.setattr(stderr, "isatty", lambda: terminal)
+    monkeypatch.setattr("sys.stderr", stderr)
+    logger = SimpleNamespace(warning=stderr.write)
+    to_console(logger)(WARN, "nobody subscribes")
+    assert stderr.getvalue() == before + "nobody subscribes"

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node of the live page: it looks at the sources of poses that the slip estimator states."""
+
+import asyncio
+import json
+import re
+
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from std_msgs.msg import String
+from tornado.websocket import websocket_connect
+
+from trackslip_common.config_files import parameters_text
+from trackslip_common.nodes.qos import latched
+
+PARAMETERS = "slip_estimator/parameters"
+
+
+def fixes(port):
+    """That the page is given when it opens."""
+
+    async def whole():
+        page = await websocket_connect(f"ws://127.0.0.1:{port}/stream")
+        return json.loads(await page.read_message() or "{}")
+
+    return asyncio.run(asyncio.wait_for(whole(), 30.0))["fixes"]
+
+
+@pytest.mark.parametrize("source", ["reference_pose", "rtk/pose"])
+def test_fixes_of_any_source_are_drawn_whatever_else_is_stated(programs, observer, source):
+    program = programs.node("live", port=0)
+    printed = r"http://\S+:(\d+)/"
+    program.until(lambda: re.search(printed, program.stdout + program.stderr), "the address")
+    port, *_ = re.findall(printed, program.stdout + program.stderr)
+    stated = observer.node.create_publisher(String, PARAMETERS, latched())
+    names = ["no topic at all!", "rtk/pose"]
+    stated.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
+    poses = observer.node.create_publisher(PoseWithCovarianceStamped, source, 10)
+    pose = PoseWithCovarianceStamped()
+    pose.pose.pose.position.x, pose.pose.pose.position.y = 3.0, 4.0
+
+    def drawn():
+        poses.publish(pose)
+        return [3.0, 4.0] in fixes(port)
+
+    observer.wait(drawn, "a fix on the page")
