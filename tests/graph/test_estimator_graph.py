@@ -130,6 +130,7 @@ class Line:
         self.reports = observer.subscribe("measurement_reports")
         self.odometry = observer.subscribe("odometry")
         self._sent = Counter()
+        self.sent_again = 0  # first messages which only the recorder may have heard
         self._healths = observer.healths()
         sources = ["box_pose", "gnss"]
         self._recorder = programs.node("record", output="bag", more_topics="/gnss")
@@ -165,10 +166,12 @@ class Line:
         """A source's first message, again until all that it must pass have found each other."""
         wanted = len(self.reports)
         sent = time.monotonic() - 1.0
+        self.sent_again -= 1
 
         def reported():
             nonlocal sent
             if len(self.reports) == wanted and time.monotonic() - sent >= 1.0:
+                self.sent_again += 1
                 self._publishers[topic].publish(message)
                 self._sent[topic] += 1
                 message.header.stamp.nanosec += 1_000_000  # the next one is a later one
@@ -252,7 +255,7 @@ def test_every_measurement_is_reported_on_and_given_back(programs, observer):
     assert program.wait() == 0, program.stderr
     found = json.loads((programs.folder / "found.json").read_text(encoding="utf-8"))
     taken = sum(found["messages"][topic] for topic in ("sprockets", "imu/data_raw", "gnss", "box_pose"))
-    assert taken == len(line.reports)
+    assert taken - line.sent_again <= len(line.reports) <= taken
     assert found["final"]["x"] == line.odometry[-1].pose.pose.position.x
 
 
