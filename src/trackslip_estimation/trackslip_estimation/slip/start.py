@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 from trackslip_common.compiled import inlined
-from trackslip_estimation.attitude.filter import forget_attitude
+from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.levers import to_sensor
