@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.message_fields import headings_of, tilts_of
+from trackslip_common.orientations import headings_of, tilts_of
 from trackslip_estimation.slip.mounting import quaternion_by
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import Rows

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.message_fields import headings_of
+from trackslip_common.orientations import headings_of
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_tools.replay.growing import GrowingRows
 
