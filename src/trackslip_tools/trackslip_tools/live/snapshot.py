@@ -25,7 +25,7 @@ class Snapshot:
         self.classes: dict[str, float] = {}  # soil → probability
         self.reason = ""  # why the soil cannot be identified
 
-    def take(self, topic: str, message: Any, now_s: float) -> Any:
+    def process(self, topic: str, message: Any, now_s: float) -> Any:
         """The record of a message of one of ``inputs.RECORDS``, or of a pose.
 
         Raises:

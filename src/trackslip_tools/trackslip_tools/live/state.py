@@ -59,7 +59,7 @@ class LiveState:
         """Sources of poses, and for how long each may be silent, s."""
         self._fixes.expect(timeouts)
 
-    def take(self, topic: str, message: Any, now_s: float) -> None:
+    def process(self, topic: str, message: Any, now_s: float) -> None:
         """A message of one of ``inputs.TYPES``, or a pose.
 
         Raises:
@@ -73,9 +73,9 @@ class LiveState:
             elif topic == inputs.PARAMETERS:
                 self._take_parameters(message.data)
             else:
-                record = self._now.take(topic, message, now_s)
+                record = self._now.process(topic, message, now_s)
                 if topic not in inputs.RECORDS:
-                    self._fixes.take(topic, record.x, record.y, now_s)
+                    self._fixes.add(topic, record.x, record.y, now_s)
 
     def tick(self, now_s: float, time_ms: float) -> dict[str, Any]:
         """The next frame; ``time_ms`` is on the clock that is shown."""

@@ -95,7 +95,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
     def _take(self, topic: str, data: bytes) -> None:
         try:
             message: Any = deserialize_message(data, message_class(inputs.TYPES.get(topic, inputs.POSE_TYPE)))
-            self._state.take(topic, message, time.monotonic())
+            self._state.process(topic, message, time.monotonic())
         except Exception as error:  # noqa: BLE001 (whatever is in it, the page goes on)
             self.callback_failures.add(topic, error)
 

@@ -220,7 +220,7 @@ def _live(result: Replay) -> list[str]:
         return []
     lines = [str(live)]
     if live.lost_inputs:
-        lines.append(f"  the bag lacks {live.lost_inputs} measurements that the live estimator took")
+        lines.append(f"  the bag lacks {live.lost_inputs} measurements that the live estimator processed")
     if live.lost_reports:
         lines.append(f"  the bag lacks {live.lost_reports} lines of the live estimator's journal")
     return lines

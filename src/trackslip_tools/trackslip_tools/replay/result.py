@@ -23,6 +23,7 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.comparison import (
+    TILT,
     LiveComparer,
     LiveComparison,
     odometry_rows,
@@ -169,17 +170,16 @@ class Collector:
 
     def _compare(self, tables: dict[str, Logged], estimates: Rows) -> None:
         """Every live number against the replayed one of the same stamp."""
-        nothing = np.empty(0, ESTIMATE)
-        if ODOMETRY in self._stream.topics:
-            live = tables[ODOMETRY].rows if ODOMETRY in tables else nothing
-            self._comparer.add_odometry(live, odometry_rows(estimates, estimates))
-            self._comparer.add_tilt(live, tilt_rows(estimates))
-        if LOCAL_ODOMETRY in self._stream.topics:
-            live = tables[LOCAL_ODOMETRY].rows if LOCAL_ODOMETRY in tables else nothing
-            self._comparer.add_local(live, odometry_rows(estimates, self._local.advance(estimates)))
-        if TRACK_SLIP in self._stream.topics:
-            live = tables[TRACK_SLIP].rows if TRACK_SLIP in tables else nothing
-            self._comparer.add_slips(live, slip_rows(estimates))
+        nothing, topics = np.empty(0, ESTIMATE), {ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP} & self._stream.topics
+        live = {topic: tables[topic].rows if topic in tables else nothing for topic in topics}
+        if ODOMETRY in live:
+            self._comparer.add(ODOMETRY, live[ODOMETRY], odometry_rows(estimates, estimates))
+            self._comparer.add(TILT, live[ODOMETRY], tilt_rows(estimates))
+        if LOCAL_ODOMETRY in live:
+            local = odometry_rows(estimates, self._local.advance(estimates))
+            self._comparer.add(LOCAL_ODOMETRY, live[LOCAL_ODOMETRY], local)
+        if TRACK_SLIP in live:
+            self._comparer.add(TRACK_SLIP, live[TRACK_SLIP], slip_rows(estimates))
 
 
 def _refused(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:

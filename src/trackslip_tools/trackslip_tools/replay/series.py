@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from trackslip_common.orientations import headings_of
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
-from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.growing import GrowingRows, Rows
 
 FloatArray = NDArray[np.float64]
-Rows = NDArray[np.void]
 
 _MOTION = ("v_x", "v_y", "yaw_rate")
 _SLIPS = ("left_slip", "right_slip", "slip_angle")
