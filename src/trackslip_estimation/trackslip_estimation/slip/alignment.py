@@ -21,6 +21,7 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_SCALE, SIZE, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
+from trackslip_estimation.slip.traction import find_slip
 
 CAPACITY = 16  # refused fixes that are remembered
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which there is none
@@ -55,7 +56,17 @@ def keep_refused(
     refused.predicted_x, refused.predicted_y = predicted
     refused.x, refused.y = fix
     refused.variance = variance
+    refused.centre_x = fix[0] - predicted[0] + state.mean[X]
+    refused.centre_y = fix[1] - predicted[1] + state.mean[Y]
+    refused.way_x, refused.way_y = state.way[0], state.way[1]
     state.refused_count += 1
+
+
+@compiled
+def forget_refused(state: Any, anchored: bool) -> None:
+    """A way begins here; ``anchored``: with a fix that was believed."""
+    state.refused_count, state.anchored = 0, anchored
+    state.way[:], state.anchor[:] = 0.0, state.mean[:YAW]
 
 
 @compiled
@@ -105,26 +116,37 @@ def rigid_motion(refused: Any, count: int, track_variance: float) -> RigidMotion
 @compiled
 def realign(state: Any, c: Any) -> bool:
     """Move the pose by what the newest refused fixes that agree show; whether they show enough."""
-    track_variance = state.adaptation.track_variance
-    while state.refused_count >= _FEWEST:
-        found = rigid_motion(state.refused, state.refused_count, track_variance)
-        if found.chi2 <= _CHI2_RATIO * (2 * state.refused_count - 3) + _CHI2_SPARE:
+    while True:
+        count = state.refused_count
+        found = rigid_motion(state.refused, count, state.adaptation.track_variance)
+        if count >= _FEWEST and found.chi2 <= _CHI2_RATIO * (2 * count - 3) + _CHI2_SPARE:
             if found.stddev >= c.adaptation.alignment_stddev:
                 return False
-            doubt = math.sqrt(found.stddev * found.stddev + state.covariance[YAW, YAW])
-            if state.aligning:
-                move_pose(state, found)
-            elif abs(found.rotation) > _SIGNIFICANT * doubt:
-                move_pose(state, found)
-                _forget(state, c)
-            else:
-                _shift(state, found)
-            if c.swings:  # what sits above may have turned, instead
-                state.covariance[SWING, SWING] += found.rotation**2
-            state.aligning, state.refused_count = False, 0
-            return True
+            _follow(state, found, c)
+            break
+        if has_velocity_errors(c) and not state.aligning and find_slip(state):
+            break
+        if count < _FEWEST:
+            return False
         drop_oldest(state)
-    return False
+    state.aligning = False
+    forget_refused(state, True)
+    return True
+
+
+@compiled
+def _follow(state: Any, found: RigidMotion, c: Any) -> None:
+    """The pose after a rigid motion, and what else that says."""
+    doubt = math.sqrt(found.stddev * found.stddev + state.covariance[YAW, YAW])
+    if state.aligning:
+        move_pose(state, found)
+    elif abs(found.rotation) > _SIGNIFICANT * doubt:
+        move_pose(state, found)
+        _forget(state, c)
+    else:
+        _shift(state, found)
+    if c.swings:  # what sits above may have turned, instead
+        state.covariance[SWING, SWING] += found.rotation**2
 
 
 @compiled

@@ -116,6 +116,10 @@ REFUSED = np.dtype(  # a fix that the gate refused
         ("x", np.float64),
         ("y", np.float64),
         ("variance", np.float64),  # along one axis
+        ("centre_x", np.float64),  # place of C by it, with the heading as predicted
+        ("centre_y", np.float64),
+        ("way_x", np.float64),  # of the tracks since the last fix inside its gate, had they not slipped
+        ("way_y", np.float64),
     ],
     align=True,
 )
@@ -145,6 +149,9 @@ STATE = np.dtype(
         ("aligning", np.bool_),  # the heading is not known yet
         ("refused_count", np.int64),  # since a fix was inside its gate
         ("refused", REFUSED, (CAPACITY,)),
+        ("anchored", np.bool_),  # whether the way began with a fix that was believed
+        ("anchor", np.float64, (2,)),  # place of C then, m
+        ("way", np.float64, (2,)),  # of the tracks since, had they not slipped, m
     ],
     align=True,
 )

@@ -7,7 +7,7 @@ from typing import Any
 from trackslip_common.compiled import inlined
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_refused
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
@@ -82,7 +82,8 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
-    state.aligning, state.refused_count = P[YAW, YAW] > UNKNOWN_HEADING**2, 0
+    state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
+    forget_refused(state, False)
     for k in range(MOST_SOURCES):
         state.consistent_ns[k] = stamp_ns
         state.streaks[k].count, state.streaks[k].value = 0, 0.0

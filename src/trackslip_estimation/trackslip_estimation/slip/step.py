@@ -18,7 +18,7 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_refused
 from trackslip_estimation.slip.coasting import begin_coast, inflate, reset_velocity
 from trackslip_estimation.slip.heading import use_heading
 from trackslip_estimation.slip.levers import to_gyro
@@ -48,6 +48,7 @@ from trackslip_estimation.slip.records import (
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
 from trackslip_estimation.slip.swing import use_swing
 from trackslip_estimation.slip.tilt import rise, tilt_by
+from trackslip_estimation.slip.traction import follow_tracks
 from trackslip_estimation.slip.update import use_pose, use_rate, use_slips
 
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
@@ -125,7 +126,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
         begin_coast(state, (rate, variance), dt, c)
     stand_still(state.speeds)
     lose_track(state.adaptation)
-    state.refused_count = 0  # they compare over what was driven
+    forget_refused(state, False)  # they compare over what was driven
     reset_motion(state.motion)
     propagate(state, dt, c)
     inflate(state, dt, c)
@@ -138,6 +139,7 @@ def propagate(state: Any, dt: float, c: Any) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
     x, P = state.mean[: c.size], state.covariance
     follow_motion(state, dt, c)
+    follow_tracks(state, dt, c)
     rise(state, dt, c)
     if has_velocity_errors(c):
         pass_time(state, dt, c)
@@ -166,4 +168,5 @@ def place(state: Any, manual: Any) -> None:
         for j in range(SIZE):
             P[i, j] = P[j, i] = 0.0
     P[:3, :3] = manual.noise
-    state.aligning, state.refused_count = P[YAW, YAW] > UNKNOWN_HEADING**2, 0
+    state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
+    forget_refused(state, False)

@@ -20,7 +20,7 @@ from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import log_determinant as log_determinant_of
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, keep_refused, realign
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_refused, keep_refused, realign
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor, widen_swing_rate
 from trackslip_estimation.slip.measurements import Outcome
@@ -180,11 +180,11 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     nis = weighted_square(root_of_S, innovation)
     update.nis, update.log_determinant = nis, log_determinant_of(root_of_S)
     refused = finds_heading or nis > update.gate
-    if not (refused or nis > limit):
-        state.refused_count = 0
+    inside = not refused and nis <= limit
+    if inside:
         state.consistent_ns[source] = measurement.stamp_ns
     elif may_swing(state, source, c):
-        state.refused_count = 0  # how it swings is no way that was driven
+        forget_refused(state, False)  # how it swings is no way that was driven
         if refused and not finds_heading and width_of(state, measurement, c) > 1.0:
             open_swing(state.covariance, c)
     else:
@@ -206,6 +206,8 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     to_sensor(x, P, state.attitude.level, source, -1.0, c)
     state.mean[: c.size], state.covariance[:] = x, P
     state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
+    if inside:
+        forget_refused(state, True)
 
 
 @inlined

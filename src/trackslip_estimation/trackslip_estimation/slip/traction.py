@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Traction that both tracks lost or found again, seen in fixes that were refused; compiled.
+
+    w_k   way of the tracks, without slip, from the last fix inside its gate to refused fix k    (2,), m
+    c_k   place of C by that fix: c_k = a + λ w_k                                               (2,), m
+    λ     1 − i₀                                                                                1
+
+A machine that digs itself in goes on turning its tracks, and its fixes stay where they are: no rigid motion
+takes the way that was predicted to them (``alignment``), but another slip does. Several must agree on it, the
+last one inside its gate among them, for which c is the estimate. Then C is on that line, and i₀ is what it
+shows. The heading stays as it was.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
+
+_FEWEST = 3
+_PATH_ERROR = 0.05  # of the way driven
+_LEAST, _MOST = -0.5, 1.5  # λ on any ground: a machine may slide ahead of its tracks, or back against them
+_STDDEV = 0.15  # of a λ that is believed
+_CHI2_RATIO, _CHI2_SPARE = 1.6, 12.0  # χ² of fixes that agree: at most ratio · dof + spare
+
+
+class SharedSlip(NamedTuple):
+    """The least-squares line through the c_k over the w_k."""
+
+    share: float  # λ
+    variance: float  # of it
+    of_place: float  # variance of the mean of the c_k along one axis, m²
+    place: tuple[float, float]  # that mean, m
+    way: tuple[float, float]  # mean of the w_k, m
+    agrees: bool
+
+
+@compiled
+def follow_tracks(state: Any, dt: float, c: Any) -> None:
+    """What the tracks go in ``dt`` s."""
+    gone = c.rolling_radius * (state.speeds.left + state.speeds.right) / 2.0 * dt
+    if gone != 0.0:
+        heading = state.mean[YAW]
+        state.way[0] += gone * math.cos(heading)
+        state.way[1] += gone * math.sin(heading)
+
+
+@compiled
+def shared_slip(refused: Any, count: int, anchor: Any, anchored: bool) -> SharedSlip:
+    """By ``count`` refused fixes; ``anchored``: and by ``anchor``, c (2,) where w = 0."""
+    n = count + 1.0 if anchored else float(count)
+    c_x, c_y = (anchor[0] / n, anchor[1] / n) if anchored else (0.0, 0.0)
+    w_x = w_y = of_fix = 0.0
+    for fix in refused[:count]:
+        c_x, c_y = c_x + fix.centre_x / n, c_y + fix.centre_y / n
+        w_x, w_y = w_x + fix.way_x / n, w_y + fix.way_y / n
+        of_fix += fix.variance / count
+    along = spread = square = 0.0
+    for k in range(count + 1 if anchored else count):
+        if k < count:
+            a_x, a_y, b_x, b_y = refused[k].way_x, refused[k].way_y, refused[k].centre_x, refused[k].centre_y
+        else:
+            a_x, a_y, b_x, b_y = 0.0, 0.0, anchor[0], anchor[1]
+        a_x, a_y, b_x, b_y = a_x - w_x, a_y - w_y, b_x - c_x, b_y - c_y
+        along += a_x * b_x + a_y * b_y
+        spread += a_x * a_x + a_y * a_y
+        square += b_x * b_x + b_y * b_y
+    share = along / max(spread, 1e-12)
+    variance = of_fix + _PATH_ERROR**2 * spread / n
+    agrees = (square - share * along) / variance <= _CHI2_RATIO * (2.0 * n - 3.0) + _CHI2_SPARE
+    return SharedSlip(share, variance / max(spread, 1e-12), of_fix / n, (c_x, c_y), (w_x, w_y), agrees)
+
+
+@compiled
+def find_slip(state: Any) -> bool:
+    """Take i₀ and the place from the refused fixes; whether they show enough."""
+    for anchored in (True, False):
+        if anchored and not state.anchored:
+            continue
+        if state.refused_count + anchored < _FEWEST:
+            return False
+        found = shared_slip(state.refused, state.refused_count, state.anchor, anchored)
+        if found.agrees and _LEAST <= found.share <= _MOST and found.variance <= _STDDEV**2:
+            _apply(state, found)
+            return True
+    return False
+
+
+@compiled
+def _apply(state: Any, found: SharedSlip) -> None:
+    """C on the line and i₀ by it, with their covariance."""
+    x, P = state.mean, state.covariance
+    on_x, on_y = state.way[0] - found.way[0], state.way[1] - found.way[1]
+    x[X], x[Y] = found.place[0] + found.share * on_x, found.place[1] + found.share * on_y
+    x[COMMON_SLIP] = 1.0 - found.share
+    by, at = (on_x, on_y, -1.0), (X, Y, COMMON_SLIP)
+    for i in range(3):
+        for j in range(SIZE):
+            P[at[i], j] = P[j, at[i]] = 0.0
+    for i in range(3):
+        for j in range(3):
+            P[at[i], at[j]] = by[i] * by[j] * found.variance
+    P[X, X] += found.of_place
+    P[Y, Y] += found.of_place
