@@ -10,7 +10,6 @@ from trackslip_common.vehicle import load_vehicle
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
-from trackslip_sim.truth.kinematic import Turning, simulate_kinematic
 from trackslip_sim.truth.record import COLUMNS, joined
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_pieces
@@ -55,36 +54,6 @@ def test_thesis_mode_balances_the_free_body(name: str) -> None:
 def test_thesis_mode_needs_lateral_resistance() -> None:
     with pytest.raises(InputError, match=r"soft_soil.*mu_r|soft_soil.*mu_l"):
         simulate(load_scenario("straight"), soil="soft_soil", mode="thesis")
-
-
-@pytest.mark.parametrize("name", ["slalom", "start_stop"])
-def test_kinematic_truth_has_exactly_the_slips_of_its_constants(name: str) -> None:
-    turning = Turning(common_slip=0.02, efficiency=0.45, speed_loss=0.4, rotation_offset=0.1)
-    truth = simulate_kinematic(load_scenario(name), turning, soil("sandy_loam"), VEHICLE, SETTINGS)
-    left, right = (VEHICLE.rolling_radius * w for w in (truth.left_speed, truth.right_speed))
-    v_x = 0.98 * 0.5 * (left + right) - 0.5 * 0.4 * np.abs(right - left)
-    yaw_rate = 0.45 * (right - left) / VEHICLE.tread
-    np.testing.assert_allclose(truth.v_x, v_x, atol=1e-12)
-    np.testing.assert_allclose(truth.yaw_rate, yaw_rate, atol=1e-12)
-    np.testing.assert_allclose(truth.v_y, -0.1 * yaw_rate, atol=1e-12)
-    moving = np.abs(left) >= SETTINGS.slip_floor
-    slip = 1.0 - (v_x - 0.5 * VEHICLE.tread * yaw_rate)[moving] / left[moving]
-    np.testing.assert_allclose(truth.left_slip[moving], slip, atol=1e-12)
-    assert not truth.left_slip[~moving].any()
-    turned = np.sum(0.5 * (yaw_rate[1:] + yaw_rate[:-1])) * SETTINGS.sample_period
-    assert truth.yaw[-1] == pytest.approx(turned, abs=1e-4)
-
-
-def test_kinematic_circle_closes_on_its_radius() -> None:
-    turning = Turning(common_slip=0.0, efficiency=1.0, speed_loss=0.0, rotation_offset=0.0)
-    scenario = Scenario(name="circle", soil="sand", segments=(Segment(60.0, 1.5, 2.5),))
-    truth = simulate_kinematic(scenario, turning, soil("sand"), VEHICLE, SETTINGS)
-    steady = truth.t > 3.0
-    radius = 0.5 * VEHICLE.tread * (2.5 + 1.5) / (2.5 - 1.5)
-    centre_x = truth.x[steady] - radius * np.sin(truth.yaw[steady])
-    centre_y = truth.y[steady] + radius * np.cos(truth.yaw[steady])
-    assert np.ptp(centre_x) < 1e-6
-    assert np.ptp(centre_y) < 1e-6
 
 
 def test_unknown_mode_is_refused() -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from trackslip_common.topics import ODOMETRY
 from trackslip_tools.replay.comparison import WAITING_NS, LiveComparer, LiveComparison
+from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
-from trackslip_tools.replay.series import Rows
 
 STEP_NS = 10_000_000
 FIELDS = ("x", "y", "heading", "v_x", "v_y", "yaw_rate")

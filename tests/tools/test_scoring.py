@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors
+from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.scoring import (
     Score,
     moving_slips,
@@ -18,7 +19,7 @@ from trackslip_tools.replay.scoring import (
     score,
     slip_rmse,
 )
-from trackslip_tools.replay.series import Rows, Series, series_of
+from trackslip_tools.replay.series import Series, series_of
 
 FloatArray = NDArray[np.float64]
 

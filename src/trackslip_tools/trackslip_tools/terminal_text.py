@@ -28,11 +28,11 @@ def table(heading: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence
     """
     lines = [list(map(str, heading)), *(list(map(str, row)) for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    told = []
+    stated = []
     if sum(widths) + len(_GAP) * (len(widths) - 1) > WIDTH and len(rows) > 1:
-        told = [k for k in range(keys) if lines[0][k] and len({line[k] for line in lines[1:]}) == 1]
-    columns = [k for k in range(keys) if k not in told]
-    above = ", ".join(f"{lines[0][k]} {lines[1][k]}" for k in told)
+        stated = [k for k in range(keys) if lines[0][k] and len({line[k] for line in lines[1:]}) == 1]
+    columns = [k for k in range(keys) if k not in stated]
+    above = ", ".join(f"{lines[0][k]} {lines[1][k]}" for k in stated)
     parts, left = [above] if above else [], list(range(keys, len(widths)))
     while left or not parts:
         used = list(columns)

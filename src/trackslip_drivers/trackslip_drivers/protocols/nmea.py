@@ -177,14 +177,14 @@ def _pashr(found: Any) -> Reading | Rejection:
     return _heading(found.utctime, found.trueHdg, found.trueHdgInd, math.radians(stddev) if known else 0.0)
 
 
-def _heading(told: Any, heading: Any, reference: Any, stddev: float) -> Reading | Rejection:
+def _heading(of_day: Any, heading: Any, reference: Any, stddev: float) -> Reading | Rejection:
     if heading == "":
         return Rejection.NO_HEADING
     if reference != "T":
         return Rejection.NOT_TRUE_NORTH
     if not 0.0 <= heading <= 360.0:
         return Rejection.OUT_OF_RANGE
-    return Heading(_time_ns(told), yaw_of_heading(heading), stddev)
+    return Heading(_time_ns(of_day), yaw_of_heading(heading), stddev)
 
 
 _DECODERS = {"GGA": _gga, "GST": _gst, "RMC": _rmc, "HDT": _hdt, "THS": _ths, "PASHR": _pashr}
@@ -196,9 +196,9 @@ def _number(value: Any) -> float:
     return number if math.isfinite(number) else math.nan
 
 
-def _time_ns(told: Any) -> int | None:
+def _time_ns(of_day: Any) -> int | None:
     """u; None where the receiver does not know it, or in the leap second itself."""
-    if not isinstance(told, time):
+    if not isinstance(of_day, time):
         return None
-    seconds = (told.hour * 60 + told.minute) * 60 + told.second
-    return seconds * _NS_PER_S + told.microsecond * 1000
+    seconds = (of_day.hour * 60 + of_day.minute) * 60 + of_day.second
+    return seconds * _NS_PER_S + of_day.microsecond * 1000

@@ -133,11 +133,6 @@ class Layout:
         """Characters in a decimal line, CR included."""
         return len(encode_line("I", {}, self))
 
-    @property
-    def frame_length(self) -> int:
-        """Bytes in a binary frame, CR included."""
-        return 2 * len(self.channels) + 1
-
 
 @dataclass(frozen=True)
 class Reading:

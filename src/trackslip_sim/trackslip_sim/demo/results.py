@@ -127,18 +127,12 @@ def evaluate(
     slip_error = slip_rmse(slips, moving)
     if of_filter is None or of_encoders is None or slip_error is None:
         return None
-    recorded = {topic: info.count for topic, info in bag.topics.items()}
-    topics = {
-        topic: Counts(emitted.get(topic, 0), received.get(topic, 0), recorded.get(f"/{topic}", 0))
-        for topic in SENSOR_TOPICS
-        if emitted.get(topic)
-    }
     return DemoResult(
         of_filter,
         of_encoders,
         slip_error,
         float(np.sqrt(np.mean(moving.columns("left_slip", "right_slip") ** 2))),
-        topics,
+        _counts(bag, emitted, received),
         result.live,
         truth,
         {"dead_reckoning": encoders, "filter": live},
@@ -149,6 +143,16 @@ def evaluate(
         result.scores.get("filter"),
         (drive_start_ns - bag.start_ns) * 1e-9,
     )
+
+
+def _counts(bag: Bag, emitted: Mapping[str, int], received: Mapping[str, int]) -> dict[str, Counts]:
+    """Of the sensors that have sent anything."""
+    recorded = {topic: info.count for topic, info in bag.topics.items()}
+    return {
+        topic: Counts(emitted[topic], received.get(topic, 0), recorded.get(f"/{topic}", 0))
+        for topic in SENSOR_TOPICS
+        if emitted.get(topic)
+    }
 
 
 def _path(series: Series) -> Path:

@@ -8,12 +8,13 @@ from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.playback import Playback, Played, played
 from trackslip_bags.reader import Bag, absolute
+from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE
 from trackslip_tools.live import inputs
 from trackslip_tools.live.clock import shown_ms
 from trackslip_tools.live.fixes import timeouts_of
 from trackslip_tools.live.state import LiveState
 
-_COMMANDS = ("slip_estimator/set_pose", "slip_estimator/pose_set")  # poses that nobody measured
+_COMMANDS = (SET_POSE, POSE_SET)  # poses that nobody measured
 
 
 def shown_topics(bag: Bag) -> dict[str, str]:
@@ -21,8 +22,8 @@ def shown_topics(bag: Bag) -> dict[str, str]:
     return {
         absolute(topic): info.type_name
         for topic, info in bag.topics.items()
-        if inputs.TYPES.get(topic.removeprefix("/"), inputs.POSE_TYPE) == info.type_name
-        and topic.removeprefix("/") not in _COMMANDS
+        if inputs.TYPES.get(relative(topic), inputs.POSE_TYPE) == info.type_name
+        and relative(topic) not in _COMMANDS
     }
 
 
@@ -51,21 +52,19 @@ class BagFeed:
             return self._state.tick(self._now_s, shown_ms(self._playback.bag_ns))
         newest: dict[str, Played] = {}
         for message in self._playback.due(wall_s):
-            name = message.topic.removeprefix("/")
+            name = relative(message.topic)
             if name in inputs.EVERY_MESSAGE:
-                self._take(message)
+                self._process(message)
             else:
                 newest[message.topic] = message
         for message in newest.values():
-            self._take(message)
+            self._process(message)
         return self._state.tick(self._now_s, shown_ms(self._playback.bag_ns))
 
     @property
     def _now_s(self) -> float:
         return (self._playback.bag_ns - self._bag.start_ns) * 1e-9
 
-    def _take(self, message: Played) -> None:
+    def _process(self, message: Played) -> None:
         found = self._bag.deserialize(message.raw, self._topics[message.topic])
-        self._state.process(
-            message.topic.removeprefix("/"), found, (message.log_time_ns - self._bag.start_ns) * 1e-9
-        )
+        self._state.process(relative(message.topic), found, (message.log_time_ns - self._bag.start_ns) * 1e-9)

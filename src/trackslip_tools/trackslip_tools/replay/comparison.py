@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from trackslip_common.orientations import headings_of, tilts_of
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
 from trackslip_estimation.slip.mounting import quaternion_by
+from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
-from trackslip_tools.replay.series import Rows
 
 WAITING_NS = 2 * HORIZON_NS  # for a partner: the replay may be a horizon behind what is read, and a batch
 TOLERANCE = 1e-9  # between a live and a replayed number

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.scoring import (
     Score,
     errors_of,
@@ -16,7 +17,7 @@ from trackslip_tools.replay.scoring import (
     path_of,
     slip_errors,
 )
-from trackslip_tools.replay.series import Rows, Series, series_of
+from trackslip_tools.replay.series import Series, series_of
 
 FloatArray = NDArray[np.float64]
 

@@ -6,9 +6,8 @@ import numpy as np
 from trackslip_common.vehicle import Kinematics
 from trackslip_tools.replay.dead_reckoning import DeadReckoner, Path
 from trackslip_tools.replay.errors import PathErrors
-from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
+from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows, Rows
 from trackslip_tools.replay.scoring import Score
-from trackslip_tools.replay.series import Rows
 
 _PATH = np.dtype([("stamp_ns", np.int64), ("pose", np.float64, (3,))])
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.series import Rows, Series
+from trackslip_tools.replay.growing import Rows
+from trackslip_tools.replay.series import Series
 
 FloatArray = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from trackslip_estimation.slip.log import stamp_order
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import MEASUREMENT, SPROCKETS
 from trackslip_tools.replay.arrivals import IS_COMMAND, to_measurements
-from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.growing import GrowingRows, Rows
 from trackslip_tools.replay.inputs import InputStream
-from trackslip_tools.replay.series import Rows, Series, SeriesCollector
+from trackslip_tools.replay.series import Series, SeriesCollector
 
 
 class SettledInputs(NamedTuple):

@@ -28,9 +28,9 @@ from trackslip_estimation.soil.records import (
 )
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
-from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.growing import GrowingRows, Rows
 from trackslip_tools.replay.inputs import Logged
-from trackslip_tools.replay.series import Rows, Series, SeriesCollector
+from trackslip_tools.replay.series import Series, SeriesCollector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

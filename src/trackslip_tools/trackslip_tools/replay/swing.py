@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from trackslip_tools.replay.errors import Pairs
-from trackslip_tools.replay.series import Rows
+from trackslip_tools.replay.growing import Rows
 
 
 class SwingErrors:

@@ -7,7 +7,7 @@ import numpy as np
 
 from trackslip_common.orientations import tilts_of
 from trackslip_tools.replay.errors import Pairs
-from trackslip_tools.replay.series import Rows
+from trackslip_tools.replay.growing import Rows
 
 
 class TiltErrors:

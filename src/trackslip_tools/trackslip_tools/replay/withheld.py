@@ -9,9 +9,10 @@ import numpy as np
 
 from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_tools.replay.errors import PathErrors
+from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.inputs import Logged
 from trackslip_tools.replay.scoring import Score
-from trackslip_tools.replay.series import Rows, reduced
+from trackslip_tools.replay.series import reduced
 
 
 @dataclass(frozen=True)

@@ -103,8 +103,8 @@ def _troubles(run: Run) -> Fact:
     name, found = "Stalled or stuck", trouble_spells(run)
     if not found:
         return Fact(name, _NONE, "no hydraulics in the bag")
-    told = troubles_text(found)
-    return Fact(name, "yes", told, State.ATTENTION) if told else Fact(name, "no", "", State.OK)
+    troubles = troubles_text(found)
+    return Fact(name, "yes", troubles, State.ATTENTION) if troubles else Fact(name, "no", "", State.OK)
 
 
 def _soil(run: Run) -> Fact:

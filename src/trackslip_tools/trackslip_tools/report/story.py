@@ -81,13 +81,13 @@ def lost_spells(run: Run) -> dict[str, list[Spell]]:
 
 def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
     """Which track was in which trouble for how long; empty where none was."""
-    told = [
+    reported = [
         f"{WORDS[trouble]}: {side} track {seconds:.1f} s"
         for trouble in (Trouble.STALLED, Trouble.STUCK)
         for side, own in found.items()
         if (seconds := lasting(own, trouble)) > 0.0
     ]
-    return "; ".join(told)
+    return "; ".join(reported)
 
 
 def timeouts_of(run: Run) -> dict[str, float]:

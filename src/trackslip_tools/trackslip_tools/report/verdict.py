@@ -148,13 +148,15 @@ def _slip(run: Run, limits: VerdictLimits) -> Verdict:
 
 
 def _tracks(run: Run, _: VerdictLimits) -> Verdict:
-    """Whether they went round when they were told to, and got the machine on."""
+    """Whether they went round when they were commanded to, and got the machine on."""
     found = trouble_spells(run)
     if not found:
         return _unknown("Neither hydraulics nor estimates of forces: nobody knows whether a track was stuck.")
-    told = troubles_text(found)
-    if told:
-        return _checked(False, told, "Stalled: commanded and under pressure, not turning. Stuck: spinning.")
+    troubles = troubles_text(found)
+    if troubles:
+        return _checked(
+            False, troubles, "Stalled: commanded and under pressure, not turning. Stuck: spinning."
+        )
     return _checked(True, "none", "No track was stalled or getting stuck.")
 
 
