@@ -22,7 +22,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT, SWING_STDDEV_JOINT
 
 FloatArray = NDArray[np.float64]
 R = TypeVar("R")
@@ -97,6 +97,14 @@ class SwingFields(NamedTuple):
 
     stamp_ns: StampNs
     angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
+
+
+class SwingEstimateFields(NamedTuple):
+    """Of sensor_msgs/JointState: angle of the upper structure as it is estimated."""
+
+    stamp_ns: StampNs
+    angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
+    stddev: Annotated[float, Joint("position", SWING_STDDEV_JOINT)]
 
 
 class ImuFields(NamedTuple):

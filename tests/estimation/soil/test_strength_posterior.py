@@ -13,7 +13,7 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.shear_field import (
     Contact,
     Rolling,
-    SlidingError,
+    RollingError,
     carry,
     element_places,
     mobilised,
@@ -32,7 +32,7 @@ SPEED = 0.35  # m/s of the tracks
 MODULUS, LIMIT = 0.01, 3640.0
 STEP = STRENGTH.interval
 NONE = np.zeros(2)
-NO_ERROR = SlidingError(NONE, NONE)
+NO_ERROR = RollingError(NONE, NONE, 0.0)
 
 
 def straight(slip: float, force: float, *, stddev: float = 1e-4, dt: float = STEP) -> Sample:
@@ -90,7 +90,7 @@ def test_an_error_of_the_twist_acts_as_if_it_had_been_so_all_along() -> None:
     rolling, other_rolling = Rolling(twist, tracks), Rolling(twist + error, tracks)
     settled = carry(np.zeros((2, 16, 2)), rolling, contact, 60.0)
     along = error[0] + HALF_TREAD * error[2] * np.array((-1.0, 1.0))
-    shares(settled, rolling, SlidingError(along, error[1:]), contact, moduli, q)
+    shares(settled, rolling, RollingError(along, error[1:], 0.0), contact, moduli, q)
     moved = carry(np.zeros((2, 16, 2)), other_rolling, contact, 60.0)
     shares(moved, other_rolling, NO_ERROR, contact, moduli, other)
     np.testing.assert_allclose(q, other, atol=1e-12)

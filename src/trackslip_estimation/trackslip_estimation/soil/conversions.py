@@ -11,6 +11,7 @@ from trackslip_common.message_fields import (
     HydraulicsFields,
     OdometryFields,
     SlipFields,
+    SwingEstimateFields,
     heading_of,
     read,
     tilt_of,
@@ -23,6 +24,7 @@ from trackslip_estimation.soil.records import (
     PoseWithCovariance,
     Slips,
     SlipSeed,
+    Swing,
     TrackForces,
 )
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
@@ -62,6 +64,11 @@ def slips(message: Any) -> Slips:
     m = read(SlipFields, message)
     motion = _MOTIONS.get(m.motion_state, Motion.UNKNOWN)
     return Slips(m.stamp_ns, np.array((m.left_slip, m.right_slip, m.slip_angle)), motion)
+
+
+def swing(message: Any) -> Swing:
+    """From sensor_msgs/JointState. A joint that is missing reads nan, and is refused."""
+    return Swing(*read(SwingEstimateFields, message))
 
 
 def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
