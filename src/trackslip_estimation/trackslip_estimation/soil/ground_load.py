@@ -51,6 +51,7 @@ GROUND_LOAD = np.dtype(
         ("normal", "f8", 2),  # N_j, N
         ("strength", "f8", 2),  # g_j
         ("strength_variance", "f8", 2),
+        ("swing_variance", "f8"),  # what of it the swing is not known to
         ("lean", "f8"),  # γ 12 x_N/l², 1/m
         ("lean_stddev", "f8"),  # of what the swing is not known to
         ("stretch", "f8"),  # way along the ground over the horizontal one, 1/cos θ
@@ -136,15 +137,15 @@ def set_load(load: Any, centre: Any, sample: Any, p: Any) -> None:
     x_N = x_g + centre.height * math.tan(pitch) / math.cos(roll)
     y_N = y_g - centre.height * math.tan(roll)
     uncertain = centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * sample.tilt_variance[0]
-    uncertain += of_y
     load.stretch = 1.0 / math.cos(pitch)
     load.stretch_stddev = abs(math.tan(pitch)) * math.sqrt(sample.tilt_variance[1])
     load.lean = friction * 12.0 * x_N / vehicle.contact_length**2
     load.lean_stddev = friction * 12.0 * math.sqrt(of_x) / vehicle.contact_length**2
+    per_offset = (2.0 * down * friction / vehicle.tread) ** 2
+    load.swing_variance = per_offset * of_y
     for k in range(2):
         share = 0.5 + (1.0 - 2.0 * k) * y_N / vehicle.tread
         load.normal[k] = weight * down * min(max(share, 0.0), 1.0)
         more = 2.0 * load.normal[k] / weight - 1.0
         load.strength[k] = max(1.0 + friction * more, _LEAST)
-        of_normal = (2.0 * down * friction / vehicle.tread) ** 2 * uncertain
-        load.strength_variance[k] = (spread * more) ** 2 + of_normal
+        load.strength_variance[k] = (spread * more) ** 2 + per_offset * uncertain + load.swing_variance

@@ -109,7 +109,7 @@ class StrengthPosterior:
 
     def _evaluate_turn(self, now: Any, rolling: Rolling) -> SampleOutcome:
         """What slips and thrusts of a turn say of each soil."""
-        p, tracks = self.parameters, rolling.tracks
+        p, tracks, shared = self.parameters, rolling.tracks, self._shared()
         force = np.where(np.abs(tracks) >= p.slowest_track, now["force"], np.nan)
         known = int(np.isfinite(force).sum())
         if not known:
@@ -119,9 +119,9 @@ class StrengthPosterior:
             rolling,
             self._root_of(now["twist_covariance"], tracks),
             force,
-            now["variance"] + p.thrust_stddev**2,
-            p.thrust_share_stddev * math.sqrt(self._shared()),
-            float(now["lean_stddev"]) * math.sqrt(self._shared()),
+            now["variance"] + p.thrust_stddev**2 + (shared - 1.0) * now["swing_variance"],
+            p.thrust_share_stddev * math.sqrt(shared),
+            float(now["lean_stddev"]) * math.sqrt(shared),
         )
         squares = squared_distances(curves_of(turn, self._contact, self.grid.moduli), turn, self.grid.limits)
         self._learn(squares, known, min(float(now["dt"]) / p.correlation_time, 1.0))
