@@ -14,7 +14,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from trackslip_bags.types import CDR_HEADER, CDR_SLACK, field_parts
-from trackslip_common.message_fields import At, Filled, Joint, Place, Stamp, Text
+from trackslip_common.message_reading import At, Filled, Joint, Place, Stamp, Text
 
 Bytes = NDArray[np.uint8]
 IntArray = NDArray[np.int64]

@@ -21,7 +21,7 @@ from trackslip_bags.layout import IrregularError, Layout
 from trackslip_bags.mcap_index import Bytes, IntArray
 from trackslip_bags.reader import Bag, absolute
 from trackslip_common.errors import InputError
-from trackslip_common.message_fields import RecordClass, dtype_of, places_of, read
+from trackslip_common.message_reading import RecordClass, dtype_of, places_of, read
 
 _LAYOUTS = 64  # of one topic; a message of another is read by itself
 
