@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
 from trackslip_msgs.msg import TrackHydraulics, TrackSlip
 
 from trackslip_common.nodes.messages import make
@@ -39,6 +40,8 @@ def message_of(given):
         message.twist.covariance = in_six(given.twist_covariance)
         message.pose.pose = planar_pose_message(make, given.pose.mean)
         message.pose.covariance = in_six(given.pose.covariance)
+    elif isinstance(given, records.Swing):
+        message = JointState(name=["swing", "swing_stddev"], position=[given.angle, given.stddev])
     else:
         left, right, angle = map(float, given.mean)
         message = TrackSlip(left_slip=left, right_slip=right, slip_angle=angle)
@@ -50,13 +53,13 @@ def message_of(given):
 class Machine:
     """The node, driven by this test."""
 
-    def __init__(self, programs, observer):
+    def __init__(self, programs, observer, inputs=INPUTS, **parameters):
         self._observer = observer
-        self._topics = {topic: observer.publisher(topic) for topic in INPUTS}
+        self._topics = {topic: observer.publisher(topic) for topic in inputs}
         self.forces, self.soils = observer.subscribe("track_forces"), observer.subscribe("soil")
         self.healths = observer.healths()
-        self.program = programs.node("soil_estimator")
-        for topic in (*INPUTS, "track_forces", "soil"):
+        self.program = programs.node("soil_estimator", **parameters)
+        for topic in (*inputs, "track_forces", "soil"):
             observer.wait_for_ends(topic, "soil_estimator")
         observer.wait(lambda: observer.state("soil_estimator") == "active", "the node to be active")
 
@@ -104,6 +107,21 @@ def test_the_node_gives_what_the_estimator_gives(programs, observer, inputs):
     assert machine.soils[-1].header.frame_id == "base_link"
     assert sum(machine.soils[-1].class_probabilities) == pytest.approx(1.0)
     machine.until_it_says(DiagnosticStatus.OK, "running")
+
+
+def test_the_node_loads_the_tracks_by_where_the_cab_looks(programs, observer, inputs):
+    """The same resistances as the estimator that gets the swing, and others than without it."""
+    machine = Machine(programs, observer, (*INPUTS, records.SWING), vehicle="pc05_cab")
+    angles = (records.Swing(i.stamp_ns, 1.5, 0.01) for i in inputs if isinstance(i, records.Odometry))
+    swung = [one for i in inputs for one in ((i, next(angles)) if isinstance(i, records.Odometry) else (i,))]
+    machine.feed(swung)
+    estimator = SoilEstimator(load_soil_parameters({"vehicle": "pc05_cab"}))
+    outputs = {o.stamp_ns: o for given in swung for o in estimator.advance(given) if hasattr(o, "thrust")}
+    for message in machine.forces:
+        own = outputs[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
+        assert (message.left_resistance, message.right_resistance) == own.resistance
+    last = machine.forces[-1]
+    assert abs(last.left_resistance) > 1.3 * abs(last.right_resistance)
 
 
 def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs):

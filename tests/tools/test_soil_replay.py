@@ -5,13 +5,20 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from fixtures.swinging_cab import Cab, dig, record
 
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode
 from trackslip_common.soils import soil
+from trackslip_estimation.slip.estimator import SlipEstimator, make_estimate
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.records import to_records
+from trackslip_estimation.soil.records import IS_ODOMETRY, SOIL_INPUT, inputs_of
 from trackslip_tools.cli.main import main
+from trackslip_tools.replay.soil import estimate_inputs
 
 KEYS = {"mu_r", "mu_l", "K", "K_interval", "F_max", "F_max_interval", "identifiable", "classes"}
 
@@ -66,6 +73,24 @@ def test_replay_of_a_bag_with_live_forces_gives_them_again(
     assert found["soil"]["mu_r"] == replayed[1]["soil"]["mu_r"]
     other = summary_of(tmp_path / "live", tmp_path, "--set", "soil_estimator.dynamics.mu_r_walk=0.05")
     assert other["soil"]["replay_matches"] is False
+
+
+@pytest.mark.parametrize("vehicle", ["pc05_cab", "pc05"])
+def test_a_replay_gives_the_soil_estimator_what_it_gets_live(vehicle: str) -> None:
+    """Odometry and slips of every estimate, and the swing where anything sits above."""
+    own = SlipEstimator(load_slip_parameters({"vehicle": vehicle}))
+    records = to_records(record(dig()[:6], Cab(encoder=vehicle == "pc05_cab")).measurements, own.sources)
+    results = own.process_records(records)
+    rows = results["estimate"][results["published"] == 1]
+    live = [given for row in rows for given in inputs_of(make_estimate(row))]
+    wanted = np.zeros(len(live), SOIL_INPUT)
+    for to, given in zip(wanted, live, strict=True):
+        given.write_to(to)
+    found, first = estimate_inputs(rows)
+    assert len(found) == (3 if vehicle == "pc05_cab" else 2) * len(rows) > 200
+    np.testing.assert_array_equal(found, wanted)
+    np.testing.assert_array_equal(found[first]["stamp_ns"], rows["stamp_ns"])
+    assert (found[first]["source"] == IS_ODOMETRY).all()
 
 
 def test_withheld_hydraulics_are_told_and_a_bag_without_them_has_no_soil(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_reading import At, Filled, Joint, RecordClass, Stamp, Text
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT, SWING_STDDEV_JOINT
 
 FloatArray = NDArray[np.float64]
 
@@ -49,6 +49,14 @@ class SwingFields(NamedTuple):
 
     stamp_ns: StampNs
     angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
+
+
+class SwingEstimateFields(NamedTuple):
+    """Of sensor_msgs/JointState: angle of the upper structure as it is estimated."""
+
+    stamp_ns: StampNs
+    angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
+    stddev: Annotated[float, Joint("position", SWING_STDDEV_JOINT)]
 
 
 class ImuFields(NamedTuple):

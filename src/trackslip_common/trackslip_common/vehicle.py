@@ -196,6 +196,12 @@ class VehicleParameters(Parameters):
         return (0.0, 0.0) if upper is None else (upper.swing_axis_x, upper.swing_axis_y)
 
     @property
+    def swing_balance(self) -> float:
+        """How far the centre of gravity goes back as the upper structure turns by π/2, m_u c/m, m."""
+        upper, mass = self.upper_structure, self.mass
+        return 0.0 if upper is None or mass is None else upper.mass * upper.centre_x / mass.mass
+
+    @property
     def lacks(self) -> str:
         """What of a whole machine is not given, in words; empty if nothing."""
         missing = [name for name in ("mass", "hydraulics") if getattr(self, name) is None]

@@ -21,22 +21,38 @@ from trackslip_estimation.soil.ground_load import (
     set_load,
 )
 from trackslip_estimation.soil.parameter_record import record_of
-from trackslip_estimation.soil.shear_field import Contact, Rolling, SlidingError, element_places, shares
+from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, element_places, shares
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.time_synchronizer import SAMPLE
+from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.truth.burden import Burden
+from trackslip_sim.truth.settings import load_settings
 
 P = load_soil_parameters()
 VEHICLE = P.vehicle.whole()
 NUMBERS = record_of(P)[0]
 CENTRE = VEHICLE.centre_of_gravity
-KNOWN = centre_of(VEHICLE)
+KNOWN = centre_of(P.vehicle)
+CAB = load_soil_parameters({"vehicle": "pc05_cab"})
 TILT = st.floats(-0.35, 0.35)
 
 
 def load_at(roll: float, pitch: float, variance: float = 0.0, centre: Any = KNOWN, p: Any = NUMBERS) -> Any:
+    return load_swung(0.0, math.inf, centre, p, ((roll, pitch), (variance, variance)))
+
+
+def load_swung(
+    swing: float,
+    stddev: float,
+    centre: Any = None,
+    p: Any = NUMBERS,
+    tilt: Any = ((0.0, 0.0), (0.0, 0.0)),
+) -> Any:
+    """Of a PC05 with a cab, unless a centre is given."""
     sample, load = np.zeros(1, SAMPLE)[0], np.zeros(1, GROUND_LOAD)[0]
-    sample["tilt"], sample["tilt_variance"] = (roll, pitch), (variance, variance)
-    set_load(load, centre[0], sample, p)
+    sample["tilt"], sample["tilt_variance"] = tilt
+    sample["swing"], sample["swing_stddev"] = swing, stddev
+    set_load(load, (centre_of(CAB.vehicle) if centre is None else centre)[0], sample, p)
     return load
 
 
@@ -97,7 +113,8 @@ def test_without_cohesion_the_strength_goes_with_the_load() -> None:
 
 
 def test_an_unknown_height_widens_what_tracks_bear() -> None:
-    unknown = centre_of(replace(VEHICLE, centre_of_gravity=None))
+    assert P.vehicle.mass is not None
+    unknown = centre_of(replace(P.vehicle, mass=replace(P.vehicle.mass, centre_of_gravity=None)))
     blind, known = load_at(0.2, 0.0, centre=unknown), load_at(0.2, 0.0)
     assert blind["normal"][0] == pytest.approx(blind["normal"][1])
     assert blind["strength_variance"].min() > 4.0 * known["strength_variance"].max()
@@ -107,6 +124,40 @@ def test_an_uncertain_pitch_is_an_uncertain_pull() -> None:
     assert load_at(0.0, 0.1, variance=1e-4)["pull_variance"] == pytest.approx(
         (VEHICLE.weight * math.cos(0.1) * 0.01) ** 2
     )
+
+
+@given(swing=st.floats(-7.0, 7.0))
+def test_a_cab_that_looks_aside_loads_the_tracks_as_the_truth_has_it(swing: float) -> None:
+    load, upper = load_swung(swing, 0.0), CAB.vehicle.upper_structure
+    burden = Burden(load_scenario("field_trial"), CAB.vehicle.whole(), upper, load_settings())
+    _, x_g, y_g, _ = burden.rows(np.array((swing,)), 0, 1)[0]
+    assert load["normal"].sum() == pytest.approx(VEHICLE.weight)
+    moment = 0.5 * VEHICLE.tread * (load["normal"][0] - load["normal"][1])
+    assert moment == pytest.approx(VEHICLE.weight * y_g, abs=1e-9)
+    lean = P.load.friction_share * 12.0 * x_g / VEHICLE.contact_length**2
+    assert load["lean"] == pytest.approx(lean, abs=1e-12)
+    assert load["lean_stddev"] == 0.0
+
+
+@pytest.mark.parametrize("swing", [0.0, 0.7, math.pi / 2, 3.0])
+@pytest.mark.parametrize("stddev", [0.1, 0.8, math.inf])
+def test_a_swing_that_is_not_known_widens_by_what_it_could_be(swing: float, stddev: float) -> None:
+    rng = np.random.default_rng(1)
+    angles = swing + stddev * rng.standard_normal(4000) if stddev < 9.0 else rng.uniform(-np.pi, np.pi, 4000)
+    loads = [load_swung(angle, 0.0) for angle in angles.tolist()]
+    own = load_swung(swing, stddev)
+    for name in ("strength", "lean"):
+        drawn = np.array([load[name] for load in loads])
+        assert own[name] == pytest.approx(drawn.mean(axis=0), abs=0.08 * np.std(drawn) + 1e-3)
+    leans, strengths = (np.array([load[name] for load in loads]) for name in ("lean", "strength"))
+    assert own["lean_stddev"] == pytest.approx(leans.std(), rel=0.05)
+    of_friction = np.square(P.load.friction_share_stddev * (2.0 * own["normal"] / VEHICLE.weight - 1.0))
+    assert own["strength_variance"] - of_friction == pytest.approx(strengths.var(axis=0), rel=0.05)
+
+
+def test_where_nothing_swings_no_angle_moves_the_weight() -> None:
+    for stddev in (0.0, 1.0, math.inf):
+        assert load_swung(2.0, stddev, KNOWN) == load_swung(0.0, 0.0, KNOWN)
 
 
 def test_a_track_pressed_behind_pulls_more_at_the_same_small_slip() -> None:
@@ -123,6 +174,6 @@ def test_a_track_pressed_behind_pulls_more_at_the_same_small_slip() -> None:
             Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed), of),
             np.zeros((2, 1)),
         )
-        shares(j, rolling, SlidingError(np.zeros(2), np.zeros(2)), contact, np.array((0.01,)), q)
+        shares(j, rolling, RollingError(np.zeros(2), np.zeros(2), 0.0), contact, np.array((0.01,)), q)
         pulls.append(float(q[0, 0]))
     assert pulls[1] / pulls[0] == pytest.approx(1.0 - 2.0 * centre / length, rel=5e-3)

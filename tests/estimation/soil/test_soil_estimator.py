@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The soil estimator as a whole: faults are named and held, restarts, warnings, and one order of things."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 
 from trackslip_common.parameters import reloadable
+from trackslip_common.soils import soil
 from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.soil.classes import limit_of
 from trackslip_estimation.soil.pressure_watch import Doubt, PressureFault
-from trackslip_estimation.soil.records import SOIL_INPUT, Hydraulics, SoilInput, TrackForces
+from trackslip_estimation.soil.records import SOIL_INPUT, SOURCES, Hydraulics, SoilInput, TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs
@@ -19,9 +22,27 @@ from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
 
 P = load_soil_parameters()
+CAB = load_soil_parameters({"vehicle": "pc05_cab"})
 SEGMENTS = ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (5.0, 1.0, 2.2), (5.0, 2.0, 2.0))
 BEFORE, FAULT_ENDS = 10.0, 16.0  # s: turning, straight
 Corrupt = Callable[[Hydraulics], Hydraulics | None]
+
+
+# Of a PC05 with a cab: to and fro with turns to both sides, the cab looking to where it is said
+TO_AND_FRO = (
+    *((14.0, 2.0, 2.0), (6.0, 1.0, 2.2), (12.0, -2.0, -2.0), (6.0, -2.2, -1.0), (10.0, 2.0, 2.0)),
+    *((6.0, 2.2, 1.0), (12.0, -2.0, -2.0), (6.0, 2.1, 0.9), (10.0, 2.0, 2.0)),
+)
+
+
+@cache
+def swung(angle: float, stddev: float | None) -> tuple[SoilInput, ...]:
+    """What a machine whose cab looks there is given, on sand; ``stddev`` is that of the swing."""
+    segments = (Segment(8.0, 0.0, 0.0, swing_to=angle), *(Segment(*row) for row in TO_AND_FRO))
+    whole, upper = CAB.vehicle.whole(), CAB.vehicle.upper_structure
+    truth = simulate(Scenario(name="test", soil="sand", segments=segments), vehicle=whole, upper=upper)
+    sensing = Sensing(speed_stddev=0.001, yaw_rate_stddev=0.001, swing_stddev=stddev)
+    return tuple(soil_inputs(truth, whole, load_slip_parameters().motion, sensing))
 
 
 @cache
@@ -125,21 +146,38 @@ def test_outputs_come_on_the_grids_of_their_periods() -> None:
     assert len(outputs) > 180
 
 
-def test_the_outputs_do_not_depend_on_how_the_topics_interleave() -> None:
-    """Hydraulics up to 0.2 s early or late, the halves of the slips in either order."""
-    inputs = given()
+@pytest.mark.parametrize("p", [P, CAB], ids=["pc05", "pc05_cab"])
+def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimatorParameters) -> None:
+    """Hydraulics up to 0.2 s early or late, the halves of the slips in either order, and so a swing."""
+    inputs = given() if p is P else list(swung(1.5, 0.01)[:8000])
     rng = np.random.default_rng(5)
-    delay = dict.fromkeys(range(3), 0.0)
+    delay = dict.fromkeys(range(len(SOURCES)), 0.0)
     keys = []
     for one in inputs:  # each topic stays in order
-        topic = ("odometry", "track_slip", "hydraulics").index(one.source)
+        topic = SOURCES.index(one.source)
         delay[topic] = max(delay[topic], one.stamp_ns * 1e-9 + 0.2 * rng.random())
         keys.append(delay[topic])
     shuffled = [inputs[k] for k in np.argsort(keys, kind="stable")]
     assert [one.source for one in shuffled] != [one.source for one in inputs]
-    wanted, found = run(inputs), run(shuffled)
+    wanted, found = run(inputs, SoilEstimator(p)), run(shuffled, SoilEstimator(p))
     assert len(wanted) - len(found) in (0, 1, 2, 3)  # the end may still wait
     assert [repr(o) for o in found] == [repr(o) for o in wanted[: len(found)]]
+
+
+@pytest.mark.parametrize("angle", [0.5 * math.pi, math.pi], ids=["across", "back"])
+def test_a_cab_that_looks_aside_or_back_is_not_taken_for_another_soil(angle: float) -> None:
+    """F_max without it: 20 % too small across, 4 % too large looking back, and not inside the interval."""
+    true = limit_of(soil("sand"), CAB.vehicle.whole())
+    known, unknown = (run(swung(angle, stddev), SoilEstimator(CAB)) for stddev in (0.01, None))
+    found, wide = (at(outputs, SoilState, 99.0) for outputs in (known, unknown))
+    assert isinstance(found, SoilState)
+    assert isinstance(wide, SoilState)
+    assert found.strength.thrust_limit == pytest.approx(true, rel=0.02)
+    for state in (found, wide):
+        low, high = state.strength.thrust_limit_interval
+        assert low < true < high
+    widths = [math.log(b / a) for a, b in (s.strength.thrust_limit_interval for s in (found, wide))]
+    assert widths[1] > 1.5 * widths[0]
 
 
 @pytest.mark.parametrize("chunk", [7, 1000, 10**6])

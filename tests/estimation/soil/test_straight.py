@@ -85,6 +85,22 @@ def test_a_soil_that_cannot_give_the_thrust_lets_the_tracks_spin() -> None:
     assert expected[8, strong] < 0.02 * 3.5
 
 
+def test_a_load_that_leans_costs_as_much_more_or_less_as_is_stated() -> None:
+    """By what a cab that looks to nobody knows where may lean it."""
+    lean = 0.2  # 1/m
+    costs = []
+    for sign in (0.0, 1.0):
+        straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
+        for _ in range(200):
+            rolling = Rolling(np.array((SPEED, 0.0, 0.0)), np.full(2, SPEED), sign * lean)
+            straight.add(STEP, rolling, 2.0 * FORCE, lean)
+        straight.set_end(pose_at(0.99 * straight.rolled))
+        costs.append(straight.slip_distance())
+    a, b = 10, -1
+    change = costs[1].expected[a, b] / costs[0].expected[a, b] - 1.0
+    assert costs[0].of_lean / costs[0].measured == pytest.approx(change, rel=0.1)
+
+
 @pytest.mark.parametrize("yaw", [0.0, 2.5, np.pi - 0.05])
 def test_the_distance_follows_the_heading(yaw: float) -> None:
     """Around a gentle bend: as long as the arc; and no matter where the angle wraps."""

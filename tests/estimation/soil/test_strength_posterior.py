@@ -13,7 +13,7 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.shear_field import (
     Contact,
     Rolling,
-    SlidingError,
+    RollingError,
     carry,
     element_places,
     mobilised,
@@ -21,6 +21,7 @@ from trackslip_estimation.soil.shear_field import (
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.strength_posterior import SampleOutcome, StrengthPosterior
+from trackslip_estimation.soil.turn_likelihood import Turn, curves_of, squared_distances
 from trackslip_estimation.terramechanics.traction import thrust
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +33,7 @@ SPEED = 0.35  # m/s of the tracks
 MODULUS, LIMIT = 0.01, 3640.0
 STEP = STRENGTH.interval
 NONE = np.zeros(2)
-NO_ERROR = SlidingError(NONE, NONE)
+NO_ERROR = RollingError(NONE, NONE, 0.0)
 
 
 def straight(slip: float, force: float, *, stddev: float = 1e-4, dt: float = STEP) -> Sample:
@@ -90,10 +91,26 @@ def test_an_error_of_the_twist_acts_as_if_it_had_been_so_all_along() -> None:
     rolling, other_rolling = Rolling(twist, tracks), Rolling(twist + error, tracks)
     settled = carry(np.zeros((2, 16, 2)), rolling, contact, 60.0)
     along = error[0] + HALF_TREAD * error[2] * np.array((-1.0, 1.0))
-    shares(settled, rolling, SlidingError(along, error[1:]), contact, moduli, q)
+    shares(settled, rolling, RollingError(along, error[1:], 0.0), contact, moduli, q)
     moved = carry(np.zeros((2, 16, 2)), other_rolling, contact, 60.0)
     shares(moved, other_rolling, NO_ERROR, contact, moduli, other)
     np.testing.assert_allclose(q, other, atol=1e-12)
+
+
+def test_a_lean_that_is_not_known_excuses_a_thrust_that_it_makes() -> None:
+    """To one standard deviation, as any error; without it the thrust would be another soil's."""
+    contact, moduli = Contact(element_places(LENGTH, 16), HALF_TREAD), np.array((MODULUS,))
+    rolling, lean = Rolling(np.array((0.25, -0.01, 0.12)), np.array((0.2, 0.35))), 0.3
+    j, q = carry(np.zeros((2, 16, 2)), rolling, contact, 60.0), np.empty((2, 1))
+    shares(j, rolling, RollingError(NONE, NONE, lean), contact, moduli, q)
+    squares = []
+    for stddev in (0.0, lean):
+        turn = Turn(j, rolling, 1e-6 * np.eye(3), LIMIT * q[:, 0], np.ones(2), 0.0, stddev)
+        squares.append(
+            float(squared_distances(curves_of(turn, contact, moduli), turn, np.array((LIMIT,)))[0, 0])
+        )
+    assert squares[0] > 25.0
+    assert squares[1] == pytest.approx(1.0, rel=0.15)
 
 
 def test_many_short_steps_carry_as_one_long_one() -> None:

@@ -18,6 +18,7 @@ from trackslip_estimation.soil.records import (
     Rejection,
     Slips,
     SoilInput,
+    Swing,
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.time_synchronizer import SAMPLE, add, is_ready, new_synchronizer, pop_oldest
@@ -42,11 +43,15 @@ def hydraulics(ms: int, pressure: float = 0.0) -> Hydraulics:
     return Hydraulics(ms * MS, pressure, -pressure, 0.1, 0.2)
 
 
+def swing(ms: int, angle: float = 0.5) -> Swing:
+    return Swing(ms * MS, angle, 0.01)
+
+
 class Inbox:
     """A synchronizer, and what has come of it."""
 
-    def __init__(self) -> None:
-        self._synchronizer = new_synchronizer()
+    def __init__(self, awaits_swings: bool = False) -> None:
+        self._synchronizer = new_synchronizer(awaits_swings)
 
     @property
     def rejected(self) -> dict[tuple[str, Rejection], int]:
@@ -67,8 +72,8 @@ class Inbox:
         return found
 
 
-def run(*inputs: SoilInput) -> list[np.void]:
-    inbox = Inbox()
+def run(*inputs: SoilInput, awaits_swings: bool = False) -> list[np.void]:
+    inbox = Inbox(awaits_swings)
     return [sample for given in inputs if inbox.add(given) is None for sample in inbox.ready()]
 
 
@@ -99,6 +104,36 @@ def test_every_order_of_arrival_gives_the_same_samples() -> None:
         results.add(tuple((int(s["stamp_ns"]), bool(s["has_pressures"]), *s["pressures"]) for s in found))
     assert len(results) == 1
     assert len(results.pop()) == 2
+
+
+def test_a_swing_is_waited_for_and_is_that_of_the_stamp() -> None:
+    """Whatever comes first; without it the angle may be any."""
+    topics = (
+        [hydraulics(t) for t in (96, 106, 116)],
+        [odometry(t) for t in (100, 110)],
+        [slips(t) for t in (100, 110)],
+        [swing(90, 9.0), swing(100, 0.1), swing(111, 9.0)],
+    )
+    order = [k for k, topic in enumerate(topics) for _ in topic]
+    results = set()
+    rng = np.random.default_rng(3)
+    for _ in range(500):
+        queues, arrangement = [iter(topic) for topic in topics], rng.permutation(order)
+        found = run(*(next(queues[k]) for k in arrangement), awaits_swings=True)
+        results.add(tuple((int(s["stamp_ns"]), s["swing"], s["swing_stddev"]) for s in found))
+    assert results == {((100 * MS, 0.1, 0.01), (110 * MS, 0.0, np.inf))}
+
+
+def test_where_nothing_swings_no_swing_is_waited_for() -> None:
+    found = run(hydraulics(96), odometry(100), slips(100), hydraulics(106))
+    assert stamps(found) == [100]
+
+
+def test_silent_swings_hold_nothing_up_for_longer_than_the_patience() -> None:
+    ticks = [one for t in range(0, 1000, 10) for one in (hydraulics(t), odometry(t), slips(t))]
+    found = run(*ticks, awaits_swings=True)
+    assert stamps(found) == list(range(0, 1000 - round(P.patience * 1e3), 10))
+    assert all(s["has_pressures"] and s["swing_stddev"] == np.inf for s in found)
 
 
 def test_silent_pressures_hold_nothing_up_for_longer_than_the_patience() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``soil_estimator``: odometry, slips and hydraulics in; forces of the tracks and the soil's strength out."""
+"""``soil_estimator``: odometry, slips, swing and hydraulics in; forces of the tracks and the soil out."""
 
 import sys
 import time
@@ -11,7 +11,7 @@ from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_estimation.nodes.soil_health import soil_health
 from trackslip_estimation.soil import conversions
-from trackslip_estimation.soil.records import HYDRAULICS, ODOMETRY, SLIPS, SoilInput
+from trackslip_estimation.soil.records import HYDRAULICS, ODOMETRY, SLIPS, SWING, SoilInput
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import (
     DEFAULT_FILES,
@@ -46,6 +46,8 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         self.subscribe(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
         self.subscribe(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
         self.subscribe(topic_class(SLIPS), SLIPS, self._on_slips)
+        if self.settings.vehicle.swing_balance != 0.0:
+            self.subscribe(topic_class(SWING), SWING, self._on_swing)
 
     def reload(self, values: dict[str, Any]) -> None:
         """The estimator goes on with other values."""
@@ -71,6 +73,9 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
 
     def _on_slips(self, message: Any) -> None:
         self._process(conversions.slips(message))
+
+    def _on_swing(self, message: Any) -> None:
+        self._process(conversions.swing(message))
 
     def _process(self, given: SoilInput) -> None:
         assert self._estimator is not None

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header
-from trackslip_common.message_fields import HydraulicsFields, OdometryFields, SlipFields
+from trackslip_common.message_fields import HydraulicsFields, OdometryFields, SlipFields, SwingEstimateFields
 from trackslip_common.message_reading import read
 from trackslip_common.orientations import heading_of, tilt_of
 from trackslip_estimation.slip.conversions import UNOBSERVED
@@ -18,6 +18,7 @@ from trackslip_estimation.soil.records import (
     PoseWithCovariance,
     Slips,
     SlipSeed,
+    Swing,
     TrackForces,
 )
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
@@ -57,6 +58,11 @@ def slips(message: Any) -> Slips:
     m = read(SlipFields, message)
     motion = _MOTIONS.get(m.motion_state, Motion.UNKNOWN)
     return Slips(m.stamp_ns, np.array((m.left_slip, m.right_slip, m.slip_angle)), motion)
+
+
+def swing(message: Any) -> Swing:
+    """From sensor_msgs/JointState. A joint that is missing reads nan, and is refused."""
+    return Swing(*read(SwingEstimateFields, message))
 
 
 def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:

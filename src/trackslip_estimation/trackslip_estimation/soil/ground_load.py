@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the weight does on a slope: it pulls along the ground, and loads the tracks unevenly. Compiled.
+"""What the weight does: it pulls along a slope, and loads the tracks unevenly there and as it swings.
+
+Compiled.
 
     θ, ϕ         pitch (nose down > 0), roll (left side up > 0)                 rad
-    x_g, y_g, h  centre of gravity in base_link                                 m
+    σ, s         angle of the upper structure, its standard deviation           rad
+    x_0, y_0, h  centre of gravity in base_link, the upper structure forward    m
+    g            how far it goes back as that turns by π/2, m_u c/m             m
+    x_g, y_g     x_0 + g (E[cos σ] - 1), y_0 + g E[sin σ]                       m
     G            m g sin θ, the weight along the tracks, forward                N
     N_j          m g cos θ cos ϕ (½ ± y_N/B): + left, y_N = y_g - h tan ϕ       N
     x_N          x_g + h tan θ/cos ϕ: centre of pressure                        m
@@ -10,6 +15,8 @@
     g_j          F_max of a track over that on level ground: 1 + γ (2 N_j/W - 1)   1
     strength at x ahead of C over its mean: 1 + x γ 12 x_N/l², not below 0
 
+σ is Gaussian: E[cos σ] = k cos σ̂, E[sin σ] = k sin σ̂ with k = e^(-s²/2), and their variances are
+½ (1 - k²) (1 ∓ k² cos 2σ̂). So one that is not known at all, s = ∞, puts x_g and y_g at the swing axis.
 γ = W tan ϕ_s/(A c + W tan ϕ_s); only the sum of both is known, so γ is not: its spread is in that of g_j.
 What acceleration adds to N_j and x_N is left out, for it comes and goes.
 """
@@ -23,12 +30,20 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import GRAVITY, Vehicle
+from trackslip_common.vehicle import GRAVITY, Vehicle, VehicleParameters
 from trackslip_estimation.slip.motion import Motion
 
 _STANDING, _STRAIGHT, _TURNING = int(Motion.STANDING), int(Motion.STRAIGHT), int(Motion.TURNING)
 
-CENTRE = np.dtype([("x", "f8"), ("y", "f8"), ("height", "f8"), ("height_variance", "f8")])  # m, m²
+CENTRE = np.dtype(  # the upper structure forward
+    [
+        ("x", "f8"),  # x_0, m
+        ("y", "f8"),
+        ("height", "f8"),
+        ("height_variance", "f8"),  # m²
+        ("balance", "f8"),  # g, m
+    ]
+)
 GROUND_LOAD = np.dtype(
     [
         ("pull", "f8"),  # G, N
@@ -36,7 +51,9 @@ GROUND_LOAD = np.dtype(
         ("normal", "f8", 2),  # N_j, N
         ("strength", "f8", 2),  # g_j
         ("strength_variance", "f8", 2),
+        ("swing_variance", "f8"),  # what of it the swing is not known to
         ("lean", "f8"),  # γ 12 x_N/l², 1/m
+        ("lean_stddev", "f8"),  # of what the swing is not known to
         ("stretch", "f8"),  # way along the ground over the horizontal one, 1/cos θ
         ("stretch_stddev", "f8"),  # of it, relative
     ]
@@ -69,12 +86,13 @@ BURDEN = np.dtype(  # what the bucket may hold
 _LEAST = 0.05  # of g_j: a track that hardly touches the ground
 
 
-def centre_of(vehicle: Vehicle) -> NDArray[Any]:
+def centre_of(vehicle: VehicleParameters) -> NDArray[Any]:
     """(1,) CENTRE; where it is not given, on the ground below C, give or take half the tread."""
-    centre = vehicle.centre_of_gravity
+    whole, balance = vehicle.whole(), vehicle.swing_balance
+    centre = whole.centre_of_gravity
     if centre is None:
-        return np.array([(0.0, 0.0, 0.0, (0.5 * vehicle.tread) ** 2)], CENTRE)
-    return np.array([(centre.x, centre.y, centre.z, 0.0)], CENTRE)
+        return np.array([(0.0, 0.0, 0.0, (0.5 * whole.tread) ** 2, balance)], CENTRE)
+    return np.array([(centre.x, centre.y, centre.z, 0.0, balance)], CENTRE)
 
 
 def burden_of(vehicle: Vehicle) -> NDArray[Any]:
@@ -99,6 +117,15 @@ def burden_variance(burden: Any, needed: float, p: Any) -> float:
 
 
 @compiled
+def _swung(centre: Any, sample: Any) -> tuple[float, float, float, float]:
+    """x_g and y_g at a SAMPLE, m, and their variances, m²."""
+    g, k = centre.balance, math.exp(-0.5 * sample.swing_stddev**2)
+    cos, sin = k * math.cos(sample.swing), k * math.sin(sample.swing)
+    half, twofold = 0.5 * g * g * (1.0 - k * k), cos * cos - sin * sin
+    return centre.x + g * (cos - 1.0), centre.y + g * sin, half * (1.0 - twofold), half * (1.0 + twofold)
+
+
+@compiled
 def set_load(load: Any, centre: Any, sample: Any, p: Any) -> None:
     """Fill a GROUND_LOAD at a SAMPLE; ``p``: record of SoilEstimatorParameters."""
     vehicle, friction, spread = p.vehicle, p.load.friction_share, p.load.friction_share_stddev
@@ -106,16 +133,19 @@ def set_load(load: Any, centre: Any, sample: Any, p: Any) -> None:
     weight, down = vehicle.mass * GRAVITY, math.cos(pitch) * math.cos(roll)
     load.pull = weight * math.sin(pitch)
     load.pull_variance = (weight * math.cos(pitch)) ** 2 * sample.tilt_variance[1]
-    x_N = centre.x + centre.height * math.tan(pitch) / math.cos(roll)
-    y_N = centre.y - centre.height * math.tan(roll)
+    x_g, y_g, of_x, of_y = _swung(centre, sample)
+    x_N = x_g + centre.height * math.tan(pitch) / math.cos(roll)
+    y_N = y_g - centre.height * math.tan(roll)
     uncertain = centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * sample.tilt_variance[0]
     load.stretch = 1.0 / math.cos(pitch)
     load.stretch_stddev = abs(math.tan(pitch)) * math.sqrt(sample.tilt_variance[1])
     load.lean = friction * 12.0 * x_N / vehicle.contact_length**2
+    load.lean_stddev = friction * 12.0 * math.sqrt(of_x) / vehicle.contact_length**2
+    per_offset = (2.0 * down * friction / vehicle.tread) ** 2
+    load.swing_variance = per_offset * of_y
     for k in range(2):
         share = 0.5 + (1.0 - 2.0 * k) * y_N / vehicle.tread
         load.normal[k] = weight * down * min(max(share, 0.0), 1.0)
         more = 2.0 * load.normal[k] / weight - 1.0
         load.strength[k] = max(1.0 + friction * more, _LEAST)
-        of_normal = (2.0 * down * friction / vehicle.tread) ** 2 * uncertain
-        load.strength_variance[k] = (spread * more) ** 2 + of_normal
+        load.strength_variance[k] = (spread * more) ** 2 + per_offset * uncertain + load.swing_variance

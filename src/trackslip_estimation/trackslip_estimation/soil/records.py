@@ -18,9 +18,10 @@ from trackslip_estimation.slip.motion import Motion
 
 FloatArray = NDArray[np.float64]
 
-HYDRAULICS, ODOMETRY, SLIPS = "hydraulics", "odometry", "track_slip"  # sources: the topics they come on
-SOURCES = (HYDRAULICS, ODOMETRY, SLIPS)
-IS_HYDRAULICS, IS_ODOMETRY, IS_SLIPS = range(3)  # places in it
+# Sources: the topics they come on
+HYDRAULICS, ODOMETRY, SLIPS, SWING = "hydraulics", "odometry", "track_slip", "swing/estimate"
+SOURCES = (HYDRAULICS, ODOMETRY, SLIPS, SWING)
+IS_HYDRAULICS, IS_ODOMETRY, IS_SLIPS, IS_SWING = range(4)  # places in it
 
 VALUES: list[Any] = [
     ("stamp_ns", "i8"),
@@ -34,6 +35,8 @@ VALUES: list[Any] = [
     ("tilt_variance", "f8", 2),
     ("slips", "f8", 3),  # track_slip: left, right, slip angle rad
     ("motion", "i8"),
+    ("swing", "f8"),  # swing/estimate: angle of the upper structure, rad
+    ("swing_stddev", "f8"),  # infinite where it is not known
 ]
 # The source is a place in SOURCES; only the fields of this source are set
 SOIL_INPUT = np.dtype([("source", "i8"), *VALUES])
@@ -115,26 +118,45 @@ class Slips:
         record["slips"], record["motion"] = self.mean, self.motion
 
 
-SoilInput: TypeAlias = Hydraulics | Odometry | Slips
+@dataclass(frozen=True)
+class Swing:
+    """Where the upper structure looks at the same stamp."""
+
+    stamp_ns: int
+    angle: float  # against the undercarriage, counter-clockwise, rad
+    stddev: float
+    source: str = SWING
+
+    def write_to(self, record: Any) -> None:
+        """Set the fields of a ``SOIL_INPUT``."""
+        record["source"], record["stamp_ns"] = IS_SWING, self.stamp_ns
+        record["swing"], record["swing_stddev"] = self.angle, self.stddev
 
 
-def inputs_of(estimate: Estimate) -> tuple[Odometry, Slips]:
+SoilInput: TypeAlias = Hydraulics | Odometry | Slips | Swing
+
+
+def inputs_of(estimate: Estimate) -> tuple[SoilInput, ...]:
     """What the slip estimator publishes of an estimate, as the soil estimator takes it."""
     of, pose = estimate.outputs, PoseWithCovariance(estimate.pose, estimate.pose_covariance)
     tilt, variance = (0.0, 0.0), (0.0, 0.0)
     if of.tilt is not None:
         (roll, pitch, _), (of_roll, of_pitch, _) = of.tilt.tilt.tolist(), np.diag(of.tilt.covariance).tolist()
         tilt, variance = (roll, pitch), (of_roll, of_pitch)
-    return (
+    motion = (
         Odometry(estimate.stamp_ns, of.twist, of.twist_covariance, pose, tilt, variance),
         Slips(estimate.stamp_ns, of.slips, estimate.motion),
     )
+    if of.swing is None:
+        return motion
+    return *motion, Swing(estimate.stamp_ns, of.swing.angle, math.sqrt(of.swing.covariance[0, 0]))
 
 
 @compiled
 def copy_input(source: Any, to: Any) -> None:
     """One ``SOIL_INPUT`` into another; assigned as a whole it would take the compiler seconds."""
     to.source, to.stamp_ns, to.motion = source.source, source.stamp_ns, source.motion
+    to.swing, to.swing_stddev = source.swing, source.swing_stddev
     for k in range(2):
         to.pressures[k], to.spools[k] = source.pressures[k], source.spools[k]
         to.tilt[k], to.tilt_variance[k] = source.tilt[k], source.tilt_variance[k]
@@ -153,6 +175,8 @@ def is_valid(given: Any) -> bool:
         return _are_numbers(given.pressures) and (has_none or _are_numbers(given.spools))
     if given.source == IS_SLIPS:
         return _are_numbers(given.slips)
+    if given.source == IS_SWING:
+        return bool(abs(given.swing) < _LARGEST and 0.0 <= given.swing_stddev < _LARGEST)
     C = given.twist_covariance
     for i in range(3):
         if not (_are_numbers(C[i]) and _are_numbers(given.pose_covariance[i])):

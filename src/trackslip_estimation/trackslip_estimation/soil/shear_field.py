@@ -57,11 +57,12 @@ class Path(NamedTuple):
     middle: FloatArray  # x of the middle of its way, m
 
 
-class SlidingError(NamedTuple):
-    """By how much sliding velocities are off, and were so while the tracks rolled over the soil."""
+class RollingError(NamedTuple):
+    """By how much a ``Rolling`` is off, and was so while the tracks rolled over the soil."""
 
     along: FloatArray  # (2,) of each track's s_x, m/s
     across: FloatArray  # (2,) of v_y and φ̇ in s_y
+    lean: float  # 1/m
 
 
 def element_places(length: float, elements: int) -> FloatArray:
@@ -152,9 +153,9 @@ def carry(j: FloatArray, rolling: Rolling, contact: Contact, dt: float) -> Float
 
 @compiled
 def shares(
-    j: FloatArray, rolling: Rolling, error: SlidingError, contact: Contact, moduli: FloatArray, q: FloatArray
+    j: FloatArray, rolling: Rolling, error: RollingError, contact: Contact, moduli: FloatArray, q: FloatArray
 ) -> None:
-    """Fill q (2, moduli) for sliding velocities that are off by ``error``."""
+    """Fill q (2, moduli) for a rolling that is off by ``error``."""
     x_e, twist = contact.x_e, rolling.twist
     n = len(x_e)
     dx = x_e[0] - x_e[1]
@@ -172,6 +173,6 @@ def shares(
             j_y = j[k, e, 1] + (error.across[0] + error.across[1] * middle) * time
             slid = math.hypot(j_x, j_y)
             share = -s_x / max(math.hypot(s_x, s_y), STILL) / n
-            share *= max(1.0 + rolling.lean * x_e[e], 0.0)
+            share *= max(1.0 + (rolling.lean + error.lean) * x_e[e], 0.0)
             for m in range(len(moduli)):
                 of_track[m] += share * mobilised(slid * per_modulus[m])

@@ -114,7 +114,8 @@ def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
     """At the start."""
     faults = np.zeros(_BRIEF + len(Doubt), np.int64)
     forces = np.zeros(_ROOM, FORCES)
-    return State(initial(p), faults, new_synchronizer(), limits, np.zeros_like(limits), forces)
+    synchronizer = new_synchronizer(awaits_swings=p.vehicle.swing_balance != 0.0)
+    return State(initial(p), faults, synchronizer, limits, np.zeros_like(limits), forces)
 
 
 def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
@@ -122,7 +123,7 @@ def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
     known, motor = np.zeros(1, KNOWN), motor_of(p.vehicle.whole())
     known["motor"], known["thrust"] = motor, unknown_thrust(motor[0])
     known["offsets"], known["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
-    known["centre"], known["burden"] = centre_of(p.vehicle.whole()), burden_of(p.vehicle.whole())
+    known["centre"], known["burden"] = centre_of(p.vehicle), burden_of(p.vehicle.whole())
     known["volumetric_efficiency"] = np.nan
     return known
 

@@ -12,6 +12,8 @@ the turn before, which pulls without any slip, and fresh a contact length later.
 moment is the thrust, and over a straight the distance: from one good position to another the tracks rolled
 farther than the machine came. So each hypothesis drives the straight with the slips that it needs for the
 measured thrusts, and is evaluated by λ alone, which grows almost in proportion to K.
+
+Small slips pull F i l/(2 K) (1 - l lean/6): what the lean of the load errs by, λ errs by l/6 times as much.
 """
 
 import math
@@ -53,6 +55,7 @@ class SlipDistance(NamedTuple):
     measured: float  # λ, m
     expected: FloatArray  # (moduli, limits) λ on each soil of the grid, m
     variance: float  # of the measured, as far as the positions go, m²
+    of_lean: float  # standard deviation of λ by what the lean of the load is not known to, m
 
 
 class Hypotheses:
@@ -80,18 +83,22 @@ class StraightSegment:
         shape = tuple(map(len, hypotheses.soils))
         self._j = np.tile(displacement, (*shape, 1, 1, 1))
         self._expected = np.zeros(shape)
-        self._rolled = self._travelled = self._doubt = 0.0
+        self._rolled = self._travelled = self._doubt = self._leaning = 0.0
 
     @property
     def rolled(self) -> float:
         """Distance of the tracks, m."""
         return abs(self._rolled)
 
-    def add(self, dt: float, rolling: Rolling, thrust: float) -> None:
-        """``dt`` s on, with ``thrust`` of both tracks together. Of the twist, v_x is each hypothesis' own."""
+    def add(self, dt: float, rolling: Rolling, thrust: float, lean_stddev: float = 0.0) -> None:
+        """``dt`` s on, with ``thrust`` of both tracks together. Of the twist, v_x is each hypothesis' own.
+
+        ``lean_stddev``: what the rolling's lean errs by, 1/m.
+        """
         s, distance = self._hypotheses, float(rolling.tracks.mean()) * dt
         self._expected += distance * drive(self._j, rolling, thrust, s.soils, s.contact, dt)
         self._rolled += distance
+        self._leaning += abs(distance) * lean_stddev
 
     def set_end(self, pose: PoseWithCovariance, stretch: float = 1.0, stretch_stddev: float = 0.0) -> None:
         """Be there, as is better known by now: a machine that stands is seen again and again.
@@ -108,7 +115,10 @@ class StraightSegment:
         forward = math.copysign(1.0, self._rolled)
         expected = self._hypotheses.on_grid(forward * self._expected)
         variance = self._start.variance_along() + self._end.variance_along() + self._doubt**2
-        return SlipDistance(forward * (self._rolled - self._travelled), expected, variance)
+        measured = forward * (self._rolled - self._travelled)
+        x_e = self._hypotheses.contact.x_e
+        of_lean = measured * self._leaning / max(self.rolled, STILL) * len(x_e) * (x_e[0] - x_e[1]) / 6.0
+        return SlipDistance(measured, expected, variance, abs(float(of_lean)))
 
 
 class _Pulling(NamedTuple):

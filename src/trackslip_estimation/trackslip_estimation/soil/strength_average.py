@@ -21,7 +21,9 @@ AVERAGE = np.dtype(
         ("twist_covariance", "f8", (3, 3)),
         ("force", "f8", 2),  # N, as it would be on level ground; nan where it is not known
         ("variance", "f8", 2),  # N²
-        ("lean", "f8"),  # see ``ground_load``, as the next two
+        ("swing_variance", "f8", 2),  # what of it is by the swing, and lasts as long as that is not known
+        ("lean", "f8"),  # see ``ground_load``, as the next three
+        ("lean_stddev", "f8"),
         ("stretch", "f8"),
         ("stretch_stddev", "f8"),
         ("motion", "i8"),  # of the last sample in it, as its pose
@@ -81,9 +83,9 @@ def _is_usable(sample: Any) -> bool:
 @compiled
 def clear(average: Any) -> None:
     """An AVERAGE of nothing."""
-    average.dt = average.lean = average.stretch = average.stretch_stddev = 0.0
+    average.dt = average.lean = average.lean_stddev = average.stretch = average.stretch_stddev = 0.0
     for k in range(2):
-        average.tracks[k] = average.force[k] = average.variance[k] = 0.0
+        average.tracks[k] = average.force[k] = average.variance[k] = average.swing_variance[k] = 0.0
     for i in range(3):
         average.twist[i] = 0.0
         for j in range(3):
@@ -96,6 +98,7 @@ def _add(average: Any, sample: Any, thrust: Any, load: Any) -> None:
     dt = sample.dt
     average.dt += dt
     average.lean += dt * load.lean
+    average.lean_stddev += dt * load.lean_stddev
     average.stretch += dt * load.stretch
     average.stretch_stddev += dt * load.stretch_stddev
     for k in range(2):
@@ -104,6 +107,7 @@ def _add(average: Any, sample: Any, thrust: Any, load: Any) -> None:
         average.force[k] += dt * (force if thrust.is_known else math.nan)
         spread = thrust.variance[k] + force**2 * load.strength_variance[k]
         average.variance[k] += dt * spread / load.strength[k] ** 2
+        average.swing_variance[k] += dt * (force / load.strength[k]) ** 2 * load.swing_variance
     for i in range(3):
         average.twist[i] += dt * sample.twist[i]
         for j in range(3):
@@ -116,12 +120,14 @@ def _complete(average: Any, sample: Any) -> None:
     dt = average.dt
     average.motion = sample.motion
     average.lean /= dt
+    average.lean_stddev /= dt
     average.stretch /= dt
     average.stretch_stddev /= dt
     for k in range(2):
         average.tracks[k] /= dt
         average.force[k] /= dt
         average.variance[k] /= dt
+        average.swing_variance[k] /= dt
         likely = 0.0 < average.variance[k] < _LARGEST_THRUST**2 and abs(average.force[k]) < _LARGEST_THRUST
         if not likely:
             average.force[k] = math.nan

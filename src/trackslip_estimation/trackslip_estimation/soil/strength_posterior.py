@@ -101,7 +101,7 @@ class StrengthPosterior:
         self._halted = False
         if straight:
             self._segment = self._segment or StraightSegment(self._hypotheses, before, start)
-            self._segment.add(dt, rolling, thrust)
+            self._segment.add(dt, rolling, thrust, float(now["lean_stddev"]))
             self._segment.set_end(pose, *stretch)
             is_long = self._segment.rolled >= self.parameters.longest_straight
             return self._evaluate_segment() if is_long else outcome
@@ -109,7 +109,7 @@ class StrengthPosterior:
 
     def _evaluate_turn(self, now: Any, rolling: Rolling) -> SampleOutcome:
         """What slips and thrusts of a turn say of each soil."""
-        p, tracks = self.parameters, rolling.tracks
+        p, tracks, shared = self.parameters, rolling.tracks, self._shared()
         force = np.where(np.abs(tracks) >= p.slowest_track, now["force"], np.nan)
         known = int(np.isfinite(force).sum())
         if not known:
@@ -119,8 +119,9 @@ class StrengthPosterior:
             rolling,
             self._root_of(now["twist_covariance"], tracks),
             force,
-            now["variance"] + p.thrust_stddev**2,
-            p.thrust_share_stddev * math.sqrt(self._shared()),
+            now["variance"] + p.thrust_stddev**2 + (shared - 1.0) * now["swing_variance"],
+            p.thrust_share_stddev * math.sqrt(shared),
+            float(now["lean_stddev"]) * math.sqrt(shared),
         )
         squares = squared_distances(curves_of(turn, self._contact, self.grid.moduli), turn, self.grid.limits)
         self._learn(squares, known, min(float(now["dt"]) / p.correlation_time, 1.0))
@@ -135,7 +136,8 @@ class StrengthPosterior:
         if abs(lost.measured) > p.most_straight_slip * segment.rolled:
             return SampleOutcome.GATHERED  # tracks that spin are at the limit of the soil: not K's doing
         bias = p.slip_bias_stddev * segment.rolled
-        variance = lost.variance + p.way_stddev**2 + self._shared() * bias**2
+        lasting = bias**2 + lost.of_lean**2
+        variance = lost.variance + p.way_stddev**2 + self._shared() * lasting
         self._learn((lost.measured - lost.expected) ** 2 / variance, 1, 1.0)
         return SampleOutcome.USED
 

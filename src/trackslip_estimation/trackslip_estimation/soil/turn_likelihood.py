@@ -4,7 +4,7 @@
     q        F/F_max of each track, see ``shear_field``                              1
     U        upper triangular, U Uᵀ the twist's covariance: errors (v_x, v_y, φ̇) = U z
     z        error of v_x alone, the first of them, in its standard deviations       1
-    J        change of q for one standard deviation of either of the others          1
+    J        change of q for one standard deviation of either of the others, or of the load's lean   1
     R        what thrust and model leave open, and F_max² J Jᵀ                       N²
     d²       least z² + (F − F_max q(z))ᵀ R⁻¹ (F − F_max q(z)) over z
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.soil.shear_field import Contact, Rolling, SlidingError, shares
+from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, shares
 
 FloatArray = NDArray[np.float64]
 
@@ -38,13 +38,14 @@ class Turn(NamedTuple):
     force: FloatArray  # (2,) N, nan where it is not known: this leaves its track out
     variance: FloatArray  # (2,) N²
     share_stddev: float  # of F_max, what the model leaves open
+    lean_stddev: float  # 1/m, of the rolling's lean
 
 
 class Curves(NamedTuple):
     """q along z and its slopes, for each K."""
 
     q: FloatArray  # (nodes, 2, moduli)
-    J: FloatArray  # (2, nodes − 1, 2, moduli), between the nodes
+    J: FloatArray  # (3, nodes − 1, 2, moduli), between the nodes
 
 
 @compiled
@@ -52,16 +53,16 @@ def curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
     """For each K what the tracks would pull, with errors of the twist."""
     j, rolling, spread = turn.j, turn.rolling, turn.spread
     nodes, count, half_tread = len(_NODES), len(moduli), contact.half_tread
-    q, J = np.empty((nodes, 2, count)), np.empty((2, nodes - 1, 2, count))
+    q, J = np.empty((nodes, 2, count)), np.empty((3, nodes - 1, 2, count))
     none = np.zeros(2)
     for m in range(nodes):
         along = np.full(2, _NODES[m] * spread[0, 0])
-        shares(j, rolling, SlidingError(along, none), contact, moduli, q[m])
+        shares(j, rolling, RollingError(along, none, 0.0), contact, moduli, q[m])
     high, low = np.empty((2, count)), np.empty((2, count))
     for c in range(2):
         across = spread[1:, c + 1].copy()
-        shares(j, rolling, SlidingError(none, across), contact, moduli, high)
-        shares(j, rolling, SlidingError(none, -across), contact, moduli, low)
+        shares(j, rolling, RollingError(none, across, 0.0), contact, moduli, high)
+        shares(j, rolling, RollingError(none, -across, 0.0), contact, moduli, low)
         for k in range(2):
             along_k = spread[0, c + 1] - spread[2, c + 1] * half_tread * (1.0 - 2.0 * k)
             for m in range(nodes - 1):
@@ -69,6 +70,9 @@ def curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
                 for a in range(count):
                     slope = (q[m + 1, k, a] - q[m, k, a]) * per_metre
                     J[c, m, k, a] = 0.5 * (high[k, a] - low[k, a]) + slope * along_k
+    shares(j, rolling, RollingError(none, none, turn.lean_stddev), contact, moduli, high)
+    shares(j, rolling, RollingError(none, none, -turn.lean_stddev), contact, moduli, low)
+    J[2] = 0.5 * (high - low)
     return Curves(q, J)
 
 
@@ -99,9 +103,10 @@ def squared_distances(curves: Curves, turn: Turn, limits: FloatArray) -> FloatAr
             z, dz = _NODES[m], _NODES[m + 1] - _NODES[m]
             q_left, q_right = q[m, 0, a], q[m, 1, a]
             d_left, d_right = q_left - q[m + 1, 0, a], q_right - q[m + 1, 1, a]
-            J_ll = J[0, m, 0, a] ** 2 + J[1, m, 0, a] ** 2
-            J_rr = J[0, m, 1, a] ** 2 + J[1, m, 1, a] ** 2
+            J_ll = J[0, m, 0, a] ** 2 + J[1, m, 0, a] ** 2 + J[2, m, 0, a] ** 2
+            J_rr = J[0, m, 1, a] ** 2 + J[1, m, 1, a] ** 2 + J[2, m, 1, a] ** 2
             lr = J[0, m, 0, a] * J[0, m, 1, a] + J[1, m, 0, a] * J[1, m, 1, a]
+            lr += J[2, m, 0, a] * J[2, m, 1, a]
             for b in range(len(limits)):
                 ll, rr = variance_left[b] + J_ll, variance_right[b] + J_rr
                 product = ll * rr

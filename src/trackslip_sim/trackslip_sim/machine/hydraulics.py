@@ -14,7 +14,14 @@ import numpy as np
 
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.motion import MotionParameters, MotionState, Speeds, classify
-from trackslip_estimation.soil.records import Hydraulics, Odometry, PoseWithCovariance, Slips, SoilInput
+from trackslip_estimation.soil.records import (
+    Hydraulics,
+    Odometry,
+    PoseWithCovariance,
+    Slips,
+    SoilInput,
+    Swing,
+)
 from trackslip_estimation.soil.tracks import frame_speeds
 from trackslip_sim.truth.record import FloatArray, Truth
 
@@ -34,6 +41,7 @@ class Sensing:
     yaw_rate_stddev: float = 0.003  # rad/s
     position_stddev: float = 0.003  # m
     error_time: float = 0.5  # s, for which errors of the twist and the position last
+    swing_stddev: float | None = None  # rad, as stated with the true swing; None: nobody knows it
 
 
 def soil_inputs(
@@ -61,6 +69,8 @@ def soil_inputs(
         pose = PoseWithCovariance(poses[k] + np.append(astray, 0.0), doubt)
         yield Odometry(stamp_ns, twist, np.diag(np.square(deviations)), pose)
         yield Slips(stamp_ns, np.append(_slips(twist, tracks[k], vehicle), 0.0), state.motion)
+        if sensing.swing_stddev is not None:
+            yield Swing(stamp_ns, float(at.swing[k]), sensing.swing_stddev)
         left, right = sensing.pressure_stddev * rng.standard_normal(2) + sensing.offsets
         yield Hydraulics(
             stamp_ns + _HYDRAULICS_DELAY_NS,

@@ -23,6 +23,7 @@ from trackslip_estimation.soil.records import (
     IS_HYDRAULICS,
     IS_ODOMETRY,
     IS_SLIPS,
+    IS_SWING,
     SOIL_INPUT,
     SlipSeed,
 )
@@ -139,10 +140,11 @@ class SoilRun:
         self._published_ns = int(published_ns[-1])
         before = np.searchsorted(published_ns, np.maximum.accumulate(self._logged_ns))
         ready = int(np.searchsorted(before, len(estimates)))
-        given = np.zeros(ready + 2 * len(estimates), SOIL_INPUT)
+        of_estimates, first = estimate_inputs(estimates)
+        given = np.zeros(ready + len(of_estimates), SOIL_INPUT)
         others = np.ones(len(given), np.bool_)
-        others[2 * before[:ready] + np.arange(ready)] = False
-        given[~others], given[others] = self._waiting[:ready], estimate_inputs(estimates)
+        others[first[before[:ready]] + np.arange(ready)] = False
+        given[~others], given[others] = self._waiting[:ready], of_estimates
         self._waiting, self._logged_ns = self._waiting[ready:], self._logged_ns[ready:]
         self._feed(given)
 
@@ -162,19 +164,24 @@ def _reading_inputs(rows: Rows) -> Rows:
     return found
 
 
-def estimate_inputs(estimates: Rows) -> Rows:
-    """(2 n,) SOIL_INPUT, of each of (n,) ESTIMATE the odometry and the slips."""
-    found = np.zeros((len(estimates), 2), SOIL_INPUT)
+def estimate_inputs(estimates: Rows) -> tuple[Rows, IntArray]:
+    """(m,) SOIL_INPUT: odometry, slips and known swing of each of (n,) ESTIMATE; (n,) places of the first."""
+    found = np.zeros((len(estimates), 3), SOIL_INPUT)
     found["stamp_ns"] = estimates["stamp_ns"][:, np.newaxis]
-    odometry, slips = found[:, 0], found[:, 1]
-    odometry["source"], slips["source"] = IS_ODOMETRY, IS_SLIPS
+    odometry, slips, swing = found[:, 0], found[:, 1], found[:, 2]
+    odometry["source"], slips["source"], swing["source"] = IS_ODOMETRY, IS_SLIPS, IS_SWING
     for name in ("twist", "twist_covariance", "pose", "pose_covariance"):
         odometry[name] = estimates[name]
     tilt = estimates["tilt"]  # all zero where it is not known
     odometry["tilt"] = tilt["tilt"][:, :2]
     odometry["tilt_variance"] = np.diagonal(tilt["covariance"], axis1=1, axis2=2)[:, :2]
     slips["slips"], slips["motion"] = estimates["slips"], estimates["motion"]
-    return found.ravel()
+    swing["swing"] = estimates["swing"]["angle"]
+    swing["swing_stddev"] = np.sqrt(estimates["swing"]["covariance"][:, 0, 0])
+    there = np.ones(found.shape, np.bool_)
+    there[:, 2] = estimates["swing"]["known"] == 1
+    counts = there.sum(axis=1)
+    return found[there], np.cumsum(counts) - counts
 
 
 def _classes(table: TopicTable) -> dict[int, FloatArray]:

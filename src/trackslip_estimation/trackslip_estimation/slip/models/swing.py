@@ -87,11 +87,9 @@ def constants(p: SwingParameters, vehicle: VehicleParameters) -> tuple[float, ..
     drive = vehicle.upper_structure.drive if vehicle.upper_structure is not None else None
     rate, acceleration = (p.rate, p.acceleration) if drive is None else (drive.rate, drive.acceleration)
     density, held_time = acceleration**2 * p.acceleration_time, rate / acceleration
-    upper, mass, balance = vehicle.upper_structure, vehicle.mass, 0.0
-    if upper is not None and mass is not None:
-        balance = upper.mass * upper.centre_x / mass.mass
     free_time, held_density = 2.0 * rate**2 / density, 2.0 * p.held_rate**2 / held_time
-    return rate, density, free_time, held_density, held_time, balance, p.balance_error**2
+    of_motion = rate, density, free_time, held_density, held_time
+    return *of_motion, vehicle.swing_balance, p.balance_error**2
 
 
 @compiled
