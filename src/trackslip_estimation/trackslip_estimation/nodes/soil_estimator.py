@@ -43,9 +43,9 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         if self._estimator is None:
             self.get_logger().warning(f"{self.settings.vehicle.lacks}: {NOTHING}")
             return
-        self.subscribe(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
-        self.subscribe(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
-        self.subscribe(topic_class(SLIPS), SLIPS, self._on_slips)
+        self.subscribe_packed(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
+        self.subscribe_packed(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
+        self.subscribe_packed(topic_class(SLIPS), SLIPS, self._on_slips)
 
     def reload(self, values: dict[str, Any]) -> None:
         """The estimator goes on with other values."""
