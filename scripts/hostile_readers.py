@@ -25,7 +25,7 @@ from trackslip_estimation.box.parameters import DEFAULT_FILES as BOX_FILES
 from trackslip_estimation.box.parameters import NODE as BOX_NODE
 from trackslip_estimation.box.parameters import BoxNodeParameters
 from trackslip_estimation.box.quarters import CERTAIN, Headings, SideEvidence
-from trackslip_estimation.box.track import Track
+from trackslip_estimation.box.track import Kept, Track
 from trackslip_estimation.box.track_file import TrackFile, track_text
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import meaning
@@ -238,14 +238,14 @@ def track(_: Path) -> Reader:
     p = load_parameters(BoxNodeParameters, BOX_NODE, BOX_FILES)
     headings = Headings(CERTAIN, SideEvidence())
     begun = Track.begun(10**18, np.array((1.0, 2.0, 0.3)), np.array((0.01, 0.01, 0.001)), headings, p)
-    seed = track_text(begun.predicted(10**18 + 10**9, p)).encode()
+    seed = track_text(Kept(begun.predicted(10**18 + 10**9, p), 10**18 + 2 * 10**9)).encode()
 
     def read(path: Path) -> None:
         file = TrackFile(str(path))
         kept = file.read()
         if kept is None:
             raise InputError(file.failure)
-        assert np.isfinite(kept.expectation(kept.stamp_ns + 10**9, p).pose).all()
+        assert np.isfinite(kept.track.expectation(kept.scan_ns + 10**9, p).pose).all()
 
     return Reader([seed], read, ".json")
 

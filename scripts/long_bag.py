@@ -30,16 +30,17 @@ from trackslip_common.message_fields import (
     PoseFields,
     ReportFields,
     SprocketFields,
-    heading_of,
-    read,
 )
-from trackslip_common.topics import TOPICS
+from trackslip_common.message_reading import read
+from trackslip_common.orientations import heading_of
+from trackslip_common.topics import ODOMETRY, TOPICS, TRACK_SLIP
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import make_step
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_tools.replay.inputs import ODOMETRY, REPORTS, TRACK_SLIP
+from trackslip_tools.replay.inputs import REPORTS
 from trackslip_tools.replay.output import message_of
-from trackslip_tools.replay.run import Part, replay
+from trackslip_tools.replay.parts import Part
+from trackslip_tools.replay.run import replay
 
 _STAMP, _POSITIONS, _NUMBER = Struct("<iI"), Struct("<2d"), Struct("<Q")
 _XY, _Q = Struct("<2d"), Struct("<4d")

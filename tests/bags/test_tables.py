@@ -18,8 +18,9 @@ from trackslip_bags.tables import TopicTable, read_tables
 from trackslip_bags.types import ensure
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
-from trackslip_common.message_fields import RECORDS, PoseFields, SprocketFields, places_of
-from trackslip_common.message_fields import read as read_record
+from trackslip_common.message_fields import RECORDS, PoseFields, SprocketFields
+from trackslip_common.message_reading import places_of
+from trackslip_common.message_reading import read as read_record
 
 JOINTS, IMU, REPORT = (
     "sensor_msgs/msg/JointState",

@@ -4,127 +4,24 @@
 import itertools
 import math
 import os
-import threading
 import time
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pytest
-from fixtures.excavator_bus import FRAMES
-
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
-from trackslip_drivers.protocols.watson import BITS_PER_CHAR, Layout
-from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
-from trackslip_drivers.sick_parameters import SickParameters
-from trackslip_drivers.transports.can_bus import CanBus
-from trackslip_drivers.watson_parameters import WatsonParameters
-from trackslip_sim.devices.can_device import CanDevice
-from trackslip_sim.devices.line import BaudLine
-from trackslip_sim.devices.pty_port import PtyPort
-from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
-from trackslip_sim.devices.watson_device import INITIALISATION_NS, WatsonDevice
-
-MULTICAST = "239.74.163.2"
-G = 9.80665
-SPEED = (1.5, -0.5)  # rad/s of the sprockets
-RATE = -0.25  # rad/s about z
-FIELD = (2.5e-5, 0.0, -5.1e-5)  # T
-STEP = 0.002  # s
-
-
-class Powered:
-    """A device that lives in a thread of its own, plugged in and out at will."""
-
-    def __init__(self, plug_in):
-        self._plug_in = plug_in
-        self.unplug_it = None
-
-    def plug(self):
-        self._stop = threading.Event()
-        step, self.unplug_it = self._plug_in()
-        self._thread = threading.Thread(target=self._live, args=(step,))
-        self._thread.start()
-
-    def unplug(self):
-        if self.unplug_it is not None:
-            self._stop.set()
-            self._thread.join()
-            self.unplug_it()
-            self.unplug_it = None
-
-    def _live(self, step):
-        while not self._stop.wait(STEP):
-            step(time.time_ns())
-
-
-def defaults(cls, node):
-    return from_flat(cls, node_defaults(node, f"{node}.yaml"), node)
-
-
-def plug_watson(path, over_range=False):
-    p = defaults(WatsonParameters, "watson_imu")
-    line = BaudLine(p.serial_baud, BITS_PER_CHAR)
-    layout = Layout(p.channels, p.formats, p.full_scales)
-    begin_ns = time.time_ns() - INITIALISATION_NS  # it was switched on some time ago
-    device = WatsonDevice(layout, line, partial(at_rest, over_range=over_range), True, begin_ns)
-    port = PtyPort(path)
-
-    def step(now_ns):
-        device.receive(port.read(), now_ns)
-        port.write(device.step(now_ns))
-
-    return step, port.close
-
-
-def at_rest(stamp_ns, over_range):
-    return ImuSample(stamp_ns, (0.0, 0.0, G), (0.0, 0.0, RATE), FIELD, over_range)
-
-
-def plug_sick(path, model="pls", status=MappingProxyType({"byte": 0})):
-    start = SickDeviceParameters(boot_delay=0.2, power_on_baud=9600)
-    parameters = replace(defaults(SickParameters, "sick_pls"), model=model)
-    device = SickDevice(parameters, start, yard, time.time_ns())
-    port = PtyPort(path)
-
-    def step(now_ns):
-        device.status = status["byte"]
-        device.receive(port.read(), now_ns, port.baud)
-        sent = device.step(now_ns)
-        if port.baud == device.baud:
-            port.write(sent)
-
-    return step, port.close
-
-
-def yard(stamp_ns):
-    """(361,) m: stairs, and nothing to see at the end."""
-    ranges = 2.0 + 0.02 * np.arange(361)
-    ranges[340:] = np.inf
-    return ranges
-
-
-def plug_can(port):
-    begin_ns = time.time_ns()
-
-    def sprockets(stamp_ns):
-        t = (stamp_ns - begin_ns) * 1e-9
-        return SprocketSample(stamp_ns, SPEED[0] * t, SPEED[1] * t, *SPEED)
-
-    def hydraulics(stamp_ns):
-        return HydraulicsSample(stamp_ns, 4.0e6, -2.0e6, 0.5, -0.25, 18.0e6)
-
-    device = CanDevice(FRAMES, sprockets, hydraulics, begin_ns)
-    bus = CanBus("udp_multicast", MULTICAST, {"port": port})
-
-    def step(now_ns):
-        for frame in device.step(now_ns):
-            bus.write(frame)
-
-    return step, bus.close
+from fixtures.plugged_devices import (
+    FIELD,
+    MULTICAST,
+    RATE,
+    SPEED,
+    G,
+    Powered,
+    plug_can,
+    plug_sick,
+    plug_watson,
+    yard,
+)
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes of a driving graph are killed or held, and started again as a launch file would do it."""
 
+import json
 import os
 import random
 import signal
@@ -20,11 +21,27 @@ WHOLE_AGAIN_S = 10.0
 HELD_S = 5.0
 WORST_SIGMAS = 4.0
 DRIVE_S = 3600.0  # the longest there is
+AHEAD = (
+    (4, 0.0, 0.0),
+    (10, 2.0, 2.0),
+    (6, 1.2, 2.2),
+    (8, 2.0, 2.0),
+    (7, 2.2, 1.2),
+    (4, 1.9, 1.9),
+    (3, 0.0, 0.0),
+)
 VICTIMS = (
     *("can_driver", "watson_imu", "sick_pls"),
     *("box_localizer", "slip_estimator", "soil_estimator", "record"),
 )
 OUTPUTS = ("sprockets", "imu/data_raw", "scan", "box_pose", "odometry", "soil")
+
+
+def to_and_fro():
+    """A drive that comes back to where it began, and so stays in the laser's sight however long it is."""
+    back = [(duration, -left, -right) for duration, left, right in reversed(AHEAD)]
+    segments = [dict(zip(("duration", "left", "right"), row, strict=True)) for row in (*AHEAD, *back)]
+    return json.dumps({"name": "to_and_fro", "soil": "sand", "segments": segments})
 
 
 @dataclass(frozen=True)
@@ -54,9 +71,9 @@ class Graph:
         self._heard = {topic: observer.subscribe(topic) for topic in OUTPUTS}
         self._truth, self._healths = observer.subscribe("truth/odometry"), observer.healths()
         self.estimates = self._heard["odometry"]
-        programs.node(
-            "emulator", scenario="field_trial", duration=DRIVE_S, device_directory=str(devices), **can
-        )
+        drive = programs.folder / "to_and_fro.yaml"
+        drive.write_text(to_and_fro(), encoding="utf-8")
+        programs.node("emulator", scenario=str(drive), duration=DRIVE_S, device_directory=str(devices), **can)
         observer.wait(lambda: (devices / "sick").exists(), "the devices")
         self._running = {name: self._start(name) for name in VICTIMS}
         self.wait_until_whole("the start", 60.0)

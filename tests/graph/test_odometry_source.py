@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera's odometry beside the sprockets, live: taken, counted, recorded, and replayed bit for bit."""
+"""A camera's odometry beside the sprockets, live: used, counted, recorded, and replayed bit for bit."""
 
 import json
 

@@ -17,8 +17,8 @@ from trackslip_common.message_fields import (
     OrientationFields,
     SprocketFields,
     SwingFields,
-    read,
 )
+from trackslip_common.message_reading import read
 from trackslip_common.nodes.messages import fields_of, make, message_class, packed_topic
 from trackslip_common.packed import PackedMessage
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, TOPICS

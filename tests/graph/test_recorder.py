@@ -243,6 +243,9 @@ def test_topics_of_others_are_recorded_by_expression(programs, observer):
     plain.publish(String(data="rain"))
     recorder.wait(lambda: recorder.count("site/note") and recorder.count("site/plan"), "both")
     assert recorder.program.end()[0] == 0
+    shown = recorder.program.stderr
+    assert "[INFO] writing " in shown
+    assert max(map(len, shown.splitlines())) <= 80, shown
     with open_bag(recorder.path) as bag:
         texts = {
             m.topic: bag.deserialize(m.raw, m.type_name).data

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trackslip_common.topics import ODOMETRY
 from trackslip_tools.replay.comparison import WAITING_NS, LiveComparer, LiveComparison
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import Rows
@@ -33,7 +34,7 @@ def odometry(stamps: Any, **changes: Any) -> Rows:
 def compared(live: Rows, replayed: Rows, pieces: int = 1, **counts: Any) -> LiveComparison:
     comparer = LiveComparer()
     for one, other in zip(np.array_split(live, pieces), np.array_split(replayed, pieces), strict=True):
-        comparer.add_odometry(one, other)
+        comparer.add(ODOMETRY, one, other)
     return comparer.result(JournalCounts(**counts))
 
 
@@ -95,9 +96,9 @@ def test_pieces_are_compared_as_the_whole_is(pieces: int) -> None:
 def test_memory_is_bounded_where_one_side_is_missing() -> None:
     comparer = LiveComparer()
     for k in range(0, 100_000, 1000):
-        comparer.add_odometry(odometry(range(k, k + 1000)), odometry([]))
-    assert comparer._odometry._live is not None
-    assert len(comparer._odometry._live) <= WAITING_NS // STEP_NS + 1
+        comparer.add(ODOMETRY, odometry(range(k, k + 1000)), odometry([]))
+    assert comparer._compared[ODOMETRY]._live is not None
+    assert len(comparer._compared[ODOMETRY]._live) <= WAITING_NS // STEP_NS + 1
     assert comparer.result(JournalCounts()).unmatched == 100_000
 
 
@@ -108,5 +109,5 @@ def test_a_replay_that_waits_for_its_whole_horizon_finds_its_partners() -> None:
     comparer = LiveComparer()
     for end in range(batch, len(rows) + behind + batch, batch):
         replayed = rows[max(end - behind - batch, 0) : max(end - behind, 0)]
-        comparer.add_odometry(rows[end - batch : end], replayed)
+        comparer.add(ODOMETRY, rows[end - batch : end], replayed)
     assert comparer.result(JournalCounts()).matches

@@ -13,7 +13,8 @@ from trackslip_bags.input_filters import InputFilters, Thin, Withhold
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
-from trackslip_common.message_fields import OdometryFields, dtype_of
+from trackslip_common.message_fields import OdometryFields
+from trackslip_common.message_reading import dtype_of
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import (
     RESET,

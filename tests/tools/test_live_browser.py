@@ -44,14 +44,14 @@ class Machine:
         began = time.monotonic()
         while not self._over.wait(PERIOD):
             now_s = time.monotonic() - began
-            self.state.take("odometry", messages.odometry(0.4 * now_s, 0.02 * now_s**2), now_s)
-            self.state.take("track_slip", messages.track_slip(0.2, -0.02, 3), now_s)
-            self.state.take("soil", messages.soil(**{EVIL: 0.7, "clay": 0.3}), now_s)
-            self.state.take("box_pose", messages.fix(0.4 * now_s, 0.0), now_s)
+            self.state.process("odometry", messages.odometry(0.4 * now_s, 0.02 * now_s**2), now_s)
+            self.state.process("track_slip", messages.track_slip(0.2, -0.02, 3), now_s)
+            self.state.process("soil", messages.soil(**{EVIL: 0.7, "clay": 0.3}), now_s)
+            self.state.process("box_pose", messages.fix(0.4 * now_s, 0.0), now_s)
             for node, level in ((self.name, 0), (f"sick {EVIL}", 2)):
                 if node not in self.quiet:
                     status = messages.diagnostics(node, level, f"reason {EVIL}", **{"rate (Hz)": "100.0"})
-                    self.state.take("diagnostics", status, now_s)
+                    self.state.process("diagnostics", status, now_s)
             self.server.push(self.state.tick(now_s, 1e3 * time.time()))
 
 

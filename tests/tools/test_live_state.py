@@ -35,8 +35,8 @@ def drive(state: LiveState, ticks: int, speed: float = 0.4) -> list[Any]:
     frames = []
     for k in range(ticks):
         now_s = PERIOD * k
-        state.take("odometry", messages.odometry(speed * now_s, 0.0), now_s)
-        state.take("track_slip", messages.track_slip(0.2, -0.02), now_s)
+        state.process("odometry", messages.odometry(speed * now_s, 0.0), now_s)
+        state.process("track_slip", messages.track_slip(0.2, -0.02), now_s)
         frames.append(as_json(state.tick(now_s, 1000.0 * now_s)))
     return frames
 
@@ -65,8 +65,8 @@ def test_before_the_first_frame_there_is_nothing_to_show(state: LiveState) -> No
 
 
 def test_at_rest_slips_mean_nothing(state: LiveState) -> None:
-    state.take("odometry", messages.odometry(0.0, 0.0), 0.0)
-    state.take("track_slip", messages.track_slip(0.5, 0.5, motion_state=1), 0.0)
+    state.process("odometry", messages.odometry(0.0, 0.0), 0.0)
+    state.process("track_slip", messages.track_slip(0.5, 0.5, motion_state=1), 0.0)
     frame = as_json(state.tick(0.0, 0.0))
     assert frame["row"][LEFT_SLIP] == [None, None, None]
     assert frame["facts"]["motion"] == "standing"
@@ -81,20 +81,20 @@ def test_what_is_old_is_shown_no_more(state: LiveState) -> None:
 def test_the_vehicle_that_a_message_names_is_drawn(state: LiveState) -> None:
     small = as_json(drive(state, 1)[-1])["outlines"]["machine"]
     text = vehicle_text(load_vehicle("excavator_20t"))
-    state.take("vehicle", make("std_msgs/msg/String", data=text), 0.0)
+    state.process("vehicle", make("std_msgs/msg/String", data=text), 0.0)
     frame = drive(state, 1)[-1]
     assert frame["facts"]["vehicle"] == "excavator_20t"
     assert np.ptp(frame["outlines"]["machine"][0]) > 2.0 * np.ptp(small[0])
 
 
 def test_a_vehicle_that_is_none_is_an_event(state: LiveState) -> None:
-    state.take("vehicle", make("std_msgs/msg/String", data="}{"), 0.0)
+    state.process("vehicle", make("std_msgs/msg/String", data="}{"), 0.0)
     assert "vehicle" in drive(state, 1)[-1]["events"][0][-1]
 
 
 def test_soil_and_fixes_are_shown(state: LiveState) -> None:
-    state.take("soil", messages.soil(sand=0.7, clay=0.2, loam=0.06, peat=0.04), 0.0)
-    state.take("box_pose", messages.fix(1.0, 2.0), 0.0)
+    state.process("soil", messages.soil(sand=0.7, clay=0.2, loam=0.06, peat=0.04), 0.0)
+    state.process("box_pose", messages.fix(1.0, 2.0), 0.0)
     frame = as_json(state.tick(0.0, 0.0))
     assert frame["classes"] == [["sand", 0.7], ["clay", 0.2], ["loam", 0.06]]
     assert frame["new_fixes"] == [[1.0, 2.0]]
@@ -111,26 +111,26 @@ def parameters(**named: float) -> Any:
 
 @pytest.mark.parametrize("source", ["reference_pose", "rtk"])
 def test_fixes_of_any_source_are_drawn(state: LiveState, source: str) -> None:
-    state.take("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
+    state.process("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
     assert source in state.pose_sources
-    state.take(source, messages.fix(3.0, 4.0), 0.0)
+    state.process(source, messages.fix(3.0, 4.0), 0.0)
     assert as_json(state.tick(0.0, 0.0))["new_fixes"] == [[3.0, 4.0]]
 
 
 def test_a_source_that_falls_silent_is_a_lost_fix_and_then_one_that_is_back(state: LiveState) -> None:
-    state.take("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
+    state.process("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
     told = []
     for now_s in (0.0, 1.9, 2.1, 9.0, 12.0):
         if now_s in (0.0, 12.0):
-            state.take("rtk", messages.fix(0.0, 0.0), now_s)
+            state.process("rtk", messages.fix(0.0, 0.0), now_s)
         told += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]
     assert told == [(2.1, "fix lost: rtk"), (12.0, "fix back: rtk")]
 
 
 def test_a_lost_fix_is_left_to_the_estimator_where_it_speaks(state: LiveState) -> None:
-    state.take("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
-    state.take("rtk", messages.fix(0.0, 0.0), 0.0)
-    state.take("diagnostics", messages.diagnostics("slip_estimator"), 3.0)
+    state.process("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
+    state.process("rtk", messages.fix(0.0, 0.0), 0.0)
+    state.process("diagnostics", messages.diagnostics("slip_estimator"), 3.0)
     assert state.tick(3.0, 0.0)["events"] == []
 
 
@@ -139,19 +139,19 @@ def test_a_lost_fix_is_left_to_the_estimator_where_it_speaks(state: LiveState) -
 )
 def test_parameters_that_are_none_change_nothing(state: LiveState, text: str) -> None:
     known = state.pose_sources
-    state.take("slip_estimator/parameters", make("std_msgs/msg/String", data=text), 0.0)
+    state.process("slip_estimator/parameters", make("std_msgs/msg/String", data=text), 0.0)
     assert state.pose_sources == known
     as_json(state.tick(0.0, 0.0))
 
 
 def test_a_place_too_far_to_be_rounded_is_not_drawn(state: LiveState) -> None:
-    state.take("odometry", messages.odometry(0.0, 1e307), 0.0)
+    state.process("odometry", messages.odometry(0.0, 1e307), 0.0)
     assert as_json(state.tick(0.0, 0.0))["outlines"]["machine"] == [[], []]
 
 
 def test_a_message_of_another_type_is_refused(state: LiveState) -> None:
     with pytest.raises(AttributeError):
-        state.take("odometry", messages.soil(), 0.0)
+        state.process("odometry", messages.soil(), 0.0)
 
 
 @given(
@@ -162,18 +162,18 @@ def test_whatever_numbers_and_texts_come_frames_are_json(values: list[float], te
     state = LiveState(text, load_vehicle())
     odometry = messages.odometry(values[0], values[1], values[2], values[3])
     odometry.pose.pose.orientation.z = values[4]
-    state.take("odometry", odometry, 0.0)
-    state.take("track_slip", messages.track_slip(values[5], values[6]), 0.0)
-    state.take("soil", messages.soil(**{text: values[7]}), 0.0)
-    state.take("box_pose", messages.fix(values[0], values[5]), 0.0)
+    state.process("odometry", odometry, 0.0)
+    state.process("track_slip", messages.track_slip(values[5], values[6]), 0.0)
+    state.process("soil", messages.soil(**{text: values[7]}), 0.0)
+    state.process("box_pose", messages.fix(values[0], values[5]), 0.0)
     attitude = make("sensor_msgs/msg/Imu", orientation_covariance=np.full(9, values[3]))
     attitude.orientation.x = values[6]
-    state.take("attitude", attitude, 0.0)
+    state.process("attitude", attitude, 0.0)
     swing = make("sensor_msgs/msg/JointState", name=["swing"], position=[values[7]])
-    state.take("swing", swing, 0.0)
-    state.take("diagnostics", messages.diagnostics(text, 2, text, **{"rate (Hz)": str(values[2])}), 0.0)
+    state.process("swing", swing, 0.0)
+    state.process("diagnostics", messages.diagnostics(text, 2, text, **{"rate (Hz)": str(values[2])}), 0.0)
     for topic in ("vehicle", "slip_estimator/parameters"):
-        state.take(topic, make("std_msgs/msg/String", data=text), 0.0)
+        state.process(topic, make("std_msgs/msg/String", data=text), 0.0)
     as_json(state.tick(0.0, 0.0))
     as_json(state.whole())
 

@@ -13,6 +13,7 @@ import pytest
 from trackslip_bags.messages import header, make
 from trackslip_common.errors import ExitCode
 from trackslip_common.message_fields import ForceFields, SoilFields
+from trackslip_common.topics import FORCES, SOIL, TRUE_SOIL
 from trackslip_tools.cli.main import main
 from trackslip_tools.report.ground_panels import ground_panels
 from trackslip_tools.report.limits import load_limits
@@ -22,7 +23,7 @@ from trackslip_tools.report.outlines import boxes, ellipses
 from trackslip_tools.report.page import render
 from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
 from trackslip_tools.report.path_plot import path_plot
-from trackslip_tools.report.recording import FORCES, SOIL, TRUE_SOIL, Timing
+from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.tables import differing, parameter_rows, topic_rows
 

@@ -19,7 +19,8 @@ from trackslip_estimation.slip.records import POSE, RESULT, SPROCKETS
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay.arrivals import ARRIVAL
 from trackslip_tools.replay.comparison import LiveComparison
-from trackslip_tools.replay.run import KEPT, Part, Replay
+from trackslip_tools.replay.parts import Part
+from trackslip_tools.replay.result import KEPT, Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.withheld import Withheld
 from trackslip_tools.report.details import Details

@@ -24,7 +24,9 @@ from trackslip_estimation.soil.conversions import message_of
 from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay.output import EstimateWriter
-from trackslip_tools.replay.run import Part, Replay, replay
+from trackslip_tools.replay.parts import Part
+from trackslip_tools.replay.result import Replay
+from trackslip_tools.replay.run import replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_messages
 from trackslip_tools.replay.whole_inputs import read_inputs

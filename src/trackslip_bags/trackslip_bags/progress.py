@@ -2,6 +2,7 @@
 """What a recorder shows of its work: each topic as its first message is written, and how far it has come."""
 
 import sys
+import textwrap
 import time
 from collections.abc import Callable
 
@@ -9,6 +10,7 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.console import clear_line
 
 _PERIOD = 60.0  # s between lines, where there is no terminal
+_WIDTH = 64  # characters of topics in a line of the log
 
 
 class RecordProgress:
@@ -18,7 +20,6 @@ class RecordProgress:
         self._bag, self._log = bag, log
         self._began_s = self._shown_s = time.monotonic()
         self._topics: set[str] = set()
-        log(f"recording to {bag.path}")
 
     def show(self, minutes_left: float | None) -> None:
         """As things stand; ``minutes_left`` until the disk is full, where that is known."""
@@ -26,7 +27,8 @@ class RecordProgress:
         if new := sorted(counts.keys() - self._topics):
             self._topics.update(new)
             clear_line()
-            self._log(f"writing {', '.join(new)}")
+            for names in textwrap.wrap(", ".join(new), _WIDTH, break_long_words=False):
+                self._log(f"writing {names}")
         now_s = time.monotonic()
         line = self._line(counts, now_s - self._began_s, minutes_left)
         if sys.stderr.isatty():

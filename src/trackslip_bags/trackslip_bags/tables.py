@@ -22,7 +22,7 @@ from trackslip_bags.reader import Bag, absolute
 from trackslip_bags.types import fields_by
 from trackslip_common.errors import InputError
 from trackslip_common.layout import FieldsOf, IrregularError, Layout
-from trackslip_common.message_fields import RecordClass, dtype_of, places_of, read
+from trackslip_common.message_reading import RecordClass, dtype_of, places_of, read
 
 _LAYOUTS = 64  # of one topic; a message of another is read by itself
 

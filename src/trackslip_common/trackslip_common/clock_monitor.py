@@ -33,7 +33,7 @@ CLOCK = np.dtype(
 CLOCK_LIMITS = np.dtype(
     [("gap_ns", np.int64), ("confirmations", np.int64), ("silence_ns", np.int64)], align=True
 )
-NO_HORIZON = -(2**62)  # ns
+NEVER_NS = -(2**62)  # before all stamps
 
 
 class StampStatus(IntEnum):
@@ -62,7 +62,7 @@ def _add(streak: Any, stamp_ns: int, gap_ns: int, counts: bool) -> int:
 def check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contradicts: bool) -> int:
     """Status of a sample of the source that is the clock.
 
-    ``oldest_ns``: older ones have no place in the history (``NO_HORIZON``: there is none); ``contradicts``:
+    ``oldest_ns``: older ones have no place in the history (``NEVER_NS``: there is none); ``contradicts``:
     its content is not what the history has at its stamp.
     """
     clock.others.count = 0
@@ -126,7 +126,7 @@ class ClockMonitor:
         self, stamp_ns: int, oldest_ns: int | None = None, *, contradicts: bool = False
     ) -> StampStatus:
         """A sample of the source that is the clock; see ``check_sample``."""
-        horizon_ns = NO_HORIZON if oldest_ns is None else oldest_ns
+        horizon_ns = NEVER_NS if oldest_ns is None else oldest_ns
         return StampStatus(_check_sample(self._clock, self._limits, stamp_ns, horizon_ns, contradicts))
 
     def other(self, stamp_ns: int) -> StampStatus:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.message_fields import At, Filled, Joint, Place, RecordClass, Stamp, Text, places_of
+from trackslip_common.message_reading import At, Filled, Joint, Place, RecordClass, Stamp, Text, places_of
 
 CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
 CDR_SLACK = 64  # bytes accepted behind a message
@@ -84,7 +84,7 @@ class Layout:
         return len(raw) == len(self._raw) and all(raw[span] == piece for span, piece in self._pieces)
 
     def reader(self, kind: RecordClass) -> Callable[[bytes], Any]:
-        """What takes the record of a message that fits, as ``message_fields.read`` does of its object.
+        """What takes the record of a message that fits, as ``message_reading.read`` does of its object.
 
         Raises:
             KeyError: the type has no such field.

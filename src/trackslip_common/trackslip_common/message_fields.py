@@ -2,76 +2,27 @@
 """The fields that are read of each message, once: live conversions and the tables of a bag come from here.
 
 A record class lists what is read of a message type: a name, its type, and where in the message it is.
-``read`` takes one record from a message object, rclpy's or a bag's; ``dtype_of`` gives the numpy record of
-the same names, of which ``trackslip_bags.tables`` makes arrays straight from serialized messages. A new field
-of a message is one line here.
-
-    At      a field, by its dotted path; with ``items``, these of an array (in this order), as an array
-    Joint   the item of an array that belongs to a joint, by the names of the message; nan where it is missing
-    Filled  whether an array has any items
-    Text    a string; in tables, its number among the texts of the topic
+``message_reading.read`` takes one record from a message object; ``dtype_of`` gives the numpy record of the
+same names, of which ``trackslip_bags.tables`` makes arrays straight from serialized messages. A new field of
+a message is one line here.
 """
 
-import math
-import zlib
-from abc import ABC, abstractmethod
-from collections.abc import Callable
-from functools import cache
-from operator import attrgetter
-from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_type_hints
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.message_reading import At, Filled, Joint, RecordClass, Stamp, Text
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 
 FloatArray = NDArray[np.float64]
-R = TypeVar("R")
-RecordClass = Any  # a NamedTuple class of this module; mypy takes no type[Any] as a key of a cache
 
 PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
 _PLANE_IN_36 = tuple(np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel().tolist())
 _DIAGONAL_IN_36 = tuple(range(0, 36, 7))
 _SLIPS_IN_9 = (0, 1, 3, 4)  # left and right among left, right, slip angle
 ABSENT = -1.0  # first element of a covariance in sensor_msgs/Imu: there is no such vector (REP-145)
-_NS_PER_S = 1_000_000_000
-_NAMES = "name"  # of joints
 
-
-class At(NamedTuple):
-    """See the top of the module."""
-
-    path: str
-    items: tuple[int, ...] = ()
-    shape: tuple[int, ...] = ()  # of the items
-
-
-class Joint(NamedTuple):
-    """See the top of the module."""
-
-    path: str
-    name: str
-
-
-class Filled(NamedTuple):
-    """See the top of the module."""
-
-    path: str
-
-
-class Text(NamedTuple):
-    """See the top of the module."""
-
-    path: str
-
-
-class Stamp(NamedTuple):
-    """Time of the header, ns."""
-
-    path: str = "header.stamp"
-
-
-Place = At | Joint | Filled | Text | Stamp
 StampNs = Annotated[int, Stamp()]
 Plane = Annotated[FloatArray, At("pose.covariance", _PLANE_IN_36, (3, 3))]
 
@@ -286,115 +237,3 @@ RECORDS: dict[str, RecordClass] = {
     "trackslip_msgs/msg/MeasurementReport": ReportFields,
 }
 """Message type → what is read of it."""
-
-
-@cache
-def places_of(kind: RecordClass) -> dict[str, tuple[type, Place]]:
-    """Name → Python type and place of each field of a record class."""
-    hints = get_type_hints(kind, include_extras=True)
-    return {name: (get_args(hint)[0], hint.__metadata__[0]) for name, hint in hints.items()}
-
-
-@cache
-def dtype_of(kind: RecordClass) -> np.dtype[np.void]:
-    """The numpy record of a record class: float64, int64, bool; the number of a text is int64."""
-    fields = []
-    for name, (python, place) in places_of(kind).items():
-        of = {int: np.int64, bool: np.bool_, str: np.int64}.get(python, np.float64)
-        fields.append((name, of, place.shape if isinstance(place, At) else ()))
-    return np.dtype(fields, align=True)
-
-
-@cache
-def _reader(kind: RecordClass) -> Callable[[Any], Any]:
-    """What ``read`` does for a record class."""
-    places = places_of(kind)
-    getters = {name: attrgetter(place.path) for name, (_, place) in places.items()}
-    steps = [(getters[name], _converter(python, place)) for name, (python, place) in places.items()]
-
-    def read_one(message: Any) -> Any:
-        return kind(*[convert(get(message), message) for get, convert in steps])
-
-    return read_one
-
-
-def _converter(python: type, place: Place) -> Callable[[Any, Any], Any]:
-    """(value at the path, message) → value of the field."""
-    match place:
-        case Stamp():
-            return lambda stamp, _: int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
-        case Filled():
-            return lambda values, _: len(values) > 0
-        case Joint(_, name):
-            return lambda values, message: _of_joint(values, list(getattr(message, _NAMES)), name)
-        case At(_, items, shape) if shape:
-            chosen = np.array(items)
-            return lambda values, _: np.asarray(values, dtype=np.float64)[chosen].reshape(shape)
-        case At(_, items, _) if items:
-            return lambda values, _: python(values[items[0]])
-        case _:
-            return lambda value, _: python(value)
-
-
-def _of_joint(values: Any, names: list[str], joint: str) -> float:
-    at = names.index(joint) if joint in names else len(values)
-    return float(values[at]) if at < len(values) else math.nan
-
-
-class Packed(ABC):
-    """A message that nobody has made an object of."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def record(self, kind: RecordClass) -> Any:
-        """What ``read`` would take of its object."""
-
-
-def read(kind: Callable[..., R], message: Any) -> R:
-    """The record of a message: an object, or packed.
-
-    Raises:
-        AttributeError: the message is of another type.
-    """
-    found: R = message.record(kind) if isinstance(message, Packed) else _reader(kind)(message)
-    return found
-
-
-def heading_of(pose: Any) -> float:
-    """Rotation about z, rad in (−π, π], of what has the quaternion ``qx qy qz qw``."""
-    sine = 2.0 * (pose.qw * pose.qz + pose.qx * pose.qy)
-    return math.atan2(sine, 1.0 - 2.0 * (pose.qy * pose.qy + pose.qz * pose.qz))
-
-
-def frame_number(text: str) -> int:
-    """Of a frame_id: the same wherever it is read."""
-    return zlib.crc32(text.encode())
-
-
-def tilt_of(pose: Any) -> tuple[float, float]:
-    """Roll and pitch (ZYX, nose down > 0), rad, of what has the quaternion ``qx qy qz qw``."""
-    up = 1.0 - 2.0 * (pose.qx * pose.qx + pose.qy * pose.qy)
-    roll = math.atan2(2.0 * (pose.qw * pose.qx + pose.qy * pose.qz), up)
-    sine = 2.0 * (pose.qw * pose.qy - pose.qz * pose.qx)
-    return roll, math.asin(min(max(sine, -1.0), 1.0))
-
-
-def tilts_of(rows: NDArray[np.void]) -> FloatArray:
-    """(n, 2) roll and pitch (nose down positive), rad, of rows with the same fields."""
-    x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    return np.column_stack((roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))))
-
-
-def headings_of(rows: NDArray[np.void]) -> FloatArray:
-    """(n,) of ``heading_of``, to the last bit, of rows with the same fields."""
-    x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
-    sines, cosines = 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)
-    pairs = zip(sines.tolist(), cosines.tolist(), strict=True)  # numpy's own differs in the last bit
-    return np.fromiter((math.atan2(s, c) for s, c in pairs), np.float64, len(rows))
-
-
-def poses_of(rows: NDArray[np.void]) -> FloatArray:
-    """(n, 3) x, y, heading of rows with a planar pose."""
-    return np.column_stack((rows["x"], rows["y"], headings_of(rows)))

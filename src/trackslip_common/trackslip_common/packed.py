@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from trackslip_common.layout import FieldsOf, IrregularError, Layout
-from trackslip_common.message_fields import Packed, RecordClass, read
+from trackslip_common.message_reading import Packed, RecordClass, read
 
 _LAYOUTS = 16  # of one topic, of the last ones; there is one, unless somebody plays tricks with frame_id
 

@@ -14,71 +14,17 @@ given whole. A field that is a ``Mapping`` holds a group for each of the names t
 """
 
 import dataclasses
-import math
-import sys
 import typing
-from array import array
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from difflib import get_close_matches
-from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from trackslip_common.errors import InputError, listed
+from trackslip_common.parameter_spec import Spec, check, coerced
 
 T = TypeVar("T", bound="Parameters")
 
 _METADATA_KEY = "trackslip"
-_LARGEST = (
-    1e30  # in any unit, and 1/_LARGEST the smallest of what must be above 0: squares and inverses stay finite
-)
-_SCALARS: Mapping[type, str] = MappingProxyType(
-    {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
-)
-
-# What YAML 1.1 takes for true or false without quotes, such as the parity N.
-_YAML_WORDS: Mapping[bool, tuple[str, ...]] = MappingProxyType(
-    {True: ("y", "yes", "on", "true"), False: ("n", "no", "off", "false")}
-)
-
-
-@dataclass(frozen=True)
-class Spec:
-    """What is known of one parameter, beside its type. Bounds are None where there is none."""
-
-    description: str
-    unit: str = ""
-    gt: float | None = None
-    ge: float | None = None
-    lt: float | None = None
-    le: float | None = None
-    choices: tuple[str | int, ...] = ()
-    read_only: bool = True
-
-    def accepts(self, value: object) -> bool:
-        """Whether one scalar lies in the range (its type is checked elsewhere)."""
-        if self.choices or isinstance(value, str):
-            return not self.choices or value in self.choices
-        if not isinstance(value, (int, float)) or (isinstance(value, float) and not math.isfinite(value)):
-            return False
-        return (
-            (self.gt is None or value > self.gt)
-            and (self.ge is None or value >= self.ge)
-            and (self.lt is None or value < self.lt)
-            and (self.le is None or value <= self.le)
-        )
-
-    def accepted(self) -> str:
-        """The range as text, for messages."""
-        if self.choices:
-            return "one of " + ", ".join(map(str, self.choices))
-        bounds = [
-            f"{sign} {bound:g}"
-            for sign, bound in ((">", self.gt), (">=", self.ge), ("<", self.lt), ("<=", self.le))
-            if bound is not None
-        ]
-        text = " and ".join(bounds) if bounds else "finite"
-        return f"{text} {self.unit}".rstrip()
 
 
 def parameter(
@@ -131,7 +77,7 @@ class Parameters:
         """
         for name, kind, spec in own_fields(type(self)):
             if spec is not None:
-                _check(f"{type(self).__name__}.{name}", getattr(self, name), kind, spec)
+                check(f"{type(self).__name__}.{name}", getattr(self, name), kind, spec)
 
 
 def own_fields(cls: type) -> Iterator[tuple[str, Any, Spec | None]]:
@@ -209,7 +155,7 @@ def from_flat(cls: type[T], values: Mapping[str, Any], where: str, prefix: str =
         if spec is not None:
             if full not in values:
                 raise InputError(f"{where}: parameter '{full}' is missing ({spec.description})")
-            arguments[name] = _coerce(f"{where}: {full}", values[full], kind, spec)
+            arguments[name] = coerced(f"{where}: {full}", values[full], kind, spec)
         elif not _is_several(kind):
             inside, group = _inside(values, f"{full}."), _group_class(kind)
             left_out = not inside and group is not kind
@@ -228,7 +174,7 @@ def checked(cls: type[Parameters], name: str, value: Any, where: str) -> Any:
         InputError: it is refused.
     """
     kind, spec = next((kind, spec) for field, kind, spec in own_fields(cls) if field == name)
-    return _coerce(f"{where}: {name}", value, kind, spec or Spec(""))
+    return coerced(f"{where}: {name}", value, kind, spec or Spec(""))
 
 
 def _group(group: Group, values: Mapping[str, Any], where: str, prefix: str) -> Parameters:
@@ -274,40 +220,3 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{name}"] = value
     return flat
-
-
-def _coerce(name: str, value: Any, kind: Any, spec: Spec) -> Any:
-    """Give a value read from YAML, ROS or a command line its declared type, then check it."""
-    if typing.get_origin(kind) is tuple and isinstance(value, (list, tuple, array)):  # ROS: array
-        item_kind = typing.get_args(kind)[0]
-        value = tuple(_floated(item) if item_kind is float else item for item in value)
-    elif kind is float:
-        value = _floated(value)
-    elif kind is str and type(value) is bool:
-        value = next((c for c in spec.choices if str(c).lower() in _YAML_WORDS[value]), value)
-    _check(name, value, kind, spec)
-    return value
-
-
-def _floated(value: Any) -> Any:
-    """A whole number as a float, unless it is beyond all floats."""
-    return float(value) if type(value) is int and abs(value) <= sys.float_info.max else value
-
-
-def _check(name: str, value: Any, kind: Any, spec: Spec) -> None:
-    """Raise ``InputError`` unless ``value`` is of ``kind`` and in range."""
-    if typing.get_origin(kind) is tuple:
-        item_kind = typing.get_args(kind)[0]
-        if not isinstance(value, tuple):
-            raise InputError(f"{name}: {value!r} is not a list of {_SCALARS[item_kind]}")
-        for index, item in enumerate(value):
-            _check(f"{name}[{index}]", item, item_kind, spec)
-        return
-    if type(value) is not kind:
-        accepted = f"; accepted: {spec.accepted()}" if kind in (int, float) or spec.choices else ""
-        raise InputError(f"{name}: {value!r} is not {_SCALARS[kind]}{accepted}")
-    if kind is not bool and not spec.accepts(value):
-        raise InputError(f"{name}: {value!r} is out of range; accepted: {spec.accepted()}")
-    least = 1.0 / _LARGEST if spec.gt == 0.0 else -_LARGEST
-    if kind is float and not least <= value <= _LARGEST:
-        raise InputError(f"{name}: {value!r} is no size of anything; accepted: {least:g} to {_LARGEST:g}")

@@ -18,7 +18,7 @@ from typing import Any
 
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError, suggestion
-from trackslip_common.parameters import Spec
+from trackslip_common.parameter_spec import Spec
 
 _COHESION = Spec("apparent cohesion c", unit="Pa", ge=0.0)
 _ANGLE = Spec("angle of internal shearing resistance ϕ", unit="rad", ge=0.0, lt=math.pi / 2)

@@ -59,6 +59,12 @@ TOPICS = {
     "tf": Topic("tf2_msgs/msg/TFMessage", Flow.RELIABLE),
 }
 
+ODOMETRY, LOCAL_ODOMETRY, ATTITUDE = "odometry", "odometry/local", "attitude"
+TRACK_SLIP, FORCES, SOIL = "track_slip", "track_forces", "soil"
+SWING_ESTIMATE, DIAGNOSTICS = "swing/estimate", "diagnostics"
+TRUE_ODOMETRY, TRUE_SLIP, TRUE_SWING = "truth/odometry", "truth/track_slip", "truth/swing"
+TRUE_FORCES, TRUE_SOIL = "truth/track_forces", "truth/soil"
+
 COMMANDS = ("slip_estimator/set_pose", "emulator/fault")  # that anybody may give; else one publisher a topic
 SENSOR_TOPICS = tuple(name for name, topic in TOPICS.items() if topic.flow is Flow.SENSOR)
 LEFT_SPROCKET, RIGHT_SPROCKET = "left_sprocket", "right_sprocket"

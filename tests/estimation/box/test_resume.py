@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from fixtures.box_drives import CEILING
-from fixtures.box_site import BOX, PARAMETERS, SITE, assert_near, drive, standing, turning
+from fixtures.box_site import BOX, PARAMETERS, PERIOD, SITE, assert_near, drive, standing, turning
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,7 +36,7 @@ def fixes_of(localizer, scanner, first, scans=20):
 
 def test_a_localizer_killed_far_from_its_start_finds_the_box_again(drove, tmp_path):
     before, scanner = drove
-    TrackFile(str(tmp_path / "kept.json")).write(before.track)
+    TrackFile(str(tmp_path / "kept.json")).write(before.kept)
     after = BoxLocalizer(NEAR, BOX, TrackFile(str(tmp_path / "kept.json")).read())
     found = fixes_of(after, scanner, SCANS + AWAY)
     assert after.resumed
@@ -51,12 +51,25 @@ def test_a_localizer_killed_far_from_its_start_finds_the_box_again(drove, tmp_pa
     assert fixes_of(BoxLocalizer(NEAR, BOX), scanner, SCANS + AWAY) == []
 
 
+def test_a_localizer_killed_while_the_box_is_out_of_sight_finds_it_again(drove):
+    """For longer than a track is kept; the localizer that went on would find it, so does the next."""
+    before, scanner = drove
+    unseen = round(NEAR.resume_time / PERIOD) + 10
+    out_of_sight = drive(before, scanner, standing(0.0, -60.0, 0.0), unseen, first=SCANS)
+    assert not any(isinstance(fix, BoxFix) for fix in out_of_sight)
+    after = BoxLocalizer(NEAR, BOX, before.kept)
+    found = fixes_of(after, scanner, SCANS + unseen + AWAY)
+    assert after.resumed
+    assert len(found) >= 18
+    assert_near(found[-1], turning)
+
+
 def test_a_track_of_long_ago_or_of_the_future_is_not_used(drove):
     before, _ = drove
     pose_at = standing(0.0, 0.0, 0.0)
     late = round(NEAR.resume_time / 0.21) + SCANS + 10
     for first in (0, late):
-        fresh, resumed = BoxLocalizer(NEAR, BOX), BoxLocalizer(NEAR, BOX, before.track)
+        fresh, resumed = BoxLocalizer(NEAR, BOX), BoxLocalizer(NEAR, BOX, before.kept)
         there = drive(resumed, SiteScanner(SITE, BOX, seed=2), pose_at, 5, first=first)
         assert not resumed.resumed
         assert [fix.yaw for fix in there] == [
@@ -65,8 +78,10 @@ def test_a_track_of_long_ago_or_of_the_future_is_not_used(drove):
 
 
 def test_what_is_kept_is_the_track(drove):
-    track = drove[0].track
-    again = parse_track(track_text(track))
+    kept = drove[0].kept
+    parsed = parse_track(track_text(kept))
+    assert parsed.scan_ns == kept.scan_ns
+    track, again = kept.track, parsed.track
     assert again.stamp_ns == track.stamp_ns
     np.testing.assert_array_equal(again.mean, track.mean)
     np.testing.assert_array_equal(again.covariance, track.covariance)
@@ -86,9 +101,11 @@ def test_any_other_text_is_refused(text):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("version", 2),
-        ("stamp_ns", -1),
+        ("version", 1),
         ("stamp_ns", 2**63),
+        ("scan_ns", -1),
+        ("scan_ns", 2**63),
+        ("stamp_ns", -1),
         ("mean", [[0.0, float("nan")]] * 3),
         ("mean", [0.0]),
         ("covariance", [[[-1.0, 0.0], [0.0, 1.0]]] * 3),
@@ -99,7 +116,7 @@ def test_any_other_text_is_refused(text):
     ],
 )
 def test_a_changed_value_is_refused(drove, tmp_path, key, value):
-    tree = json.loads(track_text(drove[0].track))
+    tree = json.loads(track_text(drove[0].kept))
     path = tmp_path / "kept.json"
     path.write_text(json.dumps({**tree, key: value}), encoding="utf-8")
     file = TrackFile(str(path))
@@ -110,7 +127,7 @@ def test_a_changed_value_is_refused(drove, tmp_path, key, value):
 def test_a_place_that_cannot_be_written_is_reported_and_ends_nothing(drove, tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     file = TrackFile(str(tmp_path / "file" / "kept.json"))
-    file.write(drove[0].track)
+    file.write(drove[0].kept)
     assert file.failures == 1
     assert "is not written" in file.failure
     assert TrackFile("").read() is None

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackslip_bags.importing.local import LocalFrame
-from trackslip_bags.importing.mapping import BagTopic, Joints, needs_geometry
+from trackslip_bags.importing.mapping_topics import NEEDS_GEOMETRY, BagTopic, Joints
 from trackslip_bags.importing.roles import (
     FIX,
     HYDRAULICS,
@@ -203,7 +203,7 @@ def values_of(
 def _sprocket_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
     if rows.shape[1] == 2:  # speed and yaw rate
         if topic.geometry is None:
-            raise InputError(f"{topic.where}: {needs_geometry()}")
+            raise InputError(f"{topic.where}: {NEEDS_GEOMETRY}")
         nothing = np.full((len(rows), 2), np.nan)
         return {"velocity": track_speeds(rows[:, 0], rows[:, 1], topic.geometry), "position": nothing}
     velocity, position = rows[:, :2], rows[:, 2:]

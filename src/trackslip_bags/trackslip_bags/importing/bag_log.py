@@ -11,7 +11,7 @@ import numpy as np
 from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row, values_of
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.logged import Logged, RobotLog, Ros2Bag
-from trackslip_bags.importing.mapping import BagTopic
+from trackslip_bags.importing.mapping_topics import BagTopic
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.ros1 import Ros1Bags
 from trackslip_bags.importing.samples import Samples

@@ -15,7 +15,8 @@ import numpy as np
 from trackslip_bags.importing.bag_log import is_bag, read_bag_log
 from trackslip_bags.importing.csv_log import read_csv_logs
 from trackslip_bags.importing.local import LocalFrame
-from trackslip_bags.importing.mapping import BagTopic, CsvTopic, Datum, LogMapping
+from trackslip_bags.importing.mapping import Datum, LogMapping
+from trackslip_bags.importing.mapping_topics import BagTopic, CsvTopic
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.samples import Samples
 from trackslip_bags.messages import make, serialize

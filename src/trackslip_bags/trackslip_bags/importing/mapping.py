@@ -17,43 +17,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from trackslip_bags.importing.columns import (
-    FIRST,
-    Column,
-    Spread,
-    TimeColumn,
-    read_column,
-    read_spreads,
-    read_time,
-)
-from trackslip_bags.importing.roles import ROLE_OF_TOPIC, ROLES, Role
-from trackslip_bags.importing.tree import (
-    check_keys,
-    choice,
-    nanoseconds,
-    number,
-    positive,
-    section,
-    text,
-    texts,
-)
+from trackslip_bags.importing.columns import FIRST
+from trackslip_bags.importing.mapping_topics import FROM, BagTopic, CsvTopic, Geometry, read_topic
+from trackslip_bags.importing.roles import ROLE_OF_TOPIC
+from trackslip_bags.importing.tree import check_keys, nanoseconds, number, section, text
 from trackslip_bags.old_parameters import current_names
 from trackslip_common.config_files import read_yaml
-from trackslip_common.errors import InputError, did_you_mean
+from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.vehicle import VehicleParameters, load_vehicle
-
-_COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
-_OF_CSV = ("file", "time", "received", "new_when_changes")
-_OF_BAG = ("left", "right", "use", "stamp", "child_frame", "position_only")
-_FROM = "from"  # the key by which a section names a topic of a bag
-
-
-class Geometry(NamedTuple):
-    """What turns speeds over ground into speeds of sprockets."""
-
-    rolling_radius: float  # m
-    tread: float  # m
 
 
 class Datum(NamedTuple):
@@ -62,50 +34,6 @@ class Datum(NamedTuple):
     latitude: float  # deg
     longitude: float  # deg
     altitude: float  # m
-
-
-@dataclass(frozen=True)
-class Joints:
-    """Joints whose mean, times the ratio, is a sprocket."""
-
-    names: tuple[str, ...]
-    ratio: float  # turns of the sprocket per turn of a joint; negative where it turns the other way
-
-
-@dataclass(frozen=True)
-class Topic:
-    """What one topic of the bag is made of."""
-
-    name: str
-    where: str  # in the mapping file, for messages
-    role: str
-    frame: str | None  # None: the role's, or what the message has
-    time_offset_ns: int
-    spreads: Mapping[str, Spread]
-    geometry: Geometry | None
-
-
-@dataclass(frozen=True)
-class CsvTopic(Topic):
-    """From columns."""
-
-    file: str | None  # pattern of the file's name; None where there is one file
-    time: TimeColumn
-    received: TimeColumn | None
-    columns: Mapping[str, Column]
-    new_when_changes: str | None
-
-
-@dataclass(frozen=True)
-class BagTopic(Topic):
-    """From the messages of a topic."""
-
-    source: str
-    joints: Mapping[str, Joints]  # left and right
-    uses: str  # of joints: both, positions, velocities
-    stamped: bool  # by the header; else by the time of the log
-    child_frame: str | None  # of transforms
-    position_only: bool
 
 
 @dataclass(frozen=True)
@@ -141,11 +69,11 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
         vehicle = _vehicle(path, stated)
     geometry = None if vehicle is None else _geometry(vehicle)
     common: dict[str, Any] = {name: tree[name] for name in ("time", "received") if name in tree}
-    found = {name: _topic(where, name, topic, common, geometry) for name, topic in topics.items()}
+    found = {name: read_topic(where, name, topic, common, geometry) for name, topic in topics.items()}
     if len({isinstance(topic, BagTopic) for topic in found.values()}) > 1:
-        raise InputError(f"{where}: topics both with and without '{_FROM}'; accepted: one log, a bag or CSV")
+        raise InputError(f"{where}: topics both with and without '{FROM}'; accepted: one log, a bag or CSV")
     if common and any(isinstance(topic, BagTopic) for topic in found.values()):
-        raise InputError(f"{where}: '{next(iter(common))}' is of CSV logs; accepted for a bag: {_FROM} alone")
+        raise InputError(f"{where}: '{next(iter(common))}' is of CSV logs; accepted for a bag: {FROM} alone")
     return LogMapping(
         path=path,
         start_ns=nanoseconds(f"{where}: start", tree.get("start", 0.0)),
@@ -154,120 +82,6 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
         vehicle=vehicle,
         parameters=parameters,
     )
-
-
-def _topic(
-    where: str, name: str, value: Any, common: Mapping[str, Any], geometry: Geometry | None
-) -> CsvTopic | BagTopic:
-    place = f"{where}: {text(f'{where}: topics', name)}"
-    if name not in ROLE_OF_TOPIC and not (isinstance(value, Mapping) and "role" in value):
-        like = did_you_mean(name, ROLE_OF_TOPIC)
-        accepted = f"{', '.join(ROLE_OF_TOPIC)}, or any with a role"
-        raise InputError(f"{where}: topics: unknown key '{name}'{like}; accepted: {accepted}")
-    tree = section(place, value)
-    role = choice(f"{place}.role", tree.get("role", ROLE_OF_TOPIC.get(name)), ROLES)
-    own = (_FROM, *_keys_of(ROLES[role], _OF_BAG)) if _FROM in tree else _keys_of(ROLES[role], _OF_CSV)
-    check_keys(place, tree, (), own if _FROM in tree else (*ROLES[role].fields, *own))
-    of_both = {
-        "name": name,
-        "where": place,
-        "role": role,
-        "frame": text(f"{place}.frame", tree["frame"]) if "frame" in tree else None,
-        "time_offset_ns": nanoseconds(f"{place}.time_offset", tree.get("time_offset", 0.0)),
-        "spreads": read_spreads(place, tree, ROLES[role].axes),
-        "geometry": _own_geometry(f"{place}.geometry", tree["geometry"]) if "geometry" in tree else geometry,
-    }
-    if _FROM in tree:
-        return _bag_topic(place, tree, ROLES[role], of_both)
-    return _csv_topic(place, {**common, **tree}, ROLES[role], of_both)
-
-
-def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping[str, Any]) -> CsvTopic:
-    given = [name for name in role.fields if name in tree]
-    role.check(where, set(given))
-    if "time" not in tree:
-        raise InputError(
-            f"{where}: key 'time' is missing, here or for all topics; accepted: {{column, unit}}"
-        )
-    columns = {name: read_column(f"{where}.{name}", tree[name], role.fields[name]) for name in given}
-    _require_spreads(where, role, of_both["spreads"], set(given))
-    _require_geometry(where, columns, of_both["geometry"])
-    marker = tree.get("new_when_changes")
-    return CsvTopic(
-        **of_both,
-        file=text(f"{where}.file", tree["file"]) if "file" in tree else None,
-        time=read_time(f"{where}.time", tree["time"]),
-        received=read_time(f"{where}.received", tree["received"]) if "received" in tree else None,
-        columns=columns,
-        new_when_changes=None if marker is None else text(f"{where}.new_when_changes", marker),
-    )
-
-
-def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping[str, Any]) -> BagTopic:
-    joints = {side: _joints(f"{where}.{side}", tree[side]) for side in ("left", "right") if side in tree}
-    columns = [axis for axis, spread in of_both["spreads"].items() if isinstance(spread.value, Column)]
-    if columns:
-        raise InputError(f"{where}: a column of {columns[0]}, and the log is a bag; accepted: a number, SI")
-    if len(joints) == 1:
-        raise InputError(f"{where}: only one of left and right; accepted: the joints of both")
-    return BagTopic(
-        **of_both,
-        source=text(f"{where}.{_FROM}", tree[_FROM]),
-        joints=joints,
-        uses=choice(f"{where}.use", tree.get("use", "both"), ("both", "positions", "velocities")),
-        stamped=choice(f"{where}.stamp", tree.get("stamp", "header"), ("header", "log")) == "header",
-        child_frame=text(f"{where}.child_frame", tree["child_frame"]) if "child_frame" in tree else None,
-        position_only=_flag(f"{where}.position_only", tree.get("position_only", False)),
-    )
-
-
-def _keys_of(role: Role, keys: tuple[str, ...]) -> tuple[str, ...]:
-    """Those that mean something of such a topic."""
-    without = set() if role.axes else {"stddev", "covariance"}
-    if role is not ROLES["sprockets"]:
-        without |= {"left", "right", "use", "geometry"}
-    if role is not ROLES["pose"]:
-        without |= {"child_frame", "position_only"}
-    return tuple(key for key in (*keys, *_COMMON) if key not in without)
-
-
-def _joints(where: str, value: Any) -> Joints:
-    """A name, a list of names, or ``{joints: …, sign: -1, ratio: 0.1}``."""
-    if not isinstance(value, Mapping):
-        return Joints(texts(where, value), 1.0)
-    check_keys(where, value, ("joints",), ("sign", "ratio"))
-    sign = number(f"{where}.sign", value.get("sign", 1))
-    if abs(sign) != 1.0:
-        raise InputError(f"{where}.sign: {sign:g} is not accepted; accepted: 1 or -1")
-    return Joints(
-        texts(f"{where}.joints", value["joints"]), sign * positive(f"{where}.ratio", value.get("ratio", 1.0))
-    )
-
-
-def _require_spreads(where: str, role: Role, spreads: Mapping[str, Spread], given: set[str]) -> None:
-    """A pose says how sure it is."""
-    if role is not ROLES["pose"]:
-        return
-    headed = given & {"yaw", "heading", "qz"}
-    for axis in ("x", "y", *(("yaw",) if headed else ())):
-        if axis not in spreads:
-            raise InputError(
-                f"{where}: stddev of {axis} is missing; accepted: {axis} under stddev or covariance"
-            )
-    if "yaw" in spreads and not headed:
-        raise InputError(f"{where}: stddev of yaw, and no yaw; accepted: yaw, heading, or qx + qy + qz + qw")
-
-
-def _require_geometry(where: str, columns: Mapping[str, Column], geometry: Geometry | None) -> None:
-    """Speeds over ground need the vehicle's."""
-    grounded = [name for name, column in columns.items() if column.quantity in ("speed", "length")]
-    if ROLES["sprockets"].fields.keys() >= columns.keys() and grounded and geometry is None:
-        raise InputError(f"{where}.{grounded[0]}: {needs_geometry()}")
-
-
-def needs_geometry() -> str:
-    """What is missing where speeds are over ground."""
-    return "a speed over ground needs a vehicle in the mapping, or geometry: {rolling_radius: …, tread: …}"
 
 
 def _vehicle(path: Path, value: Any) -> VehicleParameters:
@@ -296,12 +110,6 @@ def _geometry(vehicle: VehicleParameters) -> Geometry:
     return Geometry(vehicle.kinematics.rolling_radius, vehicle.kinematics.tread)
 
 
-def _own_geometry(where: str, value: Any) -> Geometry:
-    tree = section(where, value)
-    check_keys(where, tree, Geometry._fields, ())
-    return Geometry(*(positive(f"{where}.{name}", tree[name]) for name in Geometry._fields))
-
-
 def _datum(where: str, value: Any) -> Datum | None:
     if value == FIRST:
         return None
@@ -312,9 +120,3 @@ def _datum(where: str, value: Any) -> Datum | None:
         accepted = "latitude in -90 … 90, longitude in -180 … 180 deg"
         raise InputError(f"{where}: {latitude:g}, {longitude:g} is out of range; accepted: {accepted}")
     return Datum(latitude, longitude, number(f"{where}.altitude", tree.get("altitude", 0.0)))
-
-
-def _flag(where: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise InputError(f"{where}: {value!r} is not accepted; accepted: true or false")
-    return value

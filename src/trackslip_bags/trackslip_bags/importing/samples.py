@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_bags.importing.mapping import Geometry
+from trackslip_bags.importing.mapping_topics import Geometry
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.messages import header, make
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET

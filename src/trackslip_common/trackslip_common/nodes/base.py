@@ -94,7 +94,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self._subscribe(message_type, topic, callback, raw=False)
 
     def subscribe_packed(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
-        """The same for what comes often: the messages stay packed, for ``message_fields.read``."""
+        """The same for what comes often: the messages stay packed, for ``message_reading.read``."""
         packed = packed_topic(message_type)
         self._subscribe(message_type, topic, lambda raw: callback(PackedMessage(raw, packed)), raw=True)
 

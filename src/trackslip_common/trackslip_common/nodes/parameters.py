@@ -14,9 +14,9 @@ from rclpy.node import Node
 
 from trackslip_common.config_files import node_defaults, read_yaml
 from trackslip_common.errors import InputError
+from trackslip_common.parameter_spec import Spec
 from trackslip_common.parameters import (
     Parameters,
-    Spec,
     flat_fields,
     flatten,
     from_flat,

@@ -121,9 +121,9 @@ class SprocketEncoder:
         self._silence = None
         expected = 0.5 * (silence.velocity + self._velocity) * silence.elapsed_ns
         turns = round((expected - silence.turned) / self._wrap)
-        misfit = abs(silence.turned + turns * self._wrap - expected)
+        residual = abs(silence.turned + turns * self._wrap - expected)
         doubt = 0.5 * self._steps_per_ns * silence.elapsed_ns  # mean speeds further off are no machine's
-        if misfit > self._wrap / 4 or doubt > 0.75 * self._wrap:
+        if residual > self._wrap / 4 or doubt > 0.75 * self._wrap:
             self._broken = True
             return
         self._unwrapped += turns * self._wrap

@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import GRAVITY
-from trackslip_estimation.attitude.orientation import NEVER, SWING_UNKNOWN, begin, use_orientation
+from trackslip_estimation.attitude.level import set_level
+from trackslip_estimation.attitude.orientation import SWING_UNKNOWN, use_orientation
 from trackslip_estimation.attitude.records import (
     BIAS_P,
     BIAS_Q,
@@ -41,6 +42,7 @@ from trackslip_estimation.attitude.records import (
     ROLL,
     SIZE,
 )
+from trackslip_estimation.attitude.start import begin_by_gravity
 from trackslip_estimation.kalman.ekf import propagate_covariance
 
 FloatArray = NDArray[np.float64]
@@ -54,17 +56,6 @@ _SURPRISE = 25.0  # ν²/S beyond which a sample counts for less
 _UNKNOWN_ACCELERATION = 1.0  # m/s², of a machine whose tracks nobody hears of
 _RATE_UNKNOWN = 1.0  # (rad/s)², variance beyond which a rate says nothing (an axis that was not measured)
 _SCALE_TIME = 1.0  # s, for which a gyro that shows too much does so to one side
-_DOUBT_TIMES = 1.0, 10.0  # s, for which the tilt errs to one side, and the gyro's bias
-
-
-@compiled
-def forget_attitude(a: Any) -> None:
-    """The record ``a`` of ``ATTITUDE`` as nobody has seen anything."""
-    a.known = a.seen = a.stamp_ns = a.refusal = 0
-    a.oriented_ns = NEVER
-    a.mean[:], a.covariance[:] = 0.0, 0.0
-    a.rates[:], a.mean_force[:], a.velocity[:], a.sample.force[:] = 0.0, 0.0, 0.0, np.nan
-    set_level(a)
 
 
 @compiled
@@ -95,7 +86,7 @@ def use_sample(a: Any, n: Any) -> int:
     a.refusal = use_orientation(a, n) if imu.oriented == 1 else 0
     if _follow_force(a, dt) and feels_gravity(a):
         if a.known == 0:
-            _begin(a, n)
+            begin_by_gravity(a, n)
         rates = _rates(a)
         u = _velocity_at(imu, rates)
         w_x, w_y, doubt = -rates[2] * u[1], rates[2] * u[0], _UNKNOWN_ACCELERATION**2
@@ -155,17 +146,6 @@ def _velocity_at(imu: Any, rates: tuple[float, float, float]) -> tuple[float, fl
     p, q, r = rates
     l_x, l_y, l_z = imu.lever
     return imu.velocity[0] - r * l_y + q * l_z, imu.velocity[1] + r * l_x - p * l_z
-
-
-@compiled
-def _begin(a: Any, n: Any) -> None:
-    """As gravity lies."""
-    x = a.mean
-    f_x, f_y, f_z = a.mean_force
-    cos, sin = a.sample.cos, a.sample.sin
-    roll = math.atan2(f_y - (sin * x[BIAS_X] + cos * x[BIAS_Y]), f_z)
-    pitch = math.atan2((cos * x[BIAS_X] - sin * x[BIAS_Y]) - f_x, math.sqrt(f_y * f_y + f_z * f_z))
-    begin(a, roll, pitch, n)
 
 
 @compiled
@@ -269,23 +249,3 @@ def climb(a: Any, v_x: float, v_y: float, dt: float) -> None:
         P[HEIGHT, j] += by_roll * P[ROLL, j] + by_pitch * P[PITCH, j]
     for i in range(SIZE):
         P[i, HEIGHT] += by_roll * P[i, ROLL] + by_pitch * P[i, PITCH]
-
-
-@compiled
-def set_level(a: Any) -> None:
-    """What the attitude does to a motion along the ground."""
-    level, P = a.level, a.covariance
-    level.tilted = a.known
-    roll, pitch = (a.mean[ROLL], a.mean[PITCH]) if a.known == 1 else (0.0, 0.0)
-    sin, cos, sin_pitch, cos_pitch = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
-    level.forward, level.sideways, level.across = cos_pitch - 1.0, cos - 1.0, sin * sin_pitch
-    level.turn, level.roll_over = cos / cos_pitch - 1.0, a.rates[1] * sin / cos_pitch
-    level.downhill_x, level.downhill_y = sin_pitch, -sin * cos_pitch
-    level.lean_x, level.lean_y = cos * sin_pitch, -sin
-    level.lean_variance = max(P[ROLL, ROLL], P[PITCH, PITCH]) if a.known == 1 else 0.0
-    by_roll = (a.rates[1] * cos - a.rates[2] * sin) / cos_pitch
-    of_tilt, of_bias = _DOUBT_TIMES
-    level.turn_variance = 0.0
-    if a.known == 1:
-        level.turn_variance = by_roll**2 * P[ROLL, ROLL] * of_tilt
-        level.turn_variance += (sin / cos_pitch) ** 2 * P[BIAS_Q, BIAS_Q] * of_bias

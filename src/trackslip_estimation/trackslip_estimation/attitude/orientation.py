@@ -18,7 +18,8 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_common.message_fields import ABSENT
-from trackslip_estimation.attitude.records import BIAS_X, PITCH, ROLL, SIZE, OrientationRefusal
+from trackslip_estimation.attitude.records import PITCH, ROLL, SIZE, OrientationRefusal
+from trackslip_estimation.attitude.start import begin_tilt
 from trackslip_estimation.kalman.ekf import correct
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
 
@@ -28,23 +29,6 @@ SWING_UNKNOWN = int(OrientationRefusal.SWING_UNKNOWN)
 _LARGEST = math.pi**2  # rad², variance of an angle that may be any
 _ROUNDING = 0.1  # of the norm squared of a quaternion
 _SHORTEST = 1e-3  # s between orientations
-_FIRST_NOISE = 1.0  # (m/s²)², of the accelerometers, before a sample tells
-NEVER = -(2**62)  # ns
-
-
-@compiled
-def begin(a: Any, roll: float, pitch: float, n: Any) -> None:
-    """The record ``a`` of ``ATTITUDE`` with this tilt, its variance still to come; height and biases stay."""
-    x, P = a.mean, a.covariance
-    for i in range(SIZE):
-        if P[BIAS_X, BIAS_X] == 0.0 and i != BIAS_X:
-            P[i, i] = n.initial[i] ** 2
-        for j in range(PITCH + 1):
-            P[i, j] = P[j, i] = 0.0
-    P[BIAS_X, BIAS_X] = max(P[BIAS_X, BIAS_X], n.initial[BIAS_X] ** 2)
-    P[ROLL, ROLL], P[PITCH, PITCH] = n.initial[ROLL] ** 2, n.initial[PITCH] ** 2
-    x[ROLL], x[PITCH] = roll, pitch
-    a.noise[:], a.noise_count[:], a.known = _FIRST_NOISE, 1.0, 1
 
 
 @compiled
@@ -69,7 +53,7 @@ def use_orientation(a: Any, n: Any) -> int:
     R[PITCH, PITCH] += imu.sin**2 * of_x + imu.cos**2 * of_y
     again = 1.0
     if a.known == 0:
-        begin(a, roll, pitch, n)
+        begin_tilt(a, roll, pitch, n)
     else:
         elapsed = max((imu.stamp_ns - a.oriented_ns) * 1e-9, _SHORTEST)
         again = 1.0 / math.tanh(elapsed / (2.0 * n.orientation_time))

@@ -23,7 +23,7 @@ from trackslip_estimation.box.quarters import NEGLIGIBLE, QUARTER_TURN, Headings
 from trackslip_estimation.box.scan import Scan
 from trackslip_estimation.box.scan_clock import ScanClock
 from trackslip_estimation.box.search import BoxSearch, Candidate, Reason
-from trackslip_estimation.box.track import Expectation, Track, initial_expectation
+from trackslip_estimation.box.track import Expectation, Kept, Track, initial_expectation
 
 FloatArray = NDArray[np.float64]
 
@@ -49,8 +49,8 @@ class BoxFix:
 class BoxLocalizer:
     """Follows the box through scans given in order; its state depends on nothing else."""
 
-    def __init__(self, parameters: BoxLocalizerParameters, box: Box, kept: Track | None = None) -> None:
-        """``kept`` is the track of a localizer that ran before this one."""
+    def __init__(self, parameters: BoxLocalizerParameters, box: Box, kept: Kept | None = None) -> None:
+        """``kept`` is what a localizer left that ran before this one."""
         self._parameters = parameters
         self._kept = kept
         self._box = box
@@ -61,15 +61,18 @@ class BoxLocalizer:
         self.reset()
 
     @property
-    def track(self) -> Track | None:
-        """Where the box was found last; None before the first fix."""
-        return self._tracks[0] if len(self._tracks) == 1 else None
+    def kept(self) -> Kept | None:
+        """Where the box was found last, for the next localizer; None before the first fix."""
+        if len(self._tracks) != 1 or self._tracks[0] is None:
+            return None
+        return Kept(self._tracks[0], self._scan_ns)
 
     def reset(self) -> None:
         """Drop every scan: start again from the initial pose."""
         self._search = BoxSearch(self._parameters, self._box, self.tally)
         self._tracks: list[Track | None] = [None]  # to look at, in turn; None: the initial pose
         self._first_ns: int | None = None  # stamp of the run's first scan
+        self._scan_ns = 0  # of its latest
         self._clock = self._new_clock()
 
     def locate(self, scan: Scan) -> BoxFix | Rejection:
@@ -95,13 +98,14 @@ class BoxLocalizer:
         if self._first_ns is None:
             self._first_ns = stamp_ns
             self._resume(stamp_ns)
+        self._scan_ns = stamp_ns
         return None
 
     def _resume(self, stamp_ns: int) -> None:
-        """Go on with the track that was kept, if it is a recent one."""
+        """Go on with what was kept, if scans were looked at until now, with the box in them or not."""
         kept, self._kept = self._kept, None
-        if kept is not None and 0 <= stamp_ns - kept.stamp_ns <= self._parameters.resume_time * 1e9:
-            self._tracks = [kept]
+        if kept is not None and 0 <= stamp_ns - kept.scan_ns <= self._parameters.resume_time * 1e9:
+            self._tracks = [kept.track]
             self.resumed = True
 
     def _start_over(self, stamp_ns: int) -> None:

@@ -118,6 +118,14 @@ class Track:
         return Track.begun(stamp_ns, self.mean[:, 0], self.covariance[:, 0, 0], self.headings, p)
 
 
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What a localizer leaves to the next: its track, and the stamp of its latest scan."""
+
+    track: Track
+    scan_ns: int
+
+
 def initial_expectation(p: BoxLocalizerParameters) -> Expectation:
     """At the start: about the initial pose."""
     return Expectation(

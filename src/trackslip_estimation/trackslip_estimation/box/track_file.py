@@ -15,19 +15,21 @@ import numpy as np
 from trackslip_common.config_files import own_file
 from trackslip_common.errors import InputError
 from trackslip_estimation.box.quarters import Headings, SideEvidence
-from trackslip_estimation.box.track import Track
+from trackslip_estimation.box.track import Kept, Track
 
-_VERSION = 1
+_VERSION = 2
 _LARGEST = 4096  # bytes
-_PERIOD_NS = 1_000_000_000  # from one writing to the next
+_PERIOD_NS = 1_000_000_000  # of scans, from one writing to the next
 
 
-def track_text(track: Track) -> str:
+def track_text(kept: Kept) -> str:
     """What the file holds."""
+    track = kept.track
     e = track.headings.evidence
     return json.dumps(
         {
             "version": _VERSION,
+            "scan_ns": kept.scan_ns,
             "stamp_ns": track.stamp_ns,
             "mean": track.mean.tolist(),
             "covariance": track.covariance.tolist(),
@@ -37,8 +39,8 @@ def track_text(track: Track) -> str:
     )
 
 
-def parse_track(text: str) -> Track:
-    """The track of ``track_text``.
+def parse_track(text: str) -> Kept:
+    """What ``track_text`` was given.
 
     Raises:
         InputError: the text is not one.
@@ -47,7 +49,7 @@ def parse_track(text: str) -> Track:
         tree: Any = json.loads(text)
         if tree["version"] != _VERSION:
             raise InputError("it is of another version")
-        stamp_ns = int(tree["stamp_ns"])
+        scan_ns, stamp_ns = int(tree["scan_ns"]), int(tree["stamp_ns"])
         mean = np.array(tree["mean"], dtype=np.float64).reshape(3, 2)
         covariance = np.array(tree["covariance"], dtype=np.float64).reshape(3, 2, 2)
         weights = np.array(tree["weights"], dtype=np.float64).reshape(4)
@@ -56,14 +58,15 @@ def parse_track(text: str) -> Track:
     except (ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:
         raise InputError("it is no track of a box") from error
     numbers = (mean, covariance, weights, np.array([settled, average, count, x, y]))
-    if not all(np.isfinite(array).all() for array in numbers) or not 0 <= stamp_ns < 2**63:
+    in_range = all(0 <= ns < 2**63 for ns in (stamp_ns, scan_ns))
+    if not in_range or not all(np.isfinite(array).all() for array in numbers):
         raise InputError("it has values out of range")
     is_covariance = np.array_equal(covariance, covariance.swapaxes(1, 2))
     if not is_covariance or np.linalg.eigvalsh(covariance).min() < 0.0:
         raise InputError("its covariance is none")
     if weights.min() < 0.0 or not math.isclose(weights.sum(), 1.0, rel_tol=1e-6) or count < 0:
         raise InputError("its probabilities are none")
-    return Track(stamp_ns, mean, covariance, Headings(weights, evidence))
+    return Kept(Track(stamp_ns, mean, covariance, Headings(weights, evidence)), scan_ns)
 
 
 class TrackFile:
@@ -80,7 +83,7 @@ class TrackFile:
         self.failures = 0
         self.failure = ""  # why the last reading or writing failed; empty where it did not
 
-    def read(self) -> Track | None:
+    def read(self) -> Kept | None:
         """The track that is there; None where there is none of use, see ``failure``."""
         if self._path is None:
             return None
@@ -94,15 +97,15 @@ class TrackFile:
             self._fail(f"{self._path} is not used: {getattr(error, 'strerror', None) or error}")
             return None
 
-    def write(self, track: Track | None) -> None:
-        """Keep it; not more often than once a second of its stamps."""
-        if self._path is None or track is None or abs(track.stamp_ns - self._written_ns) < _PERIOD_NS:
+    def write(self, kept: Kept | None) -> None:
+        """Keep it; not more often than once a second of scans."""
+        if self._path is None or kept is None or abs(kept.scan_ns - self._written_ns) < _PERIOD_NS:
             return
-        self._written_ns = track.stamp_ns
+        self._written_ns = kept.scan_ns
         beside = self._path.with_name(f".{self._path.name}.new")
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            beside.write_text(track_text(track), encoding="utf-8")
+            beside.write_text(track_text(kept), encoding="utf-8")
             beside.replace(self._path)
         except (OSError, ValueError) as error:  # ValueError: no path at all
             with suppress(OSError, ValueError):

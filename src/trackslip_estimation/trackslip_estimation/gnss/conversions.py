@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.make import Make, header
-from trackslip_common.message_fields import NavSatFields, read
+from trackslip_common.message_fields import NavSatFields
+from trackslip_common.message_reading import read
 from trackslip_estimation.gnss.localizer import Datum, Fix, Place
 from trackslip_estimation.slip.conversions import UNOBSERVED, pose_with_covariance
 from trackslip_estimation.slip.measurements import PoseFix

@@ -60,9 +60,9 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         ranges = np.asarray(message.ranges, dtype=np.float64)
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
         fix = self._localizer.locate(Scan(stamp_ns_of(message), ranges, *geometry))
+        self._file.write(self._localizer.kept)
         if isinstance(fix, BoxFix):
             self._fixes += 1
-            self._file.write(self._localizer.track)
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
             self._poses.publish(conversions.pose_with_covariance(make, pose, self.settings.map_frame))
 

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from trackslip_common.message_fields import FrameFields, read
+from trackslip_common.message_fields import FrameFields
+from trackslip_common.message_reading import read
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import message_class, topic_class
 from trackslip_estimation.nodes.static_mountings import StaticMountings

@@ -20,7 +20,7 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR
 
-_LASTS = 1.0  # s, τ
+LASTS = 1.0  # s, τ
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def begin_coast(state: Any, rate: tuple[float, float], dt: float, c: Any) -> Non
         return
     reset_velocity(state, c)
     state.mean[YAW_RATE_ERROR] = rate[0]
-    state.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR] = rate[1] + c.yaw_rate_limit**2 * min(dt / _LASTS, 1.0)
+    state.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR] = rate[1] + c.yaw_rate_limit**2 * min(dt / LASTS, 1.0)
 
 
 @compiled
@@ -65,6 +65,6 @@ def reset_velocity(state: Any, c: Any) -> None:
 def inflate(state: Any, dt: float, c: Any) -> None:
     """What may have been driven in ``dt`` s, and turned where no state accounts for it."""
     P = state.covariance
-    P[X, X] += 2.0 * _LASTS * dt * c.speed_limit**2
-    P[Y, Y] += 2.0 * _LASTS * dt * c.speed_limit**2
-    P[YAW, YAW] += 2.0 * _LASTS * dt * c.unseen_yaw_rate**2
+    P[X, X] += 2.0 * LASTS * dt * c.speed_limit**2
+    P[Y, Y] += 2.0 * LASTS * dt * c.speed_limit**2
+    P[YAW, YAW] += 2.0 * LASTS * dt * c.unseen_yaw_rate**2

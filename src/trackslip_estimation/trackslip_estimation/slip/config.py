@@ -56,7 +56,7 @@ CONFIG = np.dtype(
         ("max_gap", np.float64),  # s
         ("window_ns", np.int64),
         ("clock", CLOCK_LIMITS),
-        ("gate_limits", np.float64, (4,)),  # g by degrees of freedom 0 … 3; infinite where all are taken
+        ("gate_limits", np.float64, (4,)),  # g by degrees of freedom 0 … 3; infinite where all are used
         ("gate_relaxation", np.float64),
         ("gate_confirmations", np.int64),
         ("timeouts_ns", np.int64, (MOST_SOURCES,)),  # of each source, as all below

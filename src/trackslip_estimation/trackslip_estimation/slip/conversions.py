@@ -26,10 +26,9 @@ from trackslip_common.message_fields import (
     SlipFields,
     SprocketFields,
     SwingFields,
-    frame_number,
-    heading_of,
-    read,
 )
+from trackslip_common.message_reading import frame_number, read
+from trackslip_common.orientations import heading_of
 from trackslip_common.topics import SWING_JOINT, SWING_STDDEV_JOINT
 from trackslip_estimation.slip.estimator import Estimate, Swing, Tilt
 from trackslip_estimation.slip.measurements import (

@@ -139,7 +139,7 @@ class SlipEstimator:
         return learned_of(self.window.states[self.window.count - 1], self.meaning, self.sources)
 
     def apply_command(self, command: Command | Reload) -> Report:
-        """Reset, forget, freeze or unfreeze, or take new values of parameters.
+        """Reset, forget, freeze or unfreeze, or use new values of parameters.
 
         A reset keeps what was learned: the next estimate starts from it. ``FORGET`` is a reset that does not.
 

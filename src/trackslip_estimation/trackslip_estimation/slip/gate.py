@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which yaw rates and slips are taken: a χ² gate that widens while source and state disagree; compiled.
+"""Which yaw rates and slips are used: a χ² gate that widens while source and state disagree; compiled.
 
     ν, S    innovation and its covariance
-    d²      νᵀ S⁻¹ ν, taken where d² ≤ w g
+    d²      νᵀ S⁻¹ ν, used where d² ≤ w g
     g       χ² quantile; source and state are consistent where d² ≤ g
     w       1 until they have not been for the source's timeout, then ``relaxation`` per further timeout
 
@@ -10,12 +10,12 @@ So a spike stays out, and a source that insists, or comes back after an outage, 
 time that takes grows with the logarithm of how far off it is. What passes only because the gate is wide says
 that the state was wrong: its covariance is widened by what the innovation shows before the update, that of
 the slips by ν νᵀ, or that of the gyro's bias by ν². A gyro is consistent at once, for now its bias explains
-what it shows. Poses have a gate of another kind, which never widens (``step.use_pose``, ``alignment``).
+what it shows. Poses have a gate of another kind, which never widens (``update.use_pose``, ``alignment``).
 
 In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
 slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of
 turning and slip counts for no more than at the start. What it would do on no ground, to turn against its
-tracks, is never taken: a gyro upside down shows that.
+tracks, is never used: a gyro upside down shows that.
 """
 
 from typing import Any
@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
 from trackslip_estimation.slip.models.free_slips import LEFT_SLIP
 from trackslip_estimation.slip.models.model import GYRO_BIAS
-from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, YAW_RATE_ERROR
 from trackslip_estimation.slip.observation import expected
 from trackslip_estimation.slip.records import SLIPS, YAW_RATE
 
@@ -58,16 +58,17 @@ def on_no_ground(rate: float, variance: float, speeds: tuple[float, float], c: A
 
 
 @compiled
-def other_ground(rate: float, learned: float, streak: Any, speeds: tuple[float, float], c: Any) -> bool:
+def other_ground(rate: float, x: FloatArray, streak: Any, speeds: tuple[float, float], c: Any) -> bool:
     """Whether some ground lets the machine turn so, and enough readings in a row show the same one.
 
-    ``learned``: its yaw rate by what was learned of turning, rad/s. After the first, a reading counts that
-    agrees with it and departs from what was learned half as far at the least.
+    After the first, a reading counts that agrees with it and departs half as far at the least from the yaw
+    rate by what the state x has learned of turning.
     """
     without_slip = _without_slip(speeds, c)
     if not (rate * without_slip > 0.0 and abs(rate) < abs(without_slip)) or not has_velocity_errors(c):
         streak.count = 0
         return False
+    learned = twist(x, speeds[0], speeds[1], c)[2] - x[YAW_RATE_ERROR]
     efficiency, departure = rate / without_slip, (rate - learned) / without_slip
     alike = streak.count > 0 and abs(efficiency - streak.value) <= _ALIKE
     if not alike or departure * streak.departure < _PERSISTS * streak.departure**2:

@@ -46,12 +46,11 @@ def unknown_arm(P: FloatArray, source: int, c: Any) -> float:
 def sensor_place(level: Any, swing: float, source: int, c: Any) -> Place:
     """p and p'; ``level``: the record of ``attitude`` that says how the machine leans."""
     x, y, z = c.levers[source]
-    if c.above[source] == 0:
-        ahead = x * (1.0 + level.forward) + y * level.across + z * level.lean_x
-        return ahead, y * (1.0 + level.sideways) + z * level.lean_y, 0.0, 0.0
-    cos, sin, arm = np.cos(swing), np.sin(swing), arm_of(source, c)
-    by_x, by_y = -sin * arm[0] - cos * arm[1], cos * arm[0] - sin * arm[1]
-    x, y = c.swing_axis[0] + by_y, c.swing_axis[1] - by_x
+    by_x = by_y = 0.0
+    if c.above[source] == 1:
+        cos, sin, arm = np.cos(swing), np.sin(swing), arm_of(source, c)
+        by_x, by_y = -sin * arm[0] - cos * arm[1], cos * arm[0] - sin * arm[1]
+        x, y = c.swing_axis[0] + by_y, c.swing_axis[1] - by_x
     ahead = x * (1.0 + level.forward) + y * level.across + z * level.lean_x
     by_ahead = by_x * (1.0 + level.forward) + by_y * level.across
     left = y * (1.0 + level.sideways) + z * level.lean_y

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the slip estimator takes in, and what it says it did with each piece."""
+"""The measurements and commands of the slip estimator, and what became of each."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -160,7 +160,7 @@ class Outcome(IntEnum):
 
 @dataclass(frozen=True)
 class Report:
-    """What the estimator did with one measurement when it took it."""
+    """What the estimator did with one measurement when it processed it."""
 
     source: str
     stamp_ns: int

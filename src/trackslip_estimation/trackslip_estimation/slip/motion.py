@@ -138,6 +138,13 @@ def _steady_speeds(speeds: Any, motion: Any, limits: Any, resolution: float) -> 
 
 
 @compiled
+def reset_motion(state: Any) -> None:
+    """The record ``state`` of ``MOTION`` where nothing of the sprockets is known."""
+    state.motion, state.changing = _UNKNOWN, True
+    state.left = state.right = state.left_mean = state.right_mean = state.departure = 0.0
+
+
+@compiled
 def update_motion(state: Any, speeds: Any, dt: float, limits: Any, resolution: float) -> None:
     """The record ``state`` of ``MOTION``, ``dt`` s later with mean ``speeds``."""
     if dt <= 0.0:

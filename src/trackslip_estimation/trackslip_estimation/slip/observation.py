@@ -54,14 +54,20 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
         return measurement.value[:2].copy(), measurement.noise[:2, :2].copy()
     rows = 3 if shows_heading(measurement, c) else 2
     z, R = measurement.value[:rows].copy(), measurement.noise[:rows, :rows].copy()
-    for i in range(rows):
-        floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
-        R[i, i] = max(R[i, i], floor * floor)
+    raise_to_floors(R, rows, source, c)
     for i in range(2):
         R[i, i] += c.levers[source, 2] ** 2 * state.attitude.level.lean_variance
         if c.above[source] == 1:
             R[i, i] += unknown_arm(state.covariance, source, c)
     return z, R
+
+
+@compiled
+def raise_to_floors(R: FloatArray, rows: int, source: int, c: Any) -> None:
+    """The variances of a fix, of which ``rows`` are used, no less than the floors of its source."""
+    for i in range(rows):
+        floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
+        R[i, i] = max(R[i, i], floor * floor)
 
 
 @compiled

@@ -37,7 +37,13 @@ from trackslip_estimation.slip.models import speed
 from trackslip_estimation.slip.models.dispatch import body_jacobian, body_twist, has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR, YAW_RATE_ERROR
-from trackslip_estimation.slip.motion import Motion, rounding
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.odometry_errors import (
+    add_count_rounding,
+    by_track_error,
+    shared_with_pose,
+    unseen_errors,
+)
 from trackslip_estimation.slip.update import width_of
 
 FloatArray = NDArray[np.float64]
@@ -46,7 +52,6 @@ _GATED, _BEGUN, _STANDING = int(Outcome.GATED), int(Outcome.BEGUN), int(Motion.S
 _LATE = 2.0  # s of increments that agree on other ground
 _SLOWEST = 0.02  # m/s of the tracks, below which nothing is said of slip
 _SIGNIFICANT = 3.0  # standard deviations of a slip that differs
-_LASTS = 1.0  # s for which an unknown speed lasts, as in ``coasting``
 
 
 @compiled
@@ -108,14 +113,14 @@ def _use(
     state: Any, measured: tuple[FloatArray, FloatArray, float], measurement: Any, c: Any, update: Any
 ) -> None:
     """Gate and update; ``measured`` are z, R (3, 3) as stated, and T."""
-    (z, stated, T), source, a = measured, measurement.source, state.adaptation
-    limit, factors = c.gate_limits[3], a.fix_factors
+    (z, stated, T), source = measured, measurement.source
+    limit, factors = c.gate_limits[3], state.adaptation.fix_factors
     before = state.odometry[c.odometry_number[source]]
     left, right = (state.driven[0] - before.driven[0]) / T, (state.driven[1] - before.driven[1]) / T
-    share, open_ = _by_errors(state, before, (left, right, T), c)
+    share, open_ = unseen_errors(state, before, (left, right, T), c)
     h, H = _expected(state, before, (left, right, T), (source, share), c)
     D = np.diag(open_)
-    _add_rounding(state, (left, right, T), c, D)
+    add_count_rounding(state, (left, right, T), c, D)
     innovation = z - h
     if has_velocity_errors(c) and not state.coasting:
         of_errors = H[0, SPEED_ERROR] ** 2 * state.covariance[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
@@ -123,20 +128,9 @@ def _use(
         _weigh_slip(state, before, (innovation[0], c.rolling_radius * (left + right) / 2.0, T), (H, own), c)
         update.prior_covariance[:] = state.covariance
     predicted = sandwich(H, state.covariance) + D
-    S = predicted + factors[source] * stated
     update.dof, update.gate = 3, limit * width_of(state, measurement, c)
-    most, by_tracks = S.copy(), np.zeros(3)
-    if has_velocity_errors(c) and not state.coasting:
-        by_tracks[:] = _by_tracks(state, (left, right, T), c)
-        lacking = c.adaptation.track_variances[-1] - a.track_variance
-        for k in range(3):
-            most[k, k] += lacking * by_tracks[k]
-    surprise = weighted_square(root(most), innovation)
-    if has_velocity_errors(c) and surprise <= update.gate:
-        stands = state.motion.motion == _STANDING
-        learn_from_speed(a, (innovation[0], S[0, 0], by_tracks[0]), stands, c)
-        if weighted_square(root(S), innovation) <= limit:
-            learn_from_fix(a, source, innovation, predicted, stated, c)
+    shown = innovation, predicted, stated
+    surprise = _least_surprise(state, source, shown, (left, right, T), update.gate, c)
     R = factors[source] * stated
     S = predicted + R
     L = root(S)
@@ -150,10 +144,40 @@ def _use(
         state.covariance[:] = update.prior_covariance
     elif update.nis > limit:
         R = R + (update.nis / limit - 1.0) * S
-    C = _shared(state, before.stamp_ns, T, open_)
+    C = shared_with_pose(state, before.stamp_ns, T, open_)
     correct_shared(state.mean, state.covariance, (innovation, R + D), H, C, c.own_errors[source])
     state.mean[YAW] = wrap(state.mean[YAW])
     state.consistent_ns[source] = measurement.stamp_ns
+
+
+@inlined
+def _least_surprise(
+    state: Any,
+    source: int,
+    shown: tuple[FloatArray, FloatArray, FloatArray],
+    drive: tuple[float, float, float],
+    gate: float,
+    c: Any,
+) -> float:
+    """NIS with the largest track error that may be; inside ``gate``, errors and noise are learned from it.
+
+    ``shown``: the innovation, its covariance without R, and R as stated.
+    """
+    (innovation, predicted, stated), a = shown, state.adaptation
+    S, by_tracks = predicted + a.fix_factors[source] * stated, np.zeros(3)
+    most = S.copy()
+    if has_velocity_errors(c) and not state.coasting:
+        by_tracks[:] = by_track_error(state, drive, c)
+        lacking = c.adaptation.track_variances[-1] - a.track_variance
+        for k in range(3):
+            most[k, k] += lacking * by_tracks[k]
+    surprise = weighted_square(root(most), innovation)
+    if has_velocity_errors(c) and surprise <= gate:
+        stands = state.motion.motion == _STANDING
+        learn_from_speed(a, (innovation[0], S[0, 0], by_tracks[0]), stands, c)
+        if weighted_square(root(S), innovation) <= c.gate_limits[3]:
+            learn_from_fix(a, source, innovation, predicted, stated, c)
+    return surprise
 
 
 @compiled
@@ -211,84 +235,3 @@ def _expected(
                 H[i, own] = h[i]
             h[i] *= scale
     return h, H
-
-
-@compiled
-def _by_errors(
-    state: Any, before: Any, drive: tuple[float, float, float], c: Any
-) -> tuple[tuple[float, float], FloatArray]:
-    """By how much the means of both velocity errors over T err as they do at its end, and D (3,).
-
-    Where the sprockets are silent the machine may go as fast as it can.
-    """
-    (left, right, T), D = drive, np.zeros(3)
-    if state.coasting:
-        D[0] = D[1] = 2.0 * _LASTS * c.speed_limit**2 / T
-        return (0.0, 1.0), D
-    if not has_velocity_errors(c):
-        return (0.0, 0.0), D
-    variances = speed.error_variances(state.mean, state.covariance, state, c)
-    kept, mean = speed.persistence(T, state.motion.motion, c)
-    of_mean, of_both, of_end = speed.error_growth(T, state.motion.motion, c)
-    ahead, D[0] = _split(before.errors[0], variances[0], (kept, mean), (of_mean, of_both, of_end))
-    turned, D[2] = _split(before.errors[1], variances[1], (kept, mean), (of_mean, of_both, of_end))
-    D[1] = state.adaptation.track_variance * _sideways(left, right, T, c)
-    return (ahead, turned), D
-
-
-@compiled
-def _split(
-    first: float, own: float, persistence: tuple[float, float], growth: tuple[float, float, float]
-) -> tuple[float, float]:
-    """Of the mean over T of an error that had the variance ``first``: factor of that at its end; the rest."""
-    (kept, mean), (of_mean, of_both, of_end) = persistence, growth
-    both, end = kept * mean * first + of_both * own, kept * kept * first + of_end * own
-    factor = both / end if end > 0.0 else 0.0
-    return factor, max(mean * mean * first + of_mean * own - factor * both, 0.0)
-
-
-@compiled
-def _sideways(left: float, right: float, T: float, c: Any) -> float:
-    """Variance of the mean of v_y over T, by the tracks for a track error of 1 (``speed``), (m/s)²."""
-    squares: float = c.rolling_radius**2 * (left * left + right * right)
-    return float(c.adaptation.sideways**2 * squares / 4.0 * 2.0 * c.velocity_errors.time / T)
-
-
-@compiled
-def _by_tracks(state: Any, drive: tuple[float, float, float], c: Any) -> FloatArray:
-    """(3,) what of S is the tracks', for a track error of 1."""
-    left, right, T = drive
-    share, of_mean = (
-        speed.persistence(T, state.motion.motion, c)[1],
-        speed.error_growth(T, state.motion.motion, c)[0],
-    )
-    U = speed.track_exposure(state, c)
-    ahead = c.adaptation.forward**2 / 4.0 * (share**2 * state.adaptation.speed_exposure + of_mean * U)
-    return np.array((ahead, _sideways(left, right, T, c), of_mean * U / c.tread**2))
-
-
-@compiled
-def _add_rounding(state: Any, drive: tuple[float, float, float], c: Any, D: FloatArray) -> None:
-    """What the rounding of the counts adds to the expected means."""
-    if not state.speeds.differenced or c.encoder_resolution == 0.0:
-        return
-    left, right, T = drive
-    e, x = rounding(T, c.encoder_resolution), state.mean
-    for on_left, on_right in ((e, 0.0), (0.0, e)):
-        more = np.array(body_twist(x, left + on_left, right + on_right, state, c))
-        less = np.array(body_twist(x, left - on_left, right - on_right, state, c))
-        D += np.outer(more - less, more - less) / 4.0
-
-
-@compiled
-def _shared(state: Any, since_ns: int, T: float, open_: FloatArray) -> FloatArray:
-    """C: the pose has moved by T times what ``open_`` (3,) are the variances of; none where a fix came since.
-
-    A gyro may have shown what the yaw rate leaves open: that has none.
-    """
-    C = np.zeros((state.mean.size, 3))
-    if state.fixed_ns <= since_ns:
-        cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
-        C[X, 0], C[Y, 0] = cos * T * open_[0], sin * T * open_[0]
-        C[X, 1], C[Y, 1] = -sin * T * open_[1], cos * T * open_[1]
-    return C

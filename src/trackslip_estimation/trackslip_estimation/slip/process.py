@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_common.clock_monitor import StampStatus, check_other, check_sample
+from trackslip_common.clock_monitor import NEVER_NS, StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.observation import fill_outputs
@@ -33,7 +33,6 @@ from trackslip_estimation.slip.window import (
 )
 
 _NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
-_NEVER = -(2**62)  # ns
 
 _ACCEPTED, _TOO_LATE, _DUPLICATE = int(Outcome.ACCEPTED), int(Outcome.TOO_LATE), int(Outcome.DUPLICATE)
 _INVALID, _WAITING, _AHEAD = int(Outcome.INVALID), int(Outcome.WAITING), int(Outcome.AHEAD)
@@ -58,7 +57,7 @@ def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
     status = window.status[0]
     result.published, result.dof, result.orientation = False, 0, 0
     result.nis = result.gate = np.nan
-    was_head_ns = status.clock.head_ns if status.clock.running else _NEVER
+    was_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
     outcome = _check(window, measurement, c)
     if outcome in (_ACCEPTED, _RESTARTED):
         if status.started:
@@ -111,7 +110,7 @@ def _check(window: Window, measurement: Any, c: Any) -> int:
 def clear(window: Window) -> None:
     """Forget all measurements and all that was learned; the clock goes on."""
     status = window.status[0]
-    status.started, status.count, status.published_ns = False, 0, _NEVER
+    status.started, status.count, status.published_ns = False, 0, NEVER_NS
 
 
 @compiled

@@ -17,10 +17,9 @@ measured ones of the sample that closes the interval.
 import math
 from typing import Any
 
+from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.records import SPROCKETS
-
-_BEFORE_ALL = -(2**62)  # ns
 
 
 @compiled
@@ -33,7 +32,7 @@ def set_speeds(state: Any, closing: Any, stamp_ns: int, c: Any) -> int:
     closed = closing.kind == SPROCKETS
     if not sample.seen:
         known = closed and interval_speeds(sample, closing, c, speeds)
-        return stamp_ns if known else _BEFORE_ALL
+        return stamp_ns if known else NEVER_NS
     if closed and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns:
         return stamp_ns if interval_speeds(sample, closing, c, speeds) else sample.stamp_ns
     if not sample.known:

@@ -5,13 +5,14 @@ import math
 from typing import Any
 
 from trackslip_common.compiled import inlined
-from trackslip_estimation.attitude.filter import forget_attitude
+from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
-from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.motion import reset_motion
+from trackslip_estimation.slip.observation import raise_to_floors
 from trackslip_estimation.slip.odometry import begin_odometry
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCKETS
 from trackslip_estimation.slip.sprockets import remember, stand_still
@@ -19,7 +20,6 @@ from trackslip_estimation.slip.usable import is_gaussian
 from trackslip_estimation.slip.window import Window, drop, insert, is_at, place_of
 
 _ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE), int(Outcome.WAITING)
-_UNKNOWN = int(Motion.UNKNOWN)
 
 
 @inlined
@@ -66,9 +66,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
         P[YAW, YAW] = c.initial_covariance[YAW, YAW]
         x[:rows], P[:rows, :rows] = measurement.value[:rows], measurement.noise[:rows, :rows]
         if source != MANUAL:
-            for i in range(rows):
-                floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
-                P[i, i] = max(P[i, i], floor * floor)
+            raise_to_floors(P, rows, source, c)
             if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
                 x[YAW] += x[SWING]
                 P[YAW, YAW] += P[SWING, SWING]
@@ -78,9 +76,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
             for i in range(YAW):
                 P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
     stand_still(state.speeds)
-    motion = state.motion
-    motion.motion, motion.changing = _UNKNOWN, True
-    motion.left = motion.right = motion.left_mean = motion.right_mean = motion.departure = 0.0
+    reset_motion(state.motion)
     state.stamp_ns, state.coasting = stamp_ns, False
     begin_adaptation(state.adaptation, c)
     if c.resumes:

@@ -33,7 +33,7 @@ from trackslip_estimation.slip.models.dispatch import (
 )
 from trackslip_estimation.slip.models.model import SIZE, YAW
 from trackslip_estimation.slip.models.swing import shear
-from trackslip_estimation.slip.motion import Motion, update_motion
+from trackslip_estimation.slip.motion import reset_motion, update_motion
 from trackslip_estimation.slip.odometry import follow_motion, use_odometry
 from trackslip_estimation.slip.own_errors import exchange_bias
 from trackslip_estimation.slip.records import (
@@ -50,7 +50,7 @@ from trackslip_estimation.slip.swing import use_swing
 from trackslip_estimation.slip.tilt import rise, tilt_by
 from trackslip_estimation.slip.update import use_pose, use_rate, use_slips
 
-_ACCEPTED, _JUMPED, _UNKNOWN = int(Outcome.ACCEPTED), int(Outcome.JUMPED), int(Motion.UNKNOWN)
+_ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
 
 @inlined
@@ -126,9 +126,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
     stand_still(state.speeds)
     lose_track(state.adaptation)
     state.refused_count = 0  # they compare over what was driven
-    motion = state.motion
-    motion.motion, motion.changing = _UNKNOWN, True
-    motion.left = motion.right = motion.left_mean = motion.right_mean = motion.departure = 0.0
+    reset_motion(state.motion)
     propagate(state, dt, c)
     inflate(state, dt, c)
     reset_velocity(state, c)

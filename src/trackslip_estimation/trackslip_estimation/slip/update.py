@@ -24,7 +24,7 @@ from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, keep_refused, r
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor, widen_swing_rate
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import may_swing, open_swing
@@ -46,8 +46,7 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 
 @inlined
 def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
-    """Slips: taken inside their gate, which widens while they and the state disagree."""
-    source = measurement.source
+    """Slips: used inside their gate, which widens while they and the state disagree."""
     z, R = observed(measurement, state, c)
     left, right, _ = comparable_speeds(SLIPS, state, c)
     limit, update.dof = c.gate_limits[z.size], z.size
@@ -63,7 +62,7 @@ def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
         x[:], P[:] = state.mean[: c.size], prior_P
         correct(SLIPS, x, P, (z, R), (left, right), c)
     else:
-        state.consistent_ns[source] = measurement.stamp_ns
+        state.consistent_ns[measurement.source] = measurement.stamp_ns
     update.prior_covariance[:] = prior_P
     state.mean[: c.size], state.covariance[:] = x, P
 
@@ -89,14 +88,9 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     possible = np.isinf(limit) or not on_no_ground(rate, variance, (left, right), c)
     surprise, again = nis, False
     if possible and has_velocity_errors(c) and not state.coasting:
-        innovation = z[0] - expected(YAW_RATE, state.mean, 1, (left, right), c)[0]
-        parts = state.adaptation.exposure * (1.0 + state.mean[GYRO_SCALE]) ** 2, stated
-        stands, S = state.motion.motion == _STANDING, np.exp(log_determinant)
-        surprise = learn_from_rate(state.adaptation, innovation, S, parts, stands, c)
-    streak, learned = state.streaks[source], twist(state.mean, left, right, c)[2] - _rate_error(state, c)
-    if nis <= limit and streak.count == 0:
-        pass
-    elif other_ground(rate, learned, streak, (left, right), c):
+        surprise = _least_surprise(state, (z[0], stated, np.exp(log_determinant)), (left, right), c)
+    streak = state.streaks[source]
+    if (nis > limit or streak.count > 0) and other_ground(rate, state.mean, streak, (left, right), c):
         streak.count = 0
         forget_ground(prior_P, c)
         x[:], P[:] = state.mean[: c.size], prior_P
@@ -125,17 +119,25 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     state.mean[: c.size], state.covariance[:] = x, P
 
 
+@inlined
+def _least_surprise(
+    state: Any, shown: tuple[float, float, float], speeds: tuple[float, float], c: Any
+) -> float:
+    """NIS of a yaw rate with the largest noise that may be; how large that is, is learned from it.
+
+    ``shown``: the rate, rad/s, its variance as stated, and that of its innovation.
+    """
+    rate, stated, S = shown
+    innovation = rate - expected(YAW_RATE, state.mean, 1, speeds, c)[0]
+    parts = state.adaptation.exposure * (1.0 + state.mean[GYRO_SCALE]) ** 2, stated
+    return learn_from_rate(state.adaptation, innovation, S, parts, state.motion.motion == _STANDING, c)
+
+
 @compiled
 def width_of(state: Any, measurement: Any, c: Any) -> float:
     """How far the gate of a yaw rate, of slips or of a heading has widened."""
     silent_ns = measurement.stamp_ns - state.consistent_ns[measurement.source]
     return width(silent_ns, c.timeouts_ns[measurement.source], c.gate_relaxation)
-
-
-@compiled
-def _rate_error(state: Any, c: Any) -> float:
-    """What the yaw rate is beyond the model's equations, rad/s."""
-    return float(state.mean[YAW_RATE_ERROR]) if has_velocity_errors(c) else 0.0
 
 
 @compiled
@@ -161,7 +163,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     refused moves the pose where it agrees with others that were (``alignment``).
     """
     source = measurement.source
-    z, R = observed(measurement, state, c)
+    z, stated = observed(measurement, state, c)
     m, limit = z.size, c.gate_limits[z.size]
     x, P = state.mean[: c.size].copy(), state.covariance.copy()
     shift = stamp_shift(state, source, c)
@@ -170,34 +172,27 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     innovation, predicted = z - x[:m], P[:m, :m].copy()
     if m > YAW:
         innovation[YAW] = wrap(innovation[YAW])
-    stated, finds_heading = R, state.aligning and (m <= YAW or c.above[source] == 1)
-    known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.correlation_times[source])
-    R = state.adaptation.fix_factors[source] * stated
     update.dof, update.gate = m, c.adaptation.soft_gate * limit
-    nis = weighted_square(root(predicted + R), innovation)
-    alone = not stands_still(state, source, c) or nis > limit
-    if has_velocity_errors(c) and not finds_heading and nis <= update.gate and alone:
-        learn_from_fix(state.adaptation, source, innovation, predicted, stated, c)
-        if c.correlation_times[source] > 0.0:  # what follows it so smoothly does not show that it is small
-            state.adaptation.fix_factors[source] = max(state.adaptation.fix_factors[source], 1.0)
-        R = state.adaptation.fix_factors[source] * stated
+    finds_heading = state.aligning and (m <= YAW or c.above[source] == 1)
+    known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.correlation_times[source])
+    R, alone = _noise(state, source, (innovation, predicted, stated), finds_heading, c)
     root_of_S = root(predicted + R)
     nis = weighted_square(root_of_S, innovation)
     update.nis, update.log_determinant = nis, log_determinant_of(root_of_S)
     refused = finds_heading or nis > update.gate
-    if (refused or nis > limit) and may_swing(state, source, c):
+    if not (refused or nis > limit):
+        state.refused_count = 0
+        state.consistent_ns[source] = measurement.stamp_ns
+    elif may_swing(state, source, c):
         state.refused_count = 0  # how it swings is no way that was driven
         if refused and not finds_heading and width_of(state, measurement, c) > 1.0:
             open_swing(state.covariance, c)
-    elif refused or nis > limit:
+    else:
         keep_refused(state, (x[X], x[Y]), (z[X], z[Y]), (R[X, X] + R[Y, Y]) / 2.0)
         if realign(state, c):
             state.consistent_ns[source] = measurement.stamp_ns
             update.follows = False
             return
-    else:
-        state.refused_count = 0
-        state.consistent_ns[source] = measurement.stamp_ns
     if refused:
         update.outcome = _GATED
         return
@@ -211,6 +206,30 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     to_sensor(x, P, state.attitude.level, source, -1.0, c)
     state.mean[: c.size], state.covariance[:] = x, P
     state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
+
+
+@inlined
+def _noise(
+    state: Any,
+    source: int,
+    shown: tuple[FloatArray, FloatArray, FloatArray],
+    finds_heading: bool,
+    c: Any,
+) -> tuple[FloatArray, bool]:
+    """R of a fix, whose factor is learned from it; whether it counts alone, or as one more of its stand.
+
+    ``shown``: its innovation, the covariance of that without R, and R as stated.
+    """
+    innovation, predicted, stated = shown
+    factors, limit = state.adaptation.fix_factors, c.gate_limits[innovation.size]
+    nis = weighted_square(root(predicted + factors[source] * stated), innovation)
+    alone = not stands_still(state, source, c) or nis > limit
+    inside = nis <= c.adaptation.soft_gate * limit
+    if has_velocity_errors(c) and not finds_heading and inside and alone:
+        learn_from_fix(state.adaptation, source, innovation, predicted, stated, c)
+        if c.correlation_times[source] > 0.0:  # what follows it so smoothly does not show that it is small
+            factors[source] = max(factors[source], 1.0)
+    return factors[source] * stated, alone
 
 
 @compiled

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.clock_monitor import CLOCK, NO_HORIZON
+from trackslip_common.clock_monitor import CLOCK, NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.records import MEASUREMENT, SPROCKETS, STATE, UPDATE
 from trackslip_estimation.slip.step import step
@@ -33,7 +33,6 @@ WINDOW = np.dtype(
     ],
     align=True,
 )
-_NEVER = -(2**62)  # ns
 SPARE = 8  # entries that a full window still has; the last one is where an arrival waits for its place
 
 
@@ -59,7 +58,7 @@ def make_window(capacity: int) -> Window:
         np.zeros(capacity, STATE),
         np.zeros(capacity, UPDATE),
     )
-    window.status["published_ns"] = _NEVER
+    window.status["published_ns"] = NEVER_NS
     return window
 
 
@@ -158,7 +157,7 @@ def horizon_ns(window: Window, c: Any) -> int:
     """Measurements before this stamp come too late: the start, or what is settled."""
     status = window.status[0]
     if not status.started:
-        return NO_HORIZON
+        return NEVER_NS
     first_ns = window.measurements[0].stamp_ns
     return int(max(first_ns, status.clock.head_ns - c.window_ns) if status.clock.running else first_ns)
 

@@ -7,14 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header
-from trackslip_common.message_fields import (
-    HydraulicsFields,
-    OdometryFields,
-    SlipFields,
-    heading_of,
-    read,
-    tilt_of,
-)
+from trackslip_common.message_fields import HydraulicsFields, OdometryFields, SlipFields
+from trackslip_common.message_reading import read
+from trackslip_common.orientations import heading_of, tilt_of
 from trackslip_estimation.slip.conversions import UNOBSERVED
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import (

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Spec
+from trackslip_common.parameter_spec import Spec
 
 FloatArray = NDArray[np.float64]
 

@@ -28,7 +28,8 @@ from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.truth.record import Truth
 from trackslip_tools.replay.dead_reckoning import DrivenCollector, dead_reckon
-from trackslip_tools.replay.run import Replay, replay
+from trackslip_tools.replay.result import Replay
+from trackslip_tools.replay.run import replay
 from trackslip_tools.replay.scoring import MOVING, in_order
 from trackslip_tools.replay.whole_inputs import read_inputs
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
+from trackslip_common.topics import ODOMETRY, TRACK_SLIP, TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
@@ -19,8 +20,8 @@ from trackslip_sim.demo.graph import SENSOR_TOPICS
 from trackslip_sim.demo.soil_results import SoilResult, soil_result
 from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP
-from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, Part, Watch, replay
+from trackslip_tools.replay.parts import Part, Watch
+from trackslip_tools.replay.run import replay
 from trackslip_tools.replay.scoring import Score, moving_slips, score, slip_rmse
 from trackslip_tools.replay.series import Series, SeriesCollector
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.soil.conversions import FORCES, SOIL
+from trackslip_common.topics import FORCES, SOIL, TRUE_FORCES, TRUE_SOIL
 from trackslip_tools.replay.series import Series
-from trackslip_tools.replay.soil import TRUE_FORCES, TRUE_SOIL, SoilComparison, SoilReplay
+from trackslip_tools.replay.soil import SoilComparison, SoilReplay
 
 FloatArray = NDArray[np.float64]
 

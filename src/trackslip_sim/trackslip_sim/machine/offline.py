@@ -41,6 +41,16 @@ from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 from trackslip_estimation.slip import conversions as of_estimates
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_sim.machine.bag_messages import Recording, Serialize, like, sensor_serializers
+from trackslip_sim.machine.emulation import (
+    BODY_FRAME,
+    DRAIN_NS,
+    FORCES_NS,
+    SITE_FRAME,
+    SOIL_NS,
+    SWING_NS,
+    TICK_NS,
+    TRUTH_NS,
+)
 from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
 from trackslip_sim.machine.message_columns import Columns, stamp_columns
 from trackslip_sim.machine.sensors import swing_topics
@@ -60,15 +70,8 @@ from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.window import KEPT, TruthWindow
 
 START_NS = 1_000_000_000  # of the counted clock
-_TICK_NS = 2_000_000
-_TRUTH_NS = 10_000_000
-_SWING_NS = 20_000_000  # of the encoder, and of its truth
-_FORCES_NS = 100_000_000
 _SECOND_NS = 1_000_000_000
-_SOIL_NS = _SECOND_NS
 _WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes, while the window still has the truth
-_DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
-_BODY_FRAME, _SITE_FRAME = "base_link", "map"
 
 
 def record_drive(
@@ -88,7 +91,7 @@ def record_drive(
     with BagWriter(path) as bag:
         host = _Host(p, window, bag)
         now_ns = START_NS
-        while now_ns <= host.excavator.end_ns + _DRAIN_NS:
+        while now_ns <= host.excavator.end_ns + DRAIN_NS:
             host.step(now_ns)
             before_ns, now_ns = now_ns, host.next_ns(now_ns)
             if (seconds := now_ns // _SECOND_NS - before_ns // _SECOND_NS) > 0:
@@ -121,7 +124,7 @@ class _Host:
         origin = {name: getattr(p.gnss, name) for name in ("latitude", "longitude", "altitude")}
         self._map = replace(gnss, **{f"datum_{name}": value for name, value in origin.items()})
         self._antenna = GnssLocalizer(self._map)
-        serializers = sensor_serializers(watson, _BODY_FRAME) | self._truth_serializers()
+        serializers = sensor_serializers(watson, BODY_FRAME) | self._truth_serializers()
         self.recording = Recording(bag, serializers)
         text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
         self.recording.add(VEHICLE, text, START_NS)
@@ -144,9 +147,9 @@ class _Host:
         for found in self._gnss.feed(sent, now_ns) if sent else ():
             self._on_gnss(found, now_ns)
         since_ns = now_ns - START_NS
-        if since_ns % _TRUTH_NS == 0 and now_ns <= self.excavator.end_ns:
+        if since_ns % TRUTH_NS == 0 and now_ns <= self.excavator.end_ns:
             self._record_truth(now_ns, since_ns)
-        if since_ns % _SWING_NS == 0 and now_ns <= self.excavator.end_ns and self._swings:
+        if since_ns % SWING_NS == 0 and now_ns <= self.excavator.end_ns and self._swings:
             self._record_swing(now_ns)
         if now_ns - self._written_ns >= _WRITE_NS:
             self.recording.write()
@@ -155,11 +158,11 @@ class _Host:
     def next_ns(self, now_ns: int) -> int:
         """The next tick at which there may be anything to do."""
         if self._session.phase is not Phase.STREAMING:
-            return now_ns + _TICK_NS
-        wanted_ns = self.excavator.next_ns(now_ns, _TICK_NS)
-        ticks = max(1, -((now_ns - wanted_ns) // _TICK_NS))
-        until_truth = _TRUTH_NS - (now_ns - START_NS) % _TRUTH_NS
-        return now_ns + min(ticks * _TICK_NS, until_truth)
+            return now_ns + TICK_NS
+        wanted_ns = self.excavator.next_ns(now_ns, TICK_NS)
+        ticks = max(1, -((now_ns - wanted_ns) // TICK_NS))
+        until_truth = TRUTH_NS - (now_ns - START_NS) % TRUTH_NS
+        return now_ns + min(ticks * TICK_NS, until_truth)
 
     def _talk_to_scanner(self, now_ns: int) -> None:
         arrived = self.excavator.step_sick(now_ns)
@@ -179,7 +182,7 @@ class _Host:
         fix = self._localizer.locate(Scan(scan.stamp_ns, ranges, *geometry))
         if isinstance(fix, BoxFix):
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
-            message = of_estimates.pose_with_covariance(make, pose, _SITE_FRAME)
+            message = of_estimates.pose_with_covariance(make, pose, SITE_FRAME)
             self.recording.add("box_pose", message, now_ns)
 
     def _on_gnss(self, sample: Sample, now_ns: int) -> None:
@@ -199,12 +202,12 @@ class _Host:
         self._window.advance(self.excavator.sensors.time(now_ns))
         self.recording.add("truth/odometry", now_ns, now_ns)
         self.recording.add("truth/track_slip", now_ns, now_ns)
-        if since_ns % _FORCES_NS == 0:
+        if since_ns % FORCES_NS == 0:
             self.recording.add("truth/track_forces", now_ns, now_ns)
             self.recording.add("truth/attitude", now_ns, now_ns)
-        if since_ns % _SOIL_NS == 0:
+        if since_ns % SOIL_NS == 0:
             at = self._window.truth.at(self.excavator.sensors.time(now_ns))
-            soil = soil_message(make, at, now_ns, self._vehicle, _BODY_FRAME)
+            soil = soil_message(make, at, now_ns, self._vehicle, BODY_FRAME)
             self.recording.add("truth/soil", soil, now_ns)
 
     def _record_swing(self, now_ns: int) -> None:
@@ -223,12 +226,12 @@ class _Host:
             return of_stamps
 
         slip, forces = (
-            stamped(make, f"trackslip_msgs/msg/{name}", _BODY_FRAME) for name in ("TrackSlip", "TrackForces")
+            stamped(make, f"trackslip_msgs/msg/{name}", BODY_FRAME) for name in ("TrackSlip", "TrackForces")
         )
         return {
-            "truth/odometry": like(certain_odometry(make, _SITE_FRAME, _BODY_FRAME), at(odometry_columns)),
-            "truth/attitude": like(certain_attitude(make, _BODY_FRAME), at(attitude_columns)),
+            "truth/odometry": like(certain_odometry(make, SITE_FRAME, BODY_FRAME), at(odometry_columns)),
+            "truth/attitude": like(certain_attitude(make, BODY_FRAME), at(attitude_columns)),
             "truth/track_slip": like(slip, at(track_slip_columns)),
-            "truth/swing": like(of_sensors.blank_swing(make, _BODY_FRAME), at(swing_columns)),
+            "truth/swing": like(of_sensors.blank_swing(make, BODY_FRAME), at(swing_columns)),
             "truth/track_forces": like(forces, at(lambda truth: track_forces_columns(truth, self._vehicle))),
         }

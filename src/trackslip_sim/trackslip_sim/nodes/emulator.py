@@ -17,6 +17,16 @@ from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
 from trackslip_drivers.conversions import blank_swing, fill_swing
 from trackslip_sim.machine.cables import Cables
+from trackslip_sim.machine.emulation import (
+    BODY_FRAME,
+    DRAIN_NS,
+    FORCES_NS,
+    SITE_FRAME,
+    SOIL_NS,
+    SWING_NS,
+    TICK_NS,
+    TRUTH_NS,
+)
 from trackslip_sim.machine.excavator import EmulatedExcavator, drive
 from trackslip_sim.machine.faults import Fault, parse_fault
 from trackslip_sim.machine.message_columns import set_fields, stamp_columns
@@ -32,14 +42,6 @@ from trackslip_sim.machine.truth_messages import (
     track_slip_columns,
 )
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
-
-_TICK_NS = 2_000_000  # how finely the serial lines are dripped
-_TRUTH_PERIOD_NS = 10_000_000
-_SWING_PERIOD_NS = 20_000_000
-_FORCES_PERIOD_NS = 100_000_000
-_SOIL_PERIOD_NS = 1_000_000_000
-_DRAIN_NS = 1_000_000_000  # after the end of the drive, for what is still on the lines
-_FRAMES = ("map", "base_link")
 
 
 class EmulatorNode(TrackslipNode[EmulatorParameters]):
@@ -126,8 +128,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         began_ns = time.monotonic_ns()
         epoch_ns = time.time_ns() - began_ns
         # Ticks fall on the devices' own cycles, which are whole ticks apart from the start of the drive.
-        tick_ns = began_ns - (epoch_ns + began_ns - excavator.drive_start_ns) % _TICK_NS
-        truth_ns = epoch_ns + began_ns + _TRUTH_PERIOD_NS // 2  # while the host waits for the next frames
+        tick_ns = began_ns - (epoch_ns + began_ns - excavator.drive_start_ns) % TICK_NS
+        truth_ns = epoch_ns + began_ns + TRUTH_NS // 2  # while the host waits for the next frames
         try:
             while not self._stopping.is_set():
                 now_ns = epoch_ns + time.monotonic_ns()
@@ -136,9 +138,9 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
                 cables.exchange(excavator, now_ns)
                 while truth_ns <= min(now_ns, excavator.end_ns):
                     self._publish_truth(excavator, truth_ns)
-                    truth_ns += _TRUTH_PERIOD_NS
-                self._finished = now_ns > excavator.end_ns + _DRAIN_NS
-                tick_ns += _TICK_NS * max(1, (time.monotonic_ns() - tick_ns) // _TICK_NS)
+                    truth_ns += TRUTH_NS
+                self._finished = now_ns > excavator.end_ns + DRAIN_NS
+                tick_ns += TICK_NS * max(1, (time.monotonic_ns() - tick_ns) // TICK_NS)
                 self._stopping.wait(max(tick_ns - time.monotonic_ns(), 0) * 1e-9)
         except Exception as error:  # noqa: BLE001 (the thread ends, which /diagnostics must show)
             self._trouble = f"stopped: {cause(error)}"
@@ -147,30 +149,30 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
     def _publish_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
         at, vehicle = self._truth.at(excavator.sensors.time(stamp_ns)), self._whole
         stamp = stamp_columns([stamp_ns])
-        odometry = certain_odometry(make, *_FRAMES)
+        odometry = certain_odometry(make, SITE_FRAME, BODY_FRAME)
         set_fields(odometry, {**stamp, **odometry_columns(at)})
         self._odometry.publish(odometry)
-        track_slip = stamped(make, "trackslip_msgs/msg/TrackSlip", _FRAMES[1])
+        track_slip = stamped(make, "trackslip_msgs/msg/TrackSlip", BODY_FRAME)
         set_fields(track_slip, {**stamp, **track_slip_columns(at)})
         self._track_slip.publish(track_slip)
         since_ns = stamp_ns - excavator.drive_start_ns
-        if since_ns % _SWING_PERIOD_NS < _TRUTH_PERIOD_NS:
+        if since_ns % SWING_NS < TRUTH_NS:
             self._publish_swing(excavator, stamp_ns)
-        if since_ns % _FORCES_PERIOD_NS < _TRUTH_PERIOD_NS:
-            forces = stamped(make, "trackslip_msgs/msg/TrackForces", _FRAMES[1])
+        if since_ns % FORCES_NS < TRUTH_NS:
+            forces = stamped(make, "trackslip_msgs/msg/TrackForces", BODY_FRAME)
             set_fields(forces, {**stamp, **track_forces_columns(at, vehicle)})
             self._track_forces.publish(forces)
-            attitude = certain_attitude(make, _FRAMES[1])
+            attitude = certain_attitude(make, BODY_FRAME)
             set_fields(attitude, {**stamp, **attitude_columns(at)})
             self._attitude.publish(attitude)
-        if since_ns % _SOIL_PERIOD_NS < _TRUTH_PERIOD_NS:
-            self._soil.publish(soil_message(make, at, stamp_ns, vehicle, _FRAMES[1]))
+        if since_ns % SOIL_NS < TRUTH_NS:
+            self._soil.publish(soil_message(make, at, stamp_ns, vehicle, BODY_FRAME))
 
     def _publish_swing(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
         """The encoder has a computer of its own, which publishes what it reads."""
         samples = {"swing": excavator.sensors.swing, "truth/swing": excavator.sensors.true_swing}
         for topic, publisher in self._swings.items():
-            publisher.publish(fill_swing(blank_swing(make, _FRAMES[1]), samples[topic](stamp_ns)))
+            publisher.publish(fill_swing(blank_swing(make, BODY_FRAME), samples[topic](stamp_ns)))
 
 
 def main() -> None:

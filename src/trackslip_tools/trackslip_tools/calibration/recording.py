@@ -23,12 +23,10 @@ from trackslip_common.message_fields import (
     OrientationFields,
     PoseFields,
     QuaternionFields,
-    RecordClass,
     SprocketFields,
-    dtype_of,
-    headings_of,
-    poses_of,
 )
+from trackslip_common.message_reading import RecordClass, dtype_of
+from trackslip_common.orientations import headings_of, poses_of
 from trackslip_estimation.slip.motion import (
     MOTION,
     SPEEDS,

@@ -96,7 +96,8 @@ def with_estimates(bag: Bag) -> Iterator[Bag]:
         return
     from trackslip_tools.cli import replay_options
     from trackslip_tools.replay.output import EstimateWriter
-    from trackslip_tools.replay.run import Part, replay
+    from trackslip_tools.replay.parts import Part
+    from trackslip_tools.replay.run import replay
 
     show("the bag has no estimates: replaying it first", file=sys.stderr)
     p = replay_options.parameters_of(bag, [], [])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from trackslip_bags.reader import Bag
-    from trackslip_tools.replay.run import Part
+    from trackslip_tools.replay.parts import Part
 
 T = TypeVar("T")
 

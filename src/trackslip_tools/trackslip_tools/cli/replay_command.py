@@ -17,7 +17,9 @@ from trackslip_tools.cli.outputs import require_writable
 from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.fleet.entry import Entry, entry_of
 from trackslip_tools.replay.output import EstimateWriter, summary, text
-from trackslip_tools.replay.run import Part, Replay, Watch, replay
+from trackslip_tools.replay.parts import Part, Watch
+from trackslip_tools.replay.result import Replay
+from trackslip_tools.replay.run import replay
 from trackslip_tools.replay.start import learned_before
 
 EXAMPLE = (

@@ -18,7 +18,9 @@ from trackslip_tools.fleet.find import is_folder
 from trackslip_tools.fleet.pages import INDEX, make_folder, write_pages
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
-from trackslip_tools.replay.run import Part, Replay, Watch, replay
+from trackslip_tools.replay.parts import Part, Watch
+from trackslip_tools.replay.result import Replay
+from trackslip_tools.replay.run import replay
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.limits import VerdictLimits, load_limits
 from trackslip_tools.report.panel import MOST_RUNS

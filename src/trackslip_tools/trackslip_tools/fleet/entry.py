@@ -11,7 +11,8 @@ import numpy as np
 from trackslip_common.errors import ExitCode, InputError, collected
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.output import summary
-from trackslip_tools.replay.run import Part, Replay, Watch
+from trackslip_tools.replay.parts import Part, Watch
+from trackslip_tools.replay.result import Replay
 
 _TIMING = "real_time_factor"  # depends on who else was at work
 

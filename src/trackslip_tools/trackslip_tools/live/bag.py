@@ -66,6 +66,6 @@ class BagFeed:
 
     def _take(self, message: Played) -> None:
         found = self._bag.deserialize(message.raw, self._topics[message.topic])
-        self._state.take(
+        self._state.process(
             message.topic.removeprefix("/"), found, (message.log_time_ns - self._bag.start_ns) * 1e-9
         )

@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from trackslip_common.errors import printable
+from trackslip_common.topics import ATTITUDE, ODOMETRY, TRACK_SLIP
 from trackslip_tools.live import inputs
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.report.panel import SIGMAS
@@ -19,7 +20,7 @@ def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
     """Text of each of ``NAMES``; what is not known is a dash."""
     facts = dict.fromkeys(NAMES, _NONE)
     facts["soil_reason"] = printable(now.reason)
-    odometry, slip = now.get(inputs.ODOMETRY, now_s), now.get(inputs.TRACK_SLIP, now_s)
+    odometry, slip = now.get(ODOMETRY, now_s), now.get(TRACK_SLIP, now_s)
     if odometry is not None:
         x, y, heading = inputs.pose_of(odometry)
         apart = SIGMAS * math.sqrt(max(float(np.max(_eigenvalues(odometry.covariance[:2, :2]))), 0.0))
@@ -29,7 +30,7 @@ def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
         facts["speed"] = f"{odometry.v_x:.2f} m/s"
     if slip is not None:
         facts["motion"] = _MOTION[slip.motion_state] if slip.motion_state < len(_MOTION) else _MOTION[0]
-    attitude = now.get(inputs.ATTITUDE, now_s)
+    attitude = now.get(ATTITUDE, now_s)
     if attitude is not None and attitude.covariance[0] >= 0.0:
         sigmas = SIGMAS * np.sqrt(attitude.covariance)
         for name, angle, sigma in zip(("roll", "pitch"), inputs.tilt_of(attitude), sigmas, strict=True):

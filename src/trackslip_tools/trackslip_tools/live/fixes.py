@@ -35,7 +35,7 @@ class Fixes:
         """What is silent for longer than its timeout (s) counts as lost."""
         self.timeouts = dict(list(timeouts.items())[:_MOST_SOURCES])
 
-    def take(self, source: str, x: float, y: float, now_s: float) -> None:
+    def add(self, source: str, x: float, y: float, now_s: float) -> None:
         """A fix."""
         self._came_s[source] = now_s
         if math.isfinite(x) and math.isfinite(y):

@@ -8,22 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_fields import (
-    At,
     ForceFields,
     OdometryFields,
     PoseFields,
-    RecordClass,
     SlipFields,
     SoilFields,
     SwingFields,
-    heading_of,
 )
-from trackslip_common.topics import TOPICS
+from trackslip_common.message_reading import At, RecordClass
+from trackslip_common.orientations import heading_of
+from trackslip_common.topics import ATTITUDE, DIAGNOSTICS, FORCES, ODOMETRY, SOIL, TOPICS, TRACK_SLIP
 
 FloatArray = NDArray[np.float64]
 
-ODOMETRY, TRACK_SLIP, FORCES, SOIL = "odometry", "track_slip", "track_forces", "soil"
-ATTITUDE, SWING, VEHICLE, DIAGNOSTICS = "attitude", "swing", "vehicle", "diagnostics"
+SWING, VEHICLE = "swing", "vehicle"
 PARAMETERS = "slip_estimator/parameters"
 BOX_POSE = "box_pose"
 POSES = (BOX_POSE, "gnss_pose", "reference_pose")  # and those that the slip estimator states

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.topics import ODOMETRY
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_tools.live import inputs
 from trackslip_tools.live.snapshot import Snapshot
@@ -20,7 +21,7 @@ NAMES = ("ellipse", "machine", "nose", "upper", "box")
 def outlines_of(now: Snapshot, now_s: float, vehicle: VehicleParameters) -> dict[str, FloatArray]:
     """(n, 2) of each of ``NAMES``; without points where nothing is known of it."""
     found = dict.fromkeys(NAMES, np.empty((0, 2)))
-    odometry = now.get(inputs.ODOMETRY, now_s)
+    odometry = now.get(ODOMETRY, now_s)
     if odometry is not None:
         pose = inputs.pose_of(odometry)
         found |= _machine(pose, vehicle)

@@ -5,14 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_common.message_fields import PoseFields, read
+from trackslip_common.message_fields import PoseFields
+from trackslip_common.message_reading import read
+from trackslip_common.topics import FORCES, ODOMETRY, SOIL, TRACK_SLIP
 from trackslip_tools.live import inputs
 from trackslip_tools.live.strips import MOTION
 from trackslip_tools.report.quantities import Columns
 
 STANDING = 1  # motion_state of TrackSlip
 _FRESH_S = 1.0
-_FRESH_OF = {inputs.SOIL: 5.0, inputs.FORCES: 1.5, inputs.BOX_POSE: 1.5}  # of slower topics
+_FRESH_OF = {SOIL: 5.0, FORCES: 1.5, inputs.BOX_POSE: 1.5}  # of slower topics
 
 
 class Snapshot:
@@ -23,7 +25,7 @@ class Snapshot:
         self.classes: dict[str, float] = {}  # soil → probability
         self.reason = ""  # why the soil cannot be identified
 
-    def take(self, topic: str, message: Any, now_s: float) -> Any:
+    def process(self, topic: str, message: Any, now_s: float) -> Any:
         """The record of a message of one of ``inputs.RECORDS``, or of a pose.
 
         Raises:
@@ -31,7 +33,7 @@ class Snapshot:
         """
         record = read(inputs.RECORDS.get(topic, PoseFields), message)
         self._records[topic] = (record, now_s)
-        if topic == inputs.SOIL:
+        if topic == SOIL:
             self.classes, self.reason = inputs.classes_of(message), str(message.reason)
         return record
 
@@ -44,7 +46,7 @@ class Snapshot:
         """What the panels take, of what is fresh."""
         found: dict[str, Columns] = {
             topic: record._asdict()
-            for topic in (inputs.FORCES, inputs.SOIL)
+            for topic in (FORCES, SOIL)
             if (record := self.get(topic, now_s)) is not None
         }
         motion = self._motion(now_s)
@@ -52,7 +54,7 @@ class Snapshot:
 
     def _motion(self, now_s: float) -> Columns | None:
         """As the report has them of a run; at rest slips mean nothing."""
-        odometry, slip = self.get(inputs.ODOMETRY, now_s), self.get(inputs.TRACK_SLIP, now_s)
+        odometry, slip = self.get(ODOMETRY, now_s), self.get(TRACK_SLIP, now_s)
         if odometry is None:
             return None
         columns = {

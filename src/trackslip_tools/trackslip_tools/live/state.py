@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.errors import InputError, printable
+from trackslip_common.topics import DIAGNOSTICS, ODOMETRY, SOIL
 from trackslip_common.vehicle import VehicleParameters, vehicle_of_text
 from trackslip_tools.live import inputs
 from trackslip_tools.live.encoding import finite, outline
@@ -58,23 +59,23 @@ class LiveState:
         """Sources of poses, and for how long each may be silent, s."""
         self._fixes.expect(timeouts)
 
-    def take(self, topic: str, message: Any, now_s: float) -> None:
+    def process(self, topic: str, message: Any, now_s: float) -> None:
         """A message of one of ``inputs.TYPES``, or a pose.
 
         Raises:
             Exception: it is not of the topic's type.
         """
         with self._lock:
-            if topic == inputs.DIAGNOSTICS:
+            if topic == DIAGNOSTICS:
                 self._lights.update(statuses_of(message, self._namespace), now_s)
             elif topic == inputs.VEHICLE:
                 self._take_vehicle(message.data)
             elif topic == inputs.PARAMETERS:
                 self._take_parameters(message.data)
             else:
-                record = self._now.take(topic, message, now_s)
+                record = self._now.process(topic, message, now_s)
                 if topic not in inputs.RECORDS:
-                    self._fixes.take(topic, record.x, record.y, now_s)
+                    self._fixes.add(topic, record.x, record.y, now_s)
 
     def tick(self, now_s: float, time_ms: float) -> dict[str, Any]:
         """The next frame; ``time_ms`` is on the clock that is shown."""
@@ -130,14 +131,14 @@ class LiveState:
             self._fixes.see(self._events, now_s, time_ms)
         for values in self._lights.news():
             self._events.see_values(values, now_s, time_ms)
-        if self._now.get(inputs.SOIL, now_s) is not None:
+        if self._now.get(SOIL, now_s) is not None:
             self._events.see_soil(self._now.classes, now_s, time_ms)
 
     def _momentary(self, lights: list[Light], now_s: float, time_ms: float) -> dict[str, Any]:
         """What every frame has whole."""
         drawn = outlines_of(self._now, now_s, self._vehicle)
         likely = sorted(self._now.classes.items(), key=lambda item: -item[1])[:_CLASSES]
-        has_soil = self._now.get(inputs.SOIL, now_s) is not None
+        has_soil = self._now.get(SOIL, now_s) is not None
         return {
             "number": self._number,
             "time": round(time_ms),
@@ -153,7 +154,7 @@ class LiveState:
     def _places(self, now_s: float) -> dict[str, Any]:
         """What the path and the fixes have gained."""
         gained: dict[str, Any] = {}
-        odometry, thinned = self._now.get(inputs.ODOMETRY, now_s), self._trail.thinned
+        odometry, thinned = self._now.get(ODOMETRY, now_s), self._trail.thinned
         if odometry is not None and self._trail.add(odometry.x, odometry.y):
             gained["path"] = self._trail.points[-1]
             if self._trail.thinned != thinned:

@@ -19,6 +19,7 @@ from trackslip_common.nodes.health import OK, Health
 from trackslip_common.nodes.messages import message_class
 from trackslip_common.nodes.qos import best_effort, latched
 from trackslip_common.nodes.run import run
+from trackslip_common.topics import DIAGNOSTICS
 from trackslip_common.vehicle import load_vehicle
 from trackslip_tools.live import inputs
 from trackslip_tools.live.clock import shown_ms
@@ -70,7 +71,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
         every = topic in inputs.EVERY_MESSAGE
         self._waiting[topic] = deque(maxlen=_MOST_WAITING if every else 1)
         qos = latched() if topic in inputs.LATCHED else best_effort() if every else _NEWEST
-        full = f"/{topic}" if topic == inputs.DIAGNOSTICS else topic
+        full = f"/{topic}" if topic == DIAGNOSTICS else topic
         kind = message_class(inputs.TYPES.get(topic, inputs.POSE_TYPE))
         self.create_subscription(kind, full, partial(self._keep, topic), qos, raw=True)
 
@@ -94,7 +95,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
     def _take(self, topic: str, data: bytes) -> None:
         try:
             message: Any = deserialize_message(data, message_class(inputs.TYPES.get(topic, inputs.POSE_TYPE)))
-            self._state.take(topic, message, time.monotonic())
+            self._state.process(topic, message, time.monotonic())
         except Exception as error:  # noqa: BLE001 (whatever is in it, the page goes on)
             self.callback_failures.add(topic, error)
 

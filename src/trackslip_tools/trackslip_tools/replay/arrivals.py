@@ -23,13 +23,12 @@ from trackslip_common.message_fields import (
     OrientationFields,
     PoseFields,
     QuaternionFields,
-    RecordClass,
     SlipFields,
     SprocketFields,
     SwingFields,
-    headings_of,
-    poses_of,
 )
+from trackslip_common.message_reading import RecordClass
+from trackslip_common.orientations import headings_of, poses_of
 from trackslip_estimation.slip.measurements import SET_POSE
 from trackslip_estimation.slip.mounting import turned, turned_variances, up_by
 from trackslip_estimation.slip.records import (

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.message_fields import headings_of, tilts_of
+from trackslip_common.orientations import headings_of, tilts_of
+from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
 from trackslip_estimation.slip.mounting import quaternion_by
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import Rows
@@ -24,6 +25,8 @@ _ODOMETRY = ("x", "y", "heading", "v_x", "v_y", "yaw_rate", "covariance", "twist
 _TILT = ("roll", "pitch", "z")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _SLIPS = ("left_slip", "right_slip", "slip_angle", "covariance")
+TILT = "tilt"  # of odometry, with its height
+_COLUMNS = {ODOMETRY: _ODOMETRY, LOCAL_ODOMETRY: _ODOMETRY, TRACK_SLIP: _SLIPS, TILT: _TILT}
 _SHAPES = {"covariance": (3, 3), "twist_covariance": (3, 3)}
 
 
@@ -103,28 +106,16 @@ class LiveComparer:
     """
 
     def __init__(self) -> None:
-        self._odometry, self._slips, self._local = TopicComparison(), TopicComparison(), TopicComparison()
-        self._tilt = TopicComparison()
+        self._compared = {what: TopicComparison() for what in _COLUMNS}
 
-    def add_odometry(self, live: Rows, replayed: Rows) -> None:
-        """More of ``odometry``, either may be empty."""
-        self._odometry.add(_picked(live, _ODOMETRY), _picked(replayed, _ODOMETRY))
-
-    def add_tilt(self, live: Rows, replayed: Rows) -> None:
-        """More of the tilt and height in ``odometry``, either may be empty."""
-        self._tilt.add(_picked(live, _TILT), _picked(replayed, _TILT))
-
-    def add_local(self, live: Rows, replayed: Rows) -> None:
-        """More of ``odometry/local``, either may be empty."""
-        self._local.add(_picked(live, _ODOMETRY), _picked(replayed, _ODOMETRY))
-
-    def add_slips(self, live: Rows, replayed: Rows) -> None:
-        """More of ``track_slip``, either may be empty."""
-        self._slips.add(_picked(live, _SLIPS), _picked(replayed, _SLIPS))
+    def add(self, what: str, live: Rows, replayed: Rows) -> None:
+        """More of a topic, or of ``TILT``, either may be empty."""
+        columns = _COLUMNS[what]
+        self._compared[what].add(_picked(live, columns), _picked(replayed, columns))
 
     def result(self, counts: JournalCounts) -> LiveComparison:
         """When all was added; ``counts`` are those of the whole journal."""
-        all_of_them = (self._odometry, self._slips, self._local, self._tilt)
+        all_of_them = self._compared.values()
         end_ns = counts.last_sprockets_ns
         return LiveComparison(
             max(one.compared_until(end_ns) for one in all_of_them),

@@ -23,17 +23,11 @@ from trackslip_bags.parameters import bag_parameters, read_parameters
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
-from trackslip_common.message_fields import (
-    ABSENT,
-    RECORDS,
-    FrameFields,
-    ReportFields,
-    SwingFields,
-    frame_number,
-)
+from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields, SwingFields
+from trackslip_common.message_reading import frame_number
 from trackslip_common.parameters import reloadable
 from trackslip_common.tally import Tally
-from trackslip_common.topics import TOPICS
+from trackslip_common.topics import ODOMETRY, TOPICS, TRACK_SLIP, TRUE_SWING
 from trackslip_estimation.slip.measurements import (
     FORGET,
     FREEZE,
@@ -62,9 +56,7 @@ from trackslip_tools.replay.arrivals import (
 from trackslip_tools.replay.filtering import Filtering
 from trackslip_tools.replay.live_order import LINE, JournalCounts, LiveOrder
 
-SPROCKETS, REPORTS, ODOMETRY, TRACK_SLIP = "sprockets", "measurement_reports", "odometry", "track_slip"
-LOCAL_ODOMETRY, ATTITUDE, SWING_ESTIMATE = "odometry/local", "attitude", "swing/estimate"
-TRUE_SWING = "truth/swing"
+SPROCKETS, REPORTS = "sprockets", "measurement_reports"
 
 _COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
 

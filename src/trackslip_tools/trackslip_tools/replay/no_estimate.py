@@ -21,7 +21,7 @@ _NO_FIXES = ("reference_pose",)  # poses that are no source unless somebody says
 
 
 @dataclass
-class Taken:
+class Processed:
     """What the estimator was given, and what it made of it."""
 
     given: Counter[str]  # by source
@@ -29,48 +29,48 @@ class Taken:
     heading_variance: float | None = None  # rad², of the last estimate; None: there is none
 
 
-def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, taken: Taken) -> str:
+def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, processed: Processed) -> str:
     """One clause; empty where there is an estimate."""
-    if taken.heading_variance is not None:
-        if taken.heading_variance <= UNKNOWN_HEADING**2:
+    if processed.heading_variance is not None:
+        if processed.heading_variance <= UNKNOWN_HEADING**2:
             return ""
-        stddev = math.degrees(math.sqrt(taken.heading_variance))
+        stddev = math.degrees(math.sqrt(processed.heading_variance))
         return (
             f"heading unknown (±{stddev:.0f}°): it is found from fixes along some metres driven, or from a "
             "source with a heading, or initial_yaw with its initial_yaw_stddev"
         )
-    if not taken.given[SPROCKETS]:
+    if not processed.given[SPROCKETS]:
         return "no sprockets between --start and --stop"
-    if _all_refused(taken, [SPROCKETS]):
-        return f"every sample of the sprockets was refused ({_reasons(taken, [SPROCKETS])})"
+    if _all_refused(processed, [SPROCKETS]):
+        return f"every sample of the sprockets was refused ({_reasons(processed, [SPROCKETS])})"
     if p.start != "first_fix":
         return "no sprocket sample could start it"
     sources = named(p.pose_sources)
-    refused = taken.rejected.by_source()  # what is of another frame is not given to it
-    came = [source for source in (*sources, SET_POSE) if taken.given[source] or source in refused]
+    refused = processed.rejected.by_source()  # what is of another frame is not given to it
+    came = [source for source in (*sources, SET_POSE) if processed.given[source] or source in refused]
     if not sources:
         return f"no fix came: pose_sources names none{_elsewhere(bag, filters, sources)}"
     if not came:
         hidden = {edit.topic for edit in filters.withhold} & set(sources)
         why = f"{', '.join(sorted(hidden))} is withheld" if hidden else f"nothing on {', '.join(sources)}"
         return f"no fix came: {why}{_elsewhere(bag, filters, sources)}"
-    if _all_refused(taken, came):
-        return f"every fix was refused ({_reasons(taken, came)})"
+    if _all_refused(processed, came):
+        return f"every fix was refused ({_reasons(processed, came)})"
     return "no sprockets after the first fix"
 
 
-def _all_refused(taken: Taken, sources: Iterable[str]) -> bool:
+def _all_refused(processed: Processed, sources: Iterable[str]) -> bool:
     """Whether none would have served; what only waits for a start would have."""
-    by_source = taken.rejected.by_source()
+    by_source = processed.rejected.by_source()
     for source in sources:
         refused = sum(n for reason, n in by_source.get(source, {}).items() if reason != _WAITING)
-        if refused < taken.given[source]:
+        if refused < processed.given[source]:
             return False
     return True
 
 
-def _reasons(taken: Taken, sources: Iterable[str]) -> str:
-    by_source = taken.rejected.by_source()
+def _reasons(processed: Processed, sources: Iterable[str]) -> str:
+    by_source = processed.rejected.by_source()
     return "; ".join(
         f"{source}: {', '.join(f'{n} {reason}' for reason, n in by_source.get(source, {}).items())}"
         for source in sources

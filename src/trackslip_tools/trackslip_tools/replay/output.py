@@ -11,7 +11,14 @@ from trackslip_bags.reader import absolute
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
-from trackslip_common.topics import TOPICS
+from trackslip_common.topics import (
+    ATTITUDE,
+    LOCAL_ODOMETRY,
+    ODOMETRY,
+    SWING_ESTIMATE,
+    TOPICS,
+    TRACK_SLIP,
+)
 from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
 from trackslip_estimation.slip import conversions
@@ -21,15 +28,9 @@ from trackslip_estimation.slip.learned_text import lines_of, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.inputs import (
-    ATTITUDE,
-    LOCAL_ODOMETRY,
-    ODOMETRY,
-    REPORTS,
-    SWING_ESTIMATE,
-    TRACK_SLIP,
-)
-from trackslip_tools.replay.run import Part, Replay
+from trackslip_tools.replay.inputs import REPORTS
+from trackslip_tools.replay.parts import Part
+from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
 from trackslip_tools.terminal_text import wrapped
@@ -219,7 +220,7 @@ def _live(result: Replay) -> list[str]:
         return []
     lines = [str(live)]
     if live.lost_inputs:
-        lines.append(f"  the bag lacks {live.lost_inputs} measurements that the live estimator took")
+        lines.append(f"  the bag lacks {live.lost_inputs} measurements that the live estimator processed")
     if live.lost_reports:
         lines.append(f"  the bag lacks {live.lost_reports} lines of the live estimator's journal")
     return lines

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.message_fields import headings_of
+from trackslip_common.orientations import headings_of
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
-from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.growing import GrowingRows, Rows
 
 FloatArray = NDArray[np.float64]
-Rows = NDArray[np.void]
 
 _MOTION = ("v_x", "v_y", "yaw_rate")
 _SLIPS = ("left_slip", "right_slip", "slip_angle")

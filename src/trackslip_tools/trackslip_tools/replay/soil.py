@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make
 from trackslip_bags.tables import TopicTable
-from trackslip_common.message_fields import ForceFields, SoilFields, dtype_of, read
+from trackslip_common.message_fields import ForceFields, SoilFields
+from trackslip_common.message_reading import dtype_of, read
 from trackslip_common.tally import Tally
+from trackslip_common.topics import FORCES, SOIL, TRUE_FORCES, TRUE_SOIL
 from trackslip_estimation.soil import conversions
-from trackslip_estimation.soil.conversions import FORCES, SOIL
 from trackslip_estimation.soil.records import (
     FORCES as FORCES_RECORD,
 )
@@ -34,7 +35,6 @@ from trackslip_tools.replay.series import Rows, Series, SeriesCollector
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-TRUE_FORCES, TRUE_SOIL = "truth/track_forces", "truth/soil"
 SOIL_TOPICS = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)  # that a replay reads
 _TOLERANCE = 1e-9  # relative, between a live and a replayed number
 

@@ -4,11 +4,9 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_tools.replay.errors import Pairs
-
-Rows = NDArray[np.void]
+from trackslip_tools.replay.series import Rows
 
 
 class SwingErrors:

@@ -4,12 +4,10 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.message_fields import tilts_of
+from trackslip_common.orientations import tilts_of
 from trackslip_tools.replay.errors import Pairs
-
-Rows = NDArray[np.void]
+from trackslip_tools.replay.series import Rows
 
 
 class TiltErrors:

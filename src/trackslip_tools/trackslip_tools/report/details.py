@@ -8,7 +8,7 @@ from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import ESTIMATE, POSE
 from trackslip_tools.replay.arrivals import ARRIVAL, Rows
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
-from trackslip_tools.replay.run import Part
+from trackslip_tools.replay.parts import Part
 
 IntArray = NDArray[np.int64]
 

@@ -5,9 +5,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from trackslip_common.topics import SOIL
 from trackslip_tools.report.numbers import Numbers
 from trackslip_tools.report.panel import COLOURS, INK, Curve, Form, Panel, colour_in
-from trackslip_tools.report.quantities import PERCENT, SHAPES, SOIL, Shape, Shown
+from trackslip_tools.report.quantities import PERCENT, SHAPES, Shape, Shown
 from trackslip_tools.report.run import Run, recordings
 
 

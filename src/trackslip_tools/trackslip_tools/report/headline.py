@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.topics import SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.report.events import SURE, Event
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.limits import VerdictLimits
-from trackslip_tools.report.quantities import PERCENT, SOIL
+from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.story import SIDES, trouble_spells, troubles_text
 from trackslip_tools.report.verdict import State, Verdict

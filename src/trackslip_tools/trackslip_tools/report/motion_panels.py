@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_tools.replay.scoring import moving_slips
 from trackslip_tools.replay.series import Series
 from trackslip_tools.report.panel import (
@@ -21,7 +22,7 @@ from trackslip_tools.report.panel import (
     shown_of,
     within,
 )
-from trackslip_tools.report.quantities import QUANTITIES, TRUE_ODOMETRY, TRUE_SLIP, Quantity
+from trackslip_tools.report.quantities import QUANTITIES, Quantity
 from trackslip_tools.report.run import Run, States, recordings
 
 FloatArray = NDArray[np.float64]

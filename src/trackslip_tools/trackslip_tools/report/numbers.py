@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.tables import TopicTable
-from trackslip_common.message_fields import ForceFields, RecordClass, SoilFields, dtype_of, read
+from trackslip_common.message_fields import ForceFields, SoilFields
+from trackslip_common.message_reading import RecordClass, dtype_of, read
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]

@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.topics import FORCES, SOIL, TRUE_ODOMETRY, TRUE_SLIP, TRUE_SOIL
 from trackslip_tools.report.panel import BLUE, ORANGE, Form, within
 
 FloatArray = NDArray[np.float64]
 Columns = Mapping[str, Any]  # name → (…) or (…, k) or (…, k, k), of one moment or of many
 Band = tuple[FloatArray, FloatArray]  # (…) each, lower and upper
 
-TRUE_ODOMETRY, TRUE_SLIP = "truth/odometry", "truth/track_slip"
-FORCES, SOIL, TRUE_SOIL = "track_forces", "soil", "truth/soil"
 _DEGREES = 180.0 / np.pi
 PERCENT = 100.0
 

@@ -14,17 +14,16 @@ from trackslip_bags.reader import Bag
 from trackslip_bags.tables import TopicTable, read_tables
 from trackslip_common.config_files import load_parameters
 from trackslip_common.message_fields import ForceFields, SoilFields
-from trackslip_common.topics import TOPICS
+from trackslip_common.topics import DIAGNOSTICS, FORCES, SOIL, TOPICS, TRUE_SOIL
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_tools.report.events import Event
 from trackslip_tools.report.light_log import LightLog
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
-from trackslip_tools.report.quantities import FORCES, SOIL, TRUE_SOIL
 from trackslip_tools.report.spells import Spell
 
 FloatArray = NDArray[np.float64]
 
-SCAN, DIAGNOSTICS = "scan", "diagnostics"
+SCAN = "scan"
 _NUMBERS = {FORCES: ForceFields, SOIL: SoilFields, TRUE_SOIL: SoilFields}
 _SCANS = 60  # of a bag, evenly spread: enough to see walls and the way of the box
 _CELL = 0.04  # m; of points closer together one is shown

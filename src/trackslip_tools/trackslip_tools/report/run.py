@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_common.message_fields import ForceFields, SoilFields
+from trackslip_common.topics import FORCES, SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.run import Replay
+from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.scoring import in_order, path_of
 from trackslip_tools.replay.soil_output import soil_messages
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
-from trackslip_tools.report.quantities import FORCES, SOIL
 from trackslip_tools.report.recording import Recording
 
 FloatArray = NDArray[np.float64]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.errors import printable
+from trackslip_common.topics import SOIL
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.stall import Trouble
@@ -14,7 +15,6 @@ from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.report.events import Event, Events
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
-from trackslip_tools.report.quantities import SOIL
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run, recordings
 from trackslip_tools.report.spells import Bar, Look, Spell, Strip, bars, lasting, spells

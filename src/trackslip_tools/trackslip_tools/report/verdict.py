@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 from trackslip_common.parameters import to_flat
-from trackslip_common.topics import SENSOR_TOPICS
+from trackslip_common.topics import SENSOR_TOPICS, SOIL
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.report.innovations import innovations_of
 from trackslip_tools.report.limits import VerdictLimits
-from trackslip_tools.report.quantities import PERCENT, SOIL
+from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.story import timeouts_of, trouble_spells, troubles_text
 

@@ -16,16 +16,15 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
-from trackslip_common.topics import TOPICS
+from trackslip_common.topics import ODOMETRY, TOPICS, TRACK_SLIP, TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_estimation.slip.estimator import make_estimate
 from trackslip_estimation.slip.log import make_log
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
-from trackslip_tools.replay.inputs import ODOMETRY, TRACK_SLIP
 from trackslip_tools.replay.output import message_of
-from trackslip_tools.replay.run import TRUE_ODOMETRY, TRUE_SLIP, own_reference
+from trackslip_tools.replay.run import own_reference
 from trackslip_tools.replay.series import Series
 from trackslip_tools.replay.settled import read_settled
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth

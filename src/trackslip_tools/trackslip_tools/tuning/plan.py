@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError, suggestion
-from trackslip_common.parameters import Parameters, Spec, flat_fields, from_flat, parameter, to_flat
+from trackslip_common.parameter_spec import Spec
+from trackslip_common.parameters import Parameters, flat_fields, from_flat, parameter, to_flat
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import KINDS
 

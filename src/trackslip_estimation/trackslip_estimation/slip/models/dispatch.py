@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.compiled import compiled
+from trackslip_common.compiled import compiled, inlined
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.kalman.linear_algebra import sandwich, times, wrap
+from trackslip_estimation.kalman.linear_algebra import sandwich, wrap
 from trackslip_estimation.slip.models import free_slips, icr, slope, speed, turning
 from trackslip_estimation.slip.models.free_slips import SlipNoise
 from trackslip_estimation.slip.models.icr import IcrNoise
@@ -185,12 +185,9 @@ def linearize(
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway) * dt, math.sin(halfway) * dt
     east, north = v_x * cos - v_y * sin, v_x * sin + v_y * cos
-    for k in range(n):  # J becomes the pose by the state, through the mean twist
-        along, across, turned = J[0, k], J[1, k], J[2, k]
-        J[X, k] = cos * along - sin * across - north * dt / 2.0 * turned
-        J[Y, k] = sin * along + cos * across + east * dt / 2.0 * turned
-        J[YAW, k] = dt * turned
-        for i in range(COUPLED):
+    _integrate(J, (cos, sin), (east, north), dt)
+    for i in range(COUPLED):
+        for k in range(n):
             F[i, k] += J[i, k]
     F[X, YAW] -= north
     F[Y, YAW] += east
@@ -200,8 +197,8 @@ def linearize(
         speed.add_track_error(Q, halfway, dt, drive, c)
         moved[VELOCITY_ERRORS] = x[VELOCITY_ERRORS] * kept
     else:
-        way = np.array(((cos, -sin, -north * dt / 2.0), (sin, cos, east * dt / 2.0), (0.0, 0.0, dt)))
-        S = times(way, free_slips.twist_by_speed(x, c))
+        S = free_slips.twist_by_speed(x, c)
+        _integrate(S, (cos, sin), (east, north), dt)
         encoder = c.free_slips.encoder
         speeds = np.array((((encoder * left) ** 2 / dt, 0.0), (0.0, (encoder * right) ** 2 / dt)))
         Q[:COUPLED, :COUPLED] += sandwich(S, speeds)
@@ -210,6 +207,20 @@ def linearize(
         move_swing(x, moved, dt, drive, c)
         linearize_swing(x, F, Q, dt, drive, c)
     return moved, F, Q
+
+
+@inlined
+def _integrate(J: FloatArray, direction: tuple[float, float], moved: tuple[float, float], dt: float) -> None:
+    """J (3, k), the mean twist by anything, becomes the pose after ``dt`` by that.
+
+    ``direction``: cosine and sine of the mean heading, times dt; ``moved``: east and north, m.
+    """
+    (cos, sin), (east, north) = direction, moved
+    for k in range(J.shape[1]):
+        along, across, turned = J[0, k], J[1, k], J[2, k]
+        J[X, k] = cos * along - sin * across - north * dt / 2.0 * turned
+        J[Y, k] = sin * along + cos * across + east * dt / 2.0 * turned
+        J[YAW, k] = dt * turned
 
 
 @compiled

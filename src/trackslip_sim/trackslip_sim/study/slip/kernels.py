@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.attitude.filter import set_level
+from trackslip_estimation.attitude.level import set_level
 from trackslip_estimation.attitude.records import PITCH, ROLL
 from trackslip_estimation.kalman import ekf
 from trackslip_estimation.kalman.linear_algebra import (

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the columns of a CSV log, in SI, to the values of each role's messages (``samples``)."""
+
+import math
+
+import numpy as np
+
+from trackslip_bags.importing.local import LocalFrame
+from trackslip_bags.importing.mapping_topics import CsvTopic
+from trackslip_bags.importing.roles import ROLES
+from trackslip_bags.importing.samples import (
+    FloatArray,
+    IntArray,
+    Values,
+    differences,
+    track_speeds,
+    without_heading,
+    yaw_of,
+)
+from trackslip_estimation.slip.conversions import UNOBSERVED
+
+_NO_FIX = 0  # quality of a GGA sentence
+_STATUS_OF_QUALITY = {0: -1, 1: 0, 2: 1, 3: 0, 4: 2, 5: 2, 9: 2}  # NavSatStatus: none, fix, SBAS, GBAS
+_DIAGONAL, _FULL = 2, 3  # kinds of covariance of a NavSatFix; 0: unknown
+
+
+def values_of(
+    columns: Values, spreads: Values, stamps_ns: IntArray, topic: CsvTopic, local: LocalFrame
+) -> Values:
+    """What the role's messages are made of."""
+    match topic.role:
+        case "sprockets":
+            return _sprockets(columns, stamps_ns, topic)
+        case "imu":
+            return _imu(columns, spreads)
+        case "pose":
+            return _pose(columns, spreads, local)
+        case "fix":
+            return _fix(columns, spreads)
+        case "odometry":
+            return _odometry(columns)
+        case _:
+            nothing = np.full(len(stamps_ns), np.nan)
+            return {name: columns.get(name, nothing) for name in ROLES[topic.role].fields}
+
+
+def _sprockets(columns: Values, stamps_ns: IntArray, topic: CsvTopic) -> Values:
+    """Velocities as they are, from a twist, or from positions."""
+    positions = np.full((len(stamps_ns), 2), np.nan)
+    if "left_position" in columns:
+        positions = np.column_stack((columns["left_position"], columns["right_position"]))
+    if "left_velocity" in columns:
+        velocities = np.column_stack((columns["left_velocity"], columns["right_velocity"]))
+    elif topic.geometry is not None and "speed" in columns:
+        velocities = track_speeds(columns["speed"], columns["yaw_rate"], topic.geometry)
+    else:
+        velocities = differences(positions, stamps_ns)
+    return {"velocity": velocities, "position": positions}
+
+
+def _imu(columns: Values, spreads: Values) -> Values:
+    found: Values = {}
+    count = len(next(iter(columns.values())))
+    for key, name in (("rate", "angular_velocity"), ("acceleration", "linear_acceleration")):
+        axes = [f"{name}_{axis}" for axis in "xyz"]
+        nothing, covariance = np.full(count, np.nan), np.zeros((count, 3, 3))
+        for k, axis in enumerate(axes):
+            covariance[:, k, k] = spreads.get(axis, 0.0)
+        found[key] = np.column_stack([columns.get(axis, nothing) for axis in axes])
+        found[f"{key}_covariance"] = covariance
+    found["orientation"] = np.full((count, 4), np.nan)
+    found["orientation_covariance"] = np.zeros((count, 3, 3))
+    return found
+
+
+def _pose(columns: Values, spreads: Values, local: LocalFrame) -> Values:
+    """Local east and north where latitude and longitude are given."""
+    if "latitude" in columns:
+        x, y = local.east_north(_place(columns)).T
+    else:
+        x, y = columns["x"], columns["y"]
+    if "qw" in columns:
+        yaw = yaw_of(*(columns[name] for name in ("qx", "qy", "qz", "qw")))
+    elif "heading" in columns:
+        yaw = math.pi / 2.0 - columns["heading"]  # of a compass: from north, clockwise
+    else:
+        yaw = columns.get("yaw", np.full(len(x), np.nan))
+    covariance = np.zeros((len(x), 3, 3))
+    for k, axis in enumerate(("x", "y", "yaw")):
+        covariance[:, k, k] = spreads.get(axis, np.nan)
+    covariance[:, 0, 1] = covariance[:, 1, 0] = spreads.get("xy", 0.0)
+    return without_heading(np.column_stack((x, y, yaw)), covariance)
+
+
+def _fix(columns: Values, spreads: Values) -> Values:
+    place = _place(columns)
+    covariance, known = np.zeros((len(place), 3, 3)), np.full(len(place), "x" in spreads and "y" in spreads)
+    for k, axis in enumerate("xyz"):
+        covariance[:, k, k] = spreads.get(axis, UNOBSERVED)
+    covariance[:, 0, 1] = covariance[:, 1, 0] = spreads.get("xy", 0.0)
+    known &= np.isfinite(covariance).all(axis=(1, 2))
+    covariance[~known] = 0.0
+    status = columns.get("status", np.zeros(len(place)))
+    if "quality" in columns:
+        quality = np.nan_to_num(columns["quality"], nan=_NO_FIX).astype(int)
+        status = np.array([_STATUS_OF_QUALITY.get(one, -1) for one in quality.tolist()], np.float64)
+    kind = np.where(known, _FULL if "xy" in spreads else _DIAGONAL, 0)
+    return {
+        "place": place,
+        "covariance": covariance,
+        "kind": kind.astype(np.float64),
+        "status": np.nan_to_num(status, nan=-1.0),
+    }
+
+
+def _odometry(columns: Values) -> Values:
+    """Its variances are unknown."""
+    level = np.zeros(len(columns["x"]))
+    if "qw" in columns:
+        turn = np.column_stack([columns[name] for name in ("qx", "qy", "qz", "qw")])
+    else:
+        turn = np.column_stack((level, level, np.sin(columns["yaw"] / 2.0), np.cos(columns["yaw"] / 2.0)))
+    place = np.column_stack((columns["x"], columns["y"], columns.get("z", level)))
+    return {"place": place, "turn": turn, "variances": np.zeros((len(level), 12))}
+
+
+def _place(columns: Values) -> FloatArray:
+    """(n, 3) rad, rad, m; the altitude nan where it is unknown."""
+    nothing = np.full(len(columns["latitude"]), np.nan)
+    return np.column_stack((columns["latitude"], columns["longitude"], columns.get("altitude", nothing)))

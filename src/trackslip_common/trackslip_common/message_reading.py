@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a field is read of a message: from an object, rclpy's or a bag's, and as the column of a numpy record.
+
+    At      a field, by its dotted path; with ``items``, these of an array (in this order), as an array
+    Joint   the item of an array that belongs to a joint, by the names of the message; nan where it is missing
+    Filled  whether an array has any items
+    Text    a string; in tables, its number among the texts of the topic
+    Stamp   time of the header
+
+``message_fields`` has the record classes, whose fields are annotated with these.
+"""
+
+import math
+import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import cache
+from operator import attrgetter
+from typing import Any, NamedTuple, TypeVar, get_args, get_type_hints
+
+import numpy as np
+
+R = TypeVar("R")
+RecordClass = Any  # a NamedTuple class of ``message_fields``; mypy takes no type[Any] as a key of a cache
+
+_NS_PER_S = 1_000_000_000
+_NAMES = "name"  # of joints
+
+
+class At(NamedTuple):
+    """See the top of the module."""
+
+    path: str
+    items: tuple[int, ...] = ()
+    shape: tuple[int, ...] = ()  # of the items
+
+
+class Joint(NamedTuple):
+    """See the top of the module."""
+
+    path: str
+    name: str
+
+
+class Filled(NamedTuple):
+    """See the top of the module."""
+
+    path: str
+
+
+class Text(NamedTuple):
+    """See the top of the module."""
+
+    path: str
+
+
+class Stamp(NamedTuple):
+    """Time of the header, ns."""
+
+    path: str = "header.stamp"
+
+
+Place = At | Joint | Filled | Text | Stamp
+
+
+@cache
+def places_of(kind: RecordClass) -> dict[str, tuple[type, Place]]:
+    """Name → Python type and place of each field of a record class."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: (get_args(hint)[0], hint.__metadata__[0]) for name, hint in hints.items()}
+
+
+@cache
+def dtype_of(kind: RecordClass) -> np.dtype[np.void]:
+    """The numpy record of a record class: float64, int64, bool; the number of a text is int64."""
+    fields = []
+    for name, (python, place) in places_of(kind).items():
+        of = {int: np.int64, bool: np.bool_, str: np.int64}.get(python, np.float64)
+        fields.append((name, of, place.shape if isinstance(place, At) else ()))
+    return np.dtype(fields, align=True)
+
+
+@cache
+def _reader(kind: RecordClass) -> Callable[[Any], Any]:
+    """What ``read`` does for a record class."""
+    places = places_of(kind)
+    getters = {name: attrgetter(place.path) for name, (_, place) in places.items()}
+    steps = [(getters[name], _converter(python, place)) for name, (python, place) in places.items()]
+
+    def read_one(message: Any) -> Any:
+        return kind(*[convert(get(message), message) for get, convert in steps])
+
+    return read_one
+
+
+def _converter(python: type, place: Place) -> Callable[[Any, Any], Any]:
+    """(value at the path, message) → value of the field."""
+    match place:
+        case Stamp():
+            return lambda stamp, _: int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+        case Filled():
+            return lambda values, _: len(values) > 0
+        case Joint(_, name):
+            return lambda values, message: _of_joint(values, list(getattr(message, _NAMES)), name)
+        case At(_, items, shape) if shape:
+            chosen = np.array(items)
+            return lambda values, _: np.asarray(values, dtype=np.float64)[chosen].reshape(shape)
+        case At(_, items, _) if items:
+            return lambda values, _: python(values[items[0]])
+        case _:
+            return lambda value, _: python(value)
+
+
+def _of_joint(values: Any, names: list[str], joint: str) -> float:
+    at = names.index(joint) if joint in names else len(values)
+    return float(values[at]) if at < len(values) else math.nan
+
+
+class Packed(ABC):
+    """A message that nobody has made an object of."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def record(self, kind: RecordClass) -> Any:
+        """What ``read`` would take of its object."""
+
+
+def read(kind: Callable[..., R], message: Any) -> R:
+    """The record of a message: an object, or packed.
+
+    Raises:
+        AttributeError: the message is of another type.
+    """
+    found: R = message.record(kind) if isinstance(message, Packed) else _reader(kind)(message)
+    return found
+
+
+def frame_number(text: str) -> int:
+    """Of a frame_id: the same wherever it is read."""
+    return zlib.crc32(text.encode())

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Heading, roll and pitch of what has the quaternion ``qx qy qz qw``: one record, or the rows of a table."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def heading_of(pose: Any) -> float:
+    """Rotation about z, rad in (−π, π], of what has the quaternion ``qx qy qz qw``."""
+    sine = 2.0 * (pose.qw * pose.qz + pose.qx * pose.qy)
+    return math.atan2(sine, 1.0 - 2.0 * (pose.qy * pose.qy + pose.qz * pose.qz))
+
+
+def tilt_of(pose: Any) -> tuple[float, float]:
+    """Roll and pitch (ZYX, nose down > 0), rad, of what has the quaternion ``qx qy qz qw``."""
+    up = 1.0 - 2.0 * (pose.qx * pose.qx + pose.qy * pose.qy)
+    roll = math.atan2(2.0 * (pose.qw * pose.qx + pose.qy * pose.qz), up)
+    sine = 2.0 * (pose.qw * pose.qy - pose.qz * pose.qx)
+    return roll, math.asin(min(max(sine, -1.0), 1.0))
+
+
+def tilts_of(rows: NDArray[np.void]) -> FloatArray:
+    """(n, 2) roll and pitch (nose down positive), rad, of rows with the same fields."""
+    x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return np.column_stack((roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))))
+
+
+def headings_of(rows: NDArray[np.void]) -> FloatArray:
+    """(n,) of ``heading_of``, to the last bit, of rows with the same fields."""
+    x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
+    sines, cosines = 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)
+    pairs = zip(sines.tolist(), cosines.tolist(), strict=True)  # numpy's own differs in the last bit
+    return np.fromiter((math.atan2(s, c) for s, c in pairs), np.float64, len(rows))
+
+
+def poses_of(rows: NDArray[np.void]) -> FloatArray:
+    """(n, 3) x, y, heading of rows with a planar pose."""
+    return np.column_stack((rows["x"], rows["y"], headings_of(rows)))

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the attitude does to a motion along the ground (record ``LEVEL``); compiled."""
+
+import math
+from typing import Any
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.attitude.records import BIAS_Q, PITCH, ROLL
+
+_DOUBT_TIMES = 1.0, 10.0  # s, for which the tilt errs to one side, and the gyro's bias
+
+
+@compiled
+def set_level(a: Any) -> None:
+    """The ``level`` of the record ``a`` of ``ATTITUDE``, as its tilt and rates are; in place."""
+    level, P = a.level, a.covariance
+    level.tilted = a.known
+    roll, pitch = (a.mean[ROLL], a.mean[PITCH]) if a.known == 1 else (0.0, 0.0)
+    sin, cos, sin_pitch, cos_pitch = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
+    level.forward, level.sideways, level.across = cos_pitch - 1.0, cos - 1.0, sin * sin_pitch
+    level.turn, level.roll_over = cos / cos_pitch - 1.0, a.rates[1] * sin / cos_pitch
+    level.downhill_x, level.downhill_y = sin_pitch, -sin * cos_pitch
+    level.lean_x, level.lean_y = cos * sin_pitch, -sin
+    level.lean_variance = max(P[ROLL, ROLL], P[PITCH, PITCH]) if a.known == 1 else 0.0
+    by_roll = (a.rates[1] * cos - a.rates[2] * sin) / cos_pitch
+    of_tilt, of_bias = _DOUBT_TIMES
+    level.turn_variance = 0.0
+    if a.known == 1:
+        level.turn_variance = by_roll**2 * P[ROLL, ROLL] * of_tilt
+        level.turn_variance += (sin / cos_pitch) ** 2 * P[BIAS_Q, BIAS_Q] * of_bias

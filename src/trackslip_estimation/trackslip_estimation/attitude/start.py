@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the attitude filter begins: with nothing seen, and with the first tilt that is known; compiled.
+
+a   record of ``ATTITUDE``
+n   record of ``CONSTANTS``
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.clock_monitor import NEVER_NS
+from trackslip_common.compiled import compiled
+from trackslip_estimation.attitude.level import set_level
+from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, PITCH, ROLL, SIZE
+
+_FIRST_NOISE = 1.0  # (m/s²)², of the accelerometers, before a sample tells
+
+
+@compiled
+def forget_attitude(a: Any) -> None:
+    """Nobody has seen anything."""
+    a.known = a.seen = a.stamp_ns = a.refusal = 0
+    a.oriented_ns = NEVER_NS
+    a.mean[:], a.covariance[:] = 0.0, 0.0
+    a.rates[:], a.mean_force[:], a.velocity[:], a.sample.force[:] = 0.0, 0.0, 0.0, np.nan
+    set_level(a)
+
+
+@compiled
+def begin_tilt(a: Any, roll: float, pitch: float, n: Any) -> None:
+    """With this tilt, rad, its variance still to come; height and biases stay."""
+    x, P = a.mean, a.covariance
+    for i in range(SIZE):
+        if P[BIAS_X, BIAS_X] == 0.0 and i != BIAS_X:
+            P[i, i] = n.initial[i] ** 2
+        for j in range(PITCH + 1):
+            P[i, j] = P[j, i] = 0.0
+    P[BIAS_X, BIAS_X] = max(P[BIAS_X, BIAS_X], n.initial[BIAS_X] ** 2)
+    P[ROLL, ROLL], P[PITCH, PITCH] = n.initial[ROLL] ** 2, n.initial[PITCH] ** 2
+    x[ROLL], x[PITCH] = roll, pitch
+    a.noise[:], a.noise_count[:], a.known = _FIRST_NOISE, 1.0, 1
+
+
+@compiled
+def begin_by_gravity(a: Any, n: Any) -> None:
+    """As gravity lies."""
+    x = a.mean
+    f_x, f_y, f_z = a.mean_force
+    cos, sin = a.sample.cos, a.sample.sin
+    roll = math.atan2(f_y - (sin * x[BIAS_X] + cos * x[BIAS_Y]), f_z)
+    pitch = math.atan2((cos * x[BIAS_X] - sin * x[BIAS_Y]) - f_x, math.sqrt(f_y * f_y + f_z * f_z))
+    begin_tilt(a, roll, pitch, n)

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag's inputs in live order through the slip estimator, part by part."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned_text import Finding, findings
+from trackslip_estimation.slip.measurements import Command
+from trackslip_estimation.slip.records import RESULT
+from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, Rows, to_measurements
+from trackslip_tools.replay.inputs import InputStream, Logged
+
+_PIECE = 512  # arrivals between looks at what was learned: seconds
+
+
+class Known(NamedTuple):
+    """What the estimator knew of the machine and its ground."""
+
+    stamp_ns: int
+    findings: list[Finding]
+
+
+class Part(NamedTuple):
+    """What some seconds of a bag gave."""
+
+    sources: tuple[str, ...]
+    arrivals: Rows  # (n,) ARRIVAL in live order
+    results: Rows  # (n,) RESULT, what became of them
+    tables: dict[str, Logged]  # what was logged by then of other topics
+    learned: list[Known]  # in the course of it
+
+    @property
+    def estimates(self) -> Rows:
+        """(m,) ESTIMATE that were published."""
+        estimates: Rows = self.results["estimate"][self.results["published"]]
+        return estimates
+
+
+Watch = Callable[[Part], None]
+
+
+def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Part]:
+    """Part by part of a bag; commands and changes of parameters act where they came."""
+    for batch in stream:
+        rows = batch.rows
+        results = np.zeros(len(rows), RESULT)
+        commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
+        learned: list[Known] = []
+        begin = 0
+        for end in np.union1d(commands, (*range(_PIECE, len(rows), _PIECE), len(rows))).tolist():
+            given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
+            results[begin:end] = estimator.process_records(given)
+            begin = end
+            if estimator.started and end > 0:
+                stamp_ns = estimator.newest_ns or 0
+                learned.append(Known(stamp_ns, findings(estimator.learned, estimator.meaning)))
+            if end in commands:
+                is_reload = rows["kind"][end] == IS_RELOAD
+                command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))
+                estimator.apply_command(stream.reloads[rows["reload"][end]] if is_reload else command)
+                results["stamp_ns"][end] = rows["stamp_ns"][end]
+                results["nis"][end] = results["gate"][end] = np.nan
+                begin = end + 1
+        yield Part(stream.sources, rows, results, batch.tables, learned)

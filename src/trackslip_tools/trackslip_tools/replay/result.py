@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay found out, collected part by part: of the estimates is kept what the scores need."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trackslip_common.tally import Tally
+from trackslip_common.topics import (
+    LOCAL_ODOMETRY,
+    ODOMETRY,
+    TRACK_SLIP,
+    TRUE_ODOMETRY,
+    TRUE_SLIP,
+    TRUE_SWING,
+)
+from trackslip_common.vehicle import Kinematics
+from trackslip_estimation.attitude.records import OrientationRefusal
+from trackslip_estimation.slip.local_odometry import LocalOdometry
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.records import ESTIMATE
+from trackslip_tools.replay.arrivals import Rows
+from trackslip_tools.replay.comparison import (
+    TILT,
+    LiveComparer,
+    LiveComparison,
+    odometry_rows,
+    slip_rows,
+    tilt_rows,
+)
+from trackslip_tools.replay.dead_reckoning import Path
+from trackslip_tools.replay.errors import PathErrors, SlipErrors
+from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
+from trackslip_tools.replay.inputs import InputStream, Logged
+from trackslip_tools.replay.no_estimate import Processed
+from trackslip_tools.replay.parts import Known, Part
+from trackslip_tools.replay.reckoning import Reckoning
+from trackslip_tools.replay.scoring import Score, in_order, path_of, reference_path
+from trackslip_tools.replay.series import Series, SeriesCollector, reduced
+from trackslip_tools.replay.soil import SoilReplay
+from trackslip_tools.replay.swing import SwingErrors
+from trackslip_tools.replay.tilt import TiltErrors
+from trackslip_tools.replay.withheld import Withheld, WithheldErrors
+
+KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)
+
+
+@dataclass
+class Replay:
+    """All that a replay found out; of long bags estimates, series and paths are thinned, not the scores."""
+
+    duration_s: float
+    elapsed_s: float
+    messages: Counter[str]  # by topic, all that was read
+    estimates: Rows  # (n,) KEPT, what the estimator published
+    rejected: Tally
+    last: Rows = field(default_factory=lambda: np.empty(0, KEPT))  # (1,), or (0,) where there is none
+    reference: str | None = None
+    series: dict[str, Series] = field(default_factory=dict)  # of truth and reference
+    scores: dict[str, Score | None] = field(default_factory=dict)
+    nees: float | None = None  # of the pose, where the reference has headings
+    nees_position: float | None = None
+    slip_rmse: float | None = None
+    attitude_rmse: float | None = None  # of roll and of pitch, rad
+    height_rmse: float | None = None  # m
+    swing_rmse: float | None = None  # rad
+    live: LiveComparison | None = None
+    paths: dict[str, Path] = field(default_factory=dict)
+    soil: SoilReplay | None = None  # where the bag has hydraulics
+    no_estimate: str = ""  # why there is none, or none with a heading
+    vehicle: str = ""  # its name
+    learned: list[Known] = field(default_factory=list)  # in the course of it
+    withheld: list[Withheld] = field(default_factory=list)
+    start: str = ""  # what it started from, where that is not the parameters alone
+
+
+class Collector:
+    """What is kept of the parts."""
+
+    def __init__(
+        self,
+        stream: InputStream,
+        reference: str | None,
+        vehicle: Kinematics,
+        withheld: WithheldErrors,
+        *,
+        compares: bool,
+    ) -> None:
+        self._stream, self._reference = stream, reference
+        self.withheld = withheld
+        self._scored = scored_topics(reference)
+        self._estimates, self._series = GrowingRows(KEPT, MOST_DRAWN), SeriesCollector(most=MOST_DRAWN)
+        self._last, self._rejected = np.empty(0, KEPT), stream.refused
+        self._errors, self._slips, self._tilt = PathErrors(), SlipErrors(vehicle.tread), TiltErrors()
+        self._swing = SwingErrors()
+        self._reckonings = {
+            name: Reckoning(vehicle, with_gyro=name == "encoder_gyro")
+            for name in (("dead_reckoning", "encoder_gyro") if reference is not None else ())
+        }
+        self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
+        self.processed = Processed(Counter(), self._rejected)
+        self._learned: list[Known] = []
+
+    def add(self, part: Part) -> None:
+        """More of the bag."""
+        estimates = part.estimates
+        self._keep(estimates)
+        self._learned += part.learned
+        for source, count in enumerate(np.bincount(part.arrivals["source"]).tolist()):
+            self.processed.given[part.sources[source]] += count
+        for name, outcome, n in _refused(part, "outcome"):
+            self._rejected.add(name, Outcome(outcome), n)
+        for name, refusal, n in _refused(part, "orientation"):
+            self._rejected.add(name, OrientationRefusal(refusal), n)
+        tables = {topic: part.tables[topic].rows for topic in self._scored & part.tables.keys()}
+        for topic, rows in tables.items():
+            self._series.add(topic, rows)
+        self._slips.add(estimates, *(tables.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY)))
+        self._tilt.add(estimates, tables.get(TRUE_ODOMETRY))
+        self._swing.add(estimates, tables.get(TRUE_SWING))
+        if self._reference is not None:
+            known = tables.get(self._reference)
+            reference = None if known is None else reduced(known)
+            self._errors.add_estimates(estimates, reference)
+            self.withheld.add(estimates, part.tables.get(self._reference))
+            for reckoning in self._reckonings.values():
+                reckoning.add(part.arrivals, reference)
+        if self._compares:
+            self._compare(part.tables, estimates)
+
+    def result(self) -> Replay:
+        """When all was added."""
+        stream = self._stream
+        found = Replay(
+            stream.duration_s, 0.0, stream.messages, self._estimates.rows(), self._rejected, self._last
+        )
+        found.reference, found.series = self._reference, self._series.series()
+        found.slip_rmse = self._slips.rmse
+        found.swing_rmse = self._swing.rmse
+        found.attitude_rmse, found.height_rmse = self._tilt.attitude, self._tilt.height
+        if len(found.estimates):
+            found.paths["filter"] = path_of(in_order(found.estimates))
+        if self._reference is not None and self._reference in found.series:
+            self._score(found, self._reference)
+        found.learned = self._learned
+        if self._compares and stream.messages[ODOMETRY]:
+            found.live = self._comparer.result(stream.counts)
+        return found
+
+    def _keep(self, estimates: Rows) -> None:
+        if len(estimates):
+            self._estimates.add(estimates)
+            self._last = np.empty(1, KEPT)
+            for name in KEPT.names or ():
+                self._last[name] = estimates[name][-1]
+            self.processed.heading_variance = float(estimates["pose_covariance"][-1, 2, 2])
+
+    def _score(self, found: Replay, reference: str) -> None:
+        """Paths beside the filter's, and the errors of all against the reference."""
+        first_ns = next((r.first_ns for r in self._reckonings.values()), None)
+        found.paths["reference"] = reference_path(found.series[reference], first_ns or 0)
+        found.scores["filter"] = self._errors.score
+        found.nees, found.nees_position = self._errors.nees, self._errors.nees_position
+        for name, reckoning in self._reckonings.items():
+            path, found.scores[name] = reckoning.result()
+            if path is not None:
+                found.paths[name] = path
+
+    def _compare(self, tables: dict[str, Logged], estimates: Rows) -> None:
+        """Every live number against the replayed one of the same stamp."""
+        nothing, topics = np.empty(0, ESTIMATE), {ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP} & self._stream.topics
+        live = {topic: tables[topic].rows if topic in tables else nothing for topic in topics}
+        if ODOMETRY in live:
+            self._comparer.add(ODOMETRY, live[ODOMETRY], odometry_rows(estimates, estimates))
+            self._comparer.add(TILT, live[ODOMETRY], tilt_rows(estimates))
+        if LOCAL_ODOMETRY in live:
+            local = odometry_rows(estimates, self._local.advance(estimates))
+            self._comparer.add(LOCAL_ODOMETRY, live[LOCAL_ODOMETRY], local)
+        if TRACK_SLIP in live:
+            self._comparer.add(TRACK_SLIP, live[TRACK_SLIP], slip_rows(estimates))
+
+
+def _refused(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:
+    """Source, reason and how many of what a field of the results is not 0 for."""
+    refused = part.results[field_] != 0
+    pairs = np.column_stack((part.arrivals["source"][refused], part.results[field_][refused]))
+    for (source, reason), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
+        yield part.sources[source], int(reason), int(count)
+
+
+def scored_topics(reference: str | None) -> frozenset[str]:
+    return frozenset(filter(None, (TRUE_SLIP, TRUE_ODOMETRY, TRUE_SWING, reference)))

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The slips that thrust and soil tell after a turn."""
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.soil_samples import Sample
+from numpy.typing import NDArray
+
+from trackslip_bags.messages import make
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.soil import conversions as soil_conversions
+from trackslip_estimation.soil.parameter_record import record_of
+from trackslip_estimation.soil.records import SlipSeed, SoilInput
+from trackslip_estimation.soil.slip_seed import SEEDER, Thrust, is_seed_due, seed_of, set_strength, slips_of
+from trackslip_estimation.soil.soil_estimator import SoilEstimator
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_estimation.soil.strength_summary import StrengthSummary
+from trackslip_estimation.terramechanics.traction import thrust
+from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
+from trackslip_sim.scenarios.scenario import Scenario, Segment
+from trackslip_sim.truth.simulate import simulate
+
+FloatArray = NDArray[np.float64]
+
+P = load_soil_parameters()
+LENGTH = P.vehicle.kinematics.contact_length
+SOIL = StrengthSummary(0.02, (0.015, 0.0267), 3500.0, (3400.0, 3603.0), 30.0, True, "")
+TRACKS = np.full(2, 0.3)
+
+
+def thrust_at(slips: tuple[float, float]) -> Thrust:
+    return Thrust(np.asarray(thrust(slips, SOIL.thrust_limit, SOIL.shear_modulus, LENGTH)), np.full(2, 100.0))
+
+
+def test_a_seed_is_the_slip_of_its_thrust_and_as_uncertain_as_soil_and_thrust() -> None:
+    rng, count = np.random.default_rng(2), 4000
+    known = thrust_at((0.02, 0.03))
+    found = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
+    np.testing.assert_allclose(found[0], (0.02, 0.03), rtol=1e-9)
+    samples = []
+    stddev = np.sqrt(known.variance + P.seed.thrust_stddev**2)
+    for z in rng.standard_normal((count, 5)):
+        modulus = SOIL.shear_modulus * (0.0267 / 0.015) ** (z[0] / 3.29)
+        limit = SOIL.thrust_limit * (3603.0 / 3400.0) ** (z[1] / 3.29)
+        soil = replace(SOIL, shear_modulus=modulus, thrust_limit=limit)
+        one = slips_of(
+            Thrust(known.force + stddev * z[2:4], known.variance), np.ones(2), soil, P.seed, LENGTH
+        )
+        samples.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
+    np.testing.assert_allclose(found[1], np.cov(np.array(samples).T), rtol=0.2)
+
+
+def test_in_reverse_and_where_a_track_brakes_slips_have_their_sign() -> None:
+    known = thrust_at((0.02, -0.01))
+    forward = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
+    reverse = slips_of(Thrust(-known.force, known.variance), -np.ones(2), SOIL, P.seed, LENGTH)
+    np.testing.assert_allclose(forward[0], (0.02, -0.01), rtol=1e-9)
+    np.testing.assert_array_equal(forward[0], reverse[0])
+
+
+def test_a_thrust_that_the_soil_may_not_give_tells_no_slip() -> None:
+    ride = Ride()
+    ride.known = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
+    ride.seeds(Motion.TURNING, 1.0)
+    assert ride.seeds(Motion.STRAIGHT, 10.0) == []
+
+
+class Ride:
+    """Moments of 0.1 s for a seeder."""
+
+    def __init__(self) -> None:
+        self._seeder, self._numbers, self._now_ns = np.zeros(1, SEEDER)[0], record_of(P)[0], 0
+        self.known: Thrust | None = thrust_at((0.02, 0.02))
+        self.soil: StrengthSummary | None = SOIL
+
+    def seeds(self, motion: Motion, lengths: float) -> list[SlipSeed]:
+        """While it drives so many contact lengths in this state of motion."""
+        found = []
+        for _ in range(math.ceil(lengths * LENGTH / (TRACKS[0] * 0.1))):
+            self._now_ns += 100_000_000
+            thrusts = (None, np.ones(2)) if self.known is None else self.known
+            moment = Sample(0.1, TRACKS, thrusts=thrusts[0], thrust_variances=thrusts[1], motion=motion)
+            sample, thrust = moment.records()
+            sample["stamp_ns"] = self._now_ns
+            if self.soil is not None:
+                set_strength(self._seeder, self.soil)
+            if is_seed_due(self._seeder, sample[0], thrust[0], self._numbers):
+                found.append(seed_of(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
+        return found
+
+
+def test_one_seed_for_each_turn_once_the_way_after_it_is_long_enough() -> None:
+    ride, enough = Ride(), P.seed.settling_lengths + 0.1
+    assert ride.seeds(Motion.STRAIGHT, 20.0) == []  # there was no turn
+    ride.seeds(Motion.TURNING, 1.0)
+    assert ride.seeds(Motion.STRAIGHT, enough - 0.5) == []
+    assert ride.seeds(Motion.TURNING, 1.0) == []  # and the way begins anew
+    assert ride.seeds(Motion.STRAIGHT, enough - 0.5) == []
+    assert len(ride.seeds(Motion.STRAIGHT, 20.0)) == 1
+    ride.seeds(Motion.STANDING, 1.0)
+    assert ride.seeds(Motion.STRAIGHT, 20.0) == []
+
+
+def test_no_seed_while_the_thrust_is_not_known() -> None:
+    ride = Ride()
+    ride.seeds(Motion.TURNING, 1.0)
+    known, ride.known = ride.known, None
+    assert ride.seeds(Motion.STRAIGHT, 10.0) == []
+    ride.known = known
+    assert len(ride.seeds(Motion.STRAIGHT, 10.0)) == 1
+
+
+@pytest.mark.parametrize("soil", [None, replace(SOIL, identifiable=False, reason="no")])
+def test_the_soil_counts_as_it_was_when_the_turn_ended(soil: StrengthSummary | None) -> None:
+    ride = Ride()
+    ride.soil = soil
+    ride.seeds(Motion.TURNING, 1.0)
+    ride.soil = SOIL
+    assert ride.seeds(Motion.STRAIGHT, 10.0) == []
+    ride.seeds(Motion.TURNING, 1.0)
+    ride.soil = soil  # what the slips of this straight leg make of it is not asked
+    assert len(ride.seeds(Motion.STRAIGHT, 10.0)) == 1
+
+
+LEGS = (
+    (3.0, 0.0, 0.0),
+    (15.0, 2.0, 2.0),
+    (6.0, 1.2, 2.2),
+    (17.0, 2.0, 2.0),
+    (6.0, 2.2, 1.2),
+    (17.0, 2.0, 2.0),
+)
+
+
+@cache
+def ride_on(soil: str) -> tuple[SoilInput, ...]:
+    truth = simulate(Scenario(name="test", soil=soil, segments=tuple(Segment(*leg) for leg in LEGS)))
+    sensing = Sensing(speed_stddev=0.0003, yaw_rate_stddev=0.0003)
+    return tuple(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, sensing))
+
+
+def seeds_on(soil: str, **changes: Any) -> tuple[list[SlipSeed], SoilEstimator]:
+    estimator = SoilEstimator(load_soil_parameters({k.replace("__", "."): v for k, v in changes.items()}))
+    outputs = [output for given in ride_on(soil) for output in estimator.advance(given)]
+    return [output for output in outputs if isinstance(output, SlipSeed)], estimator
+
+
+def test_the_soil_estimator_gives_one_seed_after_each_turn() -> None:
+    seeds, estimator = seeds_on("sandy_loam")
+    assert estimator.strength.identifiable
+    after = [(seed.stamp_ns - seeds[0].stamp_ns) * 1e-9 for seed in seeds]
+    assert after == pytest.approx([0.0, 23.0], abs=1.0)
+    for seed in seeds:
+        sigma = math.sqrt(np.ones(2) @ seed.covariance @ np.ones(2)) / 2.0
+        assert abs(seed.slips.mean() - 0.016) < 2.0 * sigma < 0.016
+
+
+def test_the_soil_estimator_gives_none_where_the_soil_is_not_identifiable() -> None:
+    seeds, estimator = seeds_on("sandy_loam", strength__widest_ratio=1.01)
+    assert not estimator.strength.identifiable
+    assert seeds == []
+
+
+def test_a_seed_passes_its_message() -> None:
+    covariance = np.array(((4e-6, 1e-6), (1e-6, 3e-6)))
+    seed = SlipSeed(1_234_567_890, np.array((0.01, 0.02)), covariance)
+    message = soil_conversions.message_of(make, seed, "base_link")
+    assert soil_conversions.topic_of(seed) == "slip_seed"
+    assert (message.header.frame_id, message.motion_state) == ("base_link", int(Motion.STRAIGHT))
+    fix = conversions.slip_fix(message, "slip_seed")
+    assert (fix.source, fix.stamp_ns) == ("slip_seed", seed.stamp_ns)
+    np.testing.assert_array_equal(fix.slips, seed.slips)
+    np.testing.assert_array_equal(fix.covariance, covariance)
