@@ -17,12 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_bags.layout import Layout
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.sources import BagMessage
+from trackslip_bags.types import fields_by
 from trackslip_bags.writer import BagWriter
+from trackslip_common.layout import Layout
 from trackslip_common.message_fields import (
     RECORDS,
     OdometryFields,
@@ -171,7 +172,7 @@ def _continued(bag: Bag, message: BagMessage, offset: Offset) -> Change:
     kind = RECORDS.get(message.type_name)
     if kind not in (SprocketFields, ReportFields, PoseFields, OdometryFields):
         return lambda data, repeat, start: None
-    layout = Layout(bag.store(message.type_name), message.type_name, message.raw)
+    layout = Layout(fields_by(bag.store(message.type_name)), message.type_name, message.raw)
     if kind is SprocketFields:
         at = layout.offset("position")
         left, right = _POSITIONS.unpack_from(message.raw, at)

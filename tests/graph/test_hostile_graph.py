@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import rclpy
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.flood import BURST
@@ -69,7 +70,7 @@ def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimator
     pose = make("geometry_msgs/msg/PoseWithCovarianceStamped")
     for frame in ("laser", "", "map"):
         pose.header.frame_id = frame
-        listening.callback(pose)
+        listening.callback(serialize_message(pose))
     assert estimator.tally.total["box_pose", "of another frame"] == 2
     assert "box_pose of another frame" in estimator.health()[0].values
 
@@ -81,7 +82,7 @@ def test_a_flood_of_messages_is_dropped_and_its_publisher_named(
     publisher = other.create_publisher(topic_class("box_pose"), "box_pose", publisher_qos("box_pose"))
     wait(lambda: estimator.count_publishers("box_pose") == 1)
     (listening,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")
-    pose = make("geometry_msgs/msg/PoseWithCovarianceStamped")
+    pose = serialize_message(make("geometry_msgs/msg/PoseWithCovarianceStamped"))
     sent = 2 * round(BURST)
     for _ in range(sent):
         listening.callback(pose)

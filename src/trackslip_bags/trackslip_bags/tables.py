@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.chunks import read_stretches
-from trackslip_bags.layout import IrregularError, Layout
 from trackslip_bags.mcap_index import Bytes, IntArray
 from trackslip_bags.reader import Bag, absolute
+from trackslip_bags.types import fields_by
 from trackslip_common.errors import InputError
+from trackslip_common.layout import FieldsOf, IrregularError, Layout
 from trackslip_common.message_reading import RecordClass, dtype_of, places_of, read
 
 _LAYOUTS = 64  # of one topic; a message of another is read by itself
@@ -153,7 +154,7 @@ class _Topic:
         if sum(map(len, self._layouts.values())) >= _LAYOUTS:
             return None
         try:
-            layout = Layout(self._store, self.type_name, raw)
+            layout = Layout(self._fields_of, self.type_name, raw)
         except IrregularError:
             return None
         self._layouts.setdefault(len(raw), []).append(layout)
@@ -171,8 +172,8 @@ class _Topic:
         return InputError(f"bag '{self.bag.path}': {self.topic} is a {self.type_name} without {field}")
 
     @cached_property
-    def _store(self) -> Any:
-        return self.bag.store(self.type_name)
+    def _fields_of(self) -> FieldsOf:
+        return fields_by(self.bag.store(self.type_name))
 
 
 def read_tables(

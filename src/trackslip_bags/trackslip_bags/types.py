@@ -5,6 +5,7 @@ The standard types are those of rosbags for the ROS distribution in use. Every o
 own among them, comes from its ``.msg`` file: installed (``AMENT_PREFIX_PATH``), or in the checkout.
 """
 
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
@@ -18,9 +19,8 @@ from rosbags.typesys.store import Typestore
 from trackslip_bags.definitions import DEFAULT_DISTRO, msg_file, ros_distro
 from trackslip_bags.metadata import Schema
 from trackslip_common.errors import InputError
+from trackslip_common.layout import ANY, CDR_HEADER, CDR_SLACK, Field, FieldsOf
 
-CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
-CDR_SLACK = 64  # bytes accepted behind a message
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
 
@@ -159,6 +159,21 @@ def _inner_types(types: Typesdict, name: str) -> list[str]:
         if kind == Nodetype.NAME:
             names.append(str(detail))
     return names
+
+
+def fields_by(store: Typestore) -> FieldsOf:
+    """What the types of a store are made of."""
+
+    def fields_of(type_name: str) -> Iterator[Field]:
+        for name, description in store.fielddefs[type_name][1]:
+            (kind, detail), count = field_parts(description), None
+            if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                (inner, detail), size = detail
+                count = int(size) if kind == Nodetype.ARRAY else ANY
+                kind = inner
+            yield Field(name, str(detail if kind == Nodetype.NAME else detail[0]), count)
+
+    return fields_of
 
 
 def field_parts(description: FieldDesc) -> tuple[Nodetype, Any]:

@@ -12,6 +12,7 @@
 
 import math
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cache
 from operator import attrgetter
@@ -115,13 +116,23 @@ def _of_joint(values: Any, names: list[str], joint: str) -> float:
     return float(values[at]) if at < len(values) else math.nan
 
 
+class Packed(ABC):
+    """A message that nobody has made an object of."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def record(self, kind: RecordClass) -> Any:
+        """What ``read`` would take of its object."""
+
+
 def read(kind: Callable[..., R], message: Any) -> R:
-    """The record of a message object.
+    """The record of a message: an object, or packed.
 
     Raises:
         AttributeError: the message is of another type.
     """
-    found: R = _reader(kind)(message)
+    found: R = message.record(kind) if isinstance(message, Packed) else _reader(kind)(message)
     return found
 
 

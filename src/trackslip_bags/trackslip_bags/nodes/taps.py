@@ -17,8 +17,8 @@ from trackslip_common.nodes.messages import message_class, type_name_of
 from trackslip_common.nodes.qos import best_effort, latched, reliable
 from trackslip_common.topics import TOPICS, Flow
 
-_GATHER = 0.05  # s from a message until all that came meanwhile are taken
-_BURST = 100  # messages of one topic, before the others have their turn
+_GATHER = 0.1  # s from a message until all that came meanwhile are taken
+_BURST = 200  # messages of one topic, before the others have their turn
 _LATCHED_DEPTH = 100  # several publishers of one topic keep one message each, such as /tf_static has
 
 Write = Callable[[str, str, bytes, Any], None]  # topic, type, serialized message, info

@@ -16,8 +16,10 @@ from trackslip_common.nodes.compiling import compilation_reported
 from trackslip_common.nodes.guarded import GuardedNode
 from trackslip_common.nodes.health import OK, WARN, Health, StateLog, diagnostics, to_console
 from trackslip_common.nodes.inputs import Inputs
+from trackslip_common.nodes.messages import packed_topic
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
+from trackslip_common.packed import PackedMessage
 from trackslip_common.parameters import Parameters, reloadable, to_flat
 from trackslip_common.tally import Tally
 from trackslip_common.topics import COMMANDS
@@ -89,12 +91,21 @@ class TrackslipNode(GuardedNode, Generic[P]):
 
     def subscribe(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe; messages that come while the node is inactive, or flood it, are not for it."""
+        self._subscribe(message_type, topic, callback, raw=False)
 
+    def subscribe_packed(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
+        """The same for what comes often: the messages stay packed, for ``message_reading.read``."""
+        packed = packed_topic(message_type)
+        self._subscribe(message_type, topic, lambda raw: callback(PackedMessage(raw, packed)), raw=True)
+
+    def _subscribe(
+        self, message_type: type, topic: str, callback: Callable[[Any], None], *, raw: bool
+    ) -> None:
         def when_active(message: Any) -> None:
             if self.active and self.inputs.lets_pass(topic):
                 callback(message)
 
-        self.create_subscription(message_type, topic, when_active, subscriber_qos(topic))
+        self.create_subscription(message_type, topic, when_active, subscriber_qos(topic), raw=raw)
         if topic not in COMMANDS:
             self.inputs.add(topic)
 

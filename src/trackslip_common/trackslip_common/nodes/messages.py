@@ -2,10 +2,18 @@
 """Message classes by name, so that conversions need not import them."""
 
 import importlib
+import re
 from functools import cache
 from typing import Any
 
+from rclpy.serialization import deserialize_message
+
+from trackslip_common.layout import ANY, Field
+from trackslip_common.packed import PackedTopic
 from trackslip_common.topics import TOPICS
+
+_FIELD = re.compile(r"(?:sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?(>|\[(\d+)\])?")
+_NUMBERS = {"boolean": "bool", "double": "float64", "float": "float32", "octet": "uint8"}
 
 
 @cache
@@ -30,3 +38,24 @@ def type_name_of(kind: type) -> str:
     """``package/msg/Name`` of a message class."""
     package, _, _ = kind.__module__.partition(".")
     return f"{package}/msg/{kind.__name__}"
+
+
+@cache
+def fields_of(type_name: str) -> tuple[Field, ...]:
+    """What a message type is made of."""
+    texts: dict[str, str] = message_class(type_name)._fields_and_field_types  # type: ignore[attr-defined]
+    return tuple(_field(name, text) for name, text in texts.items())
+
+
+def packed_topic(kind: type) -> PackedTopic:
+    """For messages of a class that are subscribed to ``raw``."""
+    return PackedTopic(type_name_of(kind), fields_of, lambda raw: deserialize_message(raw, kind))
+
+
+def _field(name: str, text: str) -> Field:
+    """From rclpy's texts: ``double``, ``double[9]``, ``sequence<string>``, ``std_msgs/Header`` and so on."""
+    found = _FIELD.fullmatch(text)
+    assert found is not None, text
+    kind, kept, count = found.groups()
+    kind = kind.replace("/", "/msg/") if "/" in kind else _NUMBERS.get(kind, kind)
+    return Field(name, kind, int(count) if count else ANY if kept else None)

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from trackslip_common.message_fields import FrameFields
+from trackslip_common.message_reading import read
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import message_class, topic_class
 from trackslip_estimation.nodes.static_mountings import StaticMountings
@@ -25,7 +27,7 @@ class MeasurementSources:
         self._node, self._process = node, process
         self._heard_s: float | None = None  # steady: when the last sprocket sample came
         self._frames = p.frames_of_sources()
-        node.subscribe(topic_class("sprockets"), "sprockets", self._on_sprockets)
+        node.subscribe_packed(topic_class("sprockets"), "sprockets", self._on_sprockets)
         self._pose_set = node.advertise(topic_class(POSE_SET), POSE_SET)
         node.subscribe(topic_class(SET_POSE), SET_POSE, self._on_set_pose)
         self._mountings = StaticMountings(node, conversions.Frames(*p.frames).base, p.gyros())
@@ -35,7 +37,7 @@ class MeasurementSources:
             self._listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source, compass in p.compasses().items():
             on_heading = partial(self._on_heading, source=source, variance=compass.stddev**2)
-            self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading)
+            self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading, packed=False)
         for source, angle in p.angles().items():
             on_swing = partial(self._on_swing, source=source, variance=angle.stddev**2)
             self._listen(topic_class("swing"), source, on_swing)
@@ -50,23 +52,26 @@ class MeasurementSources:
         """Since the last sprocket sample; None before the first one."""
         return None if self._heard_s is None else time.monotonic() - self._heard_s
 
-    def _listen(self, kind: type, source: str, callback: Callable[[Any], None]) -> None:
+    def _listen(
+        self, kind: type, source: str, callback: Callable[[Any], None], *, packed: bool = True
+    ) -> None:
         """Subscribe to a source; what is in another frame than it may be in is refused."""
 
         def when_in_frame(message: Any) -> None:
-            if self._frames.get(source) in (None, message.header.frame_id):
+            if self._frames.get(source) in (None, read(FrameFields, message).frame):
                 callback(message)
             else:
                 self._node.tally.add(source, Refusal.OTHER_FRAME)
 
-        self._node.subscribe(kind, source, when_in_frame)
+        subscribe = self._node.subscribe_packed if packed else self._node.subscribe
+        subscribe(kind, source, when_in_frame)
 
     def _on_sprockets(self, message: Any) -> None:
         self._heard_s = time.monotonic()
         self._process(conversions.sprockets(message, "sprockets"))
 
     def _on_imu(self, message: Any, source: str) -> None:
-        imu, found = self._mountings.imu(source, message.header.frame_id)
+        imu, found = self._mountings.imu(source, read(FrameFields, message).frame)
         if found:  # a bag has them from now on
             self._node.settings = self._node.settings.changed(found)
             self._node.publish_parameters()

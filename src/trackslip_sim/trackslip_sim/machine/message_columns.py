@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
 from trackslip_bags.messages import serialize
-from trackslip_bags.types import CDR_HEADER, ensure, field_parts
+from trackslip_bags.types import ensure, field_parts
+from trackslip_common.layout import CDR_HEADER
 
 Columns = Mapping[str, NDArray[Any]]
 """Dotted name of a field → (n,) its values, or (n, k) where it holds k of them."""

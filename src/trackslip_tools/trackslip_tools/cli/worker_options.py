@@ -3,9 +3,10 @@
 
 import argparse
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from trackslip_tools.workers import Map, cores, workers
+if TYPE_CHECKING:
+    from trackslip_tools.workers import Map
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -23,8 +24,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def chosen(
     args: argparse.Namespace, shared: Any = None, most: int | None = None
-) -> AbstractContextManager[Map]:
+) -> AbstractContextManager["Map"]:
     """The workers that were asked for; ``most``: how many have something to do."""
+    from trackslip_tools.workers import cores, workers  # a twentieth of what a replay of one bag takes
+
     count = args.workers or cores()
     return workers(count if most is None else min(count, most), args.scheduler, shared)
 

@@ -1,20 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where each field is in a serialized (CDR) message, and in which other messages it is there too.
 
+For tables of many messages (``column``), and for one that comes live (``reader``).
+
 Messages of a type mostly differ in their numbers alone. Two of the same length whose strings and lengths of
 sequences are the same, byte by byte (their *frame*), have every number at the same place.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
+from operator import itemgetter
+from struct import Struct
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Nodetype
-from rosbags.typesys.store import Typestore
 
-from trackslip_bags.types import CDR_HEADER, CDR_SLACK, field_parts
-from trackslip_common.message_reading import At, Filled, Joint, Place, Stamp, Text
+from trackslip_common.message_reading import At, Filled, Joint, Place, RecordClass, Stamp, Text, places_of
+
+CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
+CDR_SLACK = 64  # bytes accepted behind a message
+ANY = -1  # length of a sequence
 
 Bytes = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
@@ -22,7 +28,20 @@ IntArray = NDArray[np.int64]
 _NUMBERS = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1", "float32": "<f4", "float64": "<f8"}
 _NUMBERS |= {f"int{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)}
 _NUMBERS |= {f"uint{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)}
+_LONG = {"<i8": "q", "<u8": "Q"}  # numpy's kinds of numbers that ``struct`` has another letter for
 _NS_PER_S = 1_000_000_000
+
+
+class Field(NamedTuple):
+    """One of a message type's definition."""
+
+    name: str
+    type: str  # a number's, ``string``, or ``package/msg/Name``
+    length: int | None = None  # of an array; ``ANY`` of a sequence; None: one value
+
+
+FieldsOf = Callable[[str], Iterable[Field]]
+"""``package/msg/Name`` → what it is made of, in this order."""
 
 
 class IrregularError(ValueError):
@@ -45,17 +64,47 @@ class Layout:
         IrregularError: it is not, or the type holds sequences of messages.
     """
 
-    def __init__(self, store: Typestore, type_name: str, raw: bytes) -> None:
+    def __init__(self, fields_of: FieldsOf, type_name: str, raw: bytes) -> None:
         if len(raw) < CDR_HEADER or raw[0] != 0 or raw[1] != 1:
             raise IrregularError(f"{type_name} of another form")
         self._leaves: dict[str, _Leaf] = {}
         self._places = [np.arange(CDR_HEADER)]  # of strings and lengths
-        self._store, self._raw, self._at = store, raw, 0
+        self._fields_of, self._raw, self._at = fields_of, raw, 0
         self._message(type_name, "")
         if not 0 <= len(raw) - CDR_HEADER - self._at <= CDR_SLACK:
             raise IrregularError(f"{type_name} of {len(raw)} bytes")
         self._frame = np.concatenate(self._places)
         self._frame_bytes = np.frombuffer(raw, np.uint8)[self._frame]
+        runs = np.split(self._frame, np.flatnonzero(np.diff(self._frame) > 1) + 1)
+        spans = [slice(int(run[0]), int(run[-1]) + 1) for run in runs]
+        self._pieces = [(span, bytes(raw[span])) for span in spans]
+
+    def fits(self, raw: bytes) -> bool:
+        """Whether another message has this layout."""
+        return len(raw) == len(self._raw) and all(raw[span] == piece for span, piece in self._pieces)
+
+    def reader(self, kind: RecordClass) -> Callable[[bytes], Any]:
+        """What takes the record of a message that fits, as ``message_reading.read`` does of its object.
+
+        Raises:
+            KeyError: the type has no such field.
+        """
+        codes: dict[int, str] = {}  # by offset, of the numbers that are read
+        for leaf, at in (number for _, place in places_of(kind).values() for number in self._numbers(place)):
+            size = np.dtype(leaf.kind).itemsize
+            codes[leaf.offset + at * size] = _LONG.get(leaf.kind, np.dtype(leaf.kind).char)
+        order, end, form = sorted(codes), 0, "<"
+        for offset in order:
+            form += f"{offset - end}x{codes[offset]}"
+            end = offset + Struct(f"<{codes[offset]}").size
+        unpack = Struct(form).unpack_from
+        takes = [self._take(place, order.index) for _, place in places_of(kind).values()]
+
+        def read_one(raw: bytes) -> Any:
+            numbers = unpack(raw)
+            return kind(*[take(numbers) for take in takes])
+
+        return read_one
 
     def matches(self, buffer: Bytes, starts: IntArray) -> NDArray[np.bool_]:
         """(n,) which of the messages, of the same length, that begin at ``starts`` have this layout."""
@@ -89,10 +138,9 @@ class Layout:
                 return self._leaves[path].length != 0
             case Text(path):
                 return number_of(self._leaves[path].texts[0])
-            case Joint(path, name):
-                leaf, names = self._leaves[path], self._leaves["name"].texts
-                at = names.index(name) if name in names else leaf.length or 0
-                return self._values(leaf, buffer, starts, at) if at < (leaf.length or 0) else np.nan
+            case Joint():
+                found = self._numbers(place)
+                return self._values(found[0][0], buffer, starts, found[0][1]) if found else np.nan
             case At(path, items, shape):
                 leaf = self._leaves[path]
                 if not shape:
@@ -101,6 +149,47 @@ class Layout:
                     raise KeyError(path)
                 whole = self._values(leaf, buffer, starts, 0, leaf.length or 1)
                 return whole[:, items].reshape(len(starts), *shape)
+
+    def _numbers(self, place: Place) -> list[tuple["_Leaf", int]]:
+        """Of which numbers the value at a place is made: their leaves, and which of the leaf's."""
+        match place:
+            case Stamp(path):
+                found = [(self._leaves[f"{path}.sec"], 0), (self._leaves[f"{path}.nanosec"], 0)]
+            case At(path, items, _):
+                found = [(self._leaves[path], item) for item in items or (0,)]
+            case Joint(path, name):
+                leaf, names = self._leaves[path], self._leaves["name"].texts
+                at = names.index(name) if name in names else leaf.length or 0
+                found = [(leaf, at)] if at < (leaf.length or 0) else []
+            case _:
+                found = []
+        for leaf, at in found:
+            if leaf.kind == "text" or at >= (1 if leaf.length is None else leaf.length):
+                raise KeyError(place.path)
+        return found
+
+    def _take(self, place: Place, number_at: Callable[[int], int]) -> Callable[[tuple[Any, ...]], Any]:
+        """(numbers that were read) → value at a place; ``number_at``: offset → which of them."""
+        indices = [
+            number_at(leaf.offset + at * np.dtype(leaf.kind).itemsize) for leaf, at in self._numbers(place)
+        ]
+        match place:
+            case Stamp():
+                sec, nanosec = indices
+                return lambda numbers: numbers[sec] * _NS_PER_S + numbers[nanosec]
+            case At(_, _, shape) if shape:
+                chosen = itemgetter(*indices)
+                return lambda numbers: np.array(chosen(numbers), np.float64).reshape(shape)
+            case At() | Joint() if indices:
+                return itemgetter(indices[0])
+            case Filled(path):
+                is_filled = self._leaves[path].length != 0
+                return lambda _: is_filled
+            case Text(path):
+                text = self._leaves[path].texts[0]
+                return lambda _: text
+            case _:
+                return lambda _: math.nan
 
     def _values(
         self, leaf: _Leaf, buffer: Bytes, starts: IntArray, first: int = 0, count: int = 1
@@ -114,19 +203,13 @@ class Layout:
         return np.asarray(found[:, 0] if count == 1 else found)
 
     def _message(self, type_name: str, prefix: str) -> None:
-        for name, description in self._store.fielddefs[type_name][1]:
-            kind, detail = field_parts(description)
-            if kind == Nodetype.NAME:
-                self._message(str(detail), f"{prefix}{name}.")
-            elif kind == Nodetype.BASE:
-                self._field(prefix + name, detail[0], None)
+        for name, kind, count in self._fields_of(type_name):
+            if "/" not in kind:
+                self._field(prefix + name, kind, self._length() if count == ANY else count)
+            elif count is None:
+                self._message(kind, f"{prefix}{name}.")
             else:
-                (inner, inner_detail), count = detail
-                if inner != Nodetype.BASE:
-                    raise IrregularError(f"{prefix}{name} holds messages")
-                if kind == Nodetype.SEQUENCE:
-                    count = self._length()
-                self._field(prefix + name, inner_detail[0], count)
+                raise IrregularError(f"{prefix}{name} holds messages")
 
     def _field(self, name: str, kind: str, count: int | None) -> None:
         if kind == "string":
