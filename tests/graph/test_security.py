@@ -39,7 +39,7 @@ CONFIGURED = (
     LiveNode,
 )
 OF_PEOPLE = {"observer", "operator"}
-OPTIONAL = set() if find_spec("tf2_msgs") else {"/tf"}
+OPTIONAL = {"/tf_static"} | (set() if find_spec("tf2_msgs") else {"/tf"})  # where an IMU asks for it
 DEADLINE = 30.0  # s
 
 
