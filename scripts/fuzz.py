@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Feeds every parser of foreign bytes with inputs that atheris (libFuzzer) breeds by coverage: ``make fuzz``.
 

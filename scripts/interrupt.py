@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Presses Ctrl-C at random moments of set-up, demo, tests, tuning, study; then each must work without help.
 

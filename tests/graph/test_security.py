@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """SROS2: the policy allows what the nodes do and no more; without keys, Enforce lets no node start."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """With tf2_msgs: an IMU is mounted as /tf_static says, and /tf is map → odom → base_link."""
 

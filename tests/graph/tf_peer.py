@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A node of another package, in its own process: states how the IMU is mounted, prints the links of /tf."""
 

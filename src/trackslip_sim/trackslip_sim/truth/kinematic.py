@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A truth matched to sub-model 1b, for tests: how the vehicle turns is given, so the slips are known exactly.
 
