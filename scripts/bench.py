@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Speeds, loads and latencies on this machine, printed: ``make bench`` asserts nothing.
 

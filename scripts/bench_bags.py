@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Speed of the workbench on a sensor bag of three minutes, one core: ``make bench`` prints the rows."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The three emulated devices at their full rates, as a process: ``bench_devices.py DIRECTORY PORT``.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Speed of the filters beside filterpy's EKF, in one run on one thread: ``make bench`` prints the rows.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the live page costs: a machine that drives in the graph, the node ``live``, and pages that look at it.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Measures nodes as they run: CPU of the drivers at full rate, CPU and latency of the whole graph."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The ROS side of the benchmark: a listener, and the floor to hold the nodes against.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Draws figures of the thesis, from this project's code, into docs/figures (``make figures``)."""
 

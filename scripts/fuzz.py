@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Feeds every parser of foreign bytes with inputs that atheris (libFuzzer) breeds by coverage: ``make fuzz``.
 
@@ -13,9 +14,11 @@ import importlib.util
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +28,8 @@ OUT = ROOT / "out" / "fuzz"
 REQUIREMENTS = ROOT / "requirements" / "fuzz.txt"
 RUNS = 1_000_000
 MEMORY_MB = 600  # of a whole target; interpreter, numpy and the decoders of bags take a third of it
-SECONDS_PER_INPUT = 10
+SECONDS_PER_INPUT = 10  # of processor time
+HANGS_AFTER = 600  # s of libFuzzer's own clock, which runs on while others have the processor
 
 
 class Target(NamedTuple):
@@ -113,7 +117,7 @@ def report(target: str, runs: int) -> bool:
         "-print_final_stats=1",
         "-verbosity=1",
     ]
-    limits = [f"-rss_limit_mb={MEMORY_MB}", f"-timeout={SECONDS_PER_INPUT}", f"-artifact_prefix={directory}/"]
+    limits = [f"-rss_limit_mb={MEMORY_MB}", f"-timeout={HANGS_AFTER}", f"-artifact_prefix={directory}/"]
     arguments = ["--target", target, *options, *limits, str(directory / "corpus")]
     began = time.monotonic()
     with (directory / "log").open("wb") as log:
@@ -139,8 +143,22 @@ def fuzz(target: str, options: list[str]) -> None:
     corpus.mkdir(parents=True, exist_ok=True)
     for number, seed in enumerate(seeds):
         (corpus / f"seed{number}").write_bytes(seed)
-    atheris.Setup([sys.argv[0], *options], one_input)
+    atheris.Setup([sys.argv[0], *options], within_time(one_input))
     atheris.Fuzz()
+
+
+def within_time(one_input: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    """The same, which raises where an input takes longer than it may."""
+
+    def too_long(*_: object) -> None:
+        raise TimeoutError(f"more than {SECONDS_PER_INPUT} s of processor time for one input")
+
+    def timed(data: bytes) -> None:
+        signal.setitimer(signal.ITIMER_VIRTUAL, SECONDS_PER_INPUT)
+        one_input(data)
+
+    signal.signal(signal.SIGVTALRM, too_long)
+    return timed
 
 
 if __name__ == "__main__":

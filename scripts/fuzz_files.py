@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Fuzz targets on files that a user hands over: bags, logs with mappings; ``InputError`` is fine."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A fuzzer's input as a script: pieces of a kind, so that it can build what no random bytes would hit."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Fuzz targets on serial lines: SICK telegrams, session and device; Watson lines and frames; NMEA."""
 

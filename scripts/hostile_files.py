@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Gives hostile files to every reader of files that a user hands over: part of ``make fuzz``.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The readers of files that ``hostile_files.py`` tries: each with good files, and what is done with one."""
 

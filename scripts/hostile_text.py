@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Makes hostile files of good ones: bytes damaged, two files joined, values of other types, YAML's bombs."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Presses Ctrl-C at random moments of set-up, demo, tests, tuning, study; then each must work without help.
 
@@ -44,7 +45,7 @@ COMMANDS: dict[str, tuple[Sequence[str], float]] = {
 }
 PLAN = """\
 objective: likelihood
-evaluations: 200
+evaluations: 1000  # still at work when the interruption comes
 seed: 0
 parameters:
   turning.loss: {low: 0.001, high: 0.1, scale: log}

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Makes a bag of hours by repeating a short one: ``long_bag.py BAG OUTPUT --hours 8 [--live]``.
 

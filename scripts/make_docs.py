@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Pages of the packages' docstrings, in ``out/docs``; ``make docs`` runs it in the environment of ROS."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The environment of ROS 2 and the workspace: ordinary files, for shells and for the pythons of ``.venv``.
 

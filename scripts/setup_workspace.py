@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Sets the checkout up: ``.venv`` with ROS 2 and all libraries, and the built workspace ``ros2_ws``.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Runs the graph for as long as asked, at several times its speed, and looks for what grows: ``make soak``.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What tests share: repeatable hypothesis, the folder of real data, and a small kinematic truth."""
 
@@ -13,7 +14,13 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 
-pytest_plugins = ["fixtures.browser", "fixtures.full_disk", "fixtures.recorded", "fixtures.thesis"]
+pytest_plugins = [
+    "fixtures.browser",
+    "fixtures.full_disk",
+    "fixtures.recorded",
+    "fixtures.tf2_messages",
+    "fixtures.thesis",
+]
 
 FloatArray = NDArray[np.float64]
 Segment = tuple[float, float, float, float, float, float]  # s; ω_L, ω_R rad/s; i_L, i_R; α rad

@@ -1,4 +1,5 @@
 #!/bin/sh
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 # Makes the keys and permissions of policy.xml for one domain and namespace, with the sros2 of a ROS 2 from apt:
 #   ROS_DOMAIN_ID=17 ./make_keystore.sh /etc/trackslip/keystore [digger1]

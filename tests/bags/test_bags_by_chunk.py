@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Topics read chunk by chunk are what they are message by message: of whole files, cut and damaged ones."""
 

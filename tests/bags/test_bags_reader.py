@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The reader: every form of bag that rosbag2 writes, damaged ones, and what is no bag."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Every project message, with any content, comes back from a bag as it went in; so says rosbags too."""
 

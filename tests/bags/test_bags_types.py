@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Message definitions: found, hashed as ROS does, and read as a bag defines them."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The writer: a rosbag2 bag on disk, whole when closed and readable when killed."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Bags, disks and files that mean no good: one line that says what is wrong, and nothing left behind."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A recorder's disk: what it may remove, what it never does, and how long the space lasts."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Bags of other robots, of ROS 1 and ROS 2: each topic of theirs gets a role, and keeps how late it was."""
 

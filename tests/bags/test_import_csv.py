@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """CSV logs as people have them: several files, blanks, dates, latitudes, ground speeds, one gyro axis."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A CSV log and a mapping become a bag; every mistake in either is one clear line."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The bag of a recorder on a disk that refuses, or is to take no more than so much."""
 

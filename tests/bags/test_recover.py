@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip recover``: a whole bag of what a damaged one still holds, and a word on what it does not."""
 

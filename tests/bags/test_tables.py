@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Tables of topics: the numbers that live nodes read, whatever the strings and the form of the bag."""
 

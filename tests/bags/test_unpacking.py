@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What is packed small and unpacks to much: refused, and the memory it asks for is never taken."""
 

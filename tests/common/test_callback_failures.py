@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Exceptions of callbacks are counted and reported, logged without a flood, and end a node only at last."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Stamps that step out of line: one alone is a bad one, many that agree are another time."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Machine code on disk: found again by another process, and never older than its sources."""
 
@@ -54,3 +55,14 @@ def test_a_kernel_that_calls_another_folder_is_compiled_again_when_that_changes(
     assert run(tmp_path) == [20.0, 1.0]
     inner.write_text(CALLEE.format(added=2.0), encoding="utf-8")
     assert run(tmp_path) == [30.0, 0.0]
+
+
+def test_a_module_with_two_names_loads_machine_code_of_its_own(tmp_path: Path) -> None:
+    """``make test`` and ``colcon test`` import a file of tests by two names, and share what is on disk."""
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
+    ask = "from {name} import inner\nprint(inner(1.0), sum(inner.stats.cache_hits.values()))\n"
+    by_folder = "import sys\nsys.path.append('below')\n" + ask.format(name="inner")
+    for text, found in ((by_folder, 0.0), (ask.format(name="below.inner"), 0.0), (by_folder, 1.0)):
+        (tmp_path / "outer.py").write_text(text, encoding="utf-8")
+        assert run(tmp_path) == [2.0, found]

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The files of ``config/``: found, read, refused when they are no parameter files, and all of them good."""
 

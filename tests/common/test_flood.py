@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A publisher run wild takes no more of a node's time than the guard leaves it, and no other topic's."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What travels together is one argument, no function of ours takes more than six; a licence in every file."""
 
@@ -38,15 +39,12 @@ def test_predict_gate_and_update_stand_once() -> None:
     assert callers == {"step.py", "update.py"}
 
 
-def test_every_file_of_code_names_its_licence() -> None:
+def test_every_file_of_code_names_its_licence_and_who_holds_it() -> None:
     listed = subprocess.check_output(
         ["git", "ls-files", "*.py", "*.xml", "*.js", "*.css", "*.sh"], cwd=ROOT, text=True
     )
     files = [ROOT / name for name in listed.splitlines()]
     assert len(files) > 500
     heads = {file: file.read_text(encoding="utf-8")[:400] for file in files if file.is_file()}
-    assert [
-        str(file)
-        for file, head in heads.items()
-        if head and "SPDX-License-Identifier: Apache-2.0" not in head
-    ] == []
+    for tag in ("SPDX-FileCopyrightText: 2026 Trackslip authors", "SPDX-License-Identifier: Apache-2.0"):
+        assert [str(file) for file, head in heads.items() if head and tag not in head] == []

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Vehicle files: only the kinematics are required, and what is wrong is told in one line."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Buses that the project never saw, by a roles file alone; and what is refused in one line."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Error frames of a CAN controller: what they report, and that bus-off has the bus opened anew."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The frames of the excavator: exact bytes, each rejection, and the samples made of them."""
 

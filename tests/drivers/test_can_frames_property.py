@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """CAN frames: round trips within the resolution, and nothing that arrives breaks the decoder."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A bus that falls silent and comes back: what turned meanwhile is neither invented nor lost."""
 

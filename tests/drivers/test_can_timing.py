@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The cycle of a sender as it is measured, on hosts that are busy and from senders that stall."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Drivers' pure halves against the emulated devices in simulated time: stamps, corruption, coming back."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """NMEA sentences: exact ones, each reason to refuse one, both halves against each other, any bytes."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Whatever comes down the line: no exception, bounded memory, every byte accounted for, no wrong scan."""
 

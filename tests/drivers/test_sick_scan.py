@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Scans of SICK scanners: units, flags, reserved values, geometry, stamps, and their parameters."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The host's session and the emulated scanner talk over a line with the true rates, in simulated time."""
 

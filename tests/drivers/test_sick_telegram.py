@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """SICK telegrams: every byte vector known, the search for telegrams in garbage, and their times."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Stamps: the filter is never worse than raw, the host's clock may be set, order is kept."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Watson units: lines and frames of the manuals byte by byte, the stream's cutting and stamps, rejections."""
 

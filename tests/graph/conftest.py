@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Processes, and a ROS node to watch them with, in a domain of their own; all waits are on conditions."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A node that fails wherever a callback can, while its parameter ``fails`` is true; run as a program."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The real driver on a bus of a shape that no code of ours knows: a DBC, a roles file, and nothing else."""
 

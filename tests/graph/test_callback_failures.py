@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """An exception in a callback does not end a node; what is set while it is inactive reaches its core."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Who on the network sees two graphs: nobody but peers that are named. The hosts are network namespaces."""
 

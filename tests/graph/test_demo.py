@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The demo as a user runs it: what it writes, what it refuses, and how it ends when it is made to."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """An exception in a driver's own thread is counted and reported; the port stays open, and data go on."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Each driver's executable against an emulated device: bytes in, messages of the right kind out."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Reset, freeze, a given pose, new gates, a jumping clock on the live node; the bag gives it all back."""
 

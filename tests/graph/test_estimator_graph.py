@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Recorder, localizer and estimator live, fed with what they may meet; then the bag gives it all back."""
 

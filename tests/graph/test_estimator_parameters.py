@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Parameters set while the estimator is configured but inactive: it works with them, and so does a replay."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The real drivers against the emulator, whose sensors fail on demand: what is wrong shows, and passes."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Receiver, driver and localizer live: bytes in, places on the map out, through what befalls a receiver."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Publishers that mean no good: a second one of an input, and messages of another frame, are named."""
 

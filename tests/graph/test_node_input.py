@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A user's mistake with a node is reported in one line; what ends a node ends it quietly."""
 

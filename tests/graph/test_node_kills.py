@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Nodes of a driving graph are killed or held, and started again as a launch file would do it."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A camera's odometry beside the sprockets, live: used, counted, recorded, and replayed bit for bit."""
 

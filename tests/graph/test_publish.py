@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A bag drives a live graph: ``trackslip replay --publish`` and a live estimator."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The recorder live: what it receives it writes, or reports as lost; killed at any moment it leaves a bag."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The recorder deactivated and activated again: another bag, and nothing of the one before it."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """SROS2: the policy allows what the nodes do and no more; without keys, Enforce lets no node start."""
 
@@ -39,7 +40,7 @@ CONFIGURED = (
     LiveNode,
 )
 OF_PEOPLE = {"observer", "operator"}
-OPTIONAL = set() if find_spec("tf2_msgs") else {"/tf"}
+OPTIONAL = {"/tf_static"} | (set() if find_spec("tf2_msgs") else {"/tf"})  # where an IMU asks for it
 DEADLINE = 30.0  # s
 
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Seeds in the graph: the slip estimator takes them where it is asked to, and reports on each."""
 

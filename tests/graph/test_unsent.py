@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the middleware refuses to send, as to a stalled subscriber, is counted and reported."""
 

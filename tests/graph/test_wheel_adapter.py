@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A machine with its own driver: joint states of four wheels, and a base controller's speeds, live."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The built workspace: what the packages declare is installed where ROS 2 and users look for it."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What ``make setup`` remembers and how it runs commands: damage and interruption leave nothing half done."""
 

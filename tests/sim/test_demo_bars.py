@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The estimate on drives like the demo's stays within its limits, on firm soils and soft."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """dig_cycles on the shear truth: all sensors on a cab that swings by half turns, with and without encoder."""
 

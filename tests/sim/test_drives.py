@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Random drives of random machines: four of the forty of ``make drives``, and the generator itself."""
 

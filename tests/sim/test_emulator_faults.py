@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Faults of the emulated excavator: what is refused, and what each does, in simulated time."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Emulated drives of a machine of 20 t with a GNSS receiver and no laser: bag, replay, and their bars."""
 

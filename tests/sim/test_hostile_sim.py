@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Texts and disks that mean no good, given to the emulator and to ``trackslip simulate``."""
 

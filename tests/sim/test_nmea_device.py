@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The emulated receiver, and the way of its bytes through protocol and localizer; a hundred faults."""
 

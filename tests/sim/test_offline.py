@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Drives recorded faster than real time: nothing is lost by skipping, by streaming, or by writing columns."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Emulated Watson unit and excavator bus: rates, commands, and the way through the drivers' parsers."""
 

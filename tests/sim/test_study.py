@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The study's own arithmetic: what it feeds the filters, its bound, and whether it catches a bad filter."""
 

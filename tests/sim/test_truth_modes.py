@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The simpler truths: the thesis' forward simulation, and the one matched to sub-model 1b."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The shear truth against (3.3), against the numbers of its first check, and at its limits."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The shear truth on slopes: where it holds and slides, its energy, its loads; and flat ground as before."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """An emulated drive like Test Five with a camera's odometry: half a minute without fixes, and replay."""
 

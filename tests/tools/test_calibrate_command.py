@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip calibrate`` on recorded runs: the emulator's own numbers, a file for replay, refusals."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Calibration of made-up drives of known numbers: intervals that hold, and refusals with a reason."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``calibrate`` and the estimator's states, of the same drive on the truth model: two ways to one number."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip --help`` lists every command; the help of each ends with an example that it would take."""
 

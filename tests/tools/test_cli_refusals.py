@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the ``trackslip`` command refuses: exit code 2, and one line that names the mistake."""
 

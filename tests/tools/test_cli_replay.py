@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip replay`` and ``info`` on a small bag: what is promised comes, and comes the same each time."""
 

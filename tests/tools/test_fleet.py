@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Many bags at once: which are meant, one table, the same numbers whoever works, broken ones beside."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Bags, disks and options that mean no good, given to ``trackslip``: one line, and nothing left behind."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Logs of another robot, of both ROS, through import, replay and report: by hand is only a mapping."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """IMUs of a bag: turned as they are mounted, and refused where they state that they have no data."""
 

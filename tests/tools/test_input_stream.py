@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of a bag, batch by batch: bounded, whole, and in live order."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Keys are heard one by one on a terminal, which is left as it was; a pipe is left alone."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The live page in a real browser, with fingers: it follows, scrolls, comes back, and runs no one's code."""
 

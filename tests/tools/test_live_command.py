@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip live``: what it refuses, and a bag on the page from the first message to Ctrl-C."""
 

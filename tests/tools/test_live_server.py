@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The live page's server: who may ask, what it answers, and that nothing it is sent does anything."""
 

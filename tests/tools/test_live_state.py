@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The live page's buffer: frames and the whole agree, hold only what JSON knows, and do not grow."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A bag of many minutes, made of a short one by ``scripts/long_bag.py``, goes through in bounded memory."""
 

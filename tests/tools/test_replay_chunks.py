@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A replay in batches of any length, and topics read as columns: the same to the last bit as one by one."""
 

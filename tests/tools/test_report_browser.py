@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A report in a real browser: it draws, zooms, is scrolled by fingers, and asks nobody for anything."""
 

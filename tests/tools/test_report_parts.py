@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Parts of a report that need no bag: thinning of curves, rates and gaps of topics."""
 

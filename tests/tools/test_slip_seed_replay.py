@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Slip seeds in a bag: replayed to the last bit where they are listened to, and otherwise without a trace."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The smoother over an emulated drive: better than the filter, above all in outages; consistent at breaks."""
 

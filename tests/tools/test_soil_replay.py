@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The soil estimator in ``trackslip replay``: what it finds, what it says, and that it repeats itself."""
 

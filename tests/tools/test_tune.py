@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip tune``: files, exit codes, an interruption, and a cluster that finds what one process finds."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The tuner: its plan, what it makes of a bag, the search, the journal, and what it leaves behind."""
 

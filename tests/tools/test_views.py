@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The layouts in ``config/views/`` show topics that there are, and fields that their messages have."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Messages of some topics in log order, a stretch of some seconds at a time, as bytes in one buffer.
 

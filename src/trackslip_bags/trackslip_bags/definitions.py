@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Definitions of message types as ROS installs them: text for MCAP, and hash. What a recorder needs.
 

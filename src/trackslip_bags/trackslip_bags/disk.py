@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The disk of a recorder: which files are recordings, which go beyond a budget, how long it lasts."""
 

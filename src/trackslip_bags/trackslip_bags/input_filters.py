@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a replay changes in a bag before the estimator sees it: window, names, outages, thinning.
 

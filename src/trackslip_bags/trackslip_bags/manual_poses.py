@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Poses that somebody set: from the topic on which the estimator repeats them, where a bag has it.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Where messages are in the chunks of an MCAP file, by the index behind each chunk; each entry is checked."""
 

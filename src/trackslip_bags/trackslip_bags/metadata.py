@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``metadata.yaml``, which ``ros2 bag`` reads first of all: what a bag holds, and each of its files."""
 

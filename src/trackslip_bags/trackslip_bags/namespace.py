@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """One machine's part of a bag that holds the topics of a namespace, by the names of a machine without one."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of earlier versions, in bags and files, by the names of today: the one place that knows them."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """An estimator's parameters inside a bag: one std_msgs/String holding a ROS parameter file.
 

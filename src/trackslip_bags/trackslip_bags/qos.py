@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The offered quality of service of a topic, as rosbag2 writes it into a bag (metadata version 9)."""
 

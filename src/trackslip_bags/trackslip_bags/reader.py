@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Reads bags: rosbag2 directories (MCAP, SQLite; compressed or not), bare files, and damaged MCAP.
 

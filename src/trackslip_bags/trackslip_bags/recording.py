@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The bag of a recorder: where it goes, how long the disk takes it, and what was lost."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The readable parts of a bag: what rosbags opens, and what can be read of an MCAP file that it refuses."""
 

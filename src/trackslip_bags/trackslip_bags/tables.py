@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Tables of a bag's topics, a stretch of log time after the other: each field a named column.
 

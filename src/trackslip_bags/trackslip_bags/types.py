@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Message types without ROS: their definitions, hashes and a store that (de)serializes them.
 

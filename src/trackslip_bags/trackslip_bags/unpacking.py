@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Unpacks what bags hold packed: never to more than it states, nor to more than a recorder would write."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 bags (MCAP storage) from messages that are serialized already.
 

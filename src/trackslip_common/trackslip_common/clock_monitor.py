@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Whether the clock goes on as it should: by stamps and counts alone, so that a replay finds the same.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The one door to the compiler: machine code kept on disk, released from the interpreter's lock.
 
@@ -28,7 +29,7 @@ _IMPORT = re.compile(r"^(?:from|import) +([\w.]+)(?: +import +(\([^)]*\)|.*))?",
 def compiled(function: F) -> F:
     """Compile at the first call and keep the result (strict IEEE arithmetic)."""
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _cache_directory(function.__code__.co_filename)
+    numba.config.CACHE_DIR = _cache_directory(function.__code__.co_filename, function.__module__)
     try:
         return cast(F, numba.njit(cache=True, nogil=True)(function))
     finally:
@@ -41,11 +42,11 @@ def inlined(function: F) -> F:
 
 
 @cache
-def _cache_directory(file: str) -> str:
+def _cache_directory(file: str, module: str) -> str:
     """One directory per state of a module's source and of all that it imports of ours, at any depth.
 
     Numba looks only at the file of the function itself, so a kernel would keep stale machine code of
-    what it calls in other files.
+    what it calls in other files. Machine code names its module, which a file of tests has two names for.
     """
     found: set[str] = set()
     waiting = {file}
@@ -53,7 +54,9 @@ def _cache_directory(file: str) -> str:
         source = waiting.pop()
         found.add(source)
         waiting.update(path for path in _imported(source) if path not in found)
-    digest = hashlib.sha256(b"".join(Path(source).read_bytes() for source in sorted(found)))
+    digest = hashlib.sha256(module.encode())
+    for source in sorted(found):
+        digest.update(Path(source).read_bytes())
     parent = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(file).parent / "__pycache__")
     return str(parent / digest.hexdigest()[:16])
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Finds and reads the YAML files of ``config/``: the one place where defaults live."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How many messages of a topic a node has time for; what a publisher run wild sends beyond is dropped."""
 

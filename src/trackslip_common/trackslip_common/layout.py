@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Where each field is in a serialized (CDR) message, and in which other messages it is there too.
 

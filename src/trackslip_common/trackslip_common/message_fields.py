@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The fields that are read of each message, once: live conversions and the tables of a bag come from here.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Parameters as frozen dataclasses: each field states once its meaning, unit and range.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Soils as frozen records; ``config/soils.yaml`` holds Tables 2.1, 2.2 and 6.1 of the thesis.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Starts an executable so that Ctrl-C is quiet from the first moment, while its imports are still loading."""
 

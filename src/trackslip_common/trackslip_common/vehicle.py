@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The vehicle's constants: what a file of ``config/vehicles/`` holds, in groups, and a machine given whole.
 

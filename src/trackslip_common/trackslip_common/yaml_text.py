@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Reads YAML from anybody: with numbers as ROS reads them, and within limits.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The drivers: CAN, Watson IMU, SICK PLS; with ``gnss:=true`` a GNSS receiver too."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the node ``can_driver`` (values: ``config/can_driver.yaml``)."""
 

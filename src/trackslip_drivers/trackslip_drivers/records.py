@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the sensors measure, once their bytes are decoded: SI units, FLU axes, stamped in integer ns.
 

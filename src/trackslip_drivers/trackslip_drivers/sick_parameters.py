@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The parameters of the laser scanner; their values are in ``config/sick_pls.yaml``."""
 

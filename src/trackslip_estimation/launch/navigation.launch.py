@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Box and GNSS localizers, slip and soil estimators, recorder, live page: those that the switches say."""
 

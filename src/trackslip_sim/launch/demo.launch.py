@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The graph of ``make demo`` under ``ros2 launch``: emulated excavator, drivers, estimators, recorder."""
 

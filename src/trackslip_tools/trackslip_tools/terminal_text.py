@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Text that fits a terminal of 80 columns: lines are wrapped, and tables that are too wide are folded."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Who does many pieces of work: this process, others of this machine, or the workers of a Dask scheduler.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The attitude filter on made-up motions: standing, turning, driving off, shaken, and without gravity."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Fixes are as wrong as they say on drives that leave the laser's sight and come back, by beams."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The box followed from scan to scan, through clutter, occlusion and ambiguity."""
 

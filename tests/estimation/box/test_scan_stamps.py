@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a scan's stamp or geometry does to the localizer: refused where it is bad, and never for good."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Every scenario stays before the laser and clear of all that stands on the site, on firm soils and soft."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Fixes on the map: metres that are right anywhere on earth, and each reason to refuse one."""
 

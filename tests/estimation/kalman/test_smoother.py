@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The smoother against the batch solution of a linear Gaussian problem, and with the models; headings."""
 

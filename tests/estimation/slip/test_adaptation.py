@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The noise finds its size: of the tracks, of the gyro, of the fixes; and the gyro its scale."""
 

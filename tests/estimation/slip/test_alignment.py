@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Fixes that the gate refuses: none is believed alone, several are that agree over the way driven."""
 

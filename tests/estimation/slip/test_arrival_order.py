@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The state is a function of the set of measurements: order, repeats and rubbish change nothing."""
 

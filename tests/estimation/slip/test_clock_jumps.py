@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Clocks that jump: one bad stamp is refused, another time is believed once enough samples agree on it."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the estimator makes of surprises: spikes are refused, what insists is believed, NIS is consistent."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Headings as a source of their own: at the start, in the gate, in any order; and fixes whose errors last."""
 

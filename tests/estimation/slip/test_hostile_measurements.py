@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Stamps of a publisher that means no good: refused by name, and nothing ends, stalls or grows."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Odometry that never jumps: the integral of the twist, however often fixes move the estimate."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A run over a whole log gives what the estimator ends with, for any number of runs at once."""
 

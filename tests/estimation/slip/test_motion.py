@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Standing, straight, turning: seen from the sprockets, both ways round, without flicker."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a motion model says of itself; a new one needs its own file and its lines in the dispatch, no more."""
 

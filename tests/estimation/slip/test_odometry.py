@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Odometry of a camera as increments: what it moved on ground that slips; jumps, gaps, what it states."""
 

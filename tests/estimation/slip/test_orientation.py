@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Orientations that IMUs state: roll and pitch measured, through the mounting, gated, and refused by name."""
 

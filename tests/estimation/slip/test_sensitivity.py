@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What cannot matter does not: a stamp that is 1 µs off, and the order of sources at equal stamps."""
 

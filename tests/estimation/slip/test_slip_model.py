@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Sub-model 1: its Jacobians against differences, its step against fine steps, and results by hand."""
 

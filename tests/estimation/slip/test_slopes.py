@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The slip estimator on slopes: along the ground, in any order, with sensors high above it, and on none."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What each source may have of its own: place of the sensor, sign, heading or none, floors, timeout."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Turning and ICR models: Jacobians against differences, slips against kinematics, noise by steps."""
 

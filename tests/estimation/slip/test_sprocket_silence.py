@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Sprockets that fall silent, and positions that jump: no speed is made up, and the uncertainty says so."""
 

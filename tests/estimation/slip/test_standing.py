@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """While the machine stands, the gyro's bias and the pose are learned, and nothing of the slips."""
 

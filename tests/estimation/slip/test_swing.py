@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Sensors on a cab that swings: what they see, and what the machine below does meanwhile."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Each fault of the pressures is doubted at once and named soon; true pressures never are."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Classes of soil, the line in (c, ϕ), and the reserve of thrust."""
 

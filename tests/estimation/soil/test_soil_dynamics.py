@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Sub-model 2 on the shear truth: μ_r and the mobilised μ_l, with the thrusts and slips of sensors."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The soil estimator as a whole: faults are named and held, restarts, warnings, and one order of things."""
 

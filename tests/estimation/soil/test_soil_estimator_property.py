@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Whatever comes in, no nan comes out but where it says 'unknown', and no variance is negative."""
 

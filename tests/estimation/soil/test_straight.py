@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a straight costs: (3.3) once the soil is fresh, nothing on sheared soil; and K from
 the slip distance alone.

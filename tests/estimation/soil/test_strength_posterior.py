@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """K and F_max from slip and thrust: exact data, consistent intervals, changes of soil, outliers."""
 

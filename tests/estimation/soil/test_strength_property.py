@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Whatever comes in, the strength posterior stays a distribution, and knows no more than it may."""
 

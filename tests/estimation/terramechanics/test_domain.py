@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Every public function of terramechanics: arrays are loops of scalars, and the impossible is refused."""
 

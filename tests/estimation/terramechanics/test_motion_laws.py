@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Laws of turning and of the hydraulic drive: balances, signs, limits, power, inverses."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Laws of soil and traction: monotone, odd, bounded, exact at their limits, inverse to themselves."""
 

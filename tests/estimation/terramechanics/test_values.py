@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Terramechanics against numbers of the thesis, its expanded formulas, and numerical integrals."""
 

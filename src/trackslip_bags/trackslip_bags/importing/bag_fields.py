@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What is read of messages of other robots: numbers, one row a message, and the samples made of the rows."""
 

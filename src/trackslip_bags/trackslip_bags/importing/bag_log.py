@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Bags of other robots by a mapping: ROS 2 (MCAP, SQLite) and ROS 1; each message keeps how late it came."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How a mapping names columns of a CSV log: values with their units, times, and how sure they are."""
 

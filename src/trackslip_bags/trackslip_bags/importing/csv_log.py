@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """CSV logs by a mapping: one file or several on one time base, each with columns and a rate of its own."""
 

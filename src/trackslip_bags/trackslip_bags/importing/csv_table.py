@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Reads columns of a CSV log: comma, semicolon or tab between cells; a line of names; numbers below.
 

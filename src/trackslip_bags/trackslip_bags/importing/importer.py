@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Turns another robot's log into a bag, by a mapping file (see ``mapping``): CSV files, or a bag.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The mapping file of ``trackslip import``: what of a log is what. docs/import.md has the whole form.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a log can give: roles, the fields that columns fill, and the messages of other robots that serve."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Checks of what a YAML file holds; ``where`` opens each message, and names file and place."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``replay``: publishes the messages of a bag as they are, and ``/clock``, for a live graph to work on."""
 

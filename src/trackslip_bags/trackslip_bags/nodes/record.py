@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``record``: writes the serialized messages of all project topics, as they come, to an MCAP bag."""
 

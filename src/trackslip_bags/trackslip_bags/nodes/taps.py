@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a recorder listens to: serialized messages of topics that are known, and of those found later."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Makes a whole bag of a damaged one: what can be read of it, with a new index and ``metadata.yaml``."""
 

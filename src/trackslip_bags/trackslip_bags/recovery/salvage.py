@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What can be read of a damaged MCAP file: every whole chunk up to the place where it was cut off.
 

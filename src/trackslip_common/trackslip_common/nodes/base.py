@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Base of all nodes: refuses bad parameters, survives failures of its callbacks, reports at 1 Hz."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Says that a node compiles its kernels, once after an installation, and is neither dead nor deaf."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A node that survives exceptions of its callbacks, and messages that the middleware does not send."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A lifecycle node that starts by itself, and whose failing transitions leave it as it was before."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A node's parameters: from ``config/`` and what the user gave to a frozen record, and on to ROS."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Runs one node from start to a quiet end: one line for bad input, no traceback on Ctrl-C."""
 

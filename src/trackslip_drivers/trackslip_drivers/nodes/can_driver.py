@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``can_driver``: sprockets, hydraulics and swing from the CAN bus, as the roles file says."""
 

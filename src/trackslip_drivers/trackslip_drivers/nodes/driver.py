@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the drivers share: one link to a sensor, stamps on the host's clock, and its health."""
 

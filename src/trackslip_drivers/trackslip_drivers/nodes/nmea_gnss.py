@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``nmea_gnss``: a GNSS receiver that speaks NMEA 0183, on a serial line or a network."""
 

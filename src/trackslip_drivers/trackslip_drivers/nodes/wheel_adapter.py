@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``wheel_adapter``: joint states or a base controller's speeds in, ``sprockets`` out."""
 

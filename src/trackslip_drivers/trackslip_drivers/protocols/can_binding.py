@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Roles bound to the signals of a DBC: what each is in SI, and how a position goes round.
 

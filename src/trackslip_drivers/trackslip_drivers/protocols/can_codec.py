@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Payloads of one frame to values and back: what cantools does, at a tenth of its time.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """State of a CAN bus from the error frames of its controller (classes and bits of Linux' can/error.h)."""
 

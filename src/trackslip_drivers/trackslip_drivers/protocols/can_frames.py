@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Frames of a DBC that have a role: decode whole, check, place in time, then commit; and the encode half.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The roles file: which signal of a user's DBC is what. See ``docs/can.md``.
 

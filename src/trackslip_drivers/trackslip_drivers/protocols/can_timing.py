@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """When the frames of one sender were sent: its real cycle, what was lost, and what only came late.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """NMEA 0183 sentences of GNSS receivers: what GGA, GST, RMC, HDT, THS and PASHR tell.
 

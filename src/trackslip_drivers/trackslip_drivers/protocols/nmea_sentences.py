@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The receiver's half of NMEA 0183: sentences as it sends them, for the emulator and tests."""
 

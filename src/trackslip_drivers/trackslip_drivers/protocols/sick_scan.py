@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Scans of SICK scanners: ``B0 | count LE16 | count values LE16 | status``, and what they measure.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The host's side of the talk with a SICK scanner, from any state it may be in to streaming scans.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Telegrams of SICK scanners, both directions: ``02 | address | length LE16 | payload | CRC LE16``.
 

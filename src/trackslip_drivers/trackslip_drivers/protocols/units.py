@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Units as a DBC writes them, and what they are in SI. What is not in the table is refused, never guessed."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Cuts the byte stream of a Watson unit into lines or frames, stamps and decodes them."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A CAN bus by python-can: SocketCAN on the vehicle, UDP multicast in one host, virtual in one process."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A serial port behind any pyserial URL: a device path, a pty, ``socket://``, ``rfc2217://``."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The attitude filter: gyro and accelerometers of one IMU, with the speed of the tracks; compiled.
 

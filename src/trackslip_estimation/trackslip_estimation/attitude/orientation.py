@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Update of the attitude filter with the orientation that an IMU states of itself; compiled.
 

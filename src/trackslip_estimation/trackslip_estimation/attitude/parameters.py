@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Numbers of the attitude filter: classes of gyros and accelerometers, not those of one unit."""
 

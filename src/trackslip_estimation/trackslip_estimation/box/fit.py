@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The rectangle fitted to the beams on it: pose of its centre in the laser frame, with its covariance.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """base_link in odom from scan to scan: check the scan, find the box near its track, give the fix.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the box localizer needs to know (values: ``config/site.yaml``, ``config/box_localizer.yaml``)."""
 

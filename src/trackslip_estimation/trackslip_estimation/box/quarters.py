@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Which way round the box stands: four hypotheses, a quarter turn apart, weighted from scan to scan.
 

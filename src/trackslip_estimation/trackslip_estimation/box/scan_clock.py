@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Which stamps of scans are in line: by the clock monitor, at whatever pace scans come.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Which object of a scan is the box: cut the scan into objects, fit the box to each, keep the one expected.
 

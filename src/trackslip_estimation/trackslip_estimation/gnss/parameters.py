@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the node ``gnss_localizer`` (values: ``config/gnss_localizer.yaml``)."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Distribution Approximation Filter (Julier & Uhlmann; thesis Fig. 4.3), the first unscented one; compiled.
 

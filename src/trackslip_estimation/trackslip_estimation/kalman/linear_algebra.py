@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Algebra of small matrices, compiled; each sum has one order, so a replay repeats every bit.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``box_localizer``: laser scans in, pose of the machine by the box on its cab out."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``gnss_localizer``: fixes of a GNSS receiver in, places of its antenna in metres east and north out."""
 

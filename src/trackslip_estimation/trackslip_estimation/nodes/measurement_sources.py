@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The topics that measurements come on: subscribed to, checked for their frame, converted, handed on."""
 

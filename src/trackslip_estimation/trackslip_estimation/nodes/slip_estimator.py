@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``slip_estimator``: sprockets, yaw rates and poses in; odometry, slips and a report on each input out."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``soil_estimator``: odometry, slips, swing and hydraulics in; forces of the tracks and the soil out."""
 

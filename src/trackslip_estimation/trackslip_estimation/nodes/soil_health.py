@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The soil estimator's state for /diagnostics: waiting, running, what is wrong, or a track in trouble."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How IMUs are mounted, by /tf_static, for those whose parameters say so."""
 

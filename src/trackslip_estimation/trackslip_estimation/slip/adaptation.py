@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How wrong tracks, gyros and fixes are on this machine and this ground, found from innovations; compiled.
 

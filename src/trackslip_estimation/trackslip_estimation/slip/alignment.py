@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The pose found again from fixes that were refused, or at first where the start has no heading; compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The machine while its sprockets are silent: it may stand, go on, or turn, each as fast as it can; compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The slip estimator: measurements in, in any order; pose, slips and slip angle out.
 

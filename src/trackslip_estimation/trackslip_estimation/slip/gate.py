@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Which yaw rates and slips are used: a χ² gate that widens while source and state disagree; compiled.
 

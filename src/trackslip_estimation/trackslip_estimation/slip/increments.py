@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a source of odometry moved between two of its poses, as a velocity of base_link; compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What was learned of a machine and its ground, but not where it is: taken from a state, aged, started from.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What was learned of a machine in words and numbers: for /diagnostics, reports, replays and the state file.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Where sensors sit, and what the machine's motion does to them: the one place that turns levers; compiled.
 

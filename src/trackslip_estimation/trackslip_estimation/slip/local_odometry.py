@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The pose in the frame ``odom`` (REP-105): the integral of the estimated twist, which never jumps; compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Whole logs in the order of their stamps: what is worked out once, for many runs with other parameters.
 

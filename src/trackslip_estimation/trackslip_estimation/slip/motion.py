@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Standing, straight or turning: seen from the sprockets alone, with hysteresis.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Errors that each source has of its own: numbers of the state from ``SENSOR_ERRORS`` on; compiled.
 

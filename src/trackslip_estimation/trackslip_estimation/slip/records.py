@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The records that pass through the compiled estimator: what is measured, what is known, what became of it.
 

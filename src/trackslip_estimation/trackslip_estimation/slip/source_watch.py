@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How the sources of the estimator do: which are lost, and whether their innovations are consistent.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How an estimate begins: with which measurement, and in which state; compiled into ``process``."""
 

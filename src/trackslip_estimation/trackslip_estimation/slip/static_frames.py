@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Frames that do not move against each other, as /tf_static has them: how a sensor's frame is turned.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Gate and update with a sensor of the swing, and what a swing does to the gates of others; compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Sub-model 2: coefficients of resistance from thrusts and motion, (3.14), (3.24) as errata 3 has them.
 

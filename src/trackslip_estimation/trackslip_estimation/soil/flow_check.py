@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What spool and sprocket speed say of the volumetric efficiency; a hint for diagnostics, no more. Compiled.
 

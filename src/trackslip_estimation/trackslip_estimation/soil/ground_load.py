@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the weight does: it pulls along a slope, and loads the tracks unevenly there and as it swings.
 

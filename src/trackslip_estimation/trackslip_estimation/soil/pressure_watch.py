@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Finds pressures that cannot be true, by name: dropped, stuck, swapped, in another unit, beyond relief.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How near a track is to the limit of its soil: the early warning of getting stuck. Compiled.
 

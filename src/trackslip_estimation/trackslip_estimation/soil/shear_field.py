@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The soil sheared under the tracks: (3.3) carried through turns and changes of slip, compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The slips that thrust and soil tell of straight motion by (3.3), or nearly (3.12): once after each turn.
 

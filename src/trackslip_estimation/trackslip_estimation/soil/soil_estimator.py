@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The soil estimator: slips and pressures in; forces, resistances and the strength of the soil out.
 

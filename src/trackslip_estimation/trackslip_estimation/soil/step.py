@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the soil estimator does with every sample, compiled: synchronize, measure thrusts, filter, average.
 

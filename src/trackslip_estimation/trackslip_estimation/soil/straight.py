@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How much distance a straight segment costs on each soil, against what the machine was seen to lose.
 

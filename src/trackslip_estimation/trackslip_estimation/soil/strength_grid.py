@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The cells over (ln K, ln F_max) on which the strength of the soil is looked for.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Numbers of the strength posterior and of the soil classes (``config/soil_estimator.yaml``)."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Shear modulus and strength of the soil, from slip and thrust, as a distribution over a grid.
 

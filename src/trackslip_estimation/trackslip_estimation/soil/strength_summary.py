@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a distribution over (ln K, ln F_max) comes to: medians, intervals, and whether they say something."""
 

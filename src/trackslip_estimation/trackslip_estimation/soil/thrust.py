@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Thrust of both tracks from differential pressure (3.25), (3.27), with its variance, compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Brings odometry, slips, swing and pressures of a stamp together, strictly in the order of stamps, compiled.
 

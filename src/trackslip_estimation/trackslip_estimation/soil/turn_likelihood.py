@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How well each (K, F_max) explains one pair of thrusts, with errors in slip and thrust, compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Chapters 2 and 3 of the thesis, one equation per function: soil, tracks, turning, hydraulics.
 

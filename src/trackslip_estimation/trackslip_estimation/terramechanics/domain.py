@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Arguments of the formulas: arrays of finite numbers inside their range, or an ``InputError``."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The hydraulic drive of one track: pressure, torque and thrust; flow and speed; valve and relief.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What holds a vehicle back in straight motion; b is one track's width, forces are of both tracks.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Lateral forces of the soil in a turn, their moment, and where the vehicle then rotates.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How good the estimate is on drives like the demo's, without its processes: ``make bars`` prints a table.
 

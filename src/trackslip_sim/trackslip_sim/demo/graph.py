@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Which nodes the demo runs, and with which parameters: shared by the demo and by ``demo.launch.py``."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The directory of a demo's results: marked as such, so that nothing of a user's is ever removed."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Runs the demo: start the graph, turn the key, watch, stop, replay, score, draw."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The live part of the demo: the nodes come up, the machine drives, the terminal shows it."""
 

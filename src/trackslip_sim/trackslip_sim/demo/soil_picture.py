@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Forces, resistance and strength of the soil over a drive, with the truth, as Figs 6.15 to 6.17."""
 

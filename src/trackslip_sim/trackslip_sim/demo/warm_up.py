@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Compiles kernels, so that no first run has to: ``python -m trackslip_sim.demo.warm_up [FAMILY…]``.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The excavator's valve controller on the CAN bus: three frames a cycle, as ``config/excavator.dbc`` says."""
 

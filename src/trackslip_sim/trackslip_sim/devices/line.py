@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A serial line: characters leave one after the other, no faster than the baud rate lets them."""
 

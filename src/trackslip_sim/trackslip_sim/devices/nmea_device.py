@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A GNSS receiver on a serial line: at each epoch a burst of GGA, GST, RMC and PASHR, some time after it.
 

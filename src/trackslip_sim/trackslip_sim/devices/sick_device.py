@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A SICK scanner as its serial line shows it: boots, answers commands, turns its mirror, streams scans.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A Watson inertial unit on a serial line: banner, then decimal lines or binary frames at its own rate.
 

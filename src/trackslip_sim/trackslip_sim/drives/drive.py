@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A random drive as the estimator is given it: counts of the encoders, a gyro, and fixes while in sight.
 

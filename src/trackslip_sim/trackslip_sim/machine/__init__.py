@@ -1,2 +1,3 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The emulated excavator: vehicle, hydraulics, sensors, and their faults."""

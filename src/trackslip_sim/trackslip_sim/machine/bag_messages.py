@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Records on their way into a bag: serialized many at a time, and written in the order in which they came."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The emulator's bus and serial ports: what joins the excavator's devices to the drivers."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Machines as real ones are: each differs from what its parameters say, by as much as real ones were seen to.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The emulated excavator: one true drive behind its devices that speak bytes. No port, no clock."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What goes wrong with the emulated sensors, and when: records, and the list of those at work.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a bad line does to what a sensor sends: bytes on a serial line, frames on a CAN bus."""
 

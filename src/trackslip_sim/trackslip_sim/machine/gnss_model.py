@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a GNSS receiver on the machine finds of the truth: antenna position by quality, heading of a pair.
 

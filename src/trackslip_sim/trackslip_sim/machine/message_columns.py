@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Many messages of one type at once: columns of numbers to CDR, or one row of them to a live message.
 

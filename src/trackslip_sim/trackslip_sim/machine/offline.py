@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A drive recorded faster than real time: the emulator's bytes through the drivers' protocols into a bag.
 

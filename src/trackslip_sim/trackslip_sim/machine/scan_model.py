@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a laser scanner standing on the site measures of the box on the moving vehicle, and of all else there.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the sensors on the machine measure of the true motion, before their protocols make bytes of it.
 

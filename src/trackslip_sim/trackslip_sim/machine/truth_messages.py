@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The truth in the messages that the estimators publish: what differs from sample to sample, as columns."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The demo's eyes: sees when the graph is whole, turns the emulator's key, counts, reads the estimates."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``emulator``: an excavator without one. Bytes on a CAN bus and two serial ports, truth on topics."""
 

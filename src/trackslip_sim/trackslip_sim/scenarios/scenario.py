@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Scenarios: what is commanded, on which ground, and what fails (``config/scenarios/*.yaml``)."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Terrains: the shape of the ground (``config/terrains/*.yaml``); lengths in m, angles in ° as names say."""
 

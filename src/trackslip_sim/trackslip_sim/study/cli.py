@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip study``: chapter 6 of the thesis again, with numbers: errors, bounds, consistency."""
 

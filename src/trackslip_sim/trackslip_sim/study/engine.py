@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What all studies have in common: a grid of cells, computed piece by piece, resumed, and put into tables."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A machine that lies on the ground: its attitude, and the way from body velocities to the pose, compiled.
 

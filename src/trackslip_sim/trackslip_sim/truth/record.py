@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The true motion of a run, uniformly sampled: what estimators are scored against, never given."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Truth mode ``shear``: the vehicle driven over ground that shears, step by step, compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The single entry to the truth: a scenario in, the true motion out, whole or piece by piece.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The upper structure swings: its motor goes where the scenario wants it, as fast as it can; compiled.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The shape of the ground: a sum of planes, ramps and hills, all smooth, and 0 m high at the origin.
 

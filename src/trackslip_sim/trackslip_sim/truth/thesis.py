@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Truth mode ``thesis``: the forward simulation of §6.2.1, on the free body of (3.24).
 

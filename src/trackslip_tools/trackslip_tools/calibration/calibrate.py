@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Everything that drives show of the machine and its sensors, and the node parameters that follow."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The gyro against the headings of the poses and the axis of the turns: scale, sign, delay, mounting.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A calibration as a table for people, and as a parameter file for the nodes with its evidence in it."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A bag as arrays: what calibration needs of it, by stamp, in seconds from the bag's first message."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Where in a drive the machine stands, goes straight, or turns, long enough to be of use."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What sensors show while nothing moves: the bias of the gyro, the offsets of the pressure transducers."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The tracks against poses and gyro: way for the turn of the sprockets, turn for their difference.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The commands of ``trackslip``: what each does in one sentence, and the module that it alone loads."""
 

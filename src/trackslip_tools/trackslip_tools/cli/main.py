@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip``: the workbench around bags. Only the module of the command that is asked for is loaded."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A progress bar with the remaining time on a terminal; nothing in a pipe, for which no library is loaded."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip recover``: a whole bag from one whose recorder was killed, or whose disk failed."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The options of every command that replays bags: which part of a bag, what is hidden, which parameters."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``--workers`` and ``--scheduler``: who does the work of a command over many bags."""
 

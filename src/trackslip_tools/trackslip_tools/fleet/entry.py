@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What became of one bag of many, as a worker hands it back: numbers and words, no arrays."""
 

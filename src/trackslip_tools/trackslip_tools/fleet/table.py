@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """One table of many bags, and what it leaves out of each: errors, notes, vehicles."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The clock that the page shows: that of this computer's place, whatever the browser thinks its own is."""
 

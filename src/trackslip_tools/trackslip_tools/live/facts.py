@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The page's texts: where the machine is and what it does, attitude, swing, and why a soil is not known."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The live page as files: HTML, styles, scripts, Bokeh's library, and the plots to draw."""
 

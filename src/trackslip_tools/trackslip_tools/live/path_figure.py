@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The plot of where the machine is; the page's script fills its sources and moves its ranges."""
 

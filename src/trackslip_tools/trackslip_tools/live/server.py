@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Serves the live page from a thread of its own: files to read, and a stream of frames that takes no word.
 

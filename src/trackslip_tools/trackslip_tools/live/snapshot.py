@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The newest record of each topic, as long as it is fresh, and the columns that panels take from it."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The last minutes of all curves: the panels of the report, moment by moment, in bounded memory."""
 

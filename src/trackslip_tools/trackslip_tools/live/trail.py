@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The path of a day in bounded memory: points a little apart, twice as far where there are too many."""
 

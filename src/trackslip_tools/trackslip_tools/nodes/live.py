@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """``live``: serves the live page of the running graph; takes no command, publishes /diagnostics alone."""
 

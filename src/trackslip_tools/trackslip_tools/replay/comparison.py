@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The live estimates of a bag against the replayed ones, while both come: every number of the same stamp.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Errors of what comes piece by piece, against a truth that is never behind it: exact, in bounded memory."""
 

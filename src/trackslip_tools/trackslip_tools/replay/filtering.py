@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Withholds and thins arrivals while a bag is read, as ``InputFilters`` ask for."""
 

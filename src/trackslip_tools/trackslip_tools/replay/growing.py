@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Records that come piece by piece, in an array that grows in place: joining parts takes twice the memory."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Why a replay gives no estimate, or none of the heading: in the words of what a user can change."""
 

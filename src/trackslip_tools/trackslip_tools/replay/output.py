@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a replay leaves behind: a bag of its estimates, a summary for people, and one for programs."""
 

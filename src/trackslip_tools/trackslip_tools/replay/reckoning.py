@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A path without a filter beside a replay: begun at the reference's first pose, scored, kept for pictures."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """One replay: a bag's inputs in live order through both estimators, then the comparison and the scores.
 

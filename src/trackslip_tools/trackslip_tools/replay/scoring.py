@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Errors against a reference: every sample of it, at its own stamp, with no re-alignment.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A whole bag's measurements in the order of their stamps, as smoother and tuner run over them."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The soil estimator over a replay: its inputs are the replayed slips and the hydraulics of the bag."""
 

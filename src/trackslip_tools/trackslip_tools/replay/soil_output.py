@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the soil estimator's part of a replay leaves behind: messages, lines for people, JSON for programs."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a replay withheld, and how far off the estimate was meanwhile and at the end of it."""
 

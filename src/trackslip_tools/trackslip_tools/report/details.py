@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a report shows of a replay beside its scores: estimates, what was compared with them, and fixes."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What happened: changes of lights, of the gate, of the soil and of what is learned, each said once."""
 

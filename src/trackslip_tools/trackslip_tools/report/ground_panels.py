@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Plots of the ground: forces on the tracks, and the soil with its intervals, as the bag has them."""
 

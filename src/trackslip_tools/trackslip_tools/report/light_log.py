@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The lights of a recording: how each of them went, and what they tell, as the live page would have."""
 

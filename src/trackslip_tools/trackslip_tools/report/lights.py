@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Lights: what each node last said of itself on /diagnostics, and how long ago that was.
 

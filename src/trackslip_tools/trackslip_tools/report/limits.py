@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The limits of a report's verdict: ``config/report.yaml``, or a file of the user's own over it."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Plots of how the machine moved: errors against the reference, slips, slip angle, speeds."""
 

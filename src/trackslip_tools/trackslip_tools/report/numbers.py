@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Forces and soil over time, as columns: of a bag, or of what a replay computes."""
 

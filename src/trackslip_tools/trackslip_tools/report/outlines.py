@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Shapes about the path: ellipses of uncertainty, and the box where the laser found it."""
 

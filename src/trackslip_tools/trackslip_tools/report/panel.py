@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What one plot over time shows, before anything is drawn: curves with their bands, in colours.
 

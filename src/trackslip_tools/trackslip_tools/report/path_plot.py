@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Draws where the machine went: paths, ellipses, the box as the laser saw it, and a marker of the time."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Outlines in the plane, of reports and of the live page: ellipses of uncertainty, and rectangles."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a report takes from the bag itself, beside the replay: times of all messages, soil, lights, laser."""
 

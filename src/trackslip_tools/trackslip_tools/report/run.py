@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """One run of a report: a bag, the parameters it was replayed with, and what came of it."""
 

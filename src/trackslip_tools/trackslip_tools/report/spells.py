@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Stretches of time in which something stayed as it was, and how they are drawn: rows of bars over time."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What happened in a run: motion, tracks in trouble, lost fixes, refusals of the gate, soils, lights."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a run is worth, in plain words: each check is ok, asks for attention, or could not be made."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a tuning leaves behind: a parameter file that the nodes load, and beside it what it rests on."""
 

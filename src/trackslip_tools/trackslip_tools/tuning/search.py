@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The search for the best point of the unit cube: differential evolution, then Nelder and Mead's simplex.
 

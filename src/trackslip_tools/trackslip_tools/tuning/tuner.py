@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Tunes over many bags, and over all but each: what a bag without a say gains is what tuning is worth."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The thesis' kinematic sub-model (3.17)–(3.20), (3.23), with its errata applied, and a gyro bias.
 

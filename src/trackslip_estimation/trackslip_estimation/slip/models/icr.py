@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The tracks' instantaneous centres of rotation (Martínez & Mandow; Pentzer 2014) as states.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A motion along tilted ground: what gravity adds to it, and what of it is horizontal; compiled.
 

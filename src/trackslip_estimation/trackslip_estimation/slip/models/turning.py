@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Sub-model 1b: not the slips are constant on a soil, but how the vehicle turns (symbols: ``speed``).
 

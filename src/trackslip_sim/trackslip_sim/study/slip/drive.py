@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """One soil's drive as the estimator takes it: what all runs on the soil have in common.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """A cell's runs: drawn, filtered, and held against the truth and against the bound."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The study as pictures: single runs beside the thesis' Figs 6.3 to 6.14, and what the Monte Carlo says."""
 

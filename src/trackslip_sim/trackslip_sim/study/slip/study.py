@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The slip estimator's study; a piece of it is a cell, whose runs share the cores: kernels hold no lock."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """One run of a cell: a truth and what the sensors say of it, drawn from one seed."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the Monte Carlo of the soil estimator varies and holds (``config/study.yaml``)."""
 

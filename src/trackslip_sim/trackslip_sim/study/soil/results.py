@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the runs of a cell come to: medians, the worst, and how many intervals hold the truth.
 

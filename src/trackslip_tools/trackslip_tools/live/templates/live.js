@@ -1,3 +1,4 @@
+// SPDX-FileCopyrightText: 2026 Trackslip authors
 // SPDX-License-Identifier: Apache-2.0
 // Shows the frames that the server sends. Whatever they hold is put on the page as text or number, never as
 // HTML, and nothing is ever sent.

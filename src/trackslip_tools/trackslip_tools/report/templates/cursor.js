@@ -1,3 +1,4 @@
+// SPDX-FileCopyrightText: 2026 Trackslip authors
 // SPDX-License-Identifier: Apache-2.0
 // One moment in all plots. Given by Bokeh: cb_obj, the movement of the mouse; spans, the lines across the
 // plots over time; paths (t, x, y, heading) and markers (x, y, heading), one for each run; on_path, whether

@@ -1,3 +1,4 @@
+// SPDX-FileCopyrightText: 2026 Trackslip authors
 // SPDX-License-Identifier: Apache-2.0
 // Light and dark: by the system's wish or the button. DARK gives for each colour of a light page the one of
 // a dark page.

@@ -1,3 +1,4 @@
+// SPDX-FileCopyrightText: 2026 Trackslip authors
 // SPDX-License-Identifier: Apache-2.0
 // What a report does beside showing its plots: the first ones are there at once and the others follow one by one;
 // a mouse drags to zoom, while a finger scrolls the page and zooms by the buttons.

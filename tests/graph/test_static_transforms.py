@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""With tf2_msgs: an IMU is mounted as /tf_static says, and /tf is map → odom → base_link."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from sensor_msgs.msg import Imu, JointState
+from trackslip_msgs.msg import MeasurementReport
+
+PEER = Path(__file__).with_name("tf_peer.py")
+REFUSED = "imu/data_raw of a frame that /tf_static does not join to base_link"
+BEGIN_S, STEP_MS, RATE = 1_700_000_000, 20, 0.4  # RATE: rad/s about the vertical
+SPEED = RATE * 0.73 / 2.0 / 0.159  # rad/s of a sprocket of the PC05 that turns on the spot
+
+
+def at(kind, step):
+    message = kind()
+    message.header.stamp.sec = BEGIN_S + step * STEP_MS // 1000
+    message.header.stamp.nanosec = step * STEP_MS % 1000 * 1_000_000
+    return message
+
+
+class Turning:
+    """What a machine's sensors say that turns to the left on the spot; its IMU hangs upside down."""
+
+    def __init__(self, observer):
+        self._observer, self._step = observer, 0
+        self._publishers = {t: observer.publisher(t) for t in ("sprockets", "box_pose", "imu/data_raw")}
+        self.reports = observer.subscribe("measurement_reports")
+
+    def drive(self, steps):
+        """Hand over each step's messages when what came before is done."""
+        for _ in range(steps):
+            pose = at(PoseWithCovarianceStamped, self._step)
+            heading = RATE * self._step * STEP_MS * 1e-3
+            pose.pose.pose.orientation.z, pose.pose.pose.orientation.w = (
+                np.sin(heading / 2.0),
+                np.cos(heading / 2.0),
+            )
+            pose.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
+            sprockets = at(JointState, self._step)
+            sprockets.name, sprockets.velocity = ["left_sprocket", "right_sprocket"], [-SPEED, SPEED]
+            imu = at(Imu, self._step)
+            imu.header.frame_id, imu.angular_velocity.z = "imu_link", -RATE
+            expected = len(self.reports) + 2
+            for topic, message in (("box_pose", pose), ("imu/data_raw", imu), ("sprockets", sprockets)):
+                self._publishers[topic].publish(message)
+            self._observer.wait(lambda n=expected: len(self.reports) >= n, "reports of a step")
+            self._step += 1
+
+    def gyro(self):
+        """Outcomes of its measurements."""
+        return [r.outcome for r in self.reports if r.source == "imu/data_raw"]
+
+
+@pytest.fixture
+def with_tf2(programs, tf2_environment):
+    programs.environment = {**programs.environment, **tf2_environment}
+    return programs
+
+
+def test_an_imu_is_mounted_as_tf_static_says(with_tf2, observer):
+    turning, healths = Turning(observer), observer.healths()
+    odometry, stated = observer.subscribe("odometry"), observer.subscribe("slip_estimator/parameters")
+    with_tf2.node("slip_estimator", sources__imu_data_raw__mounting_from_tf=True)
+    for topic in ("sprockets", "box_pose", "imu/data_raw"):
+        observer.wait_for_ends(topic, "observer", "slip_estimator")
+    turning.drive(20)
+
+    def counted():
+        own = [pair.value for h in healths for pair in h.values if pair.key == REFUSED]
+        return own and own[-1] == "20"
+
+    observer.wait(counted, "twenty readings that nobody knows how to turn")
+    assert turning.gyro() == []
+
+    peer = with_tf2.python(str(PEER))
+    observer.wait_for_ends("/tf_static", "tf_peer", "slip_estimator")
+    observer.wait_for_ends("/tf", "tf_peer", "slip_estimator")
+
+    def mounted():
+        turning.drive(1)
+        return turning.gyro()
+
+    observer.wait(mounted, "the first reading that is used")
+    turning.drive(50)
+    assert set(turning.gyro()) == {MeasurementReport.ACCEPTED}
+    assert odometry[-1].twist.twist.angular.z == pytest.approx(RATE, abs=0.02)
+    assert "mounting_yaw: 1.57" in stated[-1].data
+
+    def chain():
+        lines = [line.split() for line in peer.stdout.splitlines()]
+        return {(parent, child) for parent, child, _ in lines} == {("map", "odom"), ("odom", "base_link")}
+
+    peer.until(chain, "map → odom → base_link on /tf")

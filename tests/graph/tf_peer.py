@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A node of another package, in its own process: states how the IMU is mounted, prints the links of /tf."""
+
+import math
+
+import rclpy
+from geometry_msgs.msg import TransformStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from tf2_msgs.msg import TFMessage
+
+# As a mast on a machine would be: turned a quarter to the left, and the IMU below its top plate.
+LINKS = {("base_link", "mast"): (0.0, math.pi / 2.0), ("mast", "imu_link"): (math.pi, 0.0)}  # roll, yaw
+
+
+def link(parent: str, child: str, roll: float, yaw: float) -> TransformStamped:
+    found = TransformStamped(child_frame_id=child)
+    found.header.frame_id = parent
+    q = found.transform.rotation  # of R_z(yaw) R_x(roll)
+    q.x, q.y = math.cos(yaw / 2.0) * math.sin(roll / 2.0), math.sin(yaw / 2.0) * math.sin(roll / 2.0)
+    q.z, q.w = math.sin(yaw / 2.0) * math.cos(roll / 2.0), math.cos(yaw / 2.0) * math.cos(roll / 2.0)
+    return found
+
+
+def print_links(message: TFMessage) -> None:
+    for found in message.transforms:
+        z, w = found.transform.rotation.z, found.transform.rotation.w
+        print(found.header.frame_id, found.child_frame_id, 2.0 * math.atan2(z, w), flush=True)
+
+
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+node = rclpy.create_node("tf_peer")
+latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+links = node.create_publisher(TFMessage, "/tf_static", latched)
+links.publish(TFMessage(transforms=[link(*names, *angles) for names, angles in LINKS.items()]))
+node.create_subscription(TFMessage, "/tf", print_links, 100)
+rclpy.spin(node)
