@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The host's session with a scanner that answers as no emulated one does."""
 

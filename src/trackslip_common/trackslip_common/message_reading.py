@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How a field is read of a message: from an object, rclpy's or a bag's, and as the column of a numpy record.
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Heading, roll and pitch of what has the quaternion ``qx qy qz qw``: one record, or the rows of a table."""
 

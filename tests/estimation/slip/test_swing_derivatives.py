@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The state in the coordinates of what sits on a cab, and how it swings: against differences."""
 

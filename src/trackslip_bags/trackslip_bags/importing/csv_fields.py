@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """From the columns of a CSV log, in SI, to the values of each role's messages (``samples``)."""
 

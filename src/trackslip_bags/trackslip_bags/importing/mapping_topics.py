@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """The sections of a mapping file, one for each topic: columns of a CSV log, or the topic of a bag."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What the attitude does to a motion along the ground (record ``LEVEL``); compiled."""
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How the attitude filter begins: with nothing seen, and with the first tilt that is known; compiled.
 

@@ -44,17 +44,11 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         if self._estimator is None:
             self.get_logger().warning(f"{self.settings.vehicle.lacks}: {NOTHING}")
             return
-<<<<<<< HEAD
-        self.subscribe(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
-        self.subscribe(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
-        self.subscribe(topic_class(SLIPS), SLIPS, self._on_slips)
-        if self.settings.vehicle.swing_balance != 0.0:
-            self.subscribe(topic_class(SWING), SWING, self._on_swing)
-=======
         self.subscribe_packed(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
         self.subscribe_packed(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
         self.subscribe_packed(topic_class(SLIPS), SLIPS, self._on_slips)
->>>>>>> speed
+        if self.settings.vehicle.shows_balance:
+            self.subscribe(topic_class(SWING), SWING, self._on_swing)
 
     def reload(self, values: dict[str, Any]) -> None:
         """The estimator goes on with other values."""

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """By how much odometry and tracks may differ; compiled. Symbols as in ``odometry``."""
 

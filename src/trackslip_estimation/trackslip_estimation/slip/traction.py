@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """Traction that both tracks lost or found again, seen in fixes that were refused; compiled.
 

@@ -115,7 +115,7 @@ def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
     """At the start."""
     faults = np.zeros(_BRIEF + len(Doubt), np.int64)
     forces = np.zeros(_ROOM, FORCES)
-    synchronizer = new_synchronizer(awaits_swings=p.vehicle.swing_balance != 0.0)
+    synchronizer = new_synchronizer(awaits_swings=p.vehicle.shows_balance)
     return State(initial(p), faults, synchronizer, limits, np.zeros_like(limits), forces)
 
 

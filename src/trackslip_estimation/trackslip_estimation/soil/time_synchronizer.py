@@ -264,11 +264,12 @@ def _interpolate(synchronizer: TimeSynchronizer, p: Any, sample: Any) -> bool:
 @compiled
 def _take_swing(synchronizer: TimeSynchronizer, sample: Any) -> None:
     """That of the same stamp; where there is none it is not known."""
-    ring, swings = synchronizer.state[0].swings, synchronizer.buffers[_SWINGS]
+    state, swings = synchronizer.state[0], synchronizer.buffers[_SWINGS]
+    ring = state.swings
     while ring.count and swings[ring.first].stamp_ns < sample.stamp_ns:
         _drop_first(ring)
     sample.swing, sample.swing_stddev = 0.0, math.inf
-    if ring.count and swings[ring.first].stamp_ns == sample.stamp_ns:
+    if state.awaits_swings and ring.count and swings[ring.first].stamp_ns == sample.stamp_ns:
         sample.swing, sample.swing_stddev = swings[ring.first].swing, swings[ring.first].swing_stddev
 
 

@@ -1,3 +1,4 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """What a replay found out, collected part by part: of the estimates is kept what the scores need."""
 
