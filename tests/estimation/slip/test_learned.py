@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was learned: taken from a state, aged, started from again, and said in words."""
 
+import dataclasses
 import json
 from typing import Any
 
@@ -201,6 +202,15 @@ def test_nothing_is_observed_before_the_first_metre() -> None:
     assert {f.sentence for f in findings(None, OF)} == {NOT_OBSERVED}
     (line,) = lines_of(findings(None, OF))
     assert line.startswith(f"{NOT_OBSERVED}: gyro scale, ")
+
+
+def test_what_moved_far_from_its_prior_was_observed_however_wide_it_is() -> None:
+    """The slip of tracks that spin is known to 0.1, and was thought to be 0 ± 0.02."""
+    start, k = OF.prior, list(OF.places).index("common_slip")
+    mean, stddev = start.mean.copy(), start.stddev.copy()
+    mean[k], stddev[k] = 1.0, 0.1
+    spinning = dataclasses.replace(start, mean=mean, stddev=stddev)
+    assert named(spinning)["common_slip"].observed
 
 
 def test_what_was_observed_is_said_in_plain_words(learned: Learned) -> None:

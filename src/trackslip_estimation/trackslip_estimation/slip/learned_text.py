@@ -3,7 +3,7 @@
 """What was learned of a machine in words and numbers: for /diagnostics, reports, replays and the state file.
 
 A state that is still as the parameters have it was not observed: its standard deviation is above 0.9 of its
-prior's, or the weights of its point masses are the prior's but for 0.1.
+prior's, and its mean within 3 of these; or the weights of its point masses are the prior's but for 0.1.
 """
 
 import math
@@ -17,7 +17,7 @@ from trackslip_estimation.slip.learned import Learned, Meaning, weights_of
 FloatArray = NDArray[np.float64]
 
 NOT_OBSERVED = "not observed yet"
-_NARROWED, _SHIFTED = 0.9, 0.1
+_NARROWED, _MOVED, _SHIFTED = 0.9, 3.0, 0.1
 _DEGREES = 180.0 / math.pi
 
 
@@ -116,7 +116,8 @@ def _of_state(name: str, known: Learned, of: Meaning) -> list[Finding]:
     value, stddev, before = known.mean[k], known.stddev[k], of.prior.stddev[k]
     if before == 0.0:
         return []
-    observed = bool(stddev < _NARROWED * before)
+    moved = abs(value - of.prior.mean[k])
+    observed = bool(stddev < _NARROWED * before or moved > _MOVED * before)
     if name == "fix_delay":
         return [
             Finding(f"{name}.{source}", float(value * error), float(stddev * error), observed)
