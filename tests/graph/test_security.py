@@ -88,6 +88,7 @@ def graph(domain: int, tmp_path: Path, udp_port: int) -> Iterator[Node]:
         "slip_estimator:heading_sources": "[heading]",
         "slip_estimator:slip_sources": "[slip_seed]",
         "slip_estimator:vehicle": "pc05_cab",
+        "soil_estimator:vehicle": "pc05_cab",
         "emulator:device_directory": tmp_path / "devices",
         "emulator:vehicle": "pc05_cab",
         "emulator:can_port": udp_port,
