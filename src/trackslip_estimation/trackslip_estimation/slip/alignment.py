@@ -22,15 +22,12 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_SCALE, SIZE, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
-from trackslip_estimation.slip.traction import find_slip
+from trackslip_estimation.slip.traction import FEWEST, PATH_ERROR, agree, find_slip
 
 CAPACITY = 16  # refused fixes that are remembered
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which there is none
-_FEWEST = 3
-_PATH_ERROR = 0.05  # of the way driven, at the least
 _SHIFT_ERROR = 0.1  # of the way between the fixes and the pose
 _SIGNIFICANT = 3.0  # standard deviations of a rotation
-_CHI2_RATIO, _CHI2_SPARE = 1.6, 12.0  # χ² of fixes that agree: at most ratio · dof + spare
 
 
 class RigidMotion(NamedTuple):
@@ -103,7 +100,7 @@ def rigid_motion(refused: Any, count: int, track_variance: float) -> RigidMotion
         spread += a_x * a_x + a_y * a_y
     rotation = math.atan2(across, along)
     cos, sin = math.cos(rotation), math.sin(rotation)
-    path_variance = max(_PATH_ERROR * _PATH_ERROR, track_variance)
+    path_variance = max(PATH_ERROR * PATH_ERROR, track_variance)
     chi2 = 0.0
     for k in range(count):
         a_x, a_y = refused[k].predicted_x - p_x, refused[k].predicted_y - p_y
@@ -120,14 +117,14 @@ def realign(state: Any, c: Any) -> bool:
     while True:
         count = state.refused_count
         found = rigid_motion(state.refused, count, state.adaptation.track_variance)
-        if count >= _FEWEST and found.chi2 <= _CHI2_RATIO * (2 * count - 3) + _CHI2_SPARE:
+        if count >= FEWEST and agree(found.chi2, 2.0 * count - 3.0):
             if found.stddev >= c.adaptation.alignment_stddev:
                 return False
             _follow(state, found, c)
             break
         if has_velocity_errors(c) and not state.aligning and find_slip(state):
             break
-        if count < _FEWEST:
+        if count < FEWEST:
             return False
         drop_oldest(state)
     state.aligning = False

@@ -19,8 +19,8 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 
-_FEWEST = 3
-_PATH_ERROR = 0.05  # of the way driven
+FEWEST = 3  # fixes that show anything by agreeing
+PATH_ERROR = 0.05  # of the way driven
 _LEAST, _MOST = -0.5, 1.5  # λ on any ground: a machine may slide ahead of its tracks, or back against them
 _STDDEV = 0.15  # of a λ that is believed
 _CHI2_RATIO, _CHI2_SPARE = 1.6, 12.0  # χ² of fixes that agree: at most ratio · dof + spare
@@ -35,6 +35,12 @@ class SharedSlip(NamedTuple):
     place: tuple[float, float]  # that mean, m
     way: tuple[float, float]  # mean of the w_k, m
     agrees: bool
+
+
+@compiled
+def agree(chi2: float, dof: float) -> bool:
+    """Whether fixes do that are so far from what is fitted to them."""
+    return chi2 <= _CHI2_RATIO * dof + _CHI2_SPARE
 
 
 @compiled
@@ -68,8 +74,8 @@ def shared_slip(refused: Any, count: int, anchor: Any, anchored: bool) -> Shared
         spread += a_x * a_x + a_y * a_y
         square += b_x * b_x + b_y * b_y
     share = along / max(spread, 1e-12)
-    variance = of_fix + _PATH_ERROR**2 * spread / n
-    agrees = (square - share * along) / variance <= _CHI2_RATIO * (2.0 * n - 3.0) + _CHI2_SPARE
+    variance = of_fix + PATH_ERROR**2 * spread / n
+    agrees = agree((square - share * along) / variance, 2.0 * n - 3.0)
     return SharedSlip(share, variance / max(spread, 1e-12), of_fix / n, (c_x, c_y), (w_x, w_y), agrees)
 
 
@@ -79,7 +85,7 @@ def find_slip(state: Any) -> bool:
     for anchored in (True, False):
         if anchored and not state.anchored:
             continue
-        if state.refused_count + anchored < _FEWEST:
+        if state.refused_count + anchored < FEWEST:
             return False
         found = shared_slip(state.refused, state.refused_count, state.anchor, anchored)
         if found.agrees and _LEAST <= found.share <= _MOST and found.variance <= _STDDEV**2:
