@@ -31,11 +31,14 @@ class RecordProgress:
             for names in textwrap.wrap(", ".join(new), _WIDTH, break_long_words=False):
                 self._log(f"writing {names}")
         now_s = time.monotonic()
+        is_terminal = sys.stderr.isatty()
+        if not is_terminal and now_s - self._shown_s < _PERIOD:
+            return
+        self._shown_s = now_s
         line = self._line(counts, now_s - self._began_s, minutes_left)
-        if sys.stderr.isatty():
+        if is_terminal:
             print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
-        elif now_s - self._shown_s >= _PERIOD:
-            self._shown_s = now_s
+        else:
             self._log(line)
 
     def _line(self, counts: dict[str, int], seconds: float, minutes_left: float | None) -> str:
