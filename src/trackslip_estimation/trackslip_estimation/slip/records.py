@@ -136,6 +136,7 @@ STATE = np.dtype(
         ("covariance", np.float64, (SIZE, SIZE)),
         ("speeds", SPEEDS),  # of the sprockets in the interval that led here
         ("motion", MOTION),
+        ("shear", np.float64, (2,)),  # of the left and right track, see ``models.shear``
         ("coasting", np.bool_),  # the sprockets have been silent for too long
         ("sample", SAMPLE),  # the last of the sprockets
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate

@@ -78,6 +78,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
                 P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
     stand_still(state.speeds)
     reset_motion(state.motion)
+    state.shear[:] = 0.0
     state.stamp_ns, state.coasting = stamp_ns, False
     begin_adaptation(state.adaptation, c)
     if c.resumes:

@@ -33,6 +33,7 @@ from trackslip_estimation.slip.models.dispatch import (
     twist_jacobian,
 )
 from trackslip_estimation.slip.models.model import SIZE, YAW
+from trackslip_estimation.slip.models.shear import build_up
 from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import reset_motion, update_motion
 from trackslip_estimation.slip.odometry import follow_motion, use_odometry
@@ -129,6 +130,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
     lose_track(state.adaptation)
     forget_refused(state, False)  # they compare over what was driven
     reset_motion(state.motion)
+    state.shear[:] = 0.0
     propagate(state, dt, c)
     inflate(state, dt, c)
     reset_velocity(state, c)
@@ -145,6 +147,8 @@ def propagate(state: Any, dt: float, c: Any) -> None:
     if has_velocity_errors(c):
         pass_time(state, dt, c)
     moved, F, Q = linearize(x, P, state, dt, c)
+    if has_velocity_errors(c):
+        build_up(state, dt, c)
     if not c.sigma_points:
         x[:] = moved
         if c.swings:

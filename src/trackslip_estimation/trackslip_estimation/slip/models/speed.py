@@ -22,8 +22,8 @@ Velocity errors are first-order Gauss–Markov: ṁ = −m/τ + noise, of size �
 shear truth, σ is a small share of V and D while the machine goes steadily (in ω less than in v, as both
 tracks ring alike), and a large share of d while its speed changes: the vehicle answers its tracks with a lag,
 rings on the soil, and has the rest settled within tenths of a second. All this is larger on a soil that
-yields more, which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. Real
-tracks err by more: each by a share s of its speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and
+yields more, which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. A start
+adds what the tracks shear of the soil first (``shear``). Real tracks err by more: each by a share s of its speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and
 the machine go sideways. When the sprockets are silent the motion is UNKNOWN; V and D are then 0, the velocity
 errors are the speeds themselves, and hold.
 """
@@ -49,6 +49,7 @@ from trackslip_estimation.slip.models.model import (
     X,
     Y,
 )
+from trackslip_estimation.slip.models.shear import lost_variances
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 FloatArray = NDArray[np.float64]
@@ -72,6 +73,7 @@ CONSTANTS = np.dtype(
         ("yielding_slip", np.float64),
         ("yaw_rate_ratio", np.float64),
         ("time", np.float64),  # τ, s
+        ("start_shear", np.float64),  # m
         ("first_variance", np.float64),  # of the turning pair, on ground not known yet
         ("second_variance", np.float64),
         ("slip_variance", np.float64),  # of i₀
@@ -97,6 +99,9 @@ class SpeedNoise(Parameters):
     yielding_slip: float = parameter("i₀ of a soil on which velocity errors have twice the variance", gt=0.0)
     yaw_rate_error_ratio: float = parameter("steady error of ω times B, over that of v", ge=0.0)
     velocity_error_time: float = parameter("correlation time τ of the velocity errors", unit="s", gt=0.0)
+    start_shear: float = parameter(
+        "way of a track that may go into the soil before the machine starts or turns back", unit="m", gt=0.0
+    )
     settling: float = parameter("noise_scale of x_I and the turning pair while speeds change", ge=1.0)
     initial_common_slip_stddev: float = parameter("standard deviation of i₀ at the start", gt=0.0)
     initial_rotation_offset_stddev: float = parameter(
@@ -150,6 +155,7 @@ def constants(n: SpeedNoise, pair_stddev: tuple[float, float]) -> dict[str, floa
         "yielding_slip": n.yielding_slip,
         "yaw_rate_ratio": n.yaw_rate_error_ratio,
         "time": n.velocity_error_time,
+        "start_shear": n.start_shear,
         "first_variance": pair_stddev[0] ** 2,
         "second_variance": pair_stddev[1] ** 2,
         "slip_variance": n.initial_common_slip_stddev**2,
@@ -211,10 +217,9 @@ def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[f
     changing = e.changing * c.rolling_radius * motion.departure
     yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
     of_tracks = drive.adaptation.track_variance * track_exposure(drive, c)
-    of_speed = (
-        (steady**2 + changing**2) * yielding + e.standing**2 + c.adaptation.forward**2 * of_tracks / 4.0
-    )
-    of_rate = ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
+    of_speed, of_rate = lost_variances(drive, c)
+    of_speed += (steady**2 + changing**2) * yielding + e.standing**2 + c.adaptation.forward**2 * of_tracks / 4.0
+    of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
     return of_speed, of_rate / (c.tread * c.tread)
 
 

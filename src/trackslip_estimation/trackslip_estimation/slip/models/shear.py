@@ -1,0 +1,55 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Soil that the tracks shear before the machine moves; compiled.
+
+    ω_j    sprocket speed                                                rad/s
+    s_j    share of the soil's shear that track j has built up, with its
+           sense: 0 where it stands, sgn ω_j once it has run on          −1 … 1
+    K₀     way of a track over which that happens, ``start_shear``       m
+
+A track thrusts as far as it has sheared the soil under it (3.3). From a standstill, and when it turns back, it
+runs on the spot for a centimetre or two until it thrusts as much as the machine resists and its acceleration
+takes; K is not known here. So the share 1 − s_j sgn ω_j of a track's speed is an error it may have.
+"""
+
+import math
+from typing import Any
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.motion import Motion
+
+_STANDING = int(Motion.STANDING)
+
+
+@compiled
+def build_up(state: Any, dt: float, c: Any) -> None:
+    """s ``dt`` s later, with the state's speeds and motion."""
+    built = state.shear
+    if state.motion.motion == _STANDING:
+        built[0] = built[1] = 0.0
+        return
+    for side in range(2):
+        speed = state.speeds.left if side == 0 else state.speeds.right
+        way = c.rolling_radius * abs(speed) * dt
+        built[side] -= (math.copysign(1.0, speed) - built[side]) * math.expm1(-way / c.velocity_errors.start_shear)
+
+
+@compiled
+def lost_speeds(drive: Any, c: Any) -> tuple[float, float]:
+    """What of the left and the right track's speed may go into the soil, m/s."""
+    left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
+    return left - abs(left) * drive.shear[0], right - abs(right) * drive.shear[1]
+
+
+@compiled
+def lost_variances(drive: Any, c: Any) -> tuple[float, float]:
+    """Of what that takes from v, (m/s)², and from ω times B, alike in both tracks but for a share.
+
+    Lasting for τ, the errors move a machine that starts or turns back by K₀, one standard deviation, and by no
+    more than its tracks go.
+    """
+    e, (left, right) = c.velocity_errors, lost_speeds(drive, c)
+    both = (left + right) / 2.0
+    fastest = c.rolling_radius * max(abs(drive.speeds.left), abs(drive.speeds.right))
+    lasts = min(1.0, e.start_shear / max(fastest * e.time, 1e-12))
+    return lasts * both**2, lasts * ((right - left) ** 2 + (e.yaw_rate_ratio * both) ** 2)
