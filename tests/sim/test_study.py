@@ -161,7 +161,7 @@ def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters)
     rows.measurements["noise"] = fix = np.diag((4e-4, 4e-4, 1e-4))
     rows.drives["speeds"] = (1.6, 1.2, PERIOD, True)
     rows.drives["motion"]["motion"] = Motion.TURNING
-    x, P = config["prior_mean"][0].copy(), np.diag(config["prior_variance"][0])
+    x, P = config["prior_mean"][0].copy(), config["prior_covariance"][0].copy()
     x[OF_POSE], P[OF_POSE, OF_POSE] = (1.0, 2.0, 0.5), fix
     spare = np.flatnonzero(np.diag(P) == 0.0)  # of sources that there are not
     P[spare, spare] = 1e-4

@@ -109,7 +109,7 @@ def fields(record):
 p = load_slip_parameters({"model": "toy"})
 c = fields(make_config(p)[0])
 state, update = fields(np.zeros(1, STATE)[0]), fields(np.zeros(1, UPDATE)[0])
-state.mean[:], state.covariance[:] = c.prior_mean, np.diag(c.prior_variance)
+state.mean[:], state.covariance[:] = c.prior_mean, c.prior_covariance
 state.covariance[:3, :3] = np.diag((0.01, 0.01, 0.01)) ** 2
 assert state.mean[toy.PULL] == 0.0
 way = p.vehicle.kinematics.rolling_radius * 2.0 * STEP

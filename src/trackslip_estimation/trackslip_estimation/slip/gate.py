@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.models.dispatch import has_velocity_errors, twist
+from trackslip_estimation.slip.models.dispatch import couple, has_velocity_errors, twist
 from trackslip_estimation.slip.models.free_slips import LEFT_SLIP
 from trackslip_estimation.slip.models.model import GYRO_BIAS
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, YAW_RATE_ERROR
@@ -84,6 +84,7 @@ def forget_ground(P: FloatArray, c: Any) -> None:
     """How the vehicle turns and slips is no better known than at the start."""
     P[FIRST, FIRST] += c.velocity_errors.first_variance
     P[SECOND, SECOND] += c.velocity_errors.second_variance
+    couple(P, c.velocity_errors.first_variance, c)
     P[COMMON_SLIP, COMMON_SLIP] += c.velocity_errors.slip_variance
 
 

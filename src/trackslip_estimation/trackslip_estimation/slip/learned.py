@@ -3,12 +3,12 @@
 """What was learned of a machine and its ground, but not where it is: taken from a state, aged, started from.
 
     x, P     means and covariance of the states that are kept            (n,), (n, n)
-    μ, σ     prior of a state by the parameters
+    μ, Σ     prior of the states by the parameters                       (n,), (n, n)
     T        how long a state stays what it was                          s
     φ        e^(−age/T)
 
-With age each state is a first-order Gauss–Markov process about its prior: x ← μ + φ (x − μ), P ← φ P φ +
-(1 − φ²) σ². ln of the weights of point masses goes to its prior by φ too. What was learned and aged is the
+With age each state is a first-order Gauss–Markov process about its prior: x ← μ + φ (x − μ), P ← φ P φᵀ +
+(1 − φ φᵀ) Σ, by elements. ln of the weights of point masses goes to its prior by φ too. What was learned and aged is the
 prior of the next run; it stands in the bag beside the parameters, so that a replay starts from the same.
 """
 
@@ -89,8 +89,8 @@ def meaning(p: SlipEstimatorParameters) -> Meaning:
     c, places, machine = make_config(p)[0], _kept_states(p), _machine_digest(p)
     kept, n = list(places.values()), c["adaptation"]
     weights = np.tile(n["rate_prior"], (len(n["track_variances"]), 1))
-    stddev = np.sqrt(c["prior_variance"][kept])
-    prior = Learned(machine, c["prior_mean"][kept], stddev, np.eye(len(kept)), weights, {})
+    stddev, correlations = _deviations(c["prior_covariance"][np.ix_(kept, kept)])
+    prior = Learned(machine, c["prior_mean"][kept], stddev, correlations, weights, {})
     has_track_error = hasattr(MODELS[p.model], "velocity_error_constants")
     stamp_errors = {name: source.stamp_error for name, source in p.poses().items()}
     return Meaning(machine, places, prior, n, has_track_error, stamp_errors)
@@ -152,8 +152,8 @@ def aged(learned: Learned, age_s: float, of: Meaning) -> Learned:
     prior, of_fixes = of.prior, of.constants["fix_prior"]
     lifetimes = np.array([_LIFETIMES.get(name, _OF_GROUND) for name in of.places])
     phi, left = np.exp(-age_s / lifetimes), math.exp(-age_s / _OF_GROUND)
-    added = -np.expm1(-2.0 * age_s / lifetimes) * np.square(prior.stddev)
-    stddev, correlations = _deviations(np.outer(phi, phi) * learned.covariance + np.diag(added))
+    forgotten = -np.expm1(-age_s * np.add.outer(1.0 / lifetimes, 1.0 / lifetimes))
+    stddev, correlations = _deviations(np.outer(phi, phi) * learned.covariance + forgotten * prior.covariance)
     return replace(
         learned,
         mean=prior.mean + phi * (learned.mean - prior.mean),

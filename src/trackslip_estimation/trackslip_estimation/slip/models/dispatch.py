@@ -29,7 +29,7 @@ from trackslip_estimation.slip.models import free_slips, icr, slope, speed, turn
 from trackslip_estimation.slip.models.free_slips import SlipNoise
 from trackslip_estimation.slip.models.icr import IcrNoise
 from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.models.speed import SPEED_ERROR, VELOCITY_ERRORS, YAW_RATE_ERROR
+from trackslip_estimation.slip.models.speed import FIRST, SPEED_ERROR, VELOCITY_ERRORS, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import CONSTANTS as SWING_CONSTANTS
 from trackslip_estimation.slip.models.swing import linearize_swing, move_swing
 from trackslip_estimation.slip.models.turning import TurningNoise
@@ -133,6 +133,13 @@ def has_velocity_errors(c: Any) -> bool:
 
 
 @compiled
+def couple(P: FloatArray, variance: float, c: Any) -> None:
+    """What else of P (n, n) follows from a ``variance`` that the first of the turning pair has, in place."""
+    if c.model == _TURNING:
+        turning.couple(P, variance)
+
+
+@compiled
 def _persistence(dt: float, drive: Any, c: Any) -> tuple[float, float]:
     """Share of the velocity errors that is left after dt, and the mean share over it."""
     return speed.persistence(dt, drive.motion.motion, c) if has_velocity_errors(c) else (1.0, 1.0)
@@ -172,6 +179,7 @@ def linearize(
     density = c.process_noise[drive.motion.motion, 1 if drive.motion.changing else 0]
     for i in range(n):
         F[i, i], Q[i, i] = 1.0, density[i] * dt
+    couple(Q, density[FIRST] * dt, c)
     if dt <= 0.0:
         return moved, F, Q
     left, right = drive.speeds.left, drive.speeds.right

@@ -155,7 +155,7 @@ def _interpolate(times: FloatArray, t: FloatArray, columns: FloatArray) -> Float
 def _start(setting: Setting, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean (n,) and covariance (n, n) that a filter begins with at a fix."""
     c = setting.config[0]
-    mean, covariance = c["prior_mean"].copy(), np.diag(c["prior_variance"])
+    mean, covariance = c["prior_mean"].copy(), c["prior_covariance"].copy()
     mean[:3] = pose
     covariance[:3, :3] = np.diag(np.square(fix_deviations(setting.cell, setting.sigma_heading)))
     return mean, covariance
