@@ -33,6 +33,7 @@ settings.register_profile("trackslip", derandomize=True, deadline=None, max_exam
 settings.load_profile("trackslip")
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """A module's tests share fixtures and caches, so one worker runs them; ``graph`` begins."""
     if not hasattr(config, "workerinput"):
