@@ -37,7 +37,7 @@ settings.load_profile("trackslip")
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """A module's tests share fixtures and caches, so one worker runs them.
 
-    ``graph``, which takes longest, begins; ``tools`` and ``sim``, whose modules are long, come before the rest.
+    ``graph``, which takes longest, begins; ``tools`` and ``sim``, whose modules are long, come before others.
     """
     if not hasattr(config, "workerinput"):
         return
