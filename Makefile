@@ -43,7 +43,7 @@ drives: setup ## forty random drives of random machines, in and out of the laser
 # a process for seconds.
 test: checks ## all tests but the slow ones
 	@$(ENTER) exec timeout --foreground --kill-after=10 1500 \
-		$(VENV)/python -m pytest -n 3 --dist loadgroup -m 'not slow and not soak' -rR
+		$(VENV)/python -m pytest -n 3 --dist loadgroup --no-loadscope-reorder -m 'not slow and not soak' -rR
 
 lint: checks ## ruff and mypy
 	$(VENV)/python -m ruff check .

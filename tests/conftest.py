@@ -33,14 +33,22 @@ settings.register_profile("trackslip", derandomize=True, deadline=None, max_exam
 settings.load_profile("trackslip")
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """A module's tests share fixtures and caches, so one worker runs them; ``graph`` begins."""
+    """A module's tests share fixtures and caches, so one worker runs them.
+
+    ``graph``, which takes longest, begins; ``tools`` and ``sim``, whose modules are long, come before others.
+    """
     if not hasattr(config, "workerinput"):
         return
     for item in items:
         if item.get_closest_marker("xdist_group") is None:
             item.add_marker(pytest.mark.xdist_group(item.path.relative_to(ROOT).as_posix()))
-    items.sort(key=lambda item: [mark.args for mark in item.iter_markers("xdist_group")] != [("graph",)])
+
+    def order(item: pytest.Item) -> tuple[bool, str]:
+        return ("graph",) in [mark.args for mark in item.iter_markers("xdist_group")], str(item.path)
+
+    items.sort(key=order, reverse=True)
 
 
 @pytest.fixture(scope="session")

@@ -48,3 +48,9 @@ def test_every_file_of_code_names_its_licence_and_who_holds_it() -> None:
     heads = {file: file.read_text(encoding="utf-8")[:400] for file in files if file.is_file()}
     for tag in ("SPDX-FileCopyrightText: 2026 Trackslip authors", "SPDX-License-Identifier: Apache-2.0"):
         assert [str(file) for file, head in heads.items() if head and tag not in head] == []
+
+
+def test_the_tests_of_a_module_belong_to_one_worker(request: pytest.FixtureRequest) -> None:
+    """xdist reads the group from the name of a test; without it every worker makes a module's fixtures."""
+    is_shared_out = hasattr(request.config, "workerinput")
+    assert request.node.nodeid.endswith("@tests/common/test_house.py") == is_shared_out

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where each field is in a serialized (CDR) message, and in which other messages it is there too.
 
-For tables of many messages (``column``), and for one that comes live (``reader``).
+For tables of many messages (``column``), for one that comes live (``reader``), and for those that are sent or
+made many at a time (``dtype``).
 
 Messages of a type mostly differ in their numbers alone. Two of the same length whose strings and lengths of
 sequences are the same, byte by byte (their *frame*), have every number at the same place.
@@ -61,16 +62,18 @@ class _Leaf(NamedTuple):
 class Layout:
     """That of one message, which is little-endian CDR.
 
+    ``lists``: whether it may hold sequences of messages, which are rarely the same from one to the next.
+
     Raises:
-        IrregularError: it is not, or the type holds sequences of messages.
+        IrregularError: it is not, or the type holds such sequences.
     """
 
-    def __init__(self, fields_of: FieldsOf, type_name: str, raw: bytes) -> None:
+    def __init__(self, fields_of: FieldsOf, type_name: str, raw: bytes, *, lists: bool = False) -> None:
         if len(raw) < CDR_HEADER or raw[0] != 0 or raw[1] != 1:
             raise IrregularError(f"{type_name} of another form")
         self._leaves: dict[str, _Leaf] = {}
         self._places = [np.arange(CDR_HEADER)]  # of strings and lengths
-        self._fields_of, self._raw, self._at = fields_of, raw, 0
+        self._fields_of, self._raw, self._at, self._lists = fields_of, raw, 0, lists
         self._message(type_name, "")
         if not 0 <= len(raw) - CDR_HEADER - self._at <= CDR_SLACK:
             raise IrregularError(f"{type_name} of {len(raw)} bytes")
@@ -79,6 +82,28 @@ class Layout:
         runs = np.split(self._frame, np.flatnonzero(np.diff(self._frame) > 1) + 1)
         spans = [slice(int(run[0]), int(run[-1]) + 1) for run in runs]
         self._pieces = [(span, bytes(raw[span])) for span in spans]
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """A numpy record of all numbers, by the paths of their fields and where they are in the message."""
+        leaves = {p: leaf for p, leaf in self._leaves.items() if leaf.kind != "text" and leaf.length != 0}
+        return np.dtype(
+            {
+                "names": list(leaves),
+                "formats": [
+                    (leaf.kind, () if leaf.length is None else (leaf.length,)) for leaf in leaves.values()
+                ],
+                "offsets": [leaf.offset for leaf in leaves.values()],
+                "itemsize": CDR_HEADER + self._at,
+            }
+        )
+
+    def blank(self) -> bytearray:
+        """The message with all numbers zero, and what is between its fields."""
+        found = bytearray(CDR_HEADER + self._at)
+        for span, piece in self._pieces:
+            found[span] = piece
+        return found
 
     def fits(self, raw: bytes) -> bool:
         """Whether another message has this layout."""
@@ -209,8 +234,11 @@ class Layout:
                 self._field(prefix + name, kind, self._length() if count == ANY else count)
             elif count is None:
                 self._message(kind, f"{prefix}{name}.")
-            else:
+            elif not self._lists:
                 raise IrregularError(f"{prefix}{name} holds messages")
+            else:
+                for k in range(self._length() if count == ANY else count):
+                    self._message(kind, f"{prefix}{name}.{k}.")
 
     def _field(self, name: str, kind: str, count: int | None) -> None:
         if kind == "string":

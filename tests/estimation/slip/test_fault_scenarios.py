@@ -62,13 +62,14 @@ def run(log: Log, given: Iterable[Measurement], shift_ns: int = 0, **changes: An
     estimator = SlipEstimator(load_slip_parameters(changes))
     steps = [estimator.process(m) for m in given]
     published = [e for _, e in steps if e is not None]
-    for e in published:
-        o = e.outputs
-        for numbers in (e.pose, e.pose_covariance, o.twist, o.twist_covariance, o.slips, o.slip_covariance):
-            assert np.isfinite(numbers).all()
-        assert np.linalg.eigvalsh(e.pose_covariance)[0] > 0.0
+    poses, covariances = (np.array([getattr(e, of) for e in published]) for of in ("pose", "pose_covariance"))
+    assert np.isfinite(poses).all()
+    assert np.isfinite(covariances).all()
+    for name in ("twist", "twist_covariance", "slips", "slip_covariance"):
+        assert np.isfinite([getattr(e.outputs, name) for e in published]).all()
+    assert np.linalg.eigvalsh(covariances)[:, 0].min() > 0.0
     stamps = np.array([e.stamp_ns - shift_ns for e in published])
-    errors = np.array([e.pose for e in published]) - [log.true_pose(stamp) for stamp in stamps]
+    errors = poses - log.true_pose(stamps)
     errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
     counts = Counter((r.source, r.outcome.name) for r, _ in steps if r.outcome is not Outcome.ACCEPTED)
     del counts["sprockets", "WAITING"], counts["imu/data_raw", "WAITING"]  # before the first fix

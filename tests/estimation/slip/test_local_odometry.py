@@ -17,7 +17,7 @@ from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.local_odometry import TWIST, LocalOdometry
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.slip.transforms import transforms
+from trackslip_estimation.slip.transforms import blank_transforms, fill_transforms
 
 STEP_NS = 10_000_000
 
@@ -72,7 +72,8 @@ def test_a_fix_far_off_moves_the_estimate_and_not_the_local_one(drive: Callable[
     located = [local.after(estimate) for estimate in published]
     assert longest_step(published) > 1.0
     assert longest_step(located) < 0.02
-    message = transforms(make, published[-1], located[-1], Frames("map", "odom", "base_link"))
+    message = blank_transforms(make, Frames("map", "odom", "base_link"))
+    fill_transforms(message, published[-1], located[-1])
     map_odom, odom_base = message.transforms
     assert (map_odom.header.frame_id, map_odom.child_frame_id) == ("map", "odom")
     assert (odom_base.header.frame_id, odom_base.child_frame_id) == ("odom", "base_link")

@@ -18,6 +18,7 @@ from trackslip_common.nodes.guarded import GuardedNode
 from trackslip_common.nodes.health import OK, WARN, Health, StateLog, diagnostics, to_console
 from trackslip_common.nodes.inputs import Inputs
 from trackslip_common.nodes.messages import packed_topic
+from trackslip_common.nodes.outputs import PackedOutput
 from trackslip_common.nodes.parameters import CommonParameters
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
 from trackslip_common.packed import PackedMessage
@@ -116,6 +117,10 @@ class TrackslipNode(GuardedNode, Generic[P]):
         publisher = self.create_lifecycle_publisher(message_type, topic, qos)
         self._advertised.append(publisher)
         return self.tolerate_failures(publisher)
+
+    def advertise_packed(self, topic: str, blank: Any) -> PackedOutput:
+        """The same for what is sent often: messages like ``blank`` but for their numbers."""
+        return PackedOutput(self.advertise(type(blank), topic), blank)
 
     def publish_health(self) -> None:
         """Report on /diagnostics now; that is done once a second anyway."""

@@ -6,7 +6,8 @@ import sys
 from typing import Any
 
 from trackslip_common.nodes.health import Health
-from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.messages import make
+from trackslip_common.nodes.outputs import PackedOutput
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
@@ -46,10 +47,10 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         self._options = self.settings.bus_options()
         self._can = ExcavatorCan(self.settings, load_frames(self.settings), self.tally)
         self._bus_state = BusState.ACTIVE
-        self._outputs: dict[type[Sample], tuple[Any, Any, Any]] = {}
+        self._outputs: dict[type[Sample], tuple[PackedOutput, Any]] = {}
         for kind in self._can.kinds:
             topic, blank, fill = _MESSAGES[kind]
-            self._outputs[kind] = (self.advertise(topic_class(topic), topic), blank(make, _FRAME_ID), fill)
+            self._outputs[kind] = (self.advertise_packed(topic, blank(make, _FRAME_ID)), fill)
 
     def where(self) -> str:
         """The bus."""
@@ -71,8 +72,9 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
             self._bus_state = BusState.ACTIVE  # it was restarted, without an error frame
         sample: Any
         for sample in self._can.receive(*data, self.arrived(arrival_ns)):
-            publisher, message, fill = self._outputs[type(sample)]
-            publisher.publish(fill(message, self.stamped(sample)))
+            output, fill = self._outputs[type(sample)]
+            fill(output.message, self.stamped(sample))
+            output.publish()
             if type(sample) is self._can.main_kind:
                 self.count()
 

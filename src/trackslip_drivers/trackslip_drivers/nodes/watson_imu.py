@@ -7,7 +7,7 @@ import sys
 import time
 
 from trackslip_common.nodes.health import WARN, Health
-from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.messages import make
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.nodes.driver import RECENT, DriverNode
@@ -35,11 +35,12 @@ class WatsonNode(DriverNode[WatsonParameters]):
         self._over_range = self._over_range_reported = 0
         self._over_range_s = -math.inf  # steady
         self._stream = WatsonStream(layout, p.serial_baud, round(p.time_offset * 1e9), self.tally)
-        self._imu = self.advertise(topic_class("imu/data_raw"), "imu/data_raw")
-        self._mag = self.advertise(topic_class("imu/mag"), "imu/mag")
-        stddevs = (p.linear_acceleration_stddev, p.angular_velocity_stddev)
-        self._motion = conversions.blank_imu(make, p.frame_id, *stddevs)
-        self._field = conversions.blank_magnetic_field(make, p.frame_id, p.magnetic_field_stddev)
+        motion = conversions.blank_imu(
+            make, p.frame_id, p.linear_acceleration_stddev, p.angular_velocity_stddev
+        )
+        field = conversions.blank_magnetic_field(make, p.frame_id, p.magnetic_field_stddev)
+        self._imu = self.advertise_packed("imu/data_raw", motion)
+        self._mag = self.advertise_packed("imu/mag", field)
 
     def open_port(self) -> SerialPort:
         """The serial port."""
@@ -71,10 +72,10 @@ class WatsonNode(DriverNode[WatsonParameters]):
         for decoded in self._stream.feed(data, steady_ns):
             sample = self.stamped(decoded)
             self._over_range += sample.over_range
-            self._imu.publish(conversions.fill_imu(self._motion, sample))
-            field = conversions.fill_magnetic_field(self._field, sample)
-            if field is not None:
-                self._mag.publish(field)
+            conversions.fill_imu(self._imu.message, sample)
+            self._imu.publish()
+            if conversions.fill_magnetic_field(self._mag.message, sample) is not None:
+                self._mag.publish()
             self.count()
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, WARN, Health
-from trackslip_common.nodes.messages import make, message_class, topic_class
+from trackslip_common.nodes.messages import make, message_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.protocols.wheel_motion import JointMotion, Rejection, of_speeds
@@ -30,7 +30,7 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
         self._joints = JointMotion(p)
         self._received = self._published = 0
         self._news = (0, 0)
-        self._sprockets = self.advertise(topic_class(SPROCKETS), SPROCKETS)
+        self._sprockets = self.advertise_packed(SPROCKETS, conversions.blank_joint_state(make, p.frame_id))
         self.subscribe(message_class(MESSAGES[p.message]), p.topic, self._on_message)
 
     def health(self) -> list[Health]:
@@ -51,7 +51,8 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
             self.tally.add(self.settings.topic, found)
             return
         self._published += 1
-        self._sprockets.publish(conversions.joint_state(make, found, self.settings.frame_id))
+        conversions.fill_joint_state(self._sprockets.message, found)
+        self._sprockets.publish()
 
     def _sample(self, message: Any) -> SprocketSample | Rejection:
         now_ns = self.get_clock().now().nanoseconds

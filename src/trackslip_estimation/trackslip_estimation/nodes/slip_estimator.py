@@ -10,6 +10,7 @@ from std_srvs.srv import SetBool, Trigger
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, topic_class
+from trackslip_common.nodes.outputs import PackedOutput
 from trackslip_common.nodes.run import run
 from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
@@ -29,6 +30,7 @@ from trackslip_estimation.slip.measurements import (
     Input,
     Outcome,
     Reload,
+    Report,
 )
 from trackslip_estimation.slip.parameters import DEFAULT_FILES, NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.source_watch import SourceWatch
@@ -54,7 +56,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._watch = SourceWatch(p.timeouts_ns())
         self._processed = self._estimates = 0
         self._vehicle = self.advertise(topic_class(VEHICLE), VEHICLE)
-        self._reports = self.advertise(topic_class("measurement_reports"), "measurement_reports")
+        self._reporter = self.advertise(topic_class("measurement_reports"), "measurement_reports")
+        self._reports: dict[str, PackedOutput] = {}  # by source, whose name is a string of the message
         self._outputs = EstimateOutputs(self)
         self._sources = MeasurementSources(self, self._process)
 
@@ -113,13 +116,21 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         if estimate is not None:  # first: somebody steers by it
             self._outputs.publish(estimate)
             self._estimates += 1
-        self._reports.publish(conversions.measurement_report(make, report, self._processed))
+        self._publish_report(report)
         self._processed += 1
         self._watch.add(report)
         if report.outcome is not Outcome.ACCEPTED:
             self.tally.add(report.source, report.outcome)
         if report.orientation is not None:
             self.tally.add(report.source, report.orientation)
+
+    def _publish_report(self, report: Report) -> None:
+        if report.source not in self._reports:
+            blank = conversions.blank_measurement_report(make, report.source)
+            self._reports[report.source] = PackedOutput(self._reporter, blank)
+        output = self._reports[report.source]
+        conversions.fill_measurement_report(output.message, report, self._processed)
+        output.publish()
 
 
 def main() -> None:

@@ -207,8 +207,13 @@ def fill_attitude(message: Any, estimate: Estimate, tilt: Tilt) -> None:
 
 def blank_swing(make: Make, base_frame: str) -> Any:
     """sensor_msgs/JointState for ``fill_swing``."""
-    names = [SWING_JOINT, SWING_STDDEV_JOINT]
-    return make("sensor_msgs/msg/JointState", header=header(make, 0, base_frame), name=names)
+    return make(
+        "sensor_msgs/msg/JointState",
+        header=header(make, 0, base_frame),
+        name=[SWING_JOINT, SWING_STDDEV_JOINT],
+        position=np.zeros(2),
+        velocity=np.zeros(2),
+    )
 
 
 def fill_swing(message: Any, estimate: Estimate, swing: Swing) -> None:
@@ -228,16 +233,22 @@ def swing(make: Make, estimate: Estimate, base_frame: str) -> Any:
 
 def track_slip(make: Make, estimate: Estimate, base_frame: str) -> Any:
     """trackslip_msgs/TrackSlip of an estimate."""
-    left, right, angle = (float(v) for v in estimate.outputs.slips)
-    return make(
-        "trackslip_msgs/msg/TrackSlip",
-        header=header(make, estimate.stamp_ns, base_frame),
-        left_slip=left,
-        right_slip=right,
-        slip_angle=angle,
-        covariance=estimate.outputs.slip_covariance.flatten(),
-        motion_state=int(estimate.motion),
-    )
+    message = blank_track_slip(make, base_frame)
+    fill_track_slip(message, estimate)
+    return message
+
+
+def blank_track_slip(make: Make, base_frame: str) -> Any:
+    """trackslip_msgs/TrackSlip for ``fill_track_slip``."""
+    return make("trackslip_msgs/msg/TrackSlip", header=header(make, 0, base_frame))
+
+
+def fill_track_slip(message: Any, estimate: Estimate) -> None:
+    """Slips, slip angle and state of motion of another estimate."""
+    set_stamp(message, estimate.stamp_ns)
+    message.left_slip, message.right_slip, message.slip_angle = estimate.outputs.slips.tolist()
+    message.covariance = estimate.outputs.slip_covariance.flatten()
+    message.motion_state = int(estimate.motion)
 
 
 def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:
@@ -255,16 +266,21 @@ def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:
 
 def measurement_report(make: Make, report: Report, sequence: int) -> Any:
     """trackslip_msgs/MeasurementReport."""
-    return make(
-        "trackslip_msgs/msg/MeasurementReport",
-        header=header(make, report.stamp_ns, ""),
-        source=report.source,
-        sequence=sequence,
-        outcome=int(report.outcome),
-        nis=report.nis,
-        gate=report.gate,
-        dof=report.dof,
-    )
+    message = blank_measurement_report(make, report.source)
+    fill_measurement_report(message, report, sequence)
+    return message
+
+
+def blank_measurement_report(make: Make, source: str) -> Any:
+    """trackslip_msgs/MeasurementReport on a source, for ``fill_measurement_report``."""
+    return make("trackslip_msgs/msg/MeasurementReport", header=header(make, 0, ""), source=source)
+
+
+def fill_measurement_report(message: Any, report: Report, sequence: int) -> None:
+    """Put another report on the same source into the message."""
+    set_stamp(message, report.stamp_ns)
+    message.sequence, message.outcome = sequence, int(report.outcome)
+    message.nis, message.gate, message.dof = report.nis, report.gate, report.dof
 
 
 def planar_pose_message(make: Make, pose: FloatArray) -> Any:

@@ -7,23 +7,20 @@ message, so each field has one place in the bytes of all.
 """
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Nodetype
 
 from trackslip_bags.messages import serialize
-from trackslip_bags.types import ensure, field_parts
-from trackslip_common.layout import CDR_HEADER
+from trackslip_bags.types import ensure, fields_by
+from trackslip_common.layout import Layout
 
 Columns = Mapping[str, NDArray[Any]]
 """Dotted name of a field → (n,) its values, or (n, k) where it holds k of them."""
 
 _NS_PER_S = 1_000_000_000
-_NUMBERS = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1", "float32": "<f4", "float64": "<f8"}
-_NUMBERS |= {f"{sign}{8 * size}": f"<{sign[0]}{size}" for sign in ("int", "uint") for size in (1, 2, 4, 8)}
 
 
 def stamp_columns(stamps_ns: Sequence[int]) -> Columns:
@@ -44,10 +41,8 @@ class MessageColumns:
 
     def __init__(self, blank: Any) -> None:
         self._blank = serialize(blank)
-        names, formats, offsets = zip(*_Layout(blank).fields, strict=True)
-        self._fields = np.dtype(
-            {"names": names, "formats": formats, "offsets": offsets, "itemsize": len(self._blank)}
-        )
+        type_name = blank.__msgtype__
+        self._fields = Layout(fields_by(ensure(type_name)), type_name, self._blank).dtype
 
     def serialize(self, columns: Columns) -> list[bytes]:
         """CDR of the blank with these values in it, a message for each row."""
@@ -59,44 +54,3 @@ class MessageColumns:
             fields[name] = column
         whole = rows.tobytes()
         return [whole[begin : begin + size] for begin in range(0, len(whole), size)]
-
-
-class _Layout:
-    """Name, kind and place of each field of numbers."""
-
-    def __init__(self, message: Any) -> None:
-        self._at = 0
-        self.fields = list(self._message(message, ""))
-
-    def _message(self, message: Any, prefix: str) -> Iterator[tuple[str, Any, int]]:
-        type_name = message.__msgtype__
-        for name, description in ensure(type_name).fielddefs[type_name][1]:
-            kind, detail = field_parts(description)
-            value = getattr(message, name)
-            if kind == Nodetype.NAME:
-                yield from self._message(value, f"{prefix}{name}.")
-            elif kind == Nodetype.BASE:
-                yield from self._values(prefix + name, detail[0], value, ())
-            else:
-                (_, (inner, _)), _ = detail
-                if kind == Nodetype.SEQUENCE:
-                    self._skip(4, 4)
-                yield from self._values(prefix + name, inner, value, (len(value),))
-
-    def _values(
-        self, name: str, kind: str, value: Any, shape: tuple[int, ...]
-    ) -> Iterator[tuple[str, Any, int]]:
-        if kind == "string":
-            for text in value if shape else (value,):
-                self._skip(4, 4)
-                self._skip(len(text.encode()) + 1, 1)
-        elif shape != (0,):
-            dtype = np.dtype(_NUMBERS[kind])
-            begin = self._skip(dtype.itemsize * (shape[0] if shape else 1), dtype.itemsize)
-            yield name, (dtype, shape), CDR_HEADER + begin
-
-    def _skip(self, size: int, alignment: int) -> int:
-        """Where the next ``size`` bytes begin."""
-        begin = self._at + -self._at % alignment
-        self._at = begin + size
-        return begin
