@@ -7,9 +7,9 @@
            sense: 0 where it stands, sgn ω_j once it has run on          −1 … 1
     K₀     way of a track over which that happens, ``start_shear``       m
 
-A track thrusts as far as it has sheared the soil under it (3.3). From a standstill, and when it turns back, it
-runs on the spot for a centimetre or two until it thrusts as much as the machine resists and its acceleration
-takes; K is not known here. So the share 1 − s_j sgn ω_j of a track's speed is an error it may have.
+A track thrusts as far as it has sheared the soil under it (3.3). From a standstill, and when it turns back,
+it runs on the spot for a centimetre or two until it thrusts as much as the machine resists and its
+acceleration takes; K is not known here. So the share 1 − s_j sgn ω_j of a track's speed is an error it may have.
 """
 
 import math
@@ -31,7 +31,8 @@ def build_up(state: Any, dt: float, c: Any) -> None:
     for side in range(2):
         speed = state.speeds.left if side == 0 else state.speeds.right
         way = c.rolling_radius * abs(speed) * dt
-        built[side] -= (math.copysign(1.0, speed) - built[side]) * math.expm1(-way / c.velocity_errors.start_shear)
+        missing = math.copysign(1.0, speed) - built[side]
+        built[side] -= missing * math.expm1(-way / c.velocity_errors.start_shear)
 
 
 @compiled
@@ -45,8 +46,8 @@ def lost_speeds(drive: Any, c: Any) -> tuple[float, float]:
 def lost_variances(drive: Any, c: Any) -> tuple[float, float]:
     """Of what that takes from v, (m/s)², and from ω times B, alike in both tracks but for a share.
 
-    Lasting for τ, the errors move a machine that starts or turns back by K₀, one standard deviation, and by no
-    more than its tracks go.
+    Lasting for τ, the errors move a machine that starts or turns back by K₀, one standard deviation, and by
+    no more than its tracks go.
     """
     e, (left, right) = c.velocity_errors, lost_speeds(drive, c)
     both = (left + right) / 2.0

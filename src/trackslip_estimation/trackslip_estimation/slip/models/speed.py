@@ -23,9 +23,9 @@ shear truth, σ is a small share of V and D while the machine goes steadily (in 
 tracks ring alike), and a large share of d while its speed changes: the vehicle answers its tracks with a lag,
 rings on the soil, and has the rest settled within tenths of a second. All this is larger on a soil that
 yields more, which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. A start
-adds what the tracks shear of the soil first (``shear``). Real tracks err by more: each by a share s of its speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and
-the machine go sideways. When the sprockets are silent the motion is UNKNOWN; V and D are then 0, the velocity
-errors are the speeds themselves, and hold.
+adds what the tracks shear of the soil first (``shear``). Real tracks err by more: each by a share s of its
+speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and the machine go sideways. When the sprockets
+are silent the motion is UNKNOWN; V and D are then 0, the velocity errors are the speeds themselves, and hold.
 """
 
 import math
@@ -218,7 +218,8 @@ def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[f
     yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
     of_tracks = drive.adaptation.track_variance * track_exposure(drive, c)
     of_speed, of_rate = lost_variances(drive, c)
-    of_speed += (steady**2 + changing**2) * yielding + e.standing**2 + c.adaptation.forward**2 * of_tracks / 4.0
+    of_speed += (steady**2 + changing**2) * yielding + e.standing**2
+    of_speed += c.adaptation.forward**2 * of_tracks / 4.0
     of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
     return of_speed, of_rate / (c.tread * c.tread)
 
