@@ -9,7 +9,7 @@
 
 With age each state is a first-order Gauss–Markov process about its prior: x ← μ + φ (x − μ), P ← φ P φᵀ +
 (1 − φ φᵀ) Σ, by elements. ln of the weights of point masses goes to its prior by φ too. What was learned and
-aged is the prior of the next run; it stands in the bag beside the parameters, so that a replay starts from it.
+aged is the prior of the next run; it stands in the bag beside the parameters, and a replay starts from it.
 """
 
 import hashlib

@@ -9,7 +9,7 @@
 
 A track thrusts as far as it has sheared the soil under it (3.3). From a standstill, and when it turns back,
 it runs on the spot for a centimetre or two until it thrusts as much as the machine resists and its
-acceleration takes; K is not known here. So the share 1 − s_j sgn ω_j of a track's speed is an error it may have.
+acceleration takes; K is not known here. So a share 1 − s_j sgn ω_j of a track's speed may be an error.
 """
 
 import math
