@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the live page costs: a machine that drives in the graph, the node ``live``, and pages that look at it.
 
-``python scripts/bench_live.py [--minutes 5] [--pages 3]``, after sourcing .venv/trackslip.sh, plays a made-up
-drive at the rates of the real nodes, and prints the node's share of a core, its memory over the time, and the
-frames that each page got. It needs no browser: a page is a websocket that decodes what it gets.
+``python scripts/bench_live.py [--minutes 5] [--pages 3] [--chromium]``, after sourcing .venv/trackslip.sh,
+plays a made-up drive at the rates of the real nodes, and prints the node's share of a core, its memory over
+the time, and the frames that each page got. A page is a websocket that decodes what it gets; with
+``--chromium`` it is in a browser as wide as a phone, a tablet or a desk, and its console is printed too.
 """
 
 import argparse
@@ -12,10 +13,12 @@ import asyncio
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +30,15 @@ from tornado.websocket import websocket_connect
 from trackslip_msgs.msg import SoilEstimate, TrackForces, TrackSlip
 
 PORT = 5996
+WIDTHS = (390, 1024, 1440)  # pixels of a phone, a tablet and a desk
 TICKS = os.sysconf("SC_CLK_TCK")
 PAGE_B = os.sysconf("SC_PAGE_SIZE")
 DRIVERS = ("can_driver", "watson_imu", "sick_pls")
 ESTIMATORS = ("box_localizer", "slip_estimator", "soil_estimator", "record")
 SETTLED_S = 20.0  # s until the start is over
 SHOWN: dict[str, Any] = {}  # the newest frame
+
+Visit = Callable[[list[int], int], Awaitable[None]]  # of a page: counts its frames at its place
 
 
 def main() -> int:
@@ -41,6 +47,7 @@ def main() -> int:
     )
     parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("--pages", type=int, default=3)
+    parser.add_argument("--chromium", action="store_true", help="pages of a real browser")
     options = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -51,7 +58,8 @@ def main() -> int:
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as node:
         feeder.start()
         try:
-            asyncio.run(measure(node.pid, options.minutes * 60.0, options.pages))
+            visit = browse if options.chromium else look
+            asyncio.run(measure(node.pid, options.minutes * 60.0, options.pages, visit))
         finally:
             over.set()
             feeder.join()
@@ -108,14 +116,14 @@ def diagnostics(name: str, step: int) -> DiagnosticArray:
     return DiagnosticArray(status=[status])
 
 
-async def measure(pid: int, seconds: float, pages: int) -> None:
+async def measure(pid: int, seconds: float, pages: int, visit: Visit) -> None:
     """Print what the process takes while pages look."""
     counts = [0] * pages
-    looking = [asyncio.ensure_future(look(counts, k)) for k in range(pages)]
+    looking = [asyncio.ensure_future(visit(counts, k)) for k in range(pages)]
     await asyncio.sleep(SETTLED_S)
     began, used, first = time.monotonic(), cpu_s(pid), list(counts)
     print(f"{'minutes':>8}{'core, %':>9}{'memory, MB':>12}", flush=True)
-    report_s = max(seconds / 10.0, 5.0)
+    report_s = min(max(seconds / 10.0, 5.0), 60.0)
     while time.monotonic() - began < seconds:
         await asyncio.sleep(report_s)
         now_s, now_used = time.monotonic(), cpu_s(pid)
@@ -125,9 +133,10 @@ async def measure(pid: int, seconds: float, pages: int) -> None:
         (count - before) / (time.monotonic() - began) for count, before in zip(counts, first, strict=True)
     ]
     print("frames a second of each page:", *(f"{rate:.2f}" for rate in rates))
-    print(f"shown at the end: {SHOWN['facts']['position']}, {len(SHOWN['lights'])} lights")
+    print(f"shown at the end: {SHOWN}")
     for one in looking:
         one.cancel()
+    await asyncio.gather(*looking, return_exceptions=True)
 
 
 async def look(counts: list[int], number: int) -> None:
@@ -139,8 +148,32 @@ async def look(counts: list[int], number: int) -> None:
             await asyncio.sleep(0.5)
             continue
         while (text := await page.read_message()) is not None:
-            SHOWN.update(json.loads(text))
+            frame = json.loads(text)
+            SHOWN.update(position=frame["facts"]["position"], lights=len(frame["lights"]))
             counts[number] += 1
+
+
+async def browse(counts: list[int], number: int) -> None:
+    """A page of a browser of its own: asked each second for the frames that it has shown."""
+    from playwright.async_api import Error, async_playwright
+
+    async with async_playwright() as playwright:
+        browser = await playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+        page = await browser.new_page(viewport={"width": WIDTHS[number % len(WIDTHS)], "height": 800})
+        page.on("console", lambda message: print(f"page {number}: {message.type}: {message.text}"))
+        page.on("pageerror", lambda error: print(f"page {number}: {error}"))
+        while True:
+            try:
+                await page.goto(f"http://127.0.0.1:{PORT}/")
+                break
+            except Error:  # the node does not serve yet
+                await asyncio.sleep(0.5)
+        while True:
+            await asyncio.sleep(1.0)
+            counts[number] = await page.evaluate("Number(document.documentElement.dataset.frames ?? 0)")
+            SHOWN["position"] = await page.inner_text('[data-fact="position"]')
 
 
 def cpu_s(pid: int) -> float:

@@ -66,3 +66,15 @@ def test_a_module_with_two_names_loads_machine_code_of_its_own(tmp_path: Path) -
     for text, found in ((by_folder, 0.0), (ask.format(name="below.inner"), 0.0), (by_folder, 1.0)):
         (tmp_path / "outer.py").write_text(text, encoding="utf-8")
         assert run(tmp_path) == [2.0, found]
+
+
+def test_a_folder_and_a_link_to_it_share_machine_code(tmp_path: Path) -> None:
+    """After ``setup.bash`` modules come through colcon's links: all was compiled once more, for minutes."""
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
+    (tmp_path / "below" / "trackslip_caller.py").write_text(CALLER, encoding="utf-8")
+    (tmp_path / "link").symlink_to("below")
+    for folder, found in (("below", 0.0), ("link", 1.0)):
+        text = f"import sys\nsys.path.append('{folder}')\nimport trackslip_caller\n"
+        (tmp_path / "outer.py").write_text(text, encoding="utf-8")
+        assert run(tmp_path) == [20.0, found]

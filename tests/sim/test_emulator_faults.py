@@ -228,5 +228,6 @@ VALUED = {
         "occlusion",
         "glare",
         "multipath",
+        "clock_step",
     )
 }

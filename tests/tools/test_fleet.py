@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fixtures.pieces import end, refused, square, wait
 
 from trackslip_common.errors import ExitCode, InputError, collected, show
 from trackslip_tools.cli.main import main
@@ -175,25 +176,7 @@ def test_what_would_be_shown_is_collected(capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().out == "after it\n"
 
 
-# the workers themselves; their pieces are functions of a module, so that other processes find them
-
-
-def square(shared: int, item: int) -> tuple[int, str]:
-    return shared + item * item, os.environ.get("OMP_NUM_THREADS", "")
-
-
-def end(shared: None, item: int) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def wait(shared: None, item: int) -> None:
-    time.sleep(30.0)
-
-
-def refused(shared: None, item: int) -> int:
-    if item == 2:
-        raise InputError("item 2 is refused")
-    return item
+# the workers themselves
 
 
 def test_processes_give_results_in_order_with_one_thread_each() -> None:

@@ -27,9 +27,14 @@ _IMPORT = re.compile(r"^(?:from|import) +([\w.]+)(?: +import +(\([^)]*\)|.*))?",
 
 
 def compiled(function: F) -> F:
-    """Compile at the first call and keep the result (strict IEEE arithmetic)."""
+    """Compile at the first call and keep the result (strict IEEE arithmetic).
+
+    Numba keeps it by the path of the file; colcon and ``make setup`` import the same file by two.
+    """
+    file = os.path.realpath(function.__code__.co_filename)
+    function.__code__ = function.__code__.replace(co_filename=file)
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _cache_directory(function.__code__.co_filename, function.__module__)
+    numba.config.CACHE_DIR = _cache_directory(file, function.__module__)
     try:
         return cast(F, numba.njit(cache=True, nogil=True)(function))
     finally:
@@ -69,6 +74,7 @@ def _imported(file: str) -> tuple[str, ...]:
         parent, names = match.group(1), re.findall(r"\w+", match.group(2) or "")
         for name in (parent, *(f"{parent}.{name}" for name in names)):
             path = getattr(sys.modules.get(name), "__file__", None)
+            path = path and os.path.realpath(path)
             if path and (name.startswith(_OURS) or Path(path).parent == Path(file).parent):
                 found.append(path)
     return tuple(found)

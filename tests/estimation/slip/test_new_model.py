@@ -167,9 +167,15 @@ def test_a_new_model_is_one_file_and_its_lines_in_the_dispatch(tmp_path: Path) -
         assert text.count(before) == 1, before
         text = text.replace(before, after)
     (copy / "slip/models/dispatch.py").write_text(text, encoding="utf-8")
-    paths = [str(tmp_path), *filter(None, sys.path)]
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths)}
-    command = [sys.executable, "-c", DRIVE]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    path = os.pathsep.join(filter(None, sys.path))
+    done = subprocess.run(
+        [sys.executable, "-c", DRIVE],
+        cwd=tmp_path,  # where python -c looks first: colcon runs tests beside the package itself
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("drove")

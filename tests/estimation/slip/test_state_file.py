@@ -7,7 +7,6 @@ from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
 
-import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, drive, parameters
 from hypothesis import given
@@ -254,7 +253,8 @@ def test_nothing_learned_is_not_written(path: Path) -> None:
     assert not path.exists()
 
 
-def test_forgotten_it_is_gone_and_comes_again(path: Path) -> None:
+def test_forgotten_it_is_gone_and_comes_again(path: Path, at: Callable[[float], None]) -> None:
+    at(NOW_S)
     kept = written(path)
     kept.forget()
     kept.forget()
@@ -264,7 +264,7 @@ def test_forgotten_it_is_gone_and_comes_again(path: Path) -> None:
     kept.finish()
     found = StateFile(str(path)).read(OF)
     assert found is not None
-    assert np.all(found.stddev >= LEARNED.stddev * (1.0 - 1e-9))
+    assert to_tree(found, OF) == to_tree(aged(LEARNED, 0.0, OF), OF)
 
 
 def test_to_forget_loses_nothing_of_another_vehicle(path: Path) -> None:

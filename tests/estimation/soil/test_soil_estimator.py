@@ -15,7 +15,7 @@ from trackslip_common.soils import soil
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.classes import limit_of
 from trackslip_estimation.soil.pressure_watch import Doubt, PressureFault
-from trackslip_estimation.soil.records import SOIL_INPUT, SOURCES, Hydraulics, SoilInput, TrackForces
+from trackslip_estimation.soil.records import SOIL_INPUT, SOURCES, Hydraulics, Slips, SoilInput, TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs
@@ -25,6 +25,7 @@ from trackslip_sim.truth.simulate import simulate
 P = load_soil_parameters()
 CAB = load_soil_parameters({"vehicle": "pc05_cab"})
 SEGMENTS = ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (5.0, 1.0, 2.2), (5.0, 2.0, 2.0))
+SPINNING = ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (8.0, 0.2, 2.2))  # the right track, on clayey soil
 BEFORE, FAULT_ENDS = 10.0, 16.0  # s: turning, straight
 Corrupt = Callable[[Hydraulics], Hydraulics | None]
 
@@ -205,8 +206,7 @@ def test_a_track_that_spins_at_the_limit_is_getting_stuck_and_an_ordinary_turn_i
     ordinary, spinning = SoilEstimator(P), SoilEstimator(P)
     run(given(), ordinary)
     assert ordinary.struggling == (False, False)
-    start = ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (8.0, 0.2, 2.2))
-    outputs = run(given("clayey_soil", start), spinning)
+    outputs = run(given("clayey_soil", SPINNING), spinning)
     assert spinning.struggling == (False, True)
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
@@ -215,6 +215,32 @@ def test_a_track_that_spins_at_the_limit_is_getting_stuck_and_an_ordinary_turn_i
     spinning.use(patient)
     assert spinning.struggling == (False, False)
     assert reloadable(SoilEstimatorParameters) == {"low_reserve", "high_slip", "stuck_time"}
+
+
+def test_a_turn_that_the_soil_does_not_bear_is_no_getting_stuck() -> None:
+    """The outer track spins at its limit, and the machine drives straight on as fast as the inner one."""
+    estimator = SoilEstimator(P)
+    outputs = run(given("clayey_soil", ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (8.0, 0.9, 2.28))), estimator)
+    last = at(outputs, TrackForces, 16.0)
+    assert isinstance(last, TrackForces)
+    assert last.reserve[1] < 0.1
+    assert estimator.struggling == (False, False)
+
+
+def test_a_track_that_is_dragged_faster_than_it_turns_does_not_spin() -> None:
+    """As on a slope that is too steep: held back by its motor, and sliding all the same."""
+
+    def drag(one: SoilInput) -> SoilInput:
+        if isinstance(one, Slips):
+            return replace(one, mean=one.mean * (1.0, -1.0, 1.0))
+        return replace(one, right_pressure=-1.6 * one.right_pressure) if isinstance(one, Hydraulics) else one
+
+    estimator = SoilEstimator(P)
+    outputs = run(map(drag, given("clayey_soil", SPINNING)), estimator)
+    last = at(outputs, TrackForces, 16.0)
+    assert isinstance(last, TrackForces)
+    assert last.reserve[1] < 0.1
+    assert estimator.struggling == (False, False)
 
 
 def test_tracks_that_are_commanded_and_do_not_turn_are_stalled_within_a_second() -> None:

@@ -2,7 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds tracks in trouble, compiled.
 
-Stalled is commanded but not turning at high pressure; stuck is spinning at the limit of the soil.
+Stalled is commanded but not turning at high pressure; stuck is spinning at the limit of the soil while the
+machine hardly moves. A track at slip i slides by i/(1 − i) of the machine's way: where a turn asks more of
+the soil than it bears, the machine goes straight on at the pace of its inner track, and the outer one slides
+by once to twice that way. So it spins from twice on, i > 2/3; one that is dragged (i < 0) never does.
 
 Evidence counts up for as long as it lasts, down where it is gone: a noisy moment neither ends a trouble nor
 makes one.

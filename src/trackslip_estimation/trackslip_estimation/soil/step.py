@@ -236,7 +236,7 @@ def _publish_forces(state: State, p: Any) -> None:
         spread = forces.thrust_variance[k] + (force / strength) ** 2 * known.load.strength_variance[k]
         reserve = _reserve(state, force / strength, spread / strength**2, p)
         forces.reserve[k] = reserve.share
-        spins = abs(sample.slips[k]) > p.high_slip and reserve.exhausted > _LIKELY
+        spins = sample.slips[k] > p.high_slip and reserve.exhausted > _LIKELY
         known.spinning[k] = evidence_time(known.spinning[k], spins, p.forces_period, p.stuck_time)
         forces.trouble[k] = trouble_of(known.stalled[k], known.spinning[k], p)
 

@@ -49,7 +49,6 @@ class NmeaDevice:
 
     Attributes:
         fixes_emitted, headings_emitted: how many were begun to be sent.
-        clock_error_ns: how far its clock is ahead of UTC; assign to step it.
     """
 
     def __init__(
@@ -61,7 +60,6 @@ class NmeaDevice:
         seed: int,
     ) -> None:
         self.fixes_emitted = self.headings_emitted = 0
-        self.clock_error_ns = 0
         self._p = p
         self._line = line
         self._measure = measure
@@ -103,10 +101,7 @@ class NmeaDevice:
             best = next((quality for until, quality in _STEPS if since < until), FIXED)
         if best is None:
             return ()
-        if best == 0:
-            at = Position(None)
-        else:
-            at = self._measure(epoch_ns, best)._replace(time_ns=epoch_ns + self.clock_error_ns)
+        at = Position(None) if best == 0 else self._measure(epoch_ns, best)
         self.fixes_emitted += at.quality != 0
         self.headings_emitted += at.heading is not None
         return gga(at), gst(at), rmc(at), pashr(at)

@@ -53,6 +53,7 @@ RTK_FLOAT = "rtk_float"
 CODE_ONLY = "code_only"
 NO_FIX = "no_fix"
 MULTIPATH = "multipath"
+CLOCK_STEP = "clock_step"
 
 _SHARE_OF_BYTES = "share of all bytes"
 KINDS: Mapping[str, Kind] = MappingProxyType(
@@ -77,6 +78,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         MULTIPATH: Kind(
             (GNSS,), "m eastward that the position is off, of which the receiver knows nothing", 100.0
         ),
+        CLOCK_STEP: Kind((GNSS,), "s that its clock is ahead of UTC", 86_400.0),
     }
 )
 

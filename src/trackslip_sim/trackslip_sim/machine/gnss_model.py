@@ -102,14 +102,16 @@ class GnssModel:
         p, quality = self._p, self._quality(best, stamp_ns)
         east, north, up = self._error(stamp_ns, quality)
         heading_error = p.heading_stddev * self._random.standard_normal()
+        ahead = self._faults.at(f.GNSS, f.CLOCK_STEP, stamp_ns)
+        time_ns = stamp_ns + (round(ahead.value * _NS_PER_S) if ahead is not None else 0)
         if quality == 0:
-            return Position(stamp_ns)
+            return Position(time_ns)
         machine = self._machine(stamp_ns)
         x, y, z = machine.point(p.antenna_x, p.antenna_y, p.antenna_z)
         site = p.latitude, p.longitude, p.altitude
         latitude, longitude, altitude = pymap3d.enu2geodetic(x + east, y + north, z + up, *site)
         at = Position(
-            stamp_ns,
+            time_ns,
             float(latitude),
             float(longitude),
             float(altitude),
