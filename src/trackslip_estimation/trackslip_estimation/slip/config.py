@@ -14,7 +14,7 @@ from trackslip_estimation.attitude.parameters import constants as attitude_const
 from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANTS
 from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.coasting import motion_limits
-from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS, couple
+from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
 from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SENSOR_ERRORS, SIZE, SWING
 from trackslip_estimation.slip.models.speed import FIRST
 from trackslip_estimation.slip.models.swing import constants as swing_constants
@@ -134,7 +134,8 @@ def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
     if p.swings:
         c["prior_mean"][SWING], c["prior_variance"][SWING] = p.initial_swing()
     c["prior_covariance"] = np.diag(c["prior_variance"])
-    couple(c["prior_covariance"], float(c["prior_variance"][FIRST]), c)
+    if hasattr(model, "couple"):
+        model.couple(c["prior_covariance"], float(c["prior_variance"][FIRST]))
     c["prior_variance"] = np.diag(c["prior_covariance"])
     for motion in Motion:
         for changing in (False, True):
