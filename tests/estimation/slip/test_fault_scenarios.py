@@ -141,7 +141,8 @@ def test_displaced_for_a_while(log: Log) -> None:
 def test_stuck_encoder(log: Log) -> None:
     """The left track seems to stand for 5 s while it drives: nobody can tell at first.
 
-    Fixes contradict and are gated, until the gate is wide enough to believe them; fixes then hold the error.
+    Of a machine that turns about one track, and by its gyro hardly does, all speed is believed lost, 1.6 m of way.
+    Fixes contradict and are gated, until several agree; fixes then hold the error.
     """
     stuck: list[float] = []
 
@@ -153,7 +154,7 @@ def test_stuck_encoder(log: Log) -> None:
     found = run(log, changed(log, Sprockets, BEGIN + 5.0, hold))
     assert found.counts["box_pose", "GATED"] > 0
     assert found.counts["sprockets", "JUMPED"] == 1  # when it comes free
-    assert found.during(BEGIN + 5.0) < 1.0
+    assert found.during(BEGIN + 5.0) < 1.3
     assert found.recovery(BEGIN + 5.0) < 3.0
 
 

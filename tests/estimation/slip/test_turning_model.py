@@ -1,14 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a gentle turn costs, by the turning model; the equations as such are in ``property``."""
+"""What a turn costs, by the turning model; the equations as such are in ``test_speed_models``."""
 
 import numpy as np
 import pytest
-from fixtures.filter_steps import Gaussian, config_of, outputs_of
+from fixtures.filter_steps import (
+    Gaussian,
+    config_of,
+    filter_step,
+    outputs_of,
+    rate_measured,
+    start_of,
+)
 
 from trackslip_estimation.slip.models.model import SIZE
-from trackslip_estimation.slip.models.turning import LOSS
-from trackslip_estimation.slip.motion import Speeds
+from trackslip_estimation.slip.models.turning import EFFICIENCY, LOSS
+from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 P = load_slip_parameters()
@@ -41,3 +48,15 @@ def test_rounded_counts_hardly_slow_a_straight_drive() -> None:
     rectified = np.mean([RADIUS * abs(right - left) / 2.0 for left, right in speeds])
     assert rectified > 0.008 * RADIUS * 1.4
     assert 0.0 < taken < 0.5 * rectified
+
+
+def test_a_gyro_that_shows_less_turn_shows_more_loss_of_speed() -> None:
+    """κ + η, 0.8 ± 0.2, stays what it was; η was 0.3 whatever the gyro said."""
+    state = start_of(CONFIG, np.zeros(3), np.diag((0.01, 0.01, 0.01)) ** 2)
+    turning, speeds = MotionState(Motion.TURNING, changing=False), Speeds(1.0, 2.0, 0.0, differenced=False)
+    shown = rate_measured(0.1 * RADIUS / P.vehicle.kinematics.tread, 1e-8)
+    for _ in range(100):
+        state = filter_step(CONFIG, state, speeds, 0.02, turning, shown).updated
+    assert state.mean[EFFICIENCY] == pytest.approx(0.1, abs=0.02)
+    assert state.mean[LOSS] == pytest.approx(0.7, abs=0.03)
+    assert np.sqrt(state.covariance[LOSS, LOSS]) == pytest.approx(0.2, abs=0.02)
