@@ -141,7 +141,7 @@ def test_displaced_for_a_while(log: Log) -> None:
 def test_stuck_encoder(log: Log) -> None:
     """The left track seems to stand for 5 s while it drives: nobody can tell at first.
 
-    Of a machine that turns about one track, and by its gyro hardly does, all speed is believed lost, 1.6 m of way.
+    Of a machine that turns about one track, and by its gyro hardly does, all speed is believed lost: 1.6 m.
     Fixes contradict and are gated, until several agree; fixes then hold the error.
     """
     stuck: list[float] = []
