@@ -52,5 +52,5 @@ def test_every_file_of_code_names_its_licence_and_who_holds_it() -> None:
 
 def test_the_tests_of_a_module_belong_to_one_worker(request: pytest.FixtureRequest) -> None:
     """xdist reads the group from the name of a test; without it every worker makes a module's fixtures."""
-    is_shared_out = hasattr(request.config, "workerinput")
+    is_shared_out = getattr(request.config.option, "loadgroup", False)  # of xdist, in its workers
     assert request.node.nodeid.endswith("@tests/common/test_house.py") == is_shared_out
