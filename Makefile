@@ -55,7 +55,7 @@ ament: setup ## ROS's own linters, with the agreed configuration
 	@$(ENTER) $(VENV)/ament_flake8 --config .flake8 src
 	@$(ENTER) exec $(VENV)/ament_pep257 --convention google --add-ignore D100 D102 D105 D107 D402 D403 -- src
 
-faults: checks ## a hundred faults of all sensors, and a hundred of the GNSS receiver, in a row against the real nodes; 20 minutes and more
+faults: checks ## a hundred faults of all sensors, of the GNSS receiver, and a hundred kills, in a row against the real nodes; half an hour
 	@$(ENTER) exec $(VENV)/python -m pytest -s -m soak
 
 soak: setup ## the graph at ten times its speed, and what grows meanwhile; page in out/soak (DURATION=300, SPEED=10)

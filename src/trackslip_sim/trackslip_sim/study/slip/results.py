@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
+from scipy.special import chdtri
 
 from trackslip_sim.study.slip.drive import Drive
 from trackslip_sim.study.slip.parameters import Cell, StudyParameters
@@ -84,8 +84,8 @@ def total(runs: Iterable[Sums]) -> Sums:
 
 def mean_bounds(dof: int, runs: int) -> Interval:
     """Between which the mean over runs of a χ² number lies with ``CONFIDENCE``."""
-    tails = np.array(((1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0))
-    low, high = 2.0 * gammaincinv(0.5 * dof * runs, tails) / runs
+    beyond = np.array(((1.0 + CONFIDENCE) / 2.0, (1.0 - CONFIDENCE) / 2.0))
+    low, high = chdtri(dof * runs, beyond) / runs
     return float(low), float(high)
 
 
