@@ -233,3 +233,41 @@ def test_at_a_standstill_slips_are_frozen_and_no_direction_is_claimed(
     assert (np.diag(last.slip_covariance)[:2] <= np.diag(first.slip_covariance)[:2] + 1e-9).all()
     direction = np.sqrt(last.slip_covariance[2, 2])
     assert direction > (0.5 if model != "free_slips" else 0.01)  # the thesis' angle is a state, and kept
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("heard_from", [3.06, 3.2, 3.8])
+def test_what_was_driven_between_the_first_fix_and_the_first_sample_is_unknown(
+    drive: Callable[..., Any], model: str, heard_from: float
+) -> None:
+    """An estimator that is started again while driving: its first fix is older than the first sample that
+    it hears, and the machine has stopped since. It claimed 7 mm and was 198 mm off.
+    """
+    driven = drive(
+        [(3.0, 2.0, 2.0, 0.05, 0.05, 0.0), (5.0, 0.0, 0.0, 0.0, 0.0, 0.0)], fix_sigma=(0.005, 0.005, 0.002)
+    )
+    fix_ns = round(2.8 * S)
+    kept = [
+        m
+        for m in driven.measurements
+        if (isinstance(m, PoseFix) and m.stamp_ns == fix_ns)
+        or (isinstance(m, YawRate) and m.stamp_ns > fix_ns)
+        or (isinstance(m, Sprockets) and m.stamp_ns >= heard_from * S)
+    ]
+    published = run(kept, model=model, start="first_fix")[1]
+    for e in published:
+        if e.stamp_ns >= heard_from * S:
+            error = np.abs(e.pose - driven.truth[e.stamp_ns][:3])
+            assert (error < 3.0 * np.sqrt(np.diag(e.pose_covariance))).all()
+    assert np.abs(published[-1].pose[:2] - driven.truth[published[-1].stamp_ns][:2]).max() > 0.02
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_first_sample_soon_after_the_first_fix_widens_nothing(
+    drive: Callable[..., Any], model: str
+) -> None:
+    driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0)], fix_sigma=(0.005, 0.005, 0.002))
+    fix = next(m for m in driven.measurements if isinstance(m, PoseFix) and m.stamp_ns > S)
+    kept = [m for m in driven.measurements if isinstance(m, Sprockets) and m.stamp_ns > fix.stamp_ns]
+    first = run([fix, *kept], model=model, start="first_fix")[1][0]
+    assert np.sqrt(first.pose_covariance[0, 0]) < 0.007

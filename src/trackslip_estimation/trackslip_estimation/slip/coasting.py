@@ -10,6 +10,10 @@ The pose is held where it was and its uncertainty grows as that of a random walk
 velocity errors are states, all of speed and yaw rate is an error now. They are forgotten after each step, so
 that a gyro that still works carries the heading on; over the first step the yaw rate may have changed by ω̂
 √(t/τ).
+
+An estimate may start before its first sample. Until that one the machine goes as it shows, or otherwise: back
+from it speed and yaw rate may be random walks of v̂ √(t/τ) and ω̂ √(t/τ), which after a time t is a variance of
+v̂² t³/3τ in the way.
 """
 
 from dataclasses import dataclass
@@ -69,3 +73,14 @@ def inflate(state: Any, dt: float, c: Any) -> None:
     P[X, X] += 2.0 * LASTS * dt * c.speed_limit**2
     P[Y, Y] += 2.0 * LASTS * dt * c.speed_limit**2
     P[YAW, YAW] += 2.0 * LASTS * dt * c.unseen_yaw_rate**2
+
+
+@compiled
+def doubt_start(state: Any, reached_ns: int, c: Any) -> None:
+    """What may have been driven otherwise than the first sample shows, from the state's stamp on."""
+    P, start_ns = state.covariance, state.sample.stamp_ns
+    before, after = (state.stamp_ns - start_ns) * 1e-9, (reached_ns - start_ns) * 1e-9
+    grown = (after**3 - before**3) / (3.0 * LASTS)
+    P[X, X] += grown * c.speed_limit**2
+    P[Y, Y] += grown * c.speed_limit**2
+    P[YAW, YAW] += grown * c.yaw_rate_limit**2

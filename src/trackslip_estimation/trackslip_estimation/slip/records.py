@@ -61,7 +61,7 @@ MANUAL = MOST_SOURCES - 1  # the source number of a manual pose: the last of tho
 SAMPLE = np.dtype(
     [
         ("seen", np.bool_),  # whether there was one
-        ("stamp_ns", np.int64),
+        ("stamp_ns", np.int64),  # of the start where there was none
         ("left_angle", np.float64),
         ("right_angle", np.float64),
         ("known", np.bool_),  # whether the interval that it closed shows speeds

@@ -5,7 +5,8 @@
 An interval lies between two samples. Where it is longer than the timeout, its first part (as long as the
 timeout) is taken to go on as the interval before; the rest is *silence*: how fast the sprockets turned in it
 is unknown, whatever the positions at its ends say (a driver that was restarted counts from elsewhere). Beyond
-the newest sample it is the same.
+the newest sample it is the same. Between a start and the first sample, where that comes within the timeout, the
+speeds are those that it shows, and may have been others (``coasting.doubt_start``).
 
 Speeds come from the difference of positions where there are positions and they do not jump; else they are the
 measured ones of the sample that closes the interval.
@@ -31,9 +32,9 @@ def set_speeds(state: Any, closing: Any, stamp_ns: int, c: Any) -> int:
     """
     sample, speeds = state.sample, state.speeds
     closed = closing.kind == SPROCKETS
-    if not sample.seen:
-        known = closed and interval_speeds(sample, closing, c, speeds)
-        return stamp_ns if known else NEVER_NS
+    if not sample.seen:  # its stamp is that of the start
+        in_time = closed and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
+        return stamp_ns if in_time and interval_speeds(sample, closing, c, speeds) else NEVER_NS
     if closed and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns:
         return stamp_ns if interval_speeds(sample, closing, c, speeds) else sample.stamp_ns
     if not sample.known:

@@ -80,6 +80,8 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     reset_motion(state.motion)
     state.shear[:] = 0.0
     state.stamp_ns, state.coasting = stamp_ns, False
+    if not state.sample.seen:
+        state.sample.stamp_ns = stamp_ns
     begin_adaptation(state.adaptation, c)
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)

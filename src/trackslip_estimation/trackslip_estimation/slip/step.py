@@ -20,7 +20,7 @@ from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_refused
-from trackslip_estimation.slip.coasting import begin_coast, inflate, reset_velocity
+from trackslip_estimation.slip.coasting import begin_coast, doubt_start, inflate, reset_velocity
 from trackslip_estimation.slip.heading import use_heading
 from trackslip_estimation.slip.levers import to_gyro
 from trackslip_estimation.slip.measurements import Outcome
@@ -109,6 +109,8 @@ def follow_sprockets(state: Any, closing: Any, stamp_ns: int, c: Any) -> None:
         dt = (known_ns - reached_ns) * 1e-9
         update_motion(state.motion, state.speeds, dt, c.motion_limits, c.encoder_resolution)
         propagate(state, dt, c)
+        if not state.sample.seen:
+            doubt_start(state, known_ns, c)
         state.coasting, reached_ns = False, known_ns
     if known_ns < stamp_ns:
         coast(state, (stamp_ns - reached_ns) * 1e-9, c)
