@@ -5,8 +5,8 @@
 An interval lies between two samples. Where it is longer than the timeout, its first part (as long as the
 timeout) is taken to go on as the interval before; the rest is *silence*: how fast the sprockets turned in it
 is unknown, whatever the positions at its ends say (a driver that was restarted counts from elsewhere). Beyond
-the newest sample it is the same. Between a start and the first sample, where that comes within the timeout, the
-speeds are those that it shows, and may have been others (``coasting.doubt_start``).
+the newest sample it is the same. Between a start and the first sample, where that comes within the timeout,
+the speeds are those that it shows, and may have been others (``coasting.doubt_start``).
 
 Speeds come from the difference of positions where there are positions and they do not jump; else they are the
 measured ones of the sample that closes the interval.
