@@ -10,10 +10,12 @@ K      gain P Hᵀ S⁻¹                                     (n, m)
 NIS    νᵀ S⁻¹ ν, χ² with m degrees of freedom if consistent
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.compiled import compiled
+from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import (
     joseph,
     log_determinant,
@@ -25,6 +27,8 @@ from trackslip_estimation.kalman.linear_algebra import (
 )
 
 FloatArray = NDArray[np.float64]
+
+_NOTHING = 1e-12  # share of a variance that is rounding
 
 
 @compiled
@@ -72,7 +76,64 @@ def correct(
                 for j in range(m):
                     S[i, j] += h * PHt[k, j]
     root_of_S = root(S)
-    K = solve(root_of_S, np.ascontiguousarray(PHt.T))  # (m, n): transposed
+    _apply(x, P, innovation, (solve(root_of_S, np.ascontiguousarray(PHt.T)), PHt), (H, R))
+    return weighted_square(root_of_S, innovation), log_determinant(root_of_S)
+
+
+@compiled
+def correct_knowing(
+    x: FloatArray,
+    P: FloatArray,
+    innovation: FloatArray,
+    given: tuple[FloatArray, FloatArray],
+    known: tuple[int, int],
+) -> tuple[float, float]:
+    """x and P given an innovation (1,), H and R (``given``) that are not to teach the states ``known``.
+
+    The gain is that of a filter which knows them: what it corrects is what the innovation shows with these as
+    they are. They keep mean and variance (Schmidt), and P has what is unknown of them. The same number twice:
+    one state. Returns NIS and ln S.
+    """
+    H, R = given
+    PHt, others = _by_measurement(P, H), H.copy()
+    for k in known:
+        others[0, k] = 0.0
+    K = _by_measurement(P, others)  # then without what the known ones account for
+    first, second = P[: x.size, known[0]].copy(), P[: x.size, known[1]].copy()
+    if first[known[0]] > 0.0:
+        second -= first * (second[known[0]] / first[known[0]])
+        _explain(K, first, known[0])
+    if second[known[1]] > _NOTHING * P[known[1], known[1]]:
+        _explain(K, second, known[1])
+    S, alone = R[0, 0], R[0, 0]
+    for k in range(x.size):
+        S += H[0, k] * PHt[k, 0]
+        alone += others[0, k] * K[k, 0]
+    for k in known:
+        K[k, 0] = 0.0
+    _apply(x, P, innovation, (np.ascontiguousarray(K.T) / alone, PHt), (H, R))
+    return innovation[0] ** 2 / S, math.log(S)
+
+
+@inlined
+def _explain(K: FloatArray, column: FloatArray, known: int) -> None:
+    """Takes from K (n, 1) what a state accounts for, of which the covariances with all (n,) are given."""
+    share = K[known, 0] / column[known]
+    for k in range(column.size):
+        K[k, 0] -= share * column[k]
+
+
+@inlined
+def _apply(
+    x: FloatArray,
+    P: FloatArray,
+    innovation: FloatArray,
+    gain: tuple[FloatArray, FloatArray],
+    given: tuple[FloatArray, FloatArray],
+) -> None:
+    """x and P corrected with a gain, Kᵀ (m, n); beside it P Hᵀ, and H and R."""
+    (K, PHt), (H, R) = gain, given
+    n, m = x.size, innovation.size
     for i in range(m):
         for k in range(n):
             x[k] += K[i, k] * innovation[i]
@@ -91,7 +152,6 @@ def correct(
             for i in range(m):
                 both += rest[k, i] * K[i, j] + rest[j, i] * K[i, k]
             P[k, j] = P[j, k] = both / 2.0
-    return weighted_square(root_of_S, innovation), log_determinant(root_of_S)
 
 
 @compiled

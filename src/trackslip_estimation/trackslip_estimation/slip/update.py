@@ -246,11 +246,19 @@ def correct(
 ) -> tuple[float, float]:
     """x and P given z and R (``measured``), which sprocket ``speeds`` predict; returns NIS and ln |S|.
 
-    A yaw rate leaves s_g as it was (Schmidt): it cannot show it, for κ and ε explain the same, and what would
-    seem to be learned is their errors. Fixes show s_g through what it is correlated with.
+    A yaw rate of a machine that moves leaves b_g and s_g as they were, and corrects the rest as if they
+    were known (``ekf.correct_knowing``): tracks that turn more to one side than to the other, and at one
+    speed more than at another, explain the same. Fixes show both through what they are correlated with;
+    standing shows b_g.
     """
     z, R = measured
-    scale, scale_variance = x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE]
+    if kind == YAW_RATE and has_velocity_errors(c):
+        moves = speeds[0] != 0.0 or speeds[1] != 0.0
+        given = jacobian(kind, x, 1, speeds, c), R
+        known = (GYRO_BIAS if moves else GYRO_SCALE), GYRO_SCALE
+        nis, log_determinant = ekf.correct_knowing(x, P, z - expected(kind, x, 1, speeds, c), given, known)
+        x[YAW] = wrap(x[YAW])
+        return nis, log_determinant
     if c.sigma_points:
         own = P[: x.size, : x.size].copy()
         points, weights = daf.sigma_points(x, own, c.kappa, c.active)
@@ -261,14 +269,10 @@ def correct(
                 Z[i, 0] = x[YAW] + wrap(Z[i, 0] - x[YAW])
         nis, log_determinant = daf.correct(x, own, (points, weights), measured, Z, YAW)
         P[: x.size, : x.size] = own
-        if kind == YAW_RATE:
-            x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE] = scale, scale_variance
         return nis, log_determinant
     innovation = z - expected(kind, x, z.size, speeds, c)
     if kind == POSE and z.size > YAW:
         innovation[YAW] = wrap(innovation[YAW])
     nis, log_determinant = ekf.correct(x, P, innovation, jacobian(kind, x, z.size, speeds, c), R)
     x[YAW] = wrap(x[YAW])
-    if kind == YAW_RATE:
-        x[GYRO_SCALE], P[GYRO_SCALE, GYRO_SCALE] = scale, scale_variance
     return nis, log_determinant
