@@ -64,32 +64,32 @@ def correct(
     be larger than x: then the rest of it stays as it is.
     """
     n, m = x.size, innovation.size
-    PHt, S = _by_measurement(P, H), R.copy()
+    HP, S = _by_measurement(P, H), R.copy()
     for i in range(m):
         for k in range(n):
             h = H[i, k]
             if h != 0.0:
                 for j in range(m):
-                    S[i, j] += h * PHt[k, j]
+                    S[i, j] += h * HP[j, k]
     root_of_S = root(S)
-    K = solve(root_of_S, np.ascontiguousarray(PHt.T))  # (m, n): transposed
+    K = solve(root_of_S, HP)  # (m, n): transposed
     for i in range(m):
         for k in range(n):
             x[k] += K[i, k] * innovation[i]
             for j in range(n):
-                P[k, j] -= K[i, k] * PHt[j, i]
+                P[k, j] -= K[i, k] * HP[i, j]
     rest = _by_measurement(P, H)  # of (I − K H) P
-    for k in range(n):
-        for i in range(m):
-            total = -rest[k, i]
+    for i in range(m):
+        for k in range(n):
+            total = -rest[i, k]
             for j in range(m):
                 total += K[j, k] * R[j, i]
-            rest[k, i] = total
+            rest[i, k] = total
     for k in range(n):
         for j in range(k + 1):
             both = P[k, j] + P[j, k]
             for i in range(m):
-                both += rest[k, i] * K[i, j] + rest[j, i] * K[i, k]
+                both += rest[i, k] * K[i, j] + rest[i, j] * K[i, k]
             P[k, j] = P[j, k] = both / 2.0
     return weighted_square(root_of_S, innovation), log_determinant(root_of_S)
 
@@ -123,13 +123,13 @@ def correct_shared(
 
 @compiled
 def _by_measurement(P: FloatArray, H: FloatArray) -> FloatArray:
-    """(n, m) P Hᵀ; the zeros of H, of which it is full, cost nothing."""
+    """(m, n) P Hᵀ, transposed; the zeros of H, of which it is full, cost nothing."""
     n = H.shape[1]
-    product = np.zeros((n, H.shape[0]))
+    product = np.zeros(H.shape)
     for i in range(H.shape[0]):
         for k in range(n):
             h = H[i, k]
             if h != 0.0:
                 for j in range(n):
-                    product[j, i] += P[j, k] * h
+                    product[i, j] += P[j, k] * h
     return product
