@@ -38,8 +38,8 @@ def drive(*segments: tuple[float, float, float], soil: str = "sand", **more: obj
 
 
 def random_drive(seed: int, soil: str) -> Scenario:
-    """60 s of commands that change at random every 2 s, from full reverse to full speed."""
-    speeds = np.random.default_rng(seed).uniform(-1.0, 3.0, (30, 2))
+    """30 s of commands that change at random every 2 s, from full reverse to full speed."""
+    speeds = np.random.default_rng(seed).uniform(-1.0, 3.0, (15, 2))
     return drive(*((2.0, float(left), float(right)) for left, right in speeds), soil=soil)
 
 
@@ -64,11 +64,11 @@ def test_turn_with_inner_track_at_60_percent(name: str) -> None:
 
 @pytest.mark.parametrize("name", SOILS)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_halving_the_step_moves_the_end_by_less_than_a_millimetre(name: str, seed: int) -> None:
+def test_halving_the_step_moves_the_end_by_less_than_half_a_millimetre(name: str, seed: int) -> None:
     scenario = random_drive(seed, name)
     whole = simulate(scenario, settings=SETTINGS)
     half = simulate(scenario, settings=dataclasses.replace(SETTINGS, step=SETTINGS.step / 2))
-    assert np.hypot(whole.x[-1] - half.x[-1], whole.y[-1] - half.y[-1]) < 1e-3
+    assert np.hypot(whole.x[-1] - half.x[-1], whole.y[-1] - half.y[-1]) < 5e-4
 
 
 @pytest.mark.parametrize("name", ["slalom", "field_trial"])

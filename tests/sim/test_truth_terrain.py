@@ -172,15 +172,15 @@ def test_energy_balances(name: str, soil: str) -> None:
 
 @pytest.mark.parametrize("name", SLOPES)
 @pytest.mark.parametrize("soil", ["sand", "clayey_soil"])
-def test_halving_the_step_moves_the_end_by_less_than_a_millimetre(name: str, soil: str) -> None:
+def test_halving_the_step_moves_the_end_by_less_than_half_a_millimetre(name: str, soil: str) -> None:
     scenario = dataclasses.replace(
-        load_scenario("field_trial").stretched(60.0), terrain=load_terrain(name), soil=soil
+        load_scenario("field_trial").stretched(30.0), terrain=load_terrain(name), soil=soil
     )
     ends = []
     for step in (SETTINGS.step, 0.5 * SETTINGS.step):
         truth = simulate(scenario, settings=dataclasses.replace(SETTINGS, step=step))
         ends.append((truth.x[-1], truth.y[-1], truth.z[-1]))
-    assert math.dist(*ends) < 1e-3
+    assert math.dist(*ends) < 5e-4
 
 
 @given(x=st.floats(-0.6, 0.6), y=st.floats(-0.33, 0.33))
