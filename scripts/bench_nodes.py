@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import rclpy
 
+import bench_bare
 from bench_devices import SICK_BAUD, WATSON_BAUD
 from bench_ros import FLOOR, Listener
 from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
@@ -137,11 +138,12 @@ def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
 class Graph:
     """The whole graph, live."""
 
-    loads: dict[str, Load]
+    loads: dict[str, float]  # CPU of each node, % of a core
     odometry: Latency  # from the stamp of the sprockets
     floor: Latency  # one hop of rclpy, at the same time
     bare: Latency  # of odometry, once a bare relay is in the slip estimator's place
     bag: Path
+    ends: dict[str, bench_bare.Ends]  # by node, what it takes and publishes
 
 
 def graph(directory: Path, seconds: float) -> Graph:
@@ -161,6 +163,7 @@ def graph(directory: Path, seconds: float) -> Graph:
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(seconds / 2)
         after, took = running.cpu_s(), time.monotonic() - began
+        ends = bench_bare.ends_of(listener.node)
         odometry, floor = (Latency.of(listener.ages_ms[topic]) for topic in (ours, bare))
         running.stop(("record", "slip_estimator"))
         running.start("relay", [sys.executable, script, "relay"])
@@ -168,8 +171,22 @@ def graph(directory: Path, seconds: float) -> Graph:
         _hear(listener, ours)
         listener.listen(seconds / 4)
         relayed = Latency.of(listener.ages_ms[ours])
-    loads = {name: Load(100.0 * (after[name] - before[name]) / took, 0.0) for name in before}
-    return Graph(loads, odometry, floor, relayed, options.bag)
+    loads = {name: 100.0 * (after[name] - before[name]) / took for name in before}
+    return Graph(loads, odometry, floor, relayed, options.bag, ends)
+
+
+def bare_loads(directory: Path, found: Graph, seconds: float) -> dict[str, float]:
+    """CPU, % of a core, of bare nodes in the place of all those of a graph (``bench_bare``)."""
+    topics, script = directory / "topics.json", str(Path(__file__).parent / "bench_bare.py")
+    bench_bare.write_topics(topics, found.ends, found.bag)
+    with children(directory) as running, _listener((), ("odometry",)) as listener:
+        for name in found.loads.keys() & found.ends.keys():
+            running.start(name, [sys.executable, script, str(topics), name])
+        _hear(listener, "odometry")
+        before, began = running.cpu_s(), time.monotonic()
+        listener.listen(seconds)
+        after, took = running.cpu_s(), time.monotonic() - began
+    return {name: 100.0 * (after[name] - before[name]) / took for name in before}
 
 
 def _hear(listener: Listener, topic: str) -> None:

@@ -35,16 +35,16 @@ class Listener:
     def __init__(self, topics: tuple[str, ...], odometry: tuple[str, ...] = ()) -> None:
         self.received: Counter[str] = Counter()
         self.ages_ms: dict[str, list[float]] = {topic: [] for topic in odometry}
-        self._node = rclpy.create_node("bench")
+        self.node = rclpy.create_node("bench")
         self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
+        self._executor.add_node(self.node)
         for topic in topics:
             name = topic.removeprefix(FLOOR)
             callback = self._counting(topic)
-            self._node.create_subscription(topic_class(name), topic, callback, subscriber_qos(name), raw=True)
+            self.node.create_subscription(topic_class(name), topic, callback, subscriber_qos(name), raw=True)
         for topic in odometry:
             note = self._noting(self.ages_ms[topic])
-            self._node.create_subscription(topic_class("odometry"), topic, note, subscriber_qos("odometry"))
+            self.node.create_subscription(topic_class("odometry"), topic, note, subscriber_qos("odometry"))
 
     def listen(self, seconds: float) -> None:
         """Handle what comes."""
@@ -61,7 +61,7 @@ class Listener:
     def close(self) -> None:
         """Leave the graph."""
         self._executor.shutdown()
-        self._node.destroy_node()
+        self.node.destroy_node()
 
     def _counting(self, topic: str) -> Callable[[bytes], None]:
         def count(_: bytes) -> None:

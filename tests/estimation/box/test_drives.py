@@ -12,9 +12,9 @@ LEAST = 100  # fixes for a mean to mean something
 
 @pytest.fixture(scope="module")
 def fixes():
-    """Some 4000, from four headings; half of the drives stay in sight, and keep their heading."""
+    """Some 2500, from four headings; half of the drives stay in sight, and keep their heading."""
     kinds = ({"farthest": 36.0, "hides": True}, {"farthest": 26.0, "hides": False})
-    drives = [scored_drive(seed, 110.0, seed % 4 * np.pi / 2.0, **kinds[seed // 4]) for seed in range(8)]
+    drives = [scored_drive(seed, 70.0, seed % 4 * np.pi / 2.0, **kinds[seed // 4]) for seed in range(8)]
     return [fix for found, _ in drives for fix in found]
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
@@ -175,6 +175,7 @@ def test_no_public_function_is_left_out():
 
 
 @pytest.mark.parametrize("name", CASES)
+@settings(max_examples=40)  # of each function
 @given(data=st.data())
 def test_an_array_is_a_loop_of_scalars(name, data):
     function, arguments = CASES[name]
@@ -188,6 +189,7 @@ def test_an_array_is_a_loop_of_scalars(name, data):
 
 
 @pytest.mark.parametrize("name", CASES)
+@settings(max_examples=40)  # of each function
 @given(data=st.data())
 def test_arguments_broadcast(name, data):
     function, arguments = CASES[name]

@@ -68,15 +68,15 @@ def correct(
     be larger than x: then the rest of it stays as it is.
     """
     n, m = x.size, innovation.size
-    PHt, S = _by_measurement(P, H), R.copy()
+    HP, S = _by_measurement(P, H), R.copy()
     for i in range(m):
         for k in range(n):
             h = H[i, k]
             if h != 0.0:
                 for j in range(m):
-                    S[i, j] += h * PHt[k, j]
+                    S[i, j] += h * HP[j, k]
     root_of_S = root(S)
-    _apply(x, P, innovation, (solve(root_of_S, np.ascontiguousarray(PHt.T)), PHt), (H, R))
+    _apply(x, P, innovation, (solve(root_of_S, HP), HP), (H, R))
     return weighted_square(root_of_S, innovation), log_determinant(root_of_S)
 
 
@@ -94,33 +94,26 @@ def correct_knowing(
     they are. They keep mean and variance (Schmidt), and P has what is unknown of them. The same number twice:
     one state. Returns NIS and ln S.
     """
-    H, R = given
-    PHt, others = _by_measurement(P, H), H.copy()
-    for k in known:
-        others[0, k] = 0.0
-    K = _by_measurement(P, others)  # then without what the known ones account for
-    first, second = P[: x.size, known[0]].copy(), P[: x.size, known[1]].copy()
-    if first[known[0]] > 0.0:
-        second -= first * (second[known[0]] / first[known[0]])
-        _explain(K, first, known[0])
-    if second[known[1]] > _NOTHING * P[known[1], known[1]]:
-        _explain(K, second, known[1])
+    (H, R), (one, other) = given, known
+    n, HP = x.size, _by_measurement(P, H)
+    first, second = P[one, :n].copy(), P[other, :n].copy()
+    K = HP.copy()
+    K[0] -= H[0, one] * first
+    if other != one:
+        K[0] -= H[0, other] * second
+    if first[one] > 0.0:
+        second -= first * (second[one] / first[one])
+        K[0] -= first * (K[0, one] / first[one])
+    if second[other] > _NOTHING * P[other, other]:
+        K[0] -= second * (K[0, other] / second[other])
+    K[0, one] = K[0, other] = 0.0
     S, alone = R[0, 0], R[0, 0]
-    for k in range(x.size):
-        S += H[0, k] * PHt[k, 0]
-        alone += others[0, k] * K[k, 0]
-    for k in known:
-        K[k, 0] = 0.0
-    _apply(x, P, innovation, (np.ascontiguousarray(K.T) / alone, PHt), (H, R))
+    for k in range(n):
+        S += H[0, k] * HP[0, k]
+        alone += H[0, k] * K[0, k]
+    K /= alone
+    _apply(x, P, innovation, (K, HP), (H, R))
     return innovation[0] ** 2 / S, math.log(S)
-
-
-@inlined
-def _explain(K: FloatArray, column: FloatArray, known: int) -> None:
-    """Takes from K (n, 1) what a state accounts for, of which the covariances with all (n,) are given."""
-    share = K[known, 0] / column[known]
-    for k in range(column.size):
-        K[k, 0] -= share * column[k]
 
 
 @inlined
@@ -131,26 +124,26 @@ def _apply(
     gain: tuple[FloatArray, FloatArray],
     given: tuple[FloatArray, FloatArray],
 ) -> None:
-    """x and P corrected with a gain, Kᵀ (m, n); beside it P Hᵀ, and H and R."""
-    (K, PHt), (H, R) = gain, given
+    """x and P corrected with a gain, Kᵀ (m, n); beside it H P, and H and R."""
+    (K, HP), (H, R) = gain, given
     n, m = x.size, innovation.size
     for i in range(m):
         for k in range(n):
             x[k] += K[i, k] * innovation[i]
             for j in range(n):
-                P[k, j] -= K[i, k] * PHt[j, i]
+                P[k, j] -= K[i, k] * HP[i, j]
     rest = _by_measurement(P, H)  # of (I − K H) P
-    for k in range(n):
-        for i in range(m):
-            total = -rest[k, i]
+    for i in range(m):
+        for k in range(n):
+            total = -rest[i, k]
             for j in range(m):
                 total += K[j, k] * R[j, i]
-            rest[k, i] = total
+            rest[i, k] = total
     for k in range(n):
         for j in range(k + 1):
             both = P[k, j] + P[j, k]
             for i in range(m):
-                both += rest[k, i] * K[i, j] + rest[j, i] * K[i, k]
+                both += rest[i, k] * K[i, j] + rest[i, j] * K[i, k]
             P[k, j] = P[j, k] = both / 2.0
 
 
@@ -183,13 +176,13 @@ def correct_shared(
 
 @compiled
 def _by_measurement(P: FloatArray, H: FloatArray) -> FloatArray:
-    """(n, m) P Hᵀ; the zeros of H, of which it is full, cost nothing."""
+    """(m, n) P Hᵀ, transposed; the zeros of H, of which it is full, cost nothing."""
     n = H.shape[1]
-    product = np.zeros((n, H.shape[0]))
+    product = np.zeros(H.shape)
     for i in range(H.shape[0]):
         for k in range(n):
             h = H[i, k]
             if h != 0.0:
                 for j in range(n):
-                    product[j, i] += P[j, k] * h
+                    product[i, j] += P[j, k] * h
     return product

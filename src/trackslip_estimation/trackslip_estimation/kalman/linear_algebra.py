@@ -82,26 +82,32 @@ def root(P: FloatArray) -> FloatArray:
 def solve(L: FloatArray, B: FloatArray) -> FloatArray:
     """(L Lᵀ)⁻¹ B, nothing along directions in which L is singular."""
     X = B.copy()
-    n = L.shape[0]
     for column in range(B.shape[1]):
-        for i in range(n):
-            for k in range(i):
-                X[i, column] -= L[i, k] * X[k, column]
-            X[i, column] = X[i, column] / L[i, i] if L[i, i] > 0.0 else 0.0
-        for i in range(n - 1, -1, -1):
-            for k in range(i + 1, n):
-                X[i, column] -= L[k, i] * X[k, column]
-            X[i, column] = X[i, column] / L[i, i] if L[i, i] > 0.0 else 0.0
+        _solve_in_place(L, X[:, column])
     return X
+
+
+@compiled
+def _solve_in_place(L: FloatArray, v: FloatArray) -> None:
+    """v (n,) becomes (L Lᵀ)⁻¹ v, as ``solve``."""
+    n = L.shape[0]
+    for i in range(n):
+        for k in range(i):
+            v[i] -= L[i, k] * v[k]
+        v[i] = v[i] / L[i, i] if L[i, i] > 0.0 else 0.0
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            v[i] -= L[k, i] * v[k]
+        v[i] = v[i] / L[i, i] if L[i, i] > 0.0 else 0.0
 
 
 @compiled
 def weighted_square(L: FloatArray, v: FloatArray) -> float:
     """vᵀ (L Lᵀ)⁻¹ v."""
-    total = 0.0
-    weighed = solve(L, v.copy().reshape((-1, 1)))
+    total, weighed = 0.0, v.copy()
+    _solve_in_place(L, weighed)
     for i in range(v.size):
-        total += v[i] * weighed[i, 0]
+        total += v[i] * weighed[i]
     return total
 
 

@@ -180,7 +180,7 @@ class SlipEstimator:
         """``process`` of each, at once."""
         given = list(measurements)
         results = self.process_records(to_records(given, self.sources))
-        return [make_step(result, m.source) for result, m in zip(results, given, strict=True)]
+        return [make_step(result, m.source) for result, m in zip(results.tolist(), given, strict=True)]
 
     def estimate(self) -> Estimate:
         """The state at the newest stamp, of whichever source.
@@ -204,7 +204,7 @@ class SlipEstimator:
 
 
 def make_step(result: Any, source: str) -> Step:
-    """What a record of ``RESULT`` says."""
+    """What a record of ``RESULT`` says, or the tuple of its fields, which is faster to look at."""
     stamp_ns, outcome, dof, nis, gate, orientation, published, estimate = result
     refusal = OrientationRefusal(orientation) if orientation else None
     report = Report(source, int(stamp_ns), Outcome(outcome), float(nis), float(gate), int(dof), refusal)
@@ -212,7 +212,7 @@ def make_step(result: Any, source: str) -> Step:
 
 
 def make_estimate(record: Any) -> Estimate:
-    """What a record of ``ESTIMATE`` says."""
+    """What a record of ``ESTIMATE``, or the tuple of its fields, says."""
     stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt, *rest = record
     slips, slip_covariance, motion, swing = rest
     known, *of_tilt = tilt

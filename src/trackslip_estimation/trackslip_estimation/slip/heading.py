@@ -26,7 +26,6 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
 from trackslip_estimation.slip.models.swing import may_swing, open_swing
 from trackslip_estimation.slip.observation import observed
-from trackslip_estimation.slip.records import HEADING
 from trackslip_estimation.slip.update import correct, width_of
 
 _GATED = int(Outcome.GATED)
@@ -71,7 +70,7 @@ def use_heading(state: Any, measurement: Any, c: Any, update: Any) -> None:
     else:
         update.prior_covariance[YAW, YAW] += innovation[0] ** 2
         P[YAW, YAW] += innovation[0] ** 2
-    correct(HEADING, x, P, (x[YAW : YAW + 1] + innovation, R), (0.0, 0.0), c)
+    correct(measurement.kind, x, P, (x[YAW : YAW + 1] + innovation, R), (0.0, 0.0), c)
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
     turn_heading(x, P, source, -1.0, c)

@@ -20,7 +20,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import SPROCKETS
 from trackslip_estimation.slip.window import Records, Window, make_window, run
 
-_BLOCK = 1024  # entries
+_BLOCK = 256  # entries: their states and updates, 3 MB, stay near the processor
 _USED = (Outcome.ACCEPTED, Outcome.GATED, Outcome.JUMPED, Outcome.BEGUN)
 
 

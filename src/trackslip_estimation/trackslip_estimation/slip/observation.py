@@ -135,7 +135,9 @@ def add_rounding(kind: int, x: FloatArray, R: FloatArray, state: Any, c: Any) ->
     e, m = rounding(interval, c.encoder_resolution), R.shape[0]
     by_left = expected(kind, x, m, (left + e, right), c) - expected(kind, x, m, (left - e, right), c)
     by_right = expected(kind, x, m, (left, right + e), c) - expected(kind, x, m, (left, right - e), c)
-    R += (np.outer(by_left, by_left) + np.outer(by_right, by_right)) / 4.0
+    for i in range(m):
+        for j in range(m):
+            R[i, j] += (by_left[i] * by_left[j] + by_right[i] * by_right[j]) / 4.0
 
 
 @compiled

@@ -240,7 +240,8 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
         elif isinstance(m, YawRate):
             record["kind"], record["source"] = YAW_RATE, sources[m.source]
             record["value"] = (m.rate, *m.tilt_rates)
-            record["noise"] = np.diag((m.variance, *m.tilt_variances))
+            noise = record["noise"]
+            noise[0, 0], (noise[1, 1], noise[2, 2]) = m.variance, m.tilt_variances
             record["acceleration"] = m.acceleration
             record["acceleration_variance"] = m.acceleration_variance
             record["up"], record["up_variances"] = m.up, m.up_variances

@@ -25,7 +25,6 @@ from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW
 from trackslip_estimation.slip.observation import observed
-from trackslip_estimation.slip.records import ON_SWING
 from trackslip_estimation.slip.update import correct, width_of
 
 _GATED = int(Outcome.GATED)
@@ -61,7 +60,7 @@ def use_swing(state: Any, measurement: Any, c: Any, update: Any) -> None:
             update.prior_covariance[i, i] += widened
     if c.swing_place >= 0:
         to_sensor(x, P, level, c.swing_place, 1.0, c)
-    correct(ON_SWING, x, P, (x[SWING : SWING + 1] + innovation, R), (0.0, 0.0), c)
+    correct(measurement.kind, x, P, (x[SWING : SWING + 1] + innovation, R), (0.0, 0.0), c)
     x[YAW] = wrap(x[YAW])
     if c.swing_place >= 0:
         to_sensor(x, P, level, c.swing_place, -1.0, c)

@@ -37,7 +37,7 @@ from trackslip_estimation.slip.observation import (
     jacobian,
     observed,
 )
-from trackslip_estimation.slip.records import HEADING, POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.records import HEADING, POSE, YAW_RATE
 from trackslip_estimation.slip.stands import count_fix, stands_still
 
 FloatArray = NDArray[np.float64]
@@ -48,23 +48,23 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 @inlined
 def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
     """Slips: used inside their gate, which widens while they and the state disagree."""
+    kind = measurement.kind
     z, R = observed(measurement, state, c)
-    left, right, _ = comparable_speeds(SLIPS, state, c)
+    left, right, _ = comparable_speeds(kind, state, c)
     limit, update.dof = c.gate_limits[z.size], z.size
     update.gate = limit * width_of(state, measurement, c)
-    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), state.covariance.copy()
-    add_rounding(SLIPS, x, R, state, c)
-    update.nis, update.log_determinant = correct(SLIPS, x, P, (z, R), (left, right), c)
+    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), update.prior_covariance
+    add_rounding(kind, x, R, state, c)
+    update.nis, update.log_determinant = correct(kind, x, P, (z, R), (left, right), c)
     if update.nis > update.gate:
         update.outcome = _GATED
         return
     if update.nis > limit:
-        widen(SLIPS, z, state.mean, prior_P, (left, right), c)
+        widen(kind, z, state.mean, prior_P, (left, right), c)
         x[:], P[:] = state.mean[: c.size], prior_P
-        correct(SLIPS, x, P, (z, R), (left, right), c)
+        correct(kind, x, P, (z, R), (left, right), c)
     else:
         state.consistent_ns[measurement.source] = measurement.stamp_ns
-    update.prior_covariance[:] = prior_P
     state.mean[: c.size], state.covariance[:] = x, P
 
 
@@ -75,16 +75,16 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     The state is in the coordinates of its gyro (``levers.to_gyro``).
     Beyond that it is refused, until several agree on other ground, or the gate has widened (``gate``).
     """
-    source = measurement.source
+    kind, source = measurement.kind, measurement.source
     z, R = observed(measurement, state, c)
     stated = R[0, 0]
     R *= state.adaptation.rate_factor
-    left, right, _ = comparable_speeds(YAW_RATE, state, c)
+    left, right, _ = comparable_speeds(kind, state, c)
     limit, update.dof = c.gate_limits[1], 1
     update.gate = limit * width_of(state, measurement, c)
-    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), state.covariance.copy()
-    add_rounding(YAW_RATE, x, R, state, c)
-    nis, log_determinant = correct(YAW_RATE, x, P, (z, R), (left, right), c)
+    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), update.prior_covariance
+    add_rounding(kind, x, R, state, c)
+    nis, log_determinant = correct(kind, x, P, (z, R), (left, right), c)
     rate, variance = _rate_shown(state, source, (z[0], R[0, 0]), c)
     possible = np.isinf(limit) or not on_no_ground(rate, variance, (left, right), c)
     surprise, again = nis, False
@@ -95,7 +95,7 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
         streak.count = 0
         forget_ground(prior_P, c)
         x[:], P[:] = state.mean[: c.size], prior_P
-        nis, log_determinant = correct(YAW_RATE, x, P, (z, R), (left, right), c)
+        nis, log_determinant = correct(kind, x, P, (z, R), (left, right), c)
         surprise = nis
     elif nis <= limit:
         streak.count = 0
@@ -104,19 +104,18 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
         again = True
     update.nis, update.log_determinant = nis, log_determinant
     if surprise > update.gate or not possible:
-        update.outcome = _GATED
+        update.outcome, prior_P[:] = _GATED, state.covariance
         return
     if surprise > limit:
         if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
             widen_swing_rate(prior_P, c.swing.fastest**2)
         else:
-            widen(YAW_RATE, z, state.mean, prior_P, (left, right), c)
+            widen(kind, z, state.mean, prior_P, (left, right), c)
         again = True
     if again:
         x[:], P[:] = state.mean[: c.size], prior_P
-        correct(YAW_RATE, x, P, (z, R), (left, right), c)
+        correct(kind, x, P, (z, R), (left, right), c)
     state.consistent_ns[source] = measurement.stamp_ns
-    update.prior_covariance[:] = prior_P
     state.mean[: c.size], state.covariance[:] = x, P
 
 
@@ -201,7 +200,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
         R = R + (nis / limit - 1.0) * (predicted + R)
     R = known * R
     count_fix(state, source, alone, R, c)
-    correct(POSE, x, P, (z, R), (0.0, 0.0), c)
+    correct(measurement.kind, x, P, (z, R), (0.0, 0.0), c)
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
     to_sensor(x, P, state.attitude.level, source, -1.0, c)

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The floor of the live graph: bare rclpy nodes that take and publish what the real ones do, and do nothing.
+
+``bench_bare.py TOPICS NAME`` is one of them. ``TOPICS`` is a JSON file: which topics each node of the real
+graph took and published, and of each topic how often it came, and one of its messages. What a node publishes
+because something came, it publishes then; all else is paced by a thread.
+"""
+
+import json
+import sys
+import threading
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.qos import ReliabilityPolicy
+from rclpy.task import Future
+
+from trackslip_bags.reader import open_bag
+from trackslip_common.nodes.messages import topic_class
+from trackslip_common.nodes.qos import best_effort, publisher_qos, reliable
+from trackslip_common.nodes.run import Executor
+from trackslip_common.topics import TOPICS
+
+Ends = dict[str, dict[str, bool]]  # "takes" and "publishes": topic → whether reliably
+_ESTIMATE = ("odometry", "odometry/local", "attitude", "swing/estimate", "track_slip")
+_BECAUSE_OF = {
+    **dict.fromkeys(_ESTIMATE, ("sprockets",)),
+    "box_pose": ("scan",),
+    "measurement_reports": ("sprockets", "imu/data_raw", "box_pose"),
+}
+_SPIN = 0.1  # s, as the real nodes
+
+
+def ends_of(node: Any) -> dict[str, Ends]:
+    """By name of a node, what it takes and publishes of the project's topics, as ``node`` sees it."""
+    found: dict[str, Ends] = defaultdict(lambda: {"takes": {}, "publishes": {}})
+    for topic in TOPICS:
+        for end in node.get_publishers_info_by_topic(f"/{topic}"):
+            found[end.node_name]["publishes"][topic] = True
+        for end in node.get_subscriptions_info_by_topic(f"/{topic}"):
+            reliable = end.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+            found[end.node_name]["takes"][topic] = reliable
+    return dict(found)
+
+
+def write_topics(path: Path, nodes: dict[str, Ends], bag_path: Path) -> None:
+    """The JSON file, with messages and rates as a bag has them."""
+    messages: dict[str, str] = {}
+    counts: Counter[str] = Counter()
+    with open_bag(bag_path) as bag:
+        seconds = bag.duration_s
+        for m in bag.messages():
+            counts[m.topic] += 1
+            messages[m.topic] = bytes(m.raw).hex()
+    topics = {
+        topic.removeprefix("/"): {"message": raw, "rate": counts[topic] / seconds}
+        for topic, raw in messages.items()
+    }
+    path.write_text(json.dumps({"nodes": nodes, "topics": topics}), encoding="utf-8")
+
+
+def run(path: Path, name: str) -> None:
+    """Until interrupted."""
+    known = json.loads(path.read_text(encoding="utf-8"))
+    own, topics = known["nodes"][name], known["topics"]
+    rclpy.init()
+    node = rclpy.create_node(name)
+    outputs = {topic: _output(node, topic, topics[topic]) for topic in own["publishes"] if topic in topics}
+    for topic, is_reliable in own["takes"].items():
+        if topic in topics:
+            caused = [publish for of, publish in outputs.items() if topic in _BECAUSE_OF.get(of, ())]
+            kind, qos = topic_class(topic), reliable() if is_reliable else best_effort()
+            node.create_subscription(kind, topic, _calling(caused), qos, raw=True)
+    for topic, publish in outputs.items():
+        if topic not in _BECAUSE_OF:
+            period = 1.0 / topics[topic]["rate"]
+            threading.Thread(target=_repeat, args=(publish, period), daemon=True).start()
+    executor = Executor()
+    executor.add_node(node)
+    while rclpy.ok():
+        executor.spin_until_future_complete(Future(), _SPIN)
+
+
+def _output(node: Any, topic: str, known: dict[str, Any]) -> Callable[[], None]:
+    publisher = node.create_publisher(topic_class(topic), topic, publisher_qos(topic))
+    message = bytes.fromhex(known["message"])
+    return lambda: publisher.publish(message)
+
+
+def _calling(publish: list[Callable[[], None]]) -> Callable[[bytes], None]:
+    def call(_: bytes) -> None:
+        for each in publish:
+            each()
+
+    return call
+
+
+def _repeat(publish: Callable[[], None], period: float) -> None:
+    due_s = time.monotonic()
+    while True:
+        publish()
+        due_s += period
+        time.sleep(max(due_s - time.monotonic(), 0.0))
+
+
+if __name__ == "__main__":
+    try:
+        run(Path(sys.argv[1]), sys.argv[2])
+    except KeyboardInterrupt:
+        sys.exit(130)

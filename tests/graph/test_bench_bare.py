@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bench's bare nodes take and publish what the real ones do, as often."""
+
+import json
+import signal
+from pathlib import Path
+
+import bench_bare
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.writer import BagWriter
+from trackslip_common.topics import TOPICS
+
+SCRIPT = str(Path(bench_bare.__file__))
+RATE = 20.0  # Hz, of what nothing causes
+ENDS = {
+    "slip_estimator": {"takes": {"sprockets": False}, "publishes": {"odometry": True}},
+    "can_driver": {"takes": {}, "publishes": {"sprockets": True}},
+}
+
+
+def test_a_bare_node_paces_what_nothing_causes_and_answers_the_rest(programs, observer):
+    with BagWriter(programs.folder / "bag") as bag:
+        for k in range(int(RATE) + 1):
+            for topic, fields in (("sprockets", {"name": ["a"]}), ("odometry", {})):
+                kind = TOPICS[topic].type_name
+                bag.write(f"/{topic}", kind, serialize(make(kind, **fields)), round(k * 1e9 / RATE))
+    topics = programs.folder / "topics.json"
+    bench_bare.write_topics(topics, ENDS, programs.folder / "bag")
+    assert json.loads(topics.read_text())["topics"]["sprockets"]["rate"] == (RATE + 1) / 1.0
+
+    sprockets, odometry = observer.subscribe("sprockets"), observer.subscribe("odometry")
+    estimator = programs.python(SCRIPT, str(topics), "slip_estimator")
+    observer.wait_for_ends("odometry", "slip_estimator")
+    assert odometry == []
+    driver = programs.python(SCRIPT, str(topics), "can_driver")
+    observer.wait(lambda: len(sprockets) > 5 and len(odometry) > 5, "both")
+    assert sprockets[0].name == ["a"]
+    ends = bench_bare.ends_of(observer.node)
+    assert ends["slip_estimator"] == ENDS["slip_estimator"]
+    assert ends["can_driver"] == ENDS["can_driver"]
+    for program in (driver, estimator):
+        assert program.end(signal.SIGINT)[0] == 130
