@@ -3,6 +3,8 @@
 """The few commands that need ROS load their node here, so that all others run without it."""
 
 import importlib
+import os
+import sys
 from typing import Any
 
 from trackslip_common.errors import InputError
@@ -21,3 +23,12 @@ def node_module(name: str, asked_by: str) -> Any:
             f"{asked_by}: ROS is not there (no module {error.name}); accepted: a shell that sourced its setup"
         )
         raise InputError(text) from error
+
+
+def shorten_logs(*, over_bar: bool = False) -> None:
+    """Leave out the date and the node's name that ROS prints before every line: there is only one node here.
+
+    ``over_bar``: on a terminal a line takes the place of the progress bar, which is drawn anew below it.
+    """
+    begin = "\r\033[K" if over_bar and sys.stderr.isatty() else ""
+    os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", f"{begin}[{{severity}}] {{message}}")

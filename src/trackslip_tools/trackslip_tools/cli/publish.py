@@ -13,7 +13,7 @@ from trackslip_bags.playback import Playback, played, played_topics
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.errors import InputError, show, suggestion
 from trackslip_tools.cli.keyboard import Keyboard
-from trackslip_tools.cli.nodes import node_module
+from trackslip_tools.cli.nodes import node_module, shorten_logs
 
 _RATES = (0.01, 100.0)
 _OFFLINE = (
@@ -62,6 +62,7 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     """
     _refuse(args, _OFFLINE, "not together with --publish")
     require_topics(bag, [*filters.remap, *args.also])
+    shorten_logs(over_bar=True)
     player = node_module("trackslip_bags.nodes.player", "--publish")
     topics = played_topics(bag, filters, args.also)
     for topic in [topic for topic, kind in topics.items() if not player.can_publish(kind)]:
