@@ -25,10 +25,10 @@ def node_module(name: str, asked_by: str) -> Any:
         raise InputError(text) from error
 
 
-def shorten_logs(*, over_bar: bool = False) -> None:
-    """Leave out the date and the node's name that ROS prints before every line: there is only one node here.
+def shorten_logs() -> None:
+    """Leave out the date and the name that ROS prints before every line: there is only one node here.
 
-    ``over_bar``: on a terminal a line takes the place of the progress bar, which is drawn anew below it.
+    On a terminal a line takes the place of the progress that is shown, which comes again below it.
     """
-    begin = "\r\033[K" if over_bar and sys.stderr.isatty() else ""
+    begin = "\r\x1b[K" if sys.stderr.isatty() else ""
     os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", f"{begin}[{{severity}}] {{message}}")

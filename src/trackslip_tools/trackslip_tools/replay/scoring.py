@@ -112,7 +112,8 @@ def slip_errors(estimated: Series, true: Series) -> FloatArray:
     errors = np.concatenate(
         [np.interp(wanted, t, estimated[side]) - true[side][inside] for side in ("left_slip", "right_slip")]
     )
-    return errors[np.isfinite(errors)]
+    known: FloatArray = errors[np.isfinite(errors)]
+    return known
 
 
 def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:
