@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from fixtures.terminal import COLUMNS, on_terminal
 
-BAGS = Path(__file__).parents[2] / "bags"
+ROOT = Path(__file__).parents[2]
+BAGS = ROOT / "bags"
 
 
 @pytest.mark.parametrize(
@@ -33,3 +34,10 @@ def test_a_command_keeps_to_the_terminal(words: str, tmp_path: Path) -> None:
     paths = (str(BAGS), str(tmp_path))  # are never broken
     assert [s for s in shown.lines if len(s) > COLUMNS and not any(path in s for path in paths)] == []
     assert "Traceback" not in shown.text
+
+
+def test_the_targets_of_make_were_wider_than_the_terminal() -> None:
+    shown = on_terminal(["make", "-C", str(ROOT), "--no-print-directory"])
+    assert shown.code == 0
+    assert {line.split()[1] for line in shown.lines if line.startswith("make ")} >= {"demo", "test", "clean"}
+    assert [line for line in shown.lines if len(line) > COLUMNS] == []
