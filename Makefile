@@ -20,7 +20,12 @@ ENTER := . .venv/trackslip.sh;
 .PHONY: help setup checks demo bars drives test faults soak lint ament bench fuzz bags figures docs clean
 
 help:
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { \
+		line = sprintf("make %-7s", $$1); n = split($$2, words, " "); \
+		for (k = 1; k <= n; k++) { \
+			if (length(line) + length(words[k]) >= 80) { print line; line = sprintf("%12s", "") } \
+			line = line " " words[k] } \
+		print line }' $(MAKEFILE_LIST)
 
 setup: ## make .venv and build ros2_ws; nothing where nothing changed (ROS=jazzy|kilted, PYTHON=python3)
 	@$(PYTHON) scripts/setup_workspace.py --ros '$(ROS)'

@@ -25,6 +25,14 @@ def test_reasons_are_counted_by_source() -> None:
     assert tally.total["a", "number"] == 3
 
 
+def test_the_latest_detail_stands_for_its_own_reason() -> None:
+    tally = Tally()
+    for detail in ("7 fields", "8 fields", ""):
+        tally.add("a", Reason.TEXT, detail=detail)
+    tally.add("a", Reason.NUMBER)
+    assert [tally.words(key) for key in tally.total] == ["8 fields", "number"]
+
+
 def test_a_tally_is_read_while_another_thread_counts() -> None:
     """New keys came while a copy or a sorted list was made: "dictionary changed size during iteration"."""
     tally, failures, begun = Tally(), [], threading.Event()

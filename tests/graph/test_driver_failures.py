@@ -6,6 +6,7 @@ import queue
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import Enum
 
 import pytest
 import rclpy
@@ -84,3 +85,40 @@ def test_exception_while_data_are_decoded_is_reported_and_the_driver_goes_on(dri
     (entry,) = driver.callback_failures.health()
     assert entry.level == ERROR
     assert "received data: ValueError: no such telegram (test_driver_failures.py:" in entry.message
+
+
+def messages(driver: FragileDriver, seconds: float) -> list[str]:
+    """What the driver says, each time that it is something else."""
+    found = [""]
+    give_up = time.monotonic() + seconds
+    while time.monotonic() < give_up:
+        (entry,) = driver.health()
+        found += [entry.message] * (entry.message != found[-1])
+        time.sleep(0.01)
+    return found[1:]
+
+
+def test_a_silent_port_was_said_to_have_nothing_yet_whenever_it_was_opened_anew(domain, monkeypatch):
+    monkeypatch.setattr("trackslip_drivers.nodes.driver._OPENING", 0.1)
+    monkeypatch.setattr(FragileDriver, "period", 0.02)
+    monkeypatch.setattr(FragileDriver, "silence", 0.4)
+    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    node = FragileDriver()
+    node.start()
+    found, where = messages(node, 1.5), node.where()
+    assert node._link.state().openings > 1
+    node.end()
+    node.destroy_node()
+    rclpy.try_shutdown()
+    assert found[-1] == f"{where}: no bytes; check power and port"
+    assert sum("nothing yet" in text for text in found) == 1
+
+
+def test_of_two_reasons_the_one_that_came_last_was_named(driver):
+    """A scanner's garbled bytes, and now and then that it answers at no rate."""
+    driver.port.items.put(b"1")
+    reasons = Enum("reasons", {"GARBAGE": "garbage byte", "MUTE": "no answer at any rate"})
+    for _ in range(3):
+        driver.tally.add("scan", reasons.GARBAGE, 40)
+        driver.tally.add("scan", reasons.MUTE)
+        assert driver.health()[0].values["last rejected"] == "garbage byte"

@@ -2,10 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag drives a live graph: ``trackslip replay --publish`` and a live estimator."""
 
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fixtures.terminal import on_terminal
 from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
@@ -115,3 +118,21 @@ def test_a_graph_with_drivers_that_still_run_is_warned_of(programs, observer, pa
     player = programs.tool("trackslip", "replay", str(path), "--publish", "--stop", "0.5")
     assert player.wait() == 0
     assert "/sprockets is published by observer too" in player.stderr
+
+
+def test_lines_of_the_player_were_put_into_its_bar(path):
+    """On a terminal, where nobody listens and the player says so."""
+    command = [
+        sys.executable,
+        "-m",
+        "trackslip_tools.cli.main",
+        "replay",
+        str(path),
+        "--publish",
+        "--rate",
+        "2",
+    ]
+    shown = on_terminal(command, {**os.environ, "ROS_DOMAIN_ID": "173"})
+    assert shown.code == 0, shown.text
+    warnings = [line for line in shown.lines if "nobody subscribes" in line]
+    assert warnings == ["[WARN] nobody subscribes to what is played"]

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The demo's directory: nothing in it is removed that a demo did not make."""
 
+import math
 import os
 
 import pytest
 
 from trackslip_common.errors import InputError
 from trackslip_sim.demo.output import MARKER, claim
+from trackslip_sim.demo.show import status
 
 
 def test_demo_removed_any_directory_it_was_given(tmp_path):
@@ -69,3 +71,12 @@ def test_what_cannot_be_a_directory_is_refused_in_one_line(tmp_path, made):
     with pytest.raises(InputError, match="demo"):
         claim(tmp_path / "demo" / "below" if made == "below a file" else tmp_path / "demo")
     assert (tmp_path / "demo").read_text() == "a file"
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_lines_of_the_drive_were_cut_off_at_80_columns(known):
+    pose = (-123.4, -99.99, -math.pi) if known else (math.nan,) * 3
+    rates = {"sprockets": 100.4, "imu/data_raw": 11.9, "scan": 4.2, "odometry": 100.4}
+    text = status(3599.9, pose, (-1.0, 1.0, -math.pi / 2.0), rates)
+    assert max(map(len, text.splitlines())) <= 80
+    assert all(topic in text for topic in rates)

@@ -51,6 +51,11 @@ def test_what_cannot_be_served_is_refused_in_one_line(
     assert "accepted" in line or "refused" in line
 
 
+def test_a_bag_was_replayed_before_its_address_was_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["live", str(BAG), "--host", "0.0.0.0"]) == ExitCode.BAD_INPUT
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
 def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
     with open_bag(BAG) as bag, with_estimates(bag) as whole:
         state = LiveState("a test", load_vehicle())

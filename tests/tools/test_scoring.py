@@ -161,7 +161,22 @@ def test_slips_are_scored_only_where_a_track_moves() -> None:
     twists = ((0.0, 0.0), (0.04, 0.0), (0.3, 0.0), (-0.3, 0.0), (0.0, -0.2))
     v_x, rates = zip(*twists, strict=True)
     odometry = series_of(stamp_ns=stamps(*times), v_x=v_x, yaw_rate=rates)
-    true = slips(stamps(*times, 500), np.arange(6.0), np.arange(6.0))
+    true = slips(stamps(*times, 500), np.arange(6.0) / 100.0, np.arange(6.0) / 50.0)
     kept = moving_slips(odometry, true, 0.73)
     np.testing.assert_array_equal(kept.stamps_ns, stamps(200, 300, 400))
     np.testing.assert_array_equal(kept.rows, true.rows[2:5])
+
+
+def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
+    """A pivot, in which the inner track creeps at 0.02 m/s, a spin on the spot, both tracks running."""
+    times, speeds = (0, 100, 200), np.array(((0.02, 0.5), (0.5, 0.5), (0.3, 0.5)))  # left, right r ω
+    ground = np.array(((0.08, 0.4), (1e-6, 1e-6), (0.29, 0.4)))
+    left, right = (1.0 - ground / speeds).T
+    v_x, rates = ground.mean(axis=1), np.diff(ground)[:, 0] / 0.73
+    odometry = series_of(stamp_ns=stamps(*times), v_x=v_x, yaw_rate=rates)
+    kept = moving_slips(odometry, slips(stamps(*times), left, right), 0.73)
+    np.testing.assert_array_equal(kept.stamps_ns, stamps(0, 200))
+    np.testing.assert_array_equal(kept["left_slip"], (np.nan, left[2]))
+    np.testing.assert_array_equal(kept["right_slip"], right[[0, 2]])
+    own = slips(stamps(0, 200), (0.0, left[2] + 0.03), (right[0] + 0.03, right[2]))
+    assert slip_rmse(own, kept) == pytest.approx(0.03 * math.sqrt(2.0 / 3.0))

@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 from fixtures.swinging_cab import Cab, dig, record
 
+from trackslip_bags.messages import make
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode
 from trackslip_common.soils import soil
-from trackslip_estimation.slip.estimator import SlipEstimator, make_estimate
+from trackslip_estimation.slip import conversions as slip
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator, make_estimate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import to_records
-from trackslip_estimation.soil.records import IS_ODOMETRY, SOIL_INPUT, inputs_of
+from trackslip_estimation.soil import conversions as soil_
+from trackslip_estimation.soil.records import IS_ODOMETRY, SOIL_INPUT, SoilInput
 from trackslip_tools.cli.main import main
 from trackslip_tools.replay.soil import estimate_inputs
 
@@ -76,14 +79,23 @@ def test_replay_of_a_bag_with_live_forces_gives_them_again(
     assert other["soil"]["replay_matches"] is False
 
 
+def received(estimate: Estimate) -> list[SoilInput]:
+    """What the soil estimator reads from the messages of the slip estimator."""
+    odometry = slip.odometry(make, estimate, "map", "base_link")
+    found = [soil_.odometry(odometry), soil_.slips(slip.track_slip(make, estimate, "base_link"))]
+    if estimate.outputs.swing is not None:
+        found.append(soil_.swing(slip.swing(make, estimate, "base_link")))
+    return found
+
+
 @pytest.mark.parametrize("vehicle", ["pc05_cab", "pc05"])
 def test_a_replay_gives_the_soil_estimator_what_it_gets_live(vehicle: str) -> None:
-    """Odometry and slips of every estimate, and the swing where anything sits above."""
+    """Odometry and slips of every estimate, and the swing where anything sits above, to the last bit."""
     own = SlipEstimator(load_slip_parameters({"vehicle": vehicle}))
     records = to_records(record(dig()[:6], Cab(encoder=vehicle == "pc05_cab")).measurements, own.sources)
     results = own.process_records(records)
     rows = results["estimate"][results["published"] == 1]
-    live = [given for row in rows for given in inputs_of(make_estimate(row))]
+    live = [given for row in rows for given in received(make_estimate(row))]
     wanted = np.zeros(len(live), SOIL_INPUT)
     for to, given in zip(wanted, live, strict=True):
         given.write_to(to)

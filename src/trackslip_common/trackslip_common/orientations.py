@@ -3,6 +3,7 @@
 """Heading, roll and pitch of what has the quaternion ``qx qy qz qw``: one record, or the rows of a table."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -26,20 +27,25 @@ def tilt_of(pose: Any) -> tuple[float, float]:
 
 
 def tilts_of(rows: NDArray[np.void]) -> FloatArray:
-    """(n, 2) roll and pitch (nose down positive), rad, of rows with the same fields."""
+    """(n, 2) of ``tilt_of``, to the last bit, of rows with the same fields."""
     x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    return np.column_stack((roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))))
+    pairs = (2.0 * (w * x + y * z)).tolist(), (1.0 - 2.0 * (x * x + y * y)).tolist()
+    sines = np.clip(2.0 * (w * y - z * x), -1.0, 1.0).tolist()
+    return np.column_stack((_each(math.atan2, *pairs), _each(math.asin, sines)))
 
 
 def headings_of(rows: NDArray[np.void]) -> FloatArray:
     """(n,) of ``heading_of``, to the last bit, of rows with the same fields."""
     x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
     sines, cosines = 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)
-    pairs = zip(sines.tolist(), cosines.tolist(), strict=True)  # numpy's own differs in the last bit
-    return np.fromiter((math.atan2(s, c) for s, c in pairs), np.float64, len(rows))
+    return _each(math.atan2, sines.tolist(), cosines.tolist())
 
 
 def poses_of(rows: NDArray[np.void]) -> FloatArray:
     """(n, 3) x, y, heading of rows with a planar pose."""
     return np.column_stack((rows["x"], rows["y"], headings_of(rows)))
+
+
+def _each(function: Callable[..., float], *arguments: list[float]) -> FloatArray:
+    """(n,) of a function of ``math``, from which numpy's own differs in the last bit."""
+    return np.fromiter(map(function, *arguments), np.float64, len(arguments[0]))

@@ -16,7 +16,7 @@ class Tally:
     def __init__(self) -> None:
         self._total: Counter[tuple[str, str]] = Counter()
         self._seen: Counter[tuple[str, str]] = Counter()
-        self._latest = ""
+        self._details: dict[tuple[str, str], str] = {}
         self._lock = Lock()
 
     def add(self, source: str, reason: Enum, count: int = 1, detail: str = "") -> None:
@@ -29,13 +29,13 @@ class Tally:
         text = reason.value if isinstance(reason.value, str) else reason.name.lower()
         with self._lock:
             self._total[source, text] += count
-            self._latest = detail or text
+            if detail:
+                self._details[source, text] = detail
 
-    @property
-    def latest(self) -> str:
-        """What was counted last: its detail, or its reason; empty before the first."""
+    def words(self, key: tuple[str, str]) -> str:
+        """The latest detail of a (source, reason), or the reason where it has none."""
         with self._lock:
-            return self._latest
+            return self._details.get(key, key[1])
 
     @property
     def total(self) -> Counter[tuple[str, str]]:
@@ -63,4 +63,4 @@ class Tally:
 
     def __setstate__(self, state: dict[str, Counter[tuple[str, str]]]) -> None:
         self._total, self._seen, self._lock = state["_total"], state["_seen"], Lock()
-        self._latest = ""
+        self._details = {}

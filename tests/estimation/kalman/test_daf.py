@@ -181,7 +181,7 @@ def test_it_is_consistent_on_its_own_model(model: str, kappa: float | None) -> N
         rng = np.random.default_rng(seed)
         truth = start.mean + rng.normal(size=SIZE) * np.sqrt(np.diag(start.covariance))
         state = start
-        for k in range(50):
+        for k in range(100):
             left, right = 2.0 + 0.8 * math.sin(k / 10.0), 2.0 - 0.8 * math.sin(k / 10.0)
             drive = Drive(left, right, *TURNING[:2], departure=TURNING.departure)
             Q = process_noise(truth, np.zeros((SIZE, SIZE)), drive, 0.05, config)

@@ -85,7 +85,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
         matched = self._taps.publishers()
         return [
             Health(level, f"{word}: {recording.bag.path}", counts | lost | not_recorded | space),
-            Health(OK, f"{sum(matched.values())} publishers found", dict(matched), part="publishers"),
+            Health(OK, f"{sum(matched.values())} found", dict(matched), part="publishers"),
         ]
 
     def _write(self, topic: str, type_name: str, data: bytes, info: Any) -> None:

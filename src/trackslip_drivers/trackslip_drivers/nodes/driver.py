@@ -67,7 +67,7 @@ class DriverNode(TrackslipNode[P]):
         self._last_s = -math.inf
         self._link: Link[Any] | None = None
         self._reported: bytes | None = None  # level
-        self._rejected = ("", -math.inf, "")  # the latest reason, when (steady, s), and its date
+        self._rejected = ("", -math.inf, "")  # why most were, when (steady, s), and its date
         self.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def hardware(self) -> str:
@@ -127,8 +127,9 @@ class DriverNode(TrackslipNode[P]):
         """Connection, rate, age, rejections."""
         assert self._link is not None
         state, now_s = self._link.state(), time.monotonic()
-        if self.tally.since_last_look():
-            self._rejected = (self.tally.latest, now_s, _date(time.time()))
+        if news := self.tally.since_last_look():
+            often = max(news, key=lambda key: news[key])  # the latest would change from look to look
+            self._rejected = (self.tally.words(often), now_s, _date(time.time()))
         then_s, then = self._looked_at
         if now_s - then_s >= _RATE_OVER:
             self._rate = (self._published - then) / (now_s - then_s)
@@ -171,12 +172,12 @@ class DriverNode(TrackslipNode[P]):
             latest, then_s, _ = self._rejected
             is_recent = time.monotonic() - then_s < RECENT
             return (WARN, f"running; some is rejected: {latest}") if is_recent else (OK, "running")
-        if not self._published and state.openings <= 1 and state.since_s < _OPENING:
+        if not self._published and state.connected and state.openings == 1 and state.since_s < _OPENING:
             return WARN, f"{where}: opened, nothing yet"
         talk = f" ({self.talk()})" if self.talk() else ""
         if state.silent_s > 0.5 * limit_s:
             return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"
-        reason = self.tally.latest or "nothing whole yet"
+        reason = self._rejected[0] or "nothing whole yet"
         if reason in self.passing:
             return WARN, f"{where}: {reason}{talk}; {self.passing[reason]}"
         return (

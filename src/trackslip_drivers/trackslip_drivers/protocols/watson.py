@@ -56,7 +56,7 @@ class Rejection(Enum):
 
     OVERLONG = "no line end"
     GARBLED = "bytes of both formats"
-    TEXT = "text"  # banner, column heads
+    TEXT = "text, no data"  # banner, column heads
     WRONG_COUNT = "wrong number of fields"
     MALFORMED = "malformed field"
     INVALID = "marked invalid by the unit"

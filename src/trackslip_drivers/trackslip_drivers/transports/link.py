@@ -200,4 +200,13 @@ class Link(Generic[T]):
         with self._lock:
             self._errors += 1
             self._last_error_s = time.time()
-            self._last_error = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            self._last_error = _reason(error)
+
+
+def _reason(error: Exception) -> str:
+    """The system's own words, which libraries wrap into the name of the port, twice; else the error's."""
+    inner = error.__cause__ if error.__suppress_context__ else error.__context__
+    for cause in (inner, error):
+        if isinstance(cause, OSError) and cause.strerror:
+            return " ".join(cause.strerror.split())
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

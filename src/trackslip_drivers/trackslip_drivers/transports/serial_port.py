@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A serial port behind any pyserial URL: a device path, a pty, ``socket://``, ``rfc2217://``."""
 
+import errno
 import os
 import select
 import termios
@@ -96,14 +97,19 @@ class SerialPort:
 
     @staticmethod
     def _open(url: str, baud: int, parity: str) -> serial.Serial:
-        return serial.serial_for_url(
-            url,
-            baud,
-            parity=parity,
-            timeout=READ_TIMEOUT_S,
-            write_timeout=_WRITE_TIMEOUT_S,
-            exclusive=True,  # two that read one device get half of its bytes each
-        )
+        try:
+            return serial.serial_for_url(
+                url,
+                baud,
+                parity=parity,
+                timeout=READ_TIMEOUT_S,
+                write_timeout=_WRITE_TIMEOUT_S,
+                exclusive=True,  # two that read one device get half of its bytes each
+            )
+        except serial.SerialException as error:
+            if error.errno == errno.EAGAIN:  # of the lock
+                raise OSError(errno.EBUSY, "locked: another program has it open") from None
+            raise
 
     def _parity_was_ignored(self) -> bool:
         """Whether the kernel left the parity off silently; false where there is no terminal."""

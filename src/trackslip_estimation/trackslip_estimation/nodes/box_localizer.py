@@ -51,9 +51,9 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         if self._file.failure:
             values["track file"] = self._file.failure
         if self._scans == scans:
-            return [Health(WARN, "no scans", values)]
+            return [Health(WARN, "no scans; look at the scanner's driver", values)]
         if self._fixes == fixes:
-            return [Health(WARN, "box not found", values)]
+            return [Health(WARN, "box not found; clear the view of the laser", values)]
         return [Health(OK, "running", values)]
 
     def _on_scan(self, message: Any) -> None:

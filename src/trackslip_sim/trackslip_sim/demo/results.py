@@ -140,7 +140,7 @@ def evaluate(
         of_filter,
         of_encoders,
         slip_error,
-        float(np.sqrt(np.mean(moving.columns("left_slip", "right_slip") ** 2))),
+        float(np.sqrt(np.nanmean(moving.columns("left_slip", "right_slip") ** 2))),
         _counts(bag, emitted, received),
         result.live,
         truth,

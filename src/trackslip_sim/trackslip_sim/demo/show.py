@@ -11,6 +11,8 @@ from rich.table import Table
 from trackslip_sim.demo.results import DemoResult
 from trackslip_sim.demo.soil_results import SoilResult
 
+_MARGIN = " " * 9  # as wide as the time
+
 
 def status(
     elapsed: float,
@@ -18,18 +20,17 @@ def status(
     slips: tuple[float, float, float],
     rates: Mapping[str, float],
 ) -> str:
-    """One line: time, pose, slips, rates in Hz."""
+    """Two lines: time, pose and slips of the tracks; slip angle and rates in Hz."""
+    hertz = f"Hz: {'  '.join(f'{topic} {rate:.0f}' for topic, rate in rates.items())}"
     if math.isnan(pose[0]):
-        where = "waiting for the first fix"
-    else:
-        x, y, heading = pose
-        left, right, angle = slips
-        where = (
-            f"x {x:+6.2f} m  y {y:+6.2f} m  heading {math.degrees(heading):+6.1f}°  "
-            f"slip L {100 * left:+5.1f} % R {100 * right:+5.1f} %  α {math.degrees(angle):+5.1f}°"
-        )
-    hertz = "  ".join(f"{topic} {rate:.0f}" for topic, rate in rates.items())
-    return f"{elapsed:5.1f} s  {where}  │ Hz: {hertz}"
+        return f"{elapsed:5.1f} s  waiting for the first fix\n{_MARGIN}{hertz}"
+    x, y, heading = pose
+    left, right, angle = slips
+    return (
+        f"{elapsed:5.1f} s  x {x:+6.2f} m  y {y:+6.2f} m  heading {math.degrees(heading):+6.1f}°  "
+        f"slip L {100 * left:+5.1f} % R {100 * right:+5.1f} %\n"
+        f"{_MARGIN}α {math.degrees(angle):+5.1f}°  {hertz}"
+    )
 
 
 def report(console: Console, result: DemoResult) -> None:

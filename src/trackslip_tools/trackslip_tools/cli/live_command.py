@@ -52,6 +52,7 @@ def run(args: argparse.Namespace) -> int:
     given = {name: value for name, value in given.items() if value is not None}
     if args.bag is not None:
         p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
+        p.allowed(p.port)  # refused before a bag is replayed
         with open_bag(args.bag, args.namespace) as bag, with_estimates(bag) as whole:
             return _serve(whole, p, InputFilters(start_s=args.start or 0.0), args.rate or 1.0)
     if args.rate is not None or args.start is not None:

@@ -3,6 +3,8 @@
 """``trackslip``: the workbench around bags. Only the module of the command that is asked for is loaded."""
 
 import argparse
+import atexit
+import gc
 import importlib
 import os
 import sys
@@ -37,6 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     if argv is None:  # a process of its own
         repeat_lost_interrupts()
+        atexit.register(gc.freeze)  # else all that it holds is looked through before it ends: 0.3 s
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
         code: int = args.run(args)

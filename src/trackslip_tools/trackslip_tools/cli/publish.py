@@ -13,7 +13,7 @@ from trackslip_bags.playback import Playback, played, played_topics
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.errors import InputError, show, suggestion
 from trackslip_tools.cli.keyboard import Keyboard
-from trackslip_tools.cli.nodes import node_module
+from trackslip_tools.cli.nodes import node_module, shorten_logs
 
 _RATES = (0.01, 100.0)
 _OFFLINE = (
@@ -62,6 +62,7 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     """
     _refuse(args, _OFFLINE, "not together with --publish")
     require_topics(bag, [*filters.remap, *args.also])
+    shorten_logs()
     player = node_module("trackslip_bags.nodes.player", "--publish")
     topics = played_topics(bag, filters, args.also)
     for topic in [topic for topic, kind in topics.items() if not player.can_publish(kind)]:
@@ -104,9 +105,9 @@ def _progress(bag: Bag) -> Iterator[Callable[[Playback], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} s of the bag"))
-    console = Console(stderr=True)
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+    reached = TextColumn("{task.completed:.1f} s of the bag")
+    columns = (TextColumn("{task.description}"), BarColumn(), reached, TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("playing", total=bag.duration_s)
 
         def show(playback: Playback) -> None:

@@ -4,12 +4,8 @@
 
 import argparse
 import json
-import os
 
-from trackslip_tools.cli.nodes import node_module
-
-# ROS prints a date and the node's name before every line, of which there is only one here.
-_LOG_FORMAT = "[{severity}] {message}"
+from trackslip_tools.cli.nodes import node_module, shorten_logs
 
 EXAMPLE = "trackslip record --output runs/field_3 --more-topics '/gnss.*' --split-duration 600"
 
@@ -38,6 +34,6 @@ def run(args: argparse.Namespace) -> int:
     names = ("output", "more_topics", "split_size", "split_duration", "max_disk")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
-    os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", _LOG_FORMAT)
+    shorten_logs()
     code: int = node_module("trackslip_bags.nodes.record", "record").record(["--ros-args", *options])
     return code

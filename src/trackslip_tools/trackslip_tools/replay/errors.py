@@ -135,7 +135,7 @@ class PathErrors:
 
 
 class SlipErrors:
-    """RMS error of left and right slip together, while a track's frame moves; ``tread`` in m."""
+    """RMS error of left and right slip together, as ``moving_slips`` has them; ``tread`` in m."""
 
     def __init__(self, tread: float) -> None:
         self._tread = tread

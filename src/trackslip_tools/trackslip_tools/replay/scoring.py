@@ -20,7 +20,7 @@ from trackslip_tools.replay.series import Series
 
 FloatArray = NDArray[np.float64]
 
-MOVING = 0.05  # m/s of the faster track's frame, below which slip is not scored
+MOVING = 0.05  # m/s of the faster track's frame, and of the track itself, below which slip is not scored
 
 
 @dataclass(frozen=True)
@@ -84,28 +84,36 @@ def nees_of_each(
 def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:
     """The samples of the true slips at which a track's frame moves: elsewhere a slip means nothing.
 
-    ``odometry`` is the truth at the same stamps.
+    Nor does that of a track that hardly turns, however fast the other one carries its frame: such are nan.
+    Its speed r ω is v/(1 - i); where the truth gives a standing track the slip 0, it seems to roll with its
+    frame. ``odometry`` is the truth at the same stamps.
     """
     _, at, of = np.intersect1d(slips.stamps_ns, odometry.stamps_ns, return_indices=True)
-    v_x, rate = odometry["v_x"][of], odometry["yaw_rate"][of]
-    return Series(slips.rows[at[np.abs(v_x) + np.abs(rate) * tread / 2.0 > MOVING]])
+    v_x, turning = odometry["v_x"][of], odometry["yaw_rate"][of] * tread / 2.0
+    moving = np.abs(v_x) + np.abs(turning) > MOVING
+    rows = slips.rows[at[moving]]
+    for side, ground in (("left_slip", v_x - turning), ("right_slip", v_x + turning)):
+        runs = np.abs(ground[moving]) > MOVING * np.abs(1.0 - rows[side])
+        rows[side][~runs] = np.nan
+    return Series(rows)
 
 
 def slip_rmse(estimated: Series, true: Series) -> float | None:
-    """RMS error of left and right slip together, at the stamps of the truth."""
+    """RMS error of left and right slip together, at the stamps of the truth where it knows them."""
     errors = slip_errors(estimated, true)
     return _rms(errors) if errors.size else None
 
 
 def slip_errors(estimated: Series, true: Series) -> FloatArray:
-    """(k, 2) of left and right slip, at the samples of the truth that the estimate covers."""
+    """(k,) of left and right slip, at the samples that the estimate covers; none where the truth is nan."""
     own = estimated.stamps_ns
     inside = (true.stamps_ns >= own[0]) & (true.stamps_ns <= own[-1])
     t, wanted = (own - own[0]) * 1e-9, (true.stamps_ns[inside] - own[0]) * 1e-9
-    errors = [
-        np.interp(wanted, t, estimated[side]) - true[side][inside] for side in ("left_slip", "right_slip")
-    ]
-    return np.stack(errors, axis=-1)
+    errors = np.concatenate(
+        [np.interp(wanted, t, estimated[side]) - true[side][inside] for side in ("left_slip", "right_slip")]
+    )
+    known: FloatArray = errors[np.isfinite(errors)]
+    return known
 
 
 def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:

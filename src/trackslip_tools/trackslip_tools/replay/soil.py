@@ -13,6 +13,7 @@ from trackslip_bags.messages import make
 from trackslip_bags.tables import TopicTable
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.message_reading import dtype_of, read
+from trackslip_common.orientations import headings_of, tilts_of
 from trackslip_common.tally import Tally
 from trackslip_common.topics import FORCES, SOIL, TRUE_FORCES, TRUE_SOIL
 from trackslip_estimation.soil import conversions
@@ -30,6 +31,7 @@ from trackslip_estimation.soil.records import (
 )
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_tools.replay.comparison import carried
 from trackslip_tools.replay.growing import GrowingRows, Rows
 from trackslip_tools.replay.inputs import Logged
 from trackslip_tools.replay.series import Series, SeriesCollector
@@ -166,15 +168,18 @@ def _reading_inputs(rows: Rows) -> Rows:
 
 
 def estimate_inputs(estimates: Rows) -> tuple[Rows, IntArray]:
-    """(m,) SOIL_INPUT: odometry, slips and known swing of each of (n,) ESTIMATE; (n,) places of the first."""
+    """(m,) SOIL_INPUT: odometry, slips and known swing of each of (n,) ESTIMATE; (n,) places of the first.
+
+    As the live estimator reads them from messages, which carry an attitude as a quaternion.
+    """
     found = np.zeros((len(estimates), 3), SOIL_INPUT)
     found["stamp_ns"] = estimates["stamp_ns"][:, np.newaxis]
     odometry, slips, swing = found[:, 0], found[:, 1], found[:, 2]
     odometry["source"], slips["source"], swing["source"] = IS_ODOMETRY, IS_SLIPS, IS_SWING
     for name in ("twist", "twist_covariance", "pose", "pose_covariance"):
         odometry[name] = estimates[name]
-    tilt = estimates["tilt"]  # all zero where it is not known
-    odometry["tilt"] = tilt["tilt"][:, :2]
+    turns, tilt = carried(estimates, estimates["pose"][:, 2]), estimates["tilt"]
+    odometry["pose"][:, 2], odometry["tilt"] = headings_of(turns), tilts_of(turns)
     odometry["tilt_variance"] = np.diagonal(tilt["covariance"], axis1=1, axis2=2)[:, :2]
     slips["slips"], slips["motion"] = estimates["slips"], estimates["motion"]
     swing["swing"] = estimates["swing"]["angle"]

@@ -91,7 +91,7 @@ def errors_of(run: Run, states: States) -> Errors | None:
 
 
 def true_slips(run: Run) -> Series | None:
-    """(n, 3+) where the bag has them, while the machine moves: else they mean nothing."""
+    """Where the bag has them, while the machine moves and the track runs: else they mean nothing."""
     slips, odometry = (run.replay.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
     if slips is None or odometry is None:
         return None
@@ -109,8 +109,10 @@ def _truths(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
             form = Form.LINE if len(bags) == 1 else Form.DOTTED
             values = quantity.scale * series[quantity.true_column]
             moving = true_slips(run) if quantity.truth == TRUE_SLIP else None
-            if moving is not None:  # at rest slips mean nothing
-                values = np.where(np.isin(series.stamps_ns, moving.stamps_ns), values, np.nan)
+            if moving is not None:  # elsewhere slips mean nothing
+                known = quantity.scale * moving[quantity.true_column]
+                values = np.full(len(series), np.nan)
+                values[np.searchsorted(series.stamps_ns, moving.stamps_ns)] = known
             yield Curve(label, colour, run.recording.seconds(series.stamps_ns), values, form)
 
 

@@ -143,7 +143,7 @@ def _consistency(limits: VerdictLimits, ratio: float, value: str, what: str) -> 
 def _slip(run: Run, limits: VerdictLimits) -> Verdict:
     if run.replay.slip_rmse is None:
         return _unknown("The bag holds no true slips.")
-    words = f"Wanted: at most {PERCENT * limits.slip:g} %, left and right together, while the machine moves."
+    words = f"Wanted: at most {PERCENT * limits.slip:g} %, left and right together, while they turn."
     good = run.replay.slip_rmse <= limits.slip
     return _checked(good, f"{PERCENT * run.replay.slip_rmse:.2f} % RMSE", words)
 

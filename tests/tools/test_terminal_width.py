@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Commands of the README on a terminal of 80 columns: nothing wider, and no traceback."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from fixtures.terminal import COLUMNS, on_terminal
+
+ROOT = Path(__file__).parents[2]
+BAGS = ROOT / "bags"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--help",
+        "replay --help",
+        "info {bags}/slalom_sand",
+        "replay {bags}/slalom_sand --withhold box_pose:10:20 --json {out}.json",
+        "replay {bags} --stop 12 --workers 1",
+        "smooth {bags}/slalom_sand --output {out}",
+        "calibrate {bags}/slalom_sand {bags}/outage_sandy_loam --output {out}",
+        "recover {bags}/power_cut --output {out}",
+        "simulate --scenario straight --duration 5 --output {out}",
+        "report {bags}/slalom_sand --output {out}/no/page.html",
+    ],
+)
+def test_a_command_keeps_to_the_terminal(words: str, tmp_path: Path) -> None:
+    arguments = [word.format(bags=BAGS, out=tmp_path / "out") for word in words.split()]
+    shown = on_terminal([sys.executable, "-m", "trackslip_tools.cli.main", *arguments])
+    assert shown.code == (2 if "/no/" in words else 0), shown.text
+    paths = (str(BAGS), str(tmp_path))  # are never broken
+    assert [s for s in shown.lines if len(s) > COLUMNS and not any(path in s for path in paths)] == []
+    assert "Traceback" not in shown.text
+
+
+def test_the_targets_of_make_were_wider_than_the_terminal() -> None:
+    shown = on_terminal(["make", "-C", str(ROOT), "--no-print-directory"])
+    assert shown.code == 0
+    assert {line.split()[1] for line in shown.lines if line.startswith("make ")} >= {"demo", "test", "clean"}
+    assert [line for line in shown.lines if len(line) > COLUMNS] == []
