@@ -82,7 +82,7 @@ def test_is_better_than_the_filter_and_much_better_inside_an_outage(log: Any) ->
 def test_claims_no_more_than_it_may(log: Any, outage: Smoothed) -> None:
     """Never less sure than the filter; and the errors fit what is claimed.
 
-    But for 1e-4: the gain of a yaw rate is that of a filter which knows its gyro, not the one of least variance.
+    But for 1e-4: the gain of a yaw rate is that of a filter which knows its gyro, not that of least variance.
     """
     filtered, smoothed = (estimates["pose_covariance"] for estimates in outage)
     gained = np.linalg.eigvalsh(filtered - smoothed)[:, 0] / np.trace(filtered, axis1=1, axis2=2)

@@ -175,7 +175,7 @@ def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
 def test_noise_ten_times_off_is_mended_on_three_bags_and_on_a_fourth(
     drives: list[tuple[str, str]], factor: float, evaluations: int, tmp_path: Path
 ) -> None:
-    """Over the three the error is 0.65 of before or less, though the filter finds much of the noise by itself.
+    """Over the three the error is 0.65 of before or less, though the filter finds much noise by itself.
 
     The covariances are consistent, and the place on an unseen bag is better too.
     """
