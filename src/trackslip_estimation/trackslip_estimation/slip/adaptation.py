@@ -231,6 +231,17 @@ def repeats(elapsed_ns: int, correlation_time: float) -> float:
 
 
 @compiled
+def shared_error(P: FloatArray, R: FloatArray) -> float:
+    """By what R must grow at the most for a fix whose error the estimate, of covariance P, may have already.
+
+    Let P = R + U, where R is that error. A gain K leaves R + (1 − K)² U, and the filter claims (1 − K) P: the
+    same for 1 − K = R/U. Where U is less than R such a fix shows nothing new.
+    """
+    p, r = P[0, 0] + P[1, 1], R[0, 0] + R[1, 1]
+    return p / (p - 2.0 * r) if p > 2.0 * r else math.inf
+
+
+@compiled
 def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any) -> None:
     """Weighs f of a source by a fix that was predicted with P (m, m), and states R (m, m)."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size

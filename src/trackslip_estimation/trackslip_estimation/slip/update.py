@@ -20,7 +20,7 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import log_determinant as log_determinant_of
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
-from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats
+from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats, shared_error
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_refused, keep_refused, realign
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor, widen_swing_rate
@@ -198,7 +198,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
         return
     if nis > limit:
         R = R + (nis / limit - 1.0) * (predicted + R)
-    R = known * R
+    R = min(known, shared_error(predicted, R)) * R
     count_fix(state, source, alone, R, c)
     correct(measurement.kind, x, P, (z, R), (0.0, 0.0), c)
     to_delayed(x, P, shift, -1.0)
