@@ -65,13 +65,15 @@ class DemoMonitor(Node):
         self.pose = (math.nan, math.nan, math.nan)
         self.slips = (math.nan, math.nan, math.nan)
         self.at_work: set[str] = set()  # nodes whose last word was no error: drivers whose port is open
+        self._recorder_hears: dict[str, str] = {}  # topic → publishers that the recorder is connected with
         self._emulator = self.create_client(ChangeState, "emulator/change_state")
         self._asked: Any = None
         self._spinner = SingleThreadedExecutor()
         self._spinner.add_node(self)
+        self._watched = {}
         for topic in WATCHED:
             handler = {"odometry": self._on_odometry, "track_slip": self._on_slip}.get(topic)
-            self.create_subscription(
+            self._watched[topic] = self.create_subscription(
                 topic_class(topic), topic, self._counting(topic, handler), publisher_qos(topic)
             )
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
@@ -83,14 +85,22 @@ class DemoMonitor(Node):
             self._spinner.spin_once(timeout_sec=left)
 
     def missing_ends(self, running: Set[str]) -> set[str]:
-        """``topic: node`` of every end that has not appeared yet, of the nodes that run."""
+        """``topic: node`` of every end that has not appeared yet, of the nodes that run.
+
+        What recorder and demo are not connected with yet would be lost to them, though it has appeared here.
+        """
         missing = set()
         for topic, nodes in _ENDS.items():
             if not nodes <= running | _WATCHERS:
                 continue
             name = self.resolve_topic_name(topic)
-            infos = self.get_publishers_info_by_topic(name) + self.get_subscriptions_info_by_topic(name)
+            publishers = self.get_publishers_info_by_topic(name)
+            infos = publishers + self.get_subscriptions_info_by_topic(name)
             missing |= {f"{topic}: {node}" for node in nodes - {info.node_name for info in infos}}
+            if publishers and self._recorder_hears.get(name, "0") == "0":
+                missing.add(f"{topic}: record")
+            if publishers and topic in self._watched and not self._watched[topic].get_publisher_count():
+                missing.add(f"{topic}: demo")
         return missing
 
     def lay_cables(self, timeout: float) -> bool:
@@ -138,6 +148,8 @@ class DemoMonitor(Node):
         for status in message.status:
             change = self.at_work.discard if status.level == DiagnosticStatus.ERROR else self.at_work.add
             change(status.name)
+            if status.name == "record: publishers":
+                self._recorder_hears = {pair.key: pair.value for pair in status.values}
             if status.name == "emulator":
                 self._read_emulator({pair.key: pair.value for pair in status.values}.items())
 
