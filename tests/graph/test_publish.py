@@ -120,7 +120,7 @@ def test_a_graph_with_drivers_that_still_run_is_warned_of(programs, observer, pa
     assert "/sprockets is published by observer too" in player.stderr
 
 
-def test_lines_of_the_player_were_put_into_its_bar(path):
+def test_lines_of_the_player_were_put_into_its_bar(path, domain):
     """On a terminal, where nobody listens and the player says so."""
     command = [
         sys.executable,
@@ -132,7 +132,7 @@ def test_lines_of_the_player_were_put_into_its_bar(path):
         "--rate",
         "2",
     ]
-    shown = on_terminal(command, {**os.environ, "ROS_DOMAIN_ID": "173"})
+    shown = on_terminal(command, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
     assert shown.code == 0, shown.text
     warnings = [line for line in shown.lines if "nobody subscribes" in line]
     assert warnings == ["[WARN] nobody subscribes to what is played"]
