@@ -21,7 +21,13 @@ from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import log_determinant as log_determinant_of
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats, shared_error
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_refused, insists, keep_refused, realign
+from trackslip_estimation.slip.alignment import (
+    UNKNOWN_HEADING,
+    forget_refused,
+    insists,
+    keep_refused,
+    realign,
+)
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor, widen_swing_rate
 from trackslip_estimation.slip.measurements import Outcome
