@@ -13,8 +13,8 @@ so, with the covariance of that fit. If it turns, what had been learned while th
 the start; else heading and all that was learned stay. Fixes of the newest motion count: where they do not
 agree, the oldest is dropped.
 
-A machine that stands shows no such way. There fixes that agree are believed once their source has insisted for
-some timeouts: the place moves to them.
+A machine that stands shows no such way. There fixes that agree are believed once their source has insisted
+for some timeouts: the place moves to them.
 """
 
 import math
