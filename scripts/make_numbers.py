@@ -17,6 +17,7 @@ from measurements import MEASUREMENTS
 from measurements.blocks import ROOT, names_on, rewritten
 from measurements.workbench import NoData
 from trackslip_common.errors import ExitCode
+from trackslip_tools.cli.progress import shown
 from trackslip_tools.workers import cores, workers
 
 
@@ -41,7 +42,8 @@ def main() -> int:
         print(f"no figures to write on: {', '.join(sorted(missing))}", file=sys.stderr)
         return ExitCode.BAD_INPUT
     with workers(min(cores(), len(found))) as mapped:
-        for name, content, seconds in mapped(measured, [name for name in MEASUREMENTS if name in found]):
+        running = mapped(measured, [name for name in MEASUREMENTS if name in found])
+        for name, content, seconds in shown(running, "measurements", total=len(found)):
             page = found[name]
             text = page.read_text(encoding="utf-8")
             new = text if content is None else rewritten(text, {name: content})

@@ -4,13 +4,14 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from measurements.workbench import trackslip, write_yaml
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.soils import load_soils
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle import VehicleParameters, load_vehicle, vehicle_text
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_sim.study.table import table, words
 
@@ -57,9 +58,9 @@ def _dig_rows(folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def _turned_rows(folder: Path) -> Iterator[dict[str, Any]]:
-    below = {"box": "undercarriage", "antenna": "undercarriage", "imu": "undercarriage"}
-    bare = {"base": "pc05_cab", "name": "bare", "sensors": {"mounts": below}}
-    vehicles = {"known": "pc05_cab", "unknown": str(write_yaml(folder / "bare.yaml", bare))}
+    bare = folder / "bare.yaml"
+    bare.write_text(vehicle_text(_bare()), encoding="utf-8")
+    vehicles = {"known": "pc05_cab", "unknown": str(bare)}
     for soil in ("sand", "dry_clay"):
         for looks, angle in _ANGLES.items():
             tree = dict(read_yaml(config_file("scenarios/field_trial.yaml")))
@@ -74,6 +75,13 @@ def _turned_rows(folder: Path) -> Iterator[dict[str, Any]]:
                 trackslip(f"simulate --scenario {scenario} {machine}", folder)
                 row[name] = trackslip(f"replay {bag} --vehicle {vehicle}", folder)["soil"]
             yield row
+
+
+def _bare() -> VehicleParameters:
+    """The same machine with nothing on its cab."""
+    cab = load_vehicle("pc05_cab")
+    assert cab.sensors is not None
+    return replace(cab, name="bare", sensors=replace(cab.sensors, mounts=None, swing_encoder=None))
 
 
 def _true_limit(soil: str) -> float:

@@ -81,10 +81,16 @@ _LOGS = (
 )
 _THINNED = "--thin reference_pose:1:0.05 --reference reference_pose"
 _MODELS = ("turning", "icr")
+
+
+def _shown(model: str, place: int, digits: int) -> Callable[[dict[str, Any]], str]:
+    return lambda row: f"{row[model][place]:.{digits}f}"
+
+
 _COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
     "case": lambda row: str(row["case"]),
-    **{f"{model} m": lambda row, model=model: f"{row[model][0]:.3f}" for model in _MODELS},
-    **{f"{model} NEES": lambda row, model=model: f"{row[model][1]:.1f}" for model in _MODELS},
+    **{f"{model} m": _shown(model, 0, 3) for model in _MODELS},
+    **{f"{model} NEES": _shown(model, 1, 1) for model in _MODELS},
 }
 
 

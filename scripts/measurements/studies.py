@@ -12,10 +12,9 @@ _TERRAINS = {"slope_15": "15° up", "slope_down_15": "15° down", "side_slope_15
 _SLOPES = {
     "terrain": lambda row: _TERRAINS[row["terrain"]],
     "soil": lambda row: words(row["soil"]),
-    **{
-        head: lambda row, name=name: _error(row, name)
-        for head, name in (("F_max %", "F_max"), ("K %", "K"), ("μ_r %", "mu_r"))
-    },
+    "F_max %": lambda row: _error(row, "F_max"),
+    "K %": lambda row: _error(row, "K"),
+    "μ_r %": lambda row: _error(row, "mu_r"),
     "identifiable": lambda row: f"{row['identifiable']}/{row['seeds']}",
 }
 _DRAWN = {
