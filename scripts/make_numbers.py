@@ -4,36 +4,33 @@
 
 Each stands on its page between two comments that name a function of ``measurements/``, which drives the
 emulator, replays, and gives what belongs there. Pages are named by their files, with or without ``docs/`` and
-``.md``. What needs a log that is not there is left as it stands.
+``.md``. What needs a log that is not there is left as it stands, and the exit code is 1.
 """
 
 import argparse
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from measurements import MEASUREMENTS
 from measurements.blocks import ROOT, names_on, rewritten
-from measurements.workbench import NoData
+from measurements.workbench import NotMeasured
 from trackslip_common.errors import ExitCode
 from trackslip_tools.cli.progress import shown
 from trackslip_tools.workers import cores, workers
 
 
-def measured(_: None, name: str) -> tuple[str, str | None, float]:
-    """The name, what its block shall hold (None: no data), and s of the processor that it took."""
-    begin = time.process_time()
+def measured(_: None, name: str) -> tuple[str, str, str]:
+    """The name, what its block shall hold, and why it cannot be measured here, one of both empty."""
     with tempfile.TemporaryDirectory(prefix="trackslip_numbers_") as folder:
         try:
-            lines = MEASUREMENTS[name](Path(folder))
-        except NoData:
-            return name, None, time.process_time() - begin
-    return name, "".join(f"{line}\n" for line in lines), time.process_time() - begin
+            return name, "".join(f"{line}\n" for line in MEASUREMENTS[name](Path(folder))), ""
+        except NotMeasured as reason:
+            return name, "", str(reason)
 
 
 def main() -> int:
-    """Measure, write the pages; returns the exit code."""
+    """Measure, write the pages; returns the exit code: 1 where a block was left as it stands."""
     parser = argparse.ArgumentParser(prog="make numbers", description=__doc__)
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="docs/swing.md, or swing; default: all")
     asked = {Path(page).stem for page in parser.parse_args().pages}
@@ -41,16 +38,18 @@ def main() -> int:
     if missing := asked - {page.stem for page in found.values()}:
         print(f"no figures to write on: {', '.join(sorted(missing))}", file=sys.stderr)
         return ExitCode.BAD_INPUT
+    left = False
     with workers(min(cores(), len(found))) as mapped:
         running = mapped(measured, [name for name in MEASUREMENTS if name in found])
-        for name, content, seconds in shown(running, "measurements", total=len(found)):
+        for name, content, reason in shown(running, "measurements", total=len(found)):
             page = found[name]
             text = page.read_text(encoding="utf-8")
-            new = text if content is None else rewritten(text, {name: content})
+            new = text if reason else rewritten(text, {name: content})
             page.write_text(new, encoding="utf-8")
-            state = "no data, left" if content is None else "the same" if new == text else "written"
-            print(f"{page.relative_to(ROOT)}: {name}: {state} ({seconds:.0f} s)", flush=True)
-    return ExitCode.DONE
+            state = f"left: {reason}" if reason else "the same" if new == text else "written"
+            print(f"{page.relative_to(ROOT)}: {name}: {state}", flush=True)
+            left |= bool(reason)
+    return ExitCode.FAILED if left else ExitCode.DONE
 
 
 if __name__ == "__main__":

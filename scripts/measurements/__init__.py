@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the documents' figures are measured by: the name of a block → the function that gives its lines.
 
-The functions take a folder to work in, and raise ``NoData`` where a log is not at hand. Long ones come first,
-so that none is waited for alone.
+The functions take a folder to work in, and raise ``NotMeasured`` where a log is not at hand, or a command
+fails. Long ones come first, so that none is waited for alone.
 """
 
 from collections.abc import Callable, Mapping, Sequence

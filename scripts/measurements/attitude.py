@@ -35,4 +35,4 @@ def _rows(folder: Path) -> Iterator[dict[str, Any]]:
             trackslip(f"simulate --scenario {scenario} --soil {soil} --output {bag}", folder)
             found = trackslip(f"replay {bag}", folder)
             flat = trackslip(f"replay {bag} --set slip_estimator.use_attitude=false", folder)
-            yield {"scenario": scenario, "soil": soil, "flat": flat, **found}
+            yield {**found, "scenario": scenario, "soil": soil, "flat": flat}

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from measurements.blocks import ROOT
-from measurements.workbench import NoData, run, trackslip, write_yaml
+from measurements.workbench import NotMeasured, run, trackslip, write_yaml
 from trackslip_sim.study.table import table
 
 _TRACKED: dict[str, Any] = {
@@ -98,7 +98,7 @@ def with_geometry_alone(folder: Path) -> list[str]:
     """RMSE of each model over the log, or over the seconds without fixes, and NEES; mean of three draws.
 
     Raises:
-        NoData: the logs are not there.
+        NotMeasured: the logs are not there.
     """
     return table(_COLUMNS, list(_rows(folder)), text_columns=1)
 
@@ -108,7 +108,7 @@ def _rows(folder: Path) -> Iterator[dict[str, Any]]:
     write_yaml(folder / "tracked.yaml", _TRACKED)
     for log in _LOGS:
         if not (data / log.file).is_file():
-            raise NoData
+            raise NotMeasured(f"no {data / log.file}")
         bag = folder / Path(log.file).stem
         run(f"import {data / log.file} --mapping {log.mapping} --output {bag}", folder)
         for case, hidden in log.cases.items():

@@ -16,21 +16,21 @@ from trackslip_tools.cli.main import main
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 
 
-class NoData(Exception):
-    """A log that does not come with the project is not there: what the page says stays."""
+class NotMeasured(Exception):
+    """A log that does not come with the project is not there, or a command failed."""
 
 
 def run(line: str, folder: Path) -> str:
     """What ``trackslip LINE`` prints; ``{}`` in the line stands for ``folder``.
 
     Raises:
-        RuntimeError: the command failed.
+        NotMeasured: the command failed.
     """
     output = io.StringIO()
     with redirect_stdout(output), redirect_stderr(output):
         code = main(shlex.split(line.replace("{}", str(folder))))
     if code:
-        raise RuntimeError(f"trackslip {line}: exit code {code}\n{output.getvalue()}")
+        raise NotMeasured(f"trackslip {line}: {output.getvalue().strip()}")
     return output.getvalue()
 
 

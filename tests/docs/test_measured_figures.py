@@ -15,9 +15,10 @@ import pytest
 from fixtures.documents import DOCUMENTS, ROOT, Document
 from fixtures.facts import FACTS
 
-from make_numbers import measured
+import make_numbers
 from measurements import CHEAP, MEASUREMENTS
 from measurements.blocks import blocks_of, names_on, rewritten, without_blocks
+from measurements.workbench import NotMeasured
 
 WRITTEN = {"study_table.md", "slope_table.md", "soil_table.md"}  # whole pages of trackslip study
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
@@ -43,11 +44,19 @@ def test_figures_of_files_in_the_tree_are_todays(name: str) -> None:
     """To one of the last digit: another processor may round the other way."""
     page = names_on(lambda _: True)[name]
     there = blocks_of(page.read_text(encoding="utf-8"))[name]
-    _, today, _ = measured(None, name)
-    assert today is not None
+    _, today, reason = make_numbers.measured(None, name)
+    assert not reason
     assert NUMBER.split(there) == NUMBER.split(today)
     for old, new in zip(NUMBER.findall(there), NUMBER.findall(today), strict=True):
         assert float(old) == pytest.approx(float(new), abs=1.01 * 10.0 ** -len(old.partition(".")[2]))
+
+
+def test_what_cannot_be_measured_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_: Path) -> list[str]:
+        raise NotMeasured("no log")
+
+    monkeypatch.setattr(make_numbers, "MEASUREMENTS", {"a": fails})
+    assert make_numbers.measured(None, "a") == ("a", "", "no log")
 
 
 def test_a_block_is_rewritten_and_the_rest_stays() -> None:
