@@ -95,7 +95,7 @@ _COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
 
 
 def with_geometry_alone(folder: Path) -> list[str]:
-    """RMSE of each model over the log, or over the seconds without fixes, and NEES; mean of three draws.
+    """RMSE of each model over the whole log, and NEES; mean of three draws.
 
     Raises:
         NotMeasured: the logs are not there.
@@ -124,5 +124,5 @@ def _mean(replay: str, model: str, folder: Path) -> tuple[float, float]:
     found = [
         trackslip(f"{replay} --set slip_estimator.model={model} --seed {seed}", folder) for seed in range(3)
     ]
-    rmse = [(one["withheld"] or [{"rmse": one["rmse"]["filter"]}])[0]["rmse"] for one in found]
+    rmse = [one["rmse"]["filter"] for one in found]
     return float(np.mean(rmse)), float(np.mean([one["nees_position"] for one in found]))
