@@ -41,7 +41,7 @@ def soil_on_slopes(folder: Path) -> list[str]:
 
 def drawn_machines(folder: Path) -> list[str]:
     """Machines whose parameters state another one, with fixes of 1 and 5 cm."""
-    options = "--truth drawn --filter ekf --sigma-xy 0.01 0.05 --seeds 12"
+    options = "--truth drawn --filter ekf --sigma-xy 0.01 0.05 --sigma-omega 0.01 --seeds 48"
     return table(_DRAWN, trackslip(f"study --workers 1 {options}", folder), text_columns=1)
 
 

@@ -14,15 +14,23 @@ from trackslip_common.errors import InputError
 from trackslip_estimation.slip.config import ConfigRecord, make_config
 from trackslip_estimation.slip.models import free_slips
 from trackslip_estimation.slip.models.dispatch import linearize, move, twist
-from trackslip_estimation.slip.models.model import GYRO_BIAS
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE
 from trackslip_estimation.slip.models.model import POSE as OF_POSE
+from trackslip_estimation.slip.models.turning import ASYMMETRY
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds, smoothed
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import MEASUREMENT, POSE, STATE
 from trackslip_sim.study.slip.drive import Drive, make_drive
 from trackslip_sim.study.slip.evaluate import evaluate, least, make_setting, score, trace
 from trackslip_sim.study.slip.kernels import Rows, bound
-from trackslip_sim.study.slip.parameters import MATCHED, SHEAR, Cell, StudyParameters, load_study_parameters
+from trackslip_sim.study.slip.parameters import (
+    DRAWN,
+    MATCHED,
+    SHEAR,
+    Cell,
+    StudyParameters,
+    load_study_parameters,
+)
 from trackslip_sim.study.slip.results import Sums, mean_bounds, total
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial
 
@@ -304,6 +312,17 @@ def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrai
     setting = make_setting(replace(cell(SHEAR), terrain="side_slope_15"), drive, p, estimator)
     felt = make_trial(setting, 0).rows.measurements["acceleration"][drive.rates]
     assert np.mean(felt[:, 2]) == pytest.approx(9.81, abs=0.05)  # this drive is on level ground
+
+
+def test_the_bound_of_drawn_machines_knows_how_they_are_drawn(
+    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
+) -> None:
+    """Delays of ± 0.1 s were held against a bound that expected ± 0.03."""
+    setting = make_setting(cell(DRAWN), drive, p, estimator)
+    trials = [make_trial(setting, seed) for seed in range(60)]
+    drawn = [FIX_DELAY, GYRO_SCALE, ASYMMETRY]
+    found = np.mean([trial.start_state[drawn] ** 2 for trial in trials], axis=0)
+    assert found / np.diag(trials[0].spread)[drawn] == pytest.approx(1.0, abs=0.3)
 
 
 def test_machines_that_are_drawn_do_not_drive_on_terrain() -> None:

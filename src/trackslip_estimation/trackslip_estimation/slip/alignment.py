@@ -12,6 +12,9 @@ their noise and what the tracks err by over that way, and the way is long enough
 so, with the covariance of that fit. If it turns, what had been learned while the heading was wrong is as at
 the start; else heading and all that was learned stay. Fixes of the newest motion count: where they do not
 agree, the oldest is dropped.
+
+A machine that stands shows no such way. There fixes that agree are believed once their source has insisted
+for some timeouts: the place moves to them.
 """
 
 import math
@@ -28,6 +31,7 @@ CAPACITY = 16  # refused fixes that are remembered
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which there is none
 _SHIFT_ERROR = 0.1  # of the way between the fixes and the pose
 _SIGNIFICANT = 3.0  # standard deviations of a rotation
+_INSISTS = 3  # timeouts without a fix inside its gate, after which fixes that agree at rest are believed
 
 
 class RigidMotion(NamedTuple):
@@ -112,15 +116,27 @@ def rigid_motion(refused: Any, count: int, track_variance: float) -> RigidMotion
 
 
 @compiled
-def realign(state: Any, c: Any) -> bool:
-    """Move the pose by what the newest refused fixes that agree show; whether they show enough."""
+def insists(state: Any, source: int, stamp_ns: int, c: Any) -> bool:
+    """Whether a source has had no fix inside its gate for so long that it is believed at rest."""
+    return bool(stamp_ns - state.consistent_ns[source] > _INSISTS * c.timeouts_ns[source])
+
+
+@compiled
+def realign(state: Any, at_rest: bool, c: Any) -> bool:
+    """Move the pose by what the newest refused fixes that agree show; whether they show enough.
+
+    ``at_rest``: whether they may do so over no way driven.
+    """
     while True:
         count = state.refused_count
         found = rigid_motion(state.refused, count, state.adaptation.track_variance)
         if count >= FEWEST and agree(found.chi2, 2.0 * count - 3.0):
-            if found.stddev >= c.adaptation.alignment_stddev:
+            if found.stddev < c.adaptation.alignment_stddev:
+                _follow(state, found, c)
+            elif at_rest and not state.aligning:
+                _shift(state, found)
+            else:
                 return False
-            _follow(state, found, c)
             break
         if has_velocity_errors(c) and not state.aligning and find_slip(state):
             break

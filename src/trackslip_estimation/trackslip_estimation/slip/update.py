@@ -21,7 +21,13 @@ from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import log_determinant as log_determinant_of
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats, shared_error
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_refused, keep_refused, realign
+from trackslip_estimation.slip.alignment import (
+    UNKNOWN_HEADING,
+    forget_refused,
+    insists,
+    keep_refused,
+    realign,
+)
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor, widen_swing_rate
 from trackslip_estimation.slip.measurements import Outcome
@@ -189,7 +195,8 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
             open_swing(state.covariance, c)
     else:
         keep_refused(state, (x[X], x[Y]), (z[X], z[Y]), (R[X, X] + R[Y, Y]) / 2.0)
-        if realign(state, c):
+        heading_fits = m <= YAW or innovation[YAW] ** 2 <= limit * (predicted + R)[YAW, YAW]
+        if realign(state, heading_fits and insists(state, source, measurement.stamp_ns, c), c):
             state.consistent_ns[source] = measurement.stamp_ns
             update.follows = False
             return

@@ -25,6 +25,7 @@ FloatArray = NDArray[np.float64]
 
 STEADY, STEADY_TURN, CHANGING = 0.0024, 0.001, 0.042  # shares of V and of d
 CORRELATION = 0.14  # s, τ
+GYRO_SCALE, ASYMMETRY, RADIUS, FIX_DELAY = 0.02, 0.02, 0.01, 0.1  # by which a machine differs at the most
 _MEMORY = 0.5  # s, of the mean speeds
 
 
@@ -41,14 +42,19 @@ class DrawnMachine:
     fix_variance: float = 1.0  # true over stated
 
 
+def uniform_variance(most: float) -> float:
+    """Of a number between −``most`` and ``most``."""
+    return most * most / 3.0
+
+
 def draw_machine(random: np.random.Generator) -> DrawnMachine:
     """One at random."""
     return DrawnMachine(
-        gyro_scale=1.0 + random.uniform(-0.02, 0.02),
-        asymmetry=random.uniform(-0.02, 0.02),
-        radius=1.0 + random.uniform(-0.01, 0.01),
+        gyro_scale=1.0 + random.uniform(-GYRO_SCALE, GYRO_SCALE),
+        asymmetry=random.uniform(-ASYMMETRY, ASYMMETRY),
+        radius=1.0 + random.uniform(-RADIUS, RADIUS),
         velocity_errors=10.0 ** random.uniform(0.0, 1.0),
-        fix_delay=random.uniform(-0.1, 0.1),
+        fix_delay=random.uniform(-FIX_DELAY, FIX_DELAY),
         gyro_noise=random.uniform(1.0, 5.0),
         fix_variance=float(random.choice((0.5, 2.0))),
     )

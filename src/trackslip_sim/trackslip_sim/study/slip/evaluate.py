@@ -82,7 +82,7 @@ def least(setting: Setting, trial: Trial) -> FloatArray:
     """(s, 6) variances by the posterior Cramér–Rao bound."""
     drive, linear = setting.drive, setting.linear
     rows, true = of_machine(trial.rows, trial.machine, linear)
-    covariances = bound(rows, trial.states, trial.start_state, trial.start[1], true)
+    covariances = bound(rows, trial.states, trial.start_state, trial.spread, true)
     return variances(drive.scored, trial.states, covariances, trial.rows.drives, scratch(), linear)
 
 

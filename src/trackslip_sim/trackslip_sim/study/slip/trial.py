@@ -15,7 +15,14 @@ from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SC
 from trackslip_estimation.slip.models.turning import ASYMMETRY
 from trackslip_estimation.slip.models.turning import CODE as TURNING
 from trackslip_estimation.slip.records import POSE, YAW_RATE
-from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, draw_machine, integrated
+from trackslip_sim.machine import drawn
+from trackslip_sim.machine.drawn import (
+    DrawnMachine,
+    MotionErrors,
+    draw_machine,
+    integrated,
+    uniform_variance,
+)
 from trackslip_sim.machine.sensors import tilt_readings
 from trackslip_sim.study.slip.drive import Drive, fix_deviations
 from trackslip_sim.study.slip.kernels import RecordArray, Rows, draw, nearest, slips_of
@@ -41,6 +48,7 @@ class Trial(NamedTuple):
     rows: Rows
     start: tuple[FloatArray, FloatArray]  # mean and covariance that a filter begins with
     start_state: FloatArray  # (n,) the truth there
+    spread: FloatArray  # (n, n) covariance of the truth there, about what a filter begins with
     states: FloatArray  # (k, n) the truth at the rows, as states of the filter's model
     slips: FloatArray  # (k, 3) left slip, right slip, slip angle
     machine: DrawnMachine = DrawnMachine()
@@ -80,7 +88,7 @@ def _matched(setting: Setting, random: np.random.Generator) -> Trial:
     true_rows = Rows(rows.measurements, true_drives)
     states, values = draw(true_rows, start_state, normals, setting.linear)
     slips = slips_of(states, true_drives, setting.linear)
-    return Trial(_with_values(rows, values), start, start_state, states, slips)
+    return Trial(_with_values(rows, values), start, start_state, covariance, states, slips)
 
 
 def _shear(setting: Setting, random: np.random.Generator) -> Trial:
@@ -99,7 +107,7 @@ def _shear(setting: Setting, random: np.random.Generator) -> Trial:
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
     states = nearest(poses, twists, true_speeds, setting.drive.true_drives, prior, setting.linear)
     slips = np.stack((at.left_slip, at.right_slip, at.slip_angle), axis=1)
-    return Trial(_with_values(setting.rows, values), start, mean, states, slips)
+    return Trial(_with_values(setting.rows, values), start, mean, covariance, states, slips)
 
 
 def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
@@ -122,9 +130,13 @@ def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
     start = _start(setting, deviations * random.standard_normal(3))
     mean, covariance = prior = _start(setting, np.zeros(3))
     mean[GYRO_BIAS] = np.sqrt(covariance[GYRO_BIAS, GYRO_BIAS]) * random.standard_normal()
-    mean[GYRO_SCALE], mean[FIX_DELAY] = machine.gyro_scale - 1.0, delay / c["stamp_errors"].max()
+    stamp_error, spread = c["stamp_errors"].max(), covariance.copy()
+    mean[GYRO_SCALE], mean[FIX_DELAY] = machine.gyro_scale - 1.0, delay / stamp_error
+    spread[GYRO_SCALE, GYRO_SCALE] = uniform_variance(drawn.GYRO_SCALE)
+    spread[FIX_DELAY, FIX_DELAY] = uniform_variance(drawn.FIX_DELAY / stamp_error)
     if c["model"] == TURNING:
         mean[ASYMMETRY] = machine.asymmetry
+        spread[ASYMMETRY, ASYMMETRY] = uniform_variance(drawn.ASYMMETRY)
     values, of_fixes = np.zeros((len(at_rows), 3)), at.t[fixes] - delay
     values[fixes] = _interpolate(of_fixes, whole.t, poses)
     values[fixes] += deviations * random.standard_normal((len(of_fixes), 3))
@@ -134,7 +146,7 @@ def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
     states = nearest(at_rows, moving[:, ::2].copy(), true_speeds, drive.true_drives, prior, setting.linear)
     slips = slips_of(states, drive.true_drives, setting.linear)
     slips[:, 2] = at.slip_angle
-    return Trial(_with_values(setting.rows, values), start, mean, states, slips, machine)
+    return Trial(_with_values(setting.rows, values), start, mean, spread, states, slips, machine)
 
 
 def of_machine(rows: Rows, machine: DrawnMachine, config: ConfigRecord) -> tuple[Rows, ConfigRecord]:
