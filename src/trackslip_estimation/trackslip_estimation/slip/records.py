@@ -110,6 +110,16 @@ ODOMETRY_POSE = np.dtype(  # of a source, at the begin of its next increment
     align=True,
 )
 
+RUN = np.dtype(  # of a source's fixes that err to the same side along the heading
+    [
+        ("count", np.int64),
+        ("sum", np.float64),  # of their innovations along the heading, m
+        ("begin", np.float64),  # ``rolled`` of the state at the last fix before them, m
+        ("end", np.float64),  # the same at the last of them
+    ],
+    align=True,
+)
+
 REFUSED = np.dtype(  # a fix that the gate refused
     [
         ("predicted_x", np.float64),  # of its sensor
@@ -142,12 +152,14 @@ STATE = np.dtype(
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
         ("stands", STAND, (MOST_SOURCES,)),
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
+        ("runs", RUN, (MOST_SOURCES,)),
         ("adaptation", ADAPTATION),
         ("attitude", ATTITUDE),
         ("odometry", ODOMETRY_POSE, (MOST_ODOMETRIES,)),
         ("driven", np.float64, (2,)),  # by left and right sprocket since the start, rad
         ("moved", np.float64, (3,)),  # ∫ of the twist as it was predicted, since the start: m, m, rad
         ("fixed_ns", np.int64),  # stamp of the last fix
+        ("rolled", np.float64),  # by the tracks since the start, mean of both, m
         ("aligning", np.bool_),  # the heading is not known yet
         ("refused_count", np.int64),  # since a fix was inside its gate
         ("refused", REFUSED, (CAPACITY,)),

@@ -86,9 +86,11 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
+    state.rolled = 0.0
     state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
     forget_refused(state, False)
     for k in range(MOST_SOURCES):
         state.consistent_ns[k] = stamp_ns
         state.streaks[k].count, state.streaks[k].value = 0, 0.0
-        state.stands[k].count = 0
+        state.stands[k].count = state.runs[k].count = 0
+        state.runs[k].end = 0.0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Traction that both tracks lost or found again, seen in fixes that were refused; compiled.
+"""Traction that both tracks lost or found again, seen in fixes; compiled.
 
     w_k   way of the tracks, without slip, from the last fix inside its gate to refused fix k    (2,), m
     c_k   place of C by that fix: c_k = a + λ w_k                                               (2,), m
@@ -10,19 +10,33 @@ A machine that digs itself in goes on turning its tracks, and its fixes stay whe
 takes the way that was predicted to them (``alignment``), but another slip does. Several must agree on it, the
 last one inside its gate among them, for which c is the estimate. Then C is on that line, and i₀ is what it
 shows. The heading stays as it was.
+
+Tracks that lose their grip by and by are followed too late: fixes err to the same side, each by no more than
+its gate allows. When the mean of such a run is more than it should be, i₀ may have changed as it began, by
+what explains it, −ν̄/w:
+
+    ν̄       mean innovation of a run along the heading                              m
+    w       way of the tracks, without slip, since the last fix before the run      m
 """
 
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
+
+FloatArray = NDArray[np.float64]
 
 FEWEST = 3  # fixes that show anything by agreeing
 PATH_ERROR = 0.05  # of the way driven
 _LEAST, _MOST = -0.5, 1.5  # λ on any ground: a machine may slide ahead of its tracks, or back against them
 _STDDEV = 0.15  # of a λ that is believed
+_RUN = 4  # fixes of one that shows anything
+_SURPRISE = 3.0  # standard deviations of its mean
 _CHI2_RATIO, _CHI2_SPARE = 1.6, 12.0  # χ² of fixes that agree: at most ratio · dof + spare
 
 
@@ -48,6 +62,7 @@ def follow_tracks(state: Any, dt: float, c: Any) -> None:
     """What the tracks go in ``dt`` s."""
     gone = c.rolling_radius * (state.speeds.left + state.speeds.right) / 2.0 * dt
     if gone != 0.0:
+        state.rolled += gone
         heading = state.mean[YAW]
         state.way[0] += gone * math.cos(heading)
         state.way[1] += gone * math.sin(heading)
@@ -77,6 +92,53 @@ def shared_slip(refused: Any, count: int, anchor: Any, anchored: bool) -> Shared
     variance = of_fix + PATH_ERROR**2 * spread / n
     agrees = agree((square - share * along) / variance, 2.0 * n - 3.0)
     return SharedSlip(share, variance / max(spread, 1e-12), of_fix / n, (c_x, c_y), (w_x, w_y), agrees)
+
+
+@compiled
+def along_heading(state: Any, v: FloatArray) -> float:
+    """Of a vector (2,) of the site frame."""
+    return float(math.cos(state.mean[YAW]) * v[X] + math.sin(state.mean[YAW]) * v[Y])
+
+
+@compiled
+def goes_on(run: Any, along: float) -> bool:
+    """Whether a fix whose innovation is ``along`` the heading errs to the same side as those before it."""
+    return bool(run.count > 0 and along * run.sum > 0.0)
+
+
+@compiled
+def add_to_run(state: Any, run: Any, along: float, stands: bool) -> None:
+    """A fix that is used; one of a machine that ``stands`` shows no slip."""
+    if stands or not goes_on(run, along):
+        run.count, run.sum, run.begin = 0, 0.0, run.end
+    run.end = state.rolled
+    run.count += 0 if stands else 1
+    run.sum += along
+
+
+@compiled
+def changed_slip(run: Any, variances: tuple[float, float]) -> tuple[float, float]:
+    """ν̄ and −ν̄/w of a run that is too far to one side to be believed; else nothing.
+
+    ``variances``: along the heading, of the place as predicted, and of a fix with what it shares with others.
+    """
+    of_place, of_fix = variances
+    if run.count < _RUN or run.sum**2 <= _SURPRISE**2 * run.count * (of_place * run.count + of_fix):
+        return 0.0, 0.0
+    mean, way = run.sum / run.count, run.end - run.begin
+    run.count = 0
+    return mean, -mean / way if abs(way) > abs(mean) / _MOST else 0.0
+
+
+@compiled
+def widen_slip(state: Any, P: FloatArray, changed: tuple[float, float]) -> None:
+    """P with a change of i₀ that may be, and of the place with it: ``changed_slip``."""
+    mean, of_slip = changed
+    at = (X, Y, COMMON_SLIP)
+    by = (math.cos(state.mean[YAW]) * mean, math.sin(state.mean[YAW]) * mean, of_slip)
+    for i in range(3):
+        for j in range(3):
+            P[at[i], at[j]] += by[i] * by[j]
 
 
 @compiled

@@ -11,6 +11,7 @@
 What is refused leaves mean and covariance as they were.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ from trackslip_estimation.slip.observation import (
 )
 from trackslip_estimation.slip.records import HEADING, POSE, YAW_RATE
 from trackslip_estimation.slip.stands import count_fix, stands_still
+from trackslip_estimation.slip.traction import add_to_run, along_heading, changed_slip, goes_on, widen_slip
 
 FloatArray = NDArray[np.float64]
 
@@ -184,8 +186,16 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     R, alone = _noise(state, source, (innovation, predicted, stated), finds_heading, c)
     root_of_S = root(predicted + R)
     nis = weighted_square(root_of_S, innovation)
-    update.nis, update.log_determinant = nis, log_determinant_of(root_of_S)
     refused = finds_heading or nis > update.gate
+    if not refused and has_velocity_errors(c) and not may_swing(state, source, c):
+        changed = _changed_slip(state, source, (innovation, predicted, known * R))
+        if changed[0] != 0.0:
+            widen_slip(state, P, changed)
+            widen_slip(state, update.prior_covariance, changed)
+            predicted = P[:m, :m].copy()
+            root_of_S = root(predicted + R)
+            nis = weighted_square(root_of_S, innovation)
+    update.nis, update.log_determinant = nis, log_determinant_of(root_of_S)
     inside = not refused and nis <= limit
     if inside:
         state.consistent_ns[source] = measurement.stamp_ns
@@ -217,6 +227,22 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
         forget_refused(state, True)
 
 
+@compiled
+def _changed_slip(
+    state: Any, source: int, shown: tuple[FloatArray, FloatArray, FloatArray]
+) -> tuple[float, float]:
+    """What a fix, with those before it, shows of i₀ (``traction``).
+
+    ``shown``: its innovation, the covariance of that without R, and R with what it shares with those before.
+    """
+    innovation, predicted, R = shown
+    run, stands = state.runs[source], state.motion.motion == _STANDING or state.coasting
+    add_to_run(state, run, along_heading(state, innovation), stands)
+    e = np.array((math.cos(state.mean[YAW]), math.sin(state.mean[YAW])))
+    of_place = e @ predicted[:YAW, :YAW] @ e
+    return changed_slip(run, (of_place, e @ R[:YAW, :YAW] @ e))
+
+
 @inlined
 def _noise(
     state: Any,
@@ -234,7 +260,8 @@ def _noise(
     nis = weighted_square(root(predicted + factors[source] * stated), innovation)
     alone = not stands_still(state, source, c) or nis > limit
     inside = nis <= c.adaptation.soft_gate * limit
-    if has_velocity_errors(c) and not finds_heading and inside and alone:
+    same_side = goes_on(state.runs[source], along_heading(state, innovation))
+    if has_velocity_errors(c) and not finds_heading and inside and alone and not same_side:
         learn_from_fix(state.adaptation, source, innovation, predicted, stated, c)
         if c.correlation_times[source] > 0.0:  # what follows it so smoothly does not show that it is small
             factors[source] = max(factors[source], 1.0)
