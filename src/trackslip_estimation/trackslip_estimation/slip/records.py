@@ -114,6 +114,7 @@ RUN = np.dtype(  # of a source's fixes that err to the same side along the headi
     [
         ("count", np.int64),
         ("sum", np.float64),  # of their innovations along the heading, m
+        ("pulled", np.float64),  # what they have moved the place along the heading so far, m
         ("begin", np.float64),  # ``rolled`` of the state at the last fix before them, m
         ("end", np.float64),  # the same at the last of them
     ],

@@ -13,9 +13,10 @@ shows. The heading stays as it was.
 
 Tracks that lose their grip by and by are followed too late: fixes err to the same side, each by no more than
 its gate allows. When the mean of such a run is more than it should be, i₀ may have changed as it began, by
-what explains it, −ν̄/w:
+what explains it, −δ/w:
 
-    ν̄       mean innovation of a run along the heading                              m
+    ν       innovation of its last fix along the heading                            m
+    δ       ν, and what the fixes before it in the run have moved the place         m
     w       way of the tracks, without slip, since the last fix before the run      m
 """
 
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
+from trackslip_estimation.slip.motion import Motion
 
 FloatArray = NDArray[np.float64]
 
@@ -35,6 +37,7 @@ FEWEST = 3  # fixes that show anything by agreeing
 PATH_ERROR = 0.05  # of the way driven
 _LEAST, _MOST = -0.5, 1.5  # λ on any ground: a machine may slide ahead of its tracks, or back against them
 _STDDEV = 0.15  # of a λ that is believed
+_STANDING = int(Motion.STANDING)
 _RUN = 4  # fixes of one that shows anything
 _SURPRISE = 3.0  # standard deviations of its mean
 _CHI2_RATIO, _CHI2_SPARE = 1.6, 12.0  # χ² of fixes that agree: at most ratio · dof + spare
@@ -101,41 +104,47 @@ def along_heading(state: Any, v: FloatArray) -> float:
 
 
 @compiled
+def variance_along(state: Any, M: FloatArray) -> float:
+    """Of a vector of the site frame with covariance M (2, 2), along the heading."""
+    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    return float(cos * cos * M[X, X] + cos * sin * (M[X, Y] + M[Y, X]) + sin * sin * M[Y, Y])
+
+
+@compiled
 def goes_on(run: Any, along: float) -> bool:
     """Whether a fix whose innovation is ``along`` the heading errs to the same side as those before it."""
     return bool(run.count > 0 and along * run.sum > 0.0)
 
 
 @compiled
-def add_to_run(state: Any, run: Any, along: float, stands: bool) -> None:
-    """A fix that is used; one of a machine that ``stands`` shows no slip."""
-    if stands or not goes_on(run, along):
-        run.count, run.sum, run.begin = 0, 0.0, run.end
-    run.end = state.rolled
-    run.count += 0 if stands else 1
-    run.sum += along
+def changed_slip(state: Any, run: Any, along: float, variances: tuple[float, float]) -> tuple[float, float]:
+    """ν and −δ/w, where a run with this fix is too far to one side to be believed; else nothing.
 
-
-@compiled
-def changed_slip(run: Any, variances: tuple[float, float]) -> tuple[float, float]:
-    """ν̄ and −ν̄/w of a run that is too far to one side to be believed; else nothing.
-
-    ``variances``: along the heading, of the place as predicted, and of a fix with what it shares with others.
+    ``along``: ν. ``variances``: along the heading, of the place as predicted, and of a fix with what it
+    shares with others. A machine that stands shows no slip.
     """
+    stands = state.motion.motion == _STANDING or state.coasting
+    if stands or not goes_on(run, along):
+        run.count, run.sum, run.pulled, run.begin = 0, 0.0, 0.0, run.end
+    run.end = state.rolled
+    if stands:
+        return 0.0, 0.0
+    run.count += 1
+    run.sum += along
     of_place, of_fix = variances
     if run.count < _RUN or run.sum**2 <= _SURPRISE**2 * run.count * (of_place * run.count + of_fix):
         return 0.0, 0.0
-    mean, way = run.sum / run.count, run.end - run.begin
+    shown, way = run.pulled + along, run.end - run.begin
     run.count = 0
-    return mean, -mean / way if abs(way) > abs(mean) / _MOST else 0.0
+    return along, -shown / way if abs(way) > abs(shown) / _MOST else 0.0
 
 
 @compiled
 def widen_slip(state: Any, P: FloatArray, changed: tuple[float, float]) -> None:
     """P with a change of i₀ that may be, and of the place with it: ``changed_slip``."""
-    mean, of_slip = changed
+    of_place, of_slip = changed
     at = (X, Y, COMMON_SLIP)
-    by = (math.cos(state.mean[YAW]) * mean, math.sin(state.mean[YAW]) * mean, of_slip)
+    by = (math.cos(state.mean[YAW]) * of_place, math.sin(state.mean[YAW]) * of_place, of_slip)
     for i in range(3):
         for j in range(3):
             P[at[i], at[j]] += by[i] * by[j]

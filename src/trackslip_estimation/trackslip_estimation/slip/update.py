@@ -11,7 +11,6 @@
 What is refused leaves mean and covariance as they were.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -46,7 +45,13 @@ from trackslip_estimation.slip.observation import (
 )
 from trackslip_estimation.slip.records import HEADING, POSE, YAW_RATE
 from trackslip_estimation.slip.stands import count_fix, stands_still
-from trackslip_estimation.slip.traction import add_to_run, along_heading, changed_slip, goes_on, widen_slip
+from trackslip_estimation.slip.traction import (
+    along_heading,
+    changed_slip,
+    goes_on,
+    variance_along,
+    widen_slip,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -188,7 +193,8 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     nis = weighted_square(root_of_S, innovation)
     refused = finds_heading or nis > update.gate
     if not refused and has_velocity_errors(c) and not may_swing(state, source, c):
-        changed = _changed_slip(state, source, (innovation, predicted, known * R))
+        variances = variance_along(state, predicted), variance_along(state, known * R)
+        changed = changed_slip(state, state.runs[source], along_heading(state, innovation), variances)
         if changed[0] != 0.0:
             widen_slip(state, P, changed)
             widen_slip(state, update.prior_covariance, changed)
@@ -218,6 +224,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     R = min(known, shared_error(predicted, R)) * R
     count_fix(state, source, alone, R, c)
     correct(measurement.kind, x, P, (z, R), (0.0, 0.0), c)
+    state.runs[source].pulled += along_heading(state, innovation) - along_heading(state, z - x[:m])
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
     to_sensor(x, P, state.attitude.level, source, -1.0, c)
@@ -225,22 +232,6 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
     if inside:
         forget_refused(state, True)
-
-
-@compiled
-def _changed_slip(
-    state: Any, source: int, shown: tuple[FloatArray, FloatArray, FloatArray]
-) -> tuple[float, float]:
-    """What a fix, with those before it, shows of i₀ (``traction``).
-
-    ``shown``: its innovation, the covariance of that without R, and R with what it shares with those before.
-    """
-    innovation, predicted, R = shown
-    run, stands = state.runs[source], state.motion.motion == _STANDING or state.coasting
-    add_to_run(state, run, along_heading(state, innovation), stands)
-    e = np.array((math.cos(state.mean[YAW]), math.sin(state.mean[YAW])))
-    of_place = e @ predicted[:YAW, :YAW] @ e
-    return changed_slip(run, (of_place, e @ R[:YAW, :YAW] @ e))
 
 
 @inlined
