@@ -46,6 +46,16 @@ def test_a_machine_that_is_stuck_with_spinning_tracks_stays_where_its_fixes_are(
     assert "xxxx" not in refused
 
 
+@pytest.mark.parametrize("lasts", [4.0, 10.0])
+def test_a_machine_that_loses_its_grip_by_and_by_stays_where_its_fixes_are(lasts: float) -> None:
+    """No fix left its gate, their noise was believed large, i₀ followed late: 1.6 m off, 5 cm claimed."""
+    machine = Machine(duration=40.0, fading=(10.0, 10.0 + lasts), fix_noise=0.05, fix_stated=0.05, fix_rate=5)
+    _, errors, nees, fixes = run(drive(machine))
+    assert np.abs(errors).max() < 0.25
+    assert nees.mean() < 4.0  # 2 if consistent
+    assert Outcome.GATED not in fixes
+
+
 def test_another_slip_is_found_exactly() -> None:
     random = np.random.default_rng(2)
     ways, share = random.normal(0.0, 1.0, (5, 2)), 0.3
