@@ -17,7 +17,7 @@ VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars drives test faults soak lint ament bench fuzz bags figures docs clean
+.PHONY: help setup checks demo bars drives test faults soak lint ament bench fuzz bags numbers figures docs clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { \
@@ -76,6 +76,9 @@ fuzz: setup ## hostile files for every reader (FILES=500 each), then random byte
 
 bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--numbers: only what replays of them give)
 	@$(ENTER) exec $(VENV)/python scripts/make_bags.py $(ARGS)
+
+numbers: setup ## the measured figures of docs/, written anew (ARGS='attitude swing': of these pages)
+	@$(ENTER) exec $(VENV)/python scripts/make_numbers.py $(ARGS)
 
 figures: setup ## the pictures of docs/figures
 	@$(ENTER) exec $(VENV)/python scripts/figures.py

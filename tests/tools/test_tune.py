@@ -113,6 +113,7 @@ def test_bad_input_is_refused_in_one_line(
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_two_workers_of_a_cluster_find_what_one_process_finds(

@@ -182,6 +182,16 @@ def test_without_a_reference_there_are_no_errors(drive: Callable[..., Any]) -> N
 # the search
 
 
+def test_what_ends_the_workers_ends_the_search() -> None:
+    """scipy took it for a mistake in the way it is called, and a traceback came of it."""
+
+    def costs(_: Any) -> Any:
+        raise InputError("its workers ended")
+
+    with pytest.raises(InputError, match="its workers ended"):
+        search(costs, np.array((0.1, 0.9)), 300, seed=1)
+
+
 def test_the_search_finds_the_bottom_of_a_bent_valley() -> None:
     asked: list[np.ndarray[Any, Any]] = []
 

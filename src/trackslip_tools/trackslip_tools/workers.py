@@ -10,7 +10,7 @@ the items, so they are the same whoever did them, and however many.
 import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
@@ -164,7 +164,9 @@ def _cluster(address: str, shared: Any) -> Iterator[Map]:
                 yield from _results(futures)
             except ModuleNotFoundError as error:
                 raise InputError(f"--scheduler {address}: its workers lack {error.name}") from error
-            except KilledWorker as error:
-                raise InputError(f"--scheduler {address}: its workers ended (out of memory?)") from error
+            except (KilledWorker, CancelledError) as error:  # while it worked, or with what all share
+                raise InputError(
+                    f"--scheduler {address}: it or its workers ended (out of memory?)"
+                ) from error
 
         yield mapped

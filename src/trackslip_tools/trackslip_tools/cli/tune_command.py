@@ -64,10 +64,10 @@ def run(args: argparse.Namespace) -> int:
     cross_validate = not args.no_cross_validation and len(tasks) > 1
     sets = plan.settings.evaluations * (1 + len(tasks) * cross_validate)
     with ExitStack() as stack:
+        mapped = stack.enter_context(worker_options.chosen(args, shared=tasks))
         journal = stack.enter_context(Journal(args.output / JOURNAL, tasks, plan.bounds))
         if len(journal):
             show(f"note: {args.output / JOURNAL} holds {len(journal)} scores; going on", file=sys.stderr)
-        mapped = stack.enter_context(worker_options.chosen(args, shared=tasks))
         advance = stack.enter_context(counted(sets, "tuning"))
         tuner = Tuner(plan, tasks, partial(mapped, score_of), journal, advance)
         tuning = tuner.run(cross_validate)

@@ -11,8 +11,10 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution, minimize
+from scipy.optimize import OptimizeResult, differential_evolution, minimize
 from scipy.stats import qmc
+
+from trackslip_common.errors import InputError
 
 FloatArray = NDArray[np.float64]
 Costs = Callable[[FloatArray], FloatArray]
@@ -26,23 +28,16 @@ _SMALL = 1e-4  # difference of costs that does not matter
 
 
 def search(costs: Costs, start: FloatArray, points: int, seed: int) -> FloatArray:
-    """The best of about ``points`` points, ``start`` (d,) among them."""
+    """The best of about ``points`` points, ``start`` (d,) among them.
+
+    Raises:
+        InputError: whatever ``costs`` raises as such.
+    """
     d = start.size
     members = max(5, min(_MEMBERS * d, int(_EVOLUTION * points) // (_GENERATIONS + 1)))
     population = qmc.LatinHypercube(d, seed=seed).random(members)
     population[0] = start
-    evolved = differential_evolution(
-        lambda x: costs(x.T),
-        [(0.0, 1.0)] * d,
-        init=population,
-        maxiter=max(int(_EVOLUTION * points) // members - 1, 1),
-        tol=0.0,
-        atol=_SMALL,
-        seed=seed,
-        polish=False,
-        updating="deferred",
-        vectorized=True,
-    )
+    evolved = _evolved(costs, population, max(int(_EVOLUTION * points) // members - 1, 1), seed)
     corners = np.vstack([evolved.x, evolved.x + np.where(evolved.x > 0.5, -_SIMPLEX, _SIMPLEX) * np.eye(d)])
     polished = minimize(
         lambda x: costs(x[np.newaxis])[0],
@@ -58,3 +53,24 @@ def search(costs: Costs, start: FloatArray, points: int, seed: int) -> FloatArra
     )
     best: FloatArray = polished.x if polished.fun < evolved.fun else evolved.x
     return best
+
+
+def _evolved(costs: Costs, population: FloatArray, generations: int, seed: int) -> OptimizeResult:
+    """By differential evolution from a (k, d) population on."""
+    try:
+        return differential_evolution(
+            lambda x: costs(x.T),
+            [(0.0, 1.0)] * population.shape[1],
+            init=population,
+            maxiter=generations,
+            tol=0.0,
+            atol=_SMALL,
+            seed=seed,
+            polish=False,
+            updating="deferred",
+            vectorized=True,
+        )
+    except RuntimeError as error:
+        if isinstance(error.__cause__, InputError):  # which scipy, as it is a ValueError, takes for a mistake
+            raise error.__cause__ from None
+        raise

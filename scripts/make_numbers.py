@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Measured figures of the documents, written anew: ``make numbers`` (``ARGS='attitude swing'``).
+
+Each stands on its page between two comments that name a function of ``measurements/``, which drives the
+emulator, replays, and gives what belongs there. Pages are named by their files, with or without ``docs/`` and
+``.md``. What needs a log that is not there is left as it stands, and the exit code is 1.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from measurements import MEASUREMENTS
+from measurements.blocks import ROOT, names_on, rewritten
+from measurements.workbench import NotMeasured
+from trackslip_common.errors import ExitCode
+from trackslip_tools.cli.progress import shown
+from trackslip_tools.workers import cores, workers
+
+
+def measured(_: None, name: str) -> tuple[str, str, str]:
+    """The name, what its block shall hold, and why it cannot be measured here, one of both empty."""
+    with tempfile.TemporaryDirectory(prefix="trackslip_numbers_") as folder:
+        try:
+            return name, "".join(f"{line}\n" for line in MEASUREMENTS[name](Path(folder))), ""
+        except NotMeasured as reason:
+            return name, "", str(reason)
+
+
+def main() -> int:
+    """Measure, write the pages; returns the exit code: 1 where a block was left as it stands."""
+    parser = argparse.ArgumentParser(prog="make numbers", description=__doc__)
+    parser.add_argument("pages", nargs="*", metavar="PAGE", help="docs/swing.md, or swing; default: all")
+    asked = {Path(page).stem for page in parser.parse_args().pages}
+    found = names_on(lambda page: not asked or page.stem in asked)
+    if missing := asked - {page.stem for page in found.values()}:
+        print(f"no figures to write on: {', '.join(sorted(missing))}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    left = False
+    with workers(min(cores(), len(found))) as mapped:
+        running = mapped(measured, [name for name in MEASUREMENTS if name in found])
+        for name, content, reason in shown(running, "measurements", total=len(found)):
+            page = found[name]
+            text = page.read_text(encoding="utf-8")
+            new = text if reason else rewritten(text, {name: content})
+            page.write_text(new, encoding="utf-8")
+            state = f"left: {reason}" if reason else "the same" if new == text else "written"
+            print(f"{page.relative_to(ROOT)}: {name}: {state}", flush=True)
+            left |= bool(reason)
+    return ExitCode.FAILED if left else ExitCode.DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,34 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the documents' figures are measured by: the name of a block → the function that gives its lines.
+
+The functions take a folder to work in, and raise ``NotMeasured`` where a log is not at hand, or a command
+fails. Long ones come first, so that none is waited for alone.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+from measurements import attitude, cab, excavator, real_logs, recorded, studies
+
+Measurement = Callable[[Path], Sequence[str]]
+
+MEASUREMENTS: Mapping[str, Measurement] = MappingProxyType(
+    {
+        "soil_on_slopes": studies.soil_on_slopes,
+        "dig_cycles": cab.dig_cycles,
+        "turned_cab": cab.turned_cab,
+        "attitude": attitude.on_slopes,
+        "drawn_machines": studies.drawn_machines,
+        "two_machines": studies.two_machines,
+        "real_logs": real_logs.with_geometry_alone,
+        "wrong_numbers": excavator.wrong_numbers,
+        "excavator_replay": excavator.printed,
+        "recorded_runs": recorded.runs,
+        "study_ranges": recorded.study_ranges,
+        "slope_ranges": recorded.slope_ranges,
+    }
+)
+CHEAP = ("recorded_runs", "study_ranges", "slope_ranges")
+"""Of files in the tree; a test compares what the pages say with what these give."""

@@ -1,0 +1,48 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Blocks of a page that a measurement writes: ``<!-- numbers: NAME -->`` … ``<!-- end of NAME -->``."""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("deploy/*.md")])
+
+_BLOCK = re.compile(r"(<!-- numbers: (\w+) -->\n)(.*?)(<!-- end of \2 -->)", re.DOTALL)
+_MARK = re.compile(r"<!-- (?:numbers:|end of) \w* ?-->")
+
+
+def blocks_of(text: str) -> dict[str, str]:
+    """Name → what stands between its marks.
+
+    Raises:
+        ValueError: a mark has no partner, or a name stands twice.
+    """
+    found = {name: content for _, name, content, _ in _BLOCK.findall(text)}
+    marks = len(_MARK.findall(text))
+    if marks != 2 * len(found):
+        raise ValueError(f"{marks} marks make {len(found)} blocks: one is not closed, or stands twice")
+    return found
+
+
+def without_blocks(text: str) -> str:
+    """What nothing writes but an author; lines keep their numbers."""
+    return _BLOCK.sub(lambda found: "\n" * found[0].count("\n"), text)
+
+
+def rewritten(text: str, contents: Mapping[str, str]) -> str:
+    """The text with these contents between their marks; other blocks stay."""
+
+    def one(found: re.Match[str]) -> str:
+        head, name, content, foot = found.groups()
+        return f"{head}{contents.get(name, content)}{foot}"
+
+    return _BLOCK.sub(one, text)
+
+
+def names_on(pages: Callable[[Path], bool]) -> dict[str, Path]:
+    """Name → page, of all blocks on the pages asked for."""
+    return {
+        name: page for page in PAGES if pages(page) for name in blocks_of(page.read_text(encoding="utf-8"))
+    }

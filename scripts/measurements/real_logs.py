@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of real machines, which do not come with the project: ``data/`` of ``$TRACKSLIP_SHARED``.
+
+Given is the geometry alone; fixes are the lidar poses once a second with 5 cm of noise, three draws of it.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from measurements.blocks import ROOT
+from measurements.workbench import NotMeasured, run, trackslip, write_yaml
+from trackslip_sim.study.table import table
+
+_TRACKED: dict[str, Any] = {
+    "time": {"column": "t", "unit": "s"},
+    "topics": {
+        "sprockets": {
+            "left_velocity": {"column": "left", "unit": "rad/s"},
+            "right_velocity": {"column": "right", "unit": "rad/s"},
+        },
+        "imu/data_raw": {
+            "angular_velocity_z": {"column": "gz", "unit": "rad/s"},
+            **{f"linear_acceleration_{axis}": {"column": f"a{axis}", "unit": "m/s^2"} for axis in "xyz"},
+        },
+        "reference_pose": {
+            **{axis: {"column": axis, "unit": "m"} for axis in "xy"},
+            "yaw": {"column": "yaw", "unit": "rad"},
+            "new_when_changes": "idx",
+            "time_offset": -0.25,  # s, by which the lidar poses lag
+            "stddev": {"x": 0.02, "y": 0.02, "yaw": 0.01},  # m, m, rad: assumed, the log has none
+        },
+    },
+    "vehicle": {
+        "name": "tracked_robot",
+        "kinematics": {"rolling_radius": 0.1167, "tread": 0.52, "contact_length": 0.6},
+    },
+    "parameters": {
+        "pose_sources": ["reference_pose"],
+        "sources": {"reference_pose": {"use_heading": False}},
+        "encoder_resolution": 0.0,
+        "max_sprocket_speed": 20.0,
+    },
+}
+
+
+class _Log(NamedTuple):
+    file: str
+    mapping: str
+    options: str
+    cases: dict[str, str]  # name → what is withheld
+
+
+_LOGS = (
+    _Log(
+        "marmotte_boreal.csv",
+        "{}/tracked.yaml",
+        "",
+        {
+            "tracked robot, fixes": "",
+            "… none for 30 s": "75.5:105.5",
+            "… neither fixes nor gyro": "75.5:105.5 gyro",
+        },
+    ),
+    _Log(
+        "warthog_grass_a.csv",
+        "mappings/warthog.yaml",
+        "--start 128.8 --stop 362.9",
+        {
+            "Warthog, fixes": "",
+            "… none for 30 s": "303.8:333.8",
+            "… neither fixes nor gyro": "303.8:333.8 gyro",
+            "… none for 30 s, later": "313.8:343.8",
+            "… neither fixes nor gyro, later": "313.8:343.8 gyro",
+        },
+    ),
+)
+_THINNED = "--thin reference_pose:1:0.05 --reference reference_pose"
+_MODELS = ("turning", "icr")
+
+
+def _shown(model: str, place: int, digits: int) -> Callable[[dict[str, Any]], str]:
+    return lambda row: f"{row[model][place]:.{digits}f}"
+
+
+_COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "case": lambda row: str(row["case"]),
+    **{f"{model} m": _shown(model, 0, 3) for model in _MODELS},
+    **{f"{model} NEES": _shown(model, 1, 1) for model in _MODELS},
+}
+
+
+def with_geometry_alone(folder: Path) -> list[str]:
+    """RMSE of each model over the whole log, and NEES; mean of three draws.
+
+    Raises:
+        NotMeasured: the logs are not there.
+    """
+    return table(_COLUMNS, list(_rows(folder)), text_columns=1)
+
+
+def _rows(folder: Path) -> Iterator[dict[str, Any]]:
+    data = Path(os.environ.get("TRACKSLIP_SHARED", ROOT.parent / "shared")) / "data"
+    write_yaml(folder / "tracked.yaml", _TRACKED)
+    for log in _LOGS:
+        if not (data / log.file).is_file():
+            raise NotMeasured(f"no {data / log.file}")
+        bag = folder / Path(log.file).stem
+        run(f"import {data / log.file} --mapping {log.mapping} --output {bag}", folder)
+        for case, hidden in log.cases.items():
+            window, _, gyro = hidden.partition(" ")
+            topics = ("reference_pose", "imu/data_raw") if gyro else ("reference_pose",)
+            options = " ".join(f"--withhold {topic}:{window}" for topic in topics) if window else ""
+            replay = f"replay {bag} {log.options} {_THINNED} {options}"
+            yield {"case": case, **{model: _mean(replay, model, folder) for model in _MODELS}}
+
+
+def _mean(replay: str, model: str, folder: Path) -> tuple[float, float]:
+    """RMSE, m, and NEES of the position."""
+    found = [
+        trackslip(f"{replay} --set slip_estimator.model={model} --seed {seed}", folder) for seed in range(3)
+    ]
+    rmse = [one["rmse"]["filter"] for one in found]
+    return float(np.mean(rmse)), float(np.mean([one["nees_position"] for one in found]))

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables out of ``trackslip study``, whose cache keeps what is finished."""
+
+from pathlib import Path
+from typing import Any
+
+from measurements.workbench import SOILS, trackslip
+from trackslip_sim.study.table import table, words
+
+_TERRAINS = {"slope_15": "15° up", "slope_down_15": "15° down", "side_slope_15": "15° across", "hill": "hill"}
+_SLOPES = {
+    "terrain": lambda row: _TERRAINS[row["terrain"]],
+    "soil": lambda row: words(row["soil"]),
+    "F_max %": lambda row: _error(row, "F_max"),
+    "K %": lambda row: _error(row, "K"),
+    "μ_r %": lambda row: _error(row, "mu_r"),
+    "identifiable": lambda row: f"{row['identifiable']}/{row['seeds']}",
+}
+_DRAWN = {
+    "soil": lambda row: words(row["soil"]),
+    "σ_xy m": lambda row: f"{row['sigma_xy']:g}",
+    "position mm (bound)": lambda row: _pair(row, "position", 1e3, 1),
+    "slip in turns % (bound)": lambda row: _pair(row, "turning_slip", 100.0, 2),
+    "NEES of pose": lambda row: f"{row['nees_pose']:.1f}",
+}
+_MACHINES = {
+    "machine": lambda row: f"`{row['vehicle']}`",
+    "soil": lambda row: words(row["soil"]),
+    "position mm (bound)": lambda row: _pair(row, "position", 1e3, 1),
+    "slip % (bound)": lambda row: _pair(row, "slip", 100.0, 2),
+    "NEES of pose": lambda row: f"{row['nees_pose']:.1f}",
+}
+
+
+def soil_on_slopes(folder: Path) -> list[str]:
+    """Forces and soil on slopes of 15° and over a hill, three runs a cell."""
+    options = f"--scenario field_trial --terrain {' '.join(_TERRAINS)} --sigma-xy 0.01 --seeds 3"
+    return table(_SLOPES, trackslip(f"study --estimator soil --workers 1 {options}", folder), text_columns=2)
+
+
+def drawn_machines(folder: Path) -> list[str]:
+    """Machines whose parameters state another one, with fixes of 1 and 5 cm."""
+    options = "--truth drawn --filter ekf --sigma-xy 0.01 0.05 --sigma-omega 0.01 --seeds 48"
+    return table(_DRAWN, trackslip(f"study --workers 1 {options}", folder), text_columns=1)
+
+
+def two_machines(folder: Path) -> list[str]:
+    """The PC05 and the machine of 20 t on the shear truth."""
+    options = f"--truth shear --filter ekf --sigma-xy 0.05 --seeds 10 --soil {' '.join(SOILS)}"
+    rows = [
+        {"vehicle": vehicle, **row}
+        for vehicle in ("pc05", "excavator_20t")
+        for row in trackslip(f"study --workers 1 --vehicle {vehicle} {options}", folder)
+    ]
+    return table(_MACHINES, rows, text_columns=2)
+
+
+def _error(row: dict[str, Any], name: str) -> str:
+    """Median, worst, and in how many runs the interval holds the truth."""
+    share = f"{row[f'{name}_inside']}/{row['seeds']}"
+    return f"{100.0 * row[f'{name}_error']:.1f} ({100.0 * row[f'{name}_worst']:.1f}), {share}"
+
+
+def _pair(row: dict[str, Any], name: str, scale: float, digits: int) -> str:
+    return f"{scale * row[f'{name}_rmse']:.{digits}f} ({scale * row[f'{name}_bound']:.{digits}f})"
