@@ -29,7 +29,8 @@ LISTS = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIB
 DEFAULTS = {
     "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    "FASTDDS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml"),
+    "FASTDDS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml"),  # of Fast DDS 3, Kilted
+    "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastrtps.xml"),  # of Fast DDS 2, Jazzy
 }
 _PREPEND = """\
 _trackslip_prepend() {

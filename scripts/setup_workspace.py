@@ -212,7 +212,6 @@ def create_venv(ros: str) -> None:
         run([base_python(), "-m", "venv", str(VENV)], bare_environment())
         pip_install(ros, requirements(ros))
         correct_cmake_files()
-        write_local_setup(ros)
 
 
 def pip_install(ros: str, files: list[str]) -> None:
@@ -247,6 +246,8 @@ def build_workspace(ros: str) -> None:
     Beside that compiles what estimators and simulator call, straight from their sources: each of the two
     takes one processor, longer than the build does, and no kernel is in both.
     """
+    if ros != SYSTEM:
+        write_local_setup(ros)
     for package in ROOT.glob("src/*/setup.py"):
         for made in ("build", "install"):
             shutil.rmtree(WORKSPACE / made / package.parent.name, ignore_errors=True)
@@ -254,7 +255,7 @@ def build_workspace(ros: str) -> None:
     sources = os.pathsep.join(str(path.parent) for path in sorted(ROOT.glob("src/*/setup.py")))
     environment = bare_environment() | {"PYTHONPATH": sources}
     replay = ["trackslip_tools.cli.main", "replay", "bags/slalom_sand"]
-    replay += ["--stop", "3", "--withhold", "hydraulics"]
+    replay += ["--stop", "3", "--vehicle", "warthog"]  # which has no hydraulics: nothing of the soil
     with Step("ros2_ws built, kernels compiled"):
         run_all(
             {

@@ -160,3 +160,20 @@ def test_recorder_answers_by_both_names(name: str, programs: Any) -> None:
         lambda: (recorder_bag := programs.folder / "bag").is_dir() and any(recorder_bag.iterdir()), "a bag"
     )
     assert recorder.end()[0] == 0
+
+
+def test_fast_dds_reads_the_profiles_that_set_up_names(programs: Any, tmp_path: Path) -> None:
+    """Fast DDS 2 and 3 have variables of different names, and ignore the other's without a word."""
+    names = [name for name in os.environ if name.endswith("_PROFILES_FILE")]
+    if not names:
+        pytest.skip("a ROS from apt keeps the profiles of its vehicle")
+    make_node = "import rclpy; rclpy.init(); rclpy.create_node('profiled'); rclpy.shutdown()"
+    accepted = programs.python("-c", make_node)
+    assert accepted.wait() == 0
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<profiles", encoding="utf-8")
+    programs.environment |= dict.fromkeys(names, str(broken))
+    refused = programs.python("-c", make_node)
+    refused.wait()
+    assert "XMLPARSER" not in accepted.stdout + accepted.stderr
+    assert "XMLPARSER" in refused.stdout + refused.stderr
