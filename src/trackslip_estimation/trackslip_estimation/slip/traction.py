@@ -27,8 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
+from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
 
 FloatArray = NDArray[np.float64]
@@ -117,12 +119,17 @@ def goes_on(run: Any, along: float) -> bool:
 
 
 @compiled
-def changed_slip(state: Any, run: Any, along: float, variances: tuple[float, float]) -> tuple[float, float]:
+def changed_slip(
+    state: Any, source: int, shown: tuple[float, FloatArray, FloatArray], c: Any
+) -> tuple[float, float]:
     """ν and −δ/w, where a run with this fix is too far to one side to be believed; else nothing.
 
-    ``along``: ν. ``variances``: along the heading, of the place as predicted, and of a fix with what it
-    shares with others. A machine that stands shows no slip.
+    ``shown``: ν, the covariance of the place as predicted, and R with what the fix shares with others. A
+    machine that stands shows no slip.
     """
+    if not has_velocity_errors(c) or may_swing(state, source, c):
+        return 0.0, 0.0
+    run, (along, predicted, R) = state.runs[source], shown
     stands = state.motion.motion == _STANDING or state.coasting
     if stands or not goes_on(run, along):
         run.count, run.sum, run.pulled, run.begin = 0, 0.0, 0.0, run.end
@@ -131,12 +138,12 @@ def changed_slip(state: Any, run: Any, along: float, variances: tuple[float, flo
         return 0.0, 0.0
     run.count += 1
     run.sum += along
-    of_place, of_fix = variances
-    if run.count < _RUN or run.sum**2 <= _SURPRISE**2 * run.count * (of_place * run.count + of_fix):
+    variance = variance_along(state, predicted) + variance_along(state, R) / run.count
+    if run.count < _RUN or (run.sum / run.count) ** 2 <= _SURPRISE**2 * variance:
         return 0.0, 0.0
-    shown, way = run.pulled + along, run.end - run.begin
+    moved, way = run.pulled + along, run.end - run.begin
     run.count = 0
-    return along, -shown / way if abs(way) > abs(shown) / _MOST else 0.0
+    return along, -moved / way if abs(way) > abs(moved) / _MOST else 0.0
 
 
 @compiled

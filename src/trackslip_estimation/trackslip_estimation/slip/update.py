@@ -45,13 +45,7 @@ from trackslip_estimation.slip.observation import (
 )
 from trackslip_estimation.slip.records import HEADING, POSE, YAW_RATE
 from trackslip_estimation.slip.stands import count_fix, stands_still
-from trackslip_estimation.slip.traction import (
-    along_heading,
-    changed_slip,
-    goes_on,
-    variance_along,
-    widen_slip,
-)
+from trackslip_estimation.slip.traction import along_heading, changed_slip, goes_on, widen_slip
 
 FloatArray = NDArray[np.float64]
 
@@ -192,15 +186,14 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     root_of_S = root(predicted + R)
     nis = weighted_square(root_of_S, innovation)
     refused = finds_heading or nis > update.gate
-    if not refused and has_velocity_errors(c) and not may_swing(state, source, c):
-        variances = variance_along(state, predicted), variance_along(state, known * R)
-        changed = changed_slip(state, state.runs[source], along_heading(state, innovation), variances)
-        if changed[0] != 0.0:
-            widen_slip(state, P, changed)
-            widen_slip(state, update.prior_covariance, changed)
-            predicted = P[:m, :m].copy()
-            root_of_S = root(predicted + R)
-            nis = weighted_square(root_of_S, innovation)
+    shown = along_heading(state, innovation), predicted, known * R
+    changed = (0.0, 0.0) if refused else changed_slip(state, source, shown, c)
+    if changed[0] != 0.0:
+        widen_slip(state, P, changed)
+        widen_slip(state, update.prior_covariance, changed)
+        predicted = P[:m, :m].copy()
+        root_of_S = root(predicted + R)
+        nis = weighted_square(root_of_S, innovation)
     update.nis, update.log_determinant = nis, log_determinant_of(root_of_S)
     inside = not refused and nis <= limit
     if inside:
