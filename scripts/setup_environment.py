@@ -26,12 +26,12 @@ SITE = VENV / "lib" / PYTHON / "site-packages"
 ENVIRONMENT = VENV / "trackslip.sh"
 LISTS = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PATH")
 # Set only where the user has not; a ROS from apt keeps the settings of its vehicle.
-DEFAULTS = {
-    "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    "FASTDDS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml"),  # of Fast DDS 3, Kilted
-    "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastrtps.xml"),  # of Fast DDS 2, Jazzy
+DEFAULTS = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+PROFILES = {  # of a ROS's Fast DDS, 2 or 3: each reads a file of its own, by a variable of its own
+    "jazzy": ("FASTRTPS_DEFAULT_PROFILES_FILE", "fastrtps.xml"),
+    "kilted": ("FASTDDS_DEFAULT_PROFILES_FILE", "fastdds.xml"),
 }
+USERS = (*DEFAULTS, *(variable for variable, _ in PROFILES.values()))
 _PREPEND = """\
 _trackslip_prepend() {
   eval "_trackslip_now=\\"\\${$1-}\\""
@@ -50,7 +50,7 @@ exec {python} -m trackslip_tools.cli.main "$@"
 
 def bare_environment(keep_ros: bool = False) -> dict[str, str]:
     """This process's environment without the caller's make, without this checkout, and without any ROS."""
-    dropped = {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", *DEFAULTS}
+    dropped = {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", *USERS}
     kept = {name: value for name, value in os.environ.items() if name not in dropped}
     for name in (*LISTS, "PYTHONPATH"):
         paths = [path for path in kept.pop(name, "").split(os.pathsep) if path]
@@ -81,7 +81,8 @@ def write_local_setup(ros: str) -> None:
     values = {"ROS_DISTRO": ros, "ROS_VERSION": "2", "ROS_PYTHON_VERSION": "3"}
     values["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"  # or the wheels start each python twice to set the above
     text = f"# Made by make setup: ROS 2 {ros} from wheels, for colcon's setup files.\n"
-    text += _assignments(lists, values, DEFAULTS)
+    variable, profiles = PROFILES[ros]
+    text += _assignments(lists, values, DEFAULTS | {variable: str(ROOT / "config" / profiles)})
     for shell in ("sh", "bash", "zsh"):
         write_file(VENV / f"local_setup.{shell}", text)
 
@@ -94,7 +95,7 @@ def install_environment(ros: str) -> None:
     write_file(SITE / "trackslip.pth", "\n".join(modules) + "\n")
 
     lists = {name: found.pop(name) for name in LISTS if name in found}
-    defaults = {name: found.pop(name) for name in DEFAULTS if name in found}
+    defaults = {name: found.pop(name) for name in USERS if name in found}
     text = "# Made by make setup: what sourcing ros2_ws/install/setup.sh gave; source this or that.\n"
     write_file(ENVIRONMENT, text + _assignments(lists, found, defaults))
 

@@ -163,7 +163,7 @@ def test_recorder_answers_by_both_names(name: str, programs: Any) -> None:
 
 
 def test_fast_dds_reads_the_profiles_that_set_up_names(programs: Any, tmp_path: Path) -> None:
-    """Fast DDS 2 and 3 have variables of different names, and ignore the other's without a word."""
+    """Fast DDS 2 and 3 have a variable and a file each: 2 ignores the other's, 3 refuses the file of 2."""
     names = [name for name in os.environ if name.endswith("_PROFILES_FILE")]
     if not names:
         pytest.skip("a ROS from apt keeps the profiles of its vehicle")
