@@ -5,8 +5,9 @@
 import numpy as np
 import pytest
 
+from trackslip_sim.demo.bars import LIMITS, header
 from trackslip_sim.drives.drive import random_drive
-from trackslip_sim.drives.main import missed_bars, parameters, scored
+from trackslip_sim.drives.main import missed_bars, parameters, row, scored
 from trackslip_sim.drives.score import Score
 from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, integrated
 
@@ -16,6 +17,17 @@ def test_an_estimator_that_nobody_tuned_is_consistent_on_drawn_machines() -> Non
     assert missed_bars(scores) == []
     assert sum(len(s.ends) for s in scores) >= 4  # minutes without fixes there were
     assert max(s.refused_in_a_row for s in scores) <= 3
+
+
+def test_tables_fit_a_terminal() -> None:
+    """Those of ``make bars`` and ``make drives`` were 118 and 120 columns wide."""
+    ends = np.array((10.21, 1.23, 0.27))
+    score = Score(0.0123, 12.34, 10.1, np.array((10.4, 0.2, 1.7)), ends, ends, 3)
+    lines = [
+        *header(list(vars(LIMITS))).splitlines(),
+        *row(39, "clayey_soil", DrawnMachine(), score).splitlines(),
+    ]
+    assert max(map(len, lines)) <= 80
 
 
 def test_a_seed_gives_one_drive() -> None:

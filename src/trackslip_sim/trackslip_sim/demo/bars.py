@@ -168,9 +168,16 @@ def table(seeds: int) -> Iterator[tuple[str, Accuracy]]:
             for soil in SOILS:
                 for seed in range(1, seeds + 1):
                     yield (
-                        f"{trial.scenario:<13}{soil:<14}{seed:>3}",
+                        f"{trial.scenario:<12}{soil:<12}{seed:>2}",
                         measure(trial, soil, seed, Path(directory)),
                     )
+
+
+def header(names: list[str]) -> str:
+    """Two lines above the columns: the last word of each name in the second."""
+    words = [name.removeprefix("of_").rpartition("_") for name in names]
+    lines = ("".join(f"{word[k]:>8} " for word in words) for k in (0, 2))
+    return "\n".join((" " * 26 + line).rstrip() for line in lines)
 
 
 def main() -> int:
@@ -179,13 +186,13 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1, help="runs of each drive on each soil (default: 1)")
     failed = False
     names = list(vars(LIMITS))
-    print(" " * 30 + "".join(f"{name:>18}" for name in names))
-    print(f"{'limit':<30}" + "".join(f"{limit:>18.4f}" for limit in astuple(LIMITS)))
+    print(header(names))
+    print(f"{'limit':<26}" + "".join(f"{limit:>8.4f} " for limit in astuple(LIMITS)))
     for what, bars in table(parser.parse_args().seeds):
         exceeded = bars.exceeded()
         failed |= bool(exceeded)
         cells = (f"{getattr(bars, name):.4f}{'!' if name in exceeded else ' '}" for name in names)
-        print(f"{what:<30}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
+        print(f"{what:<26}" + "".join(f"{cell:>9}" for cell in cells), flush=True)
     return ExitCode.FAILED if failed else ExitCode.DONE
 
 

@@ -55,13 +55,13 @@ def scored(seed: int) -> tuple[str, DrawnMachine, Score]:
     return drive.soil, drive.machine, score(drive, p)
 
 
-def _row(seed: int, soil: str, m: DrawnMachine, s: Score) -> str:
+def row(seed: int, soil: str, m: DrawnMachine, s: Score) -> str:
     headings = " ".join(f"{value:.1f}" for value in s.headings)
     ends = " ".join(f"{error:.2f} ({d2:.1f})" for error, d2 in zip(s.end_errors, s.ends, strict=True))
     machine = f"{m.gyro_scale:.3f} {m.asymmetry:+.3f} {m.radius:.3f} × {m.velocity_errors:.1f}"
     machine += f" × {m.gyro_noise:.1f} {m.fix_delay:+.2f}"
     numbers = f"{1e3 * s.position_rmse:6.1f} {s.nees:6.2f} {s.longest:5.1f}"
-    return f"{seed:4d} {soil:11s} {numbers}  {headings:16s} {ends:36s} {machine}"
+    return f"{seed:4d} {soil:11s} {numbers}  {machine}\n     heading {headings} σ, ends {ends} m (d²)"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,21 +70,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=40, help="drives (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="at a time (default: one per core)")
     args = parser.parse_args(argv)
-    print(
-        "seed soil            mm   NEES  s>30  heading σ        ends m (d²)                          machine"
-    )
+    print("seed soil            mm   NEES  s>30  machine")
     scores = []
     with ProcessPoolExecutor(args.jobs) as pool:
         for seed, found in enumerate(pool.map(scored, range(args.seeds))):
-            print(_row(seed, *found), flush=True)
+            print(row(seed, *found), flush=True)
             scores.append(found[2])
     ends = np.concatenate([s.ends for s in scores])
     rmse = 1e3 * np.sqrt(np.mean([s.position_rmse**2 for s in scores]))
     nees, refused = np.mean([s.nees for s in scores]), max(s.refused_in_a_row for s in scores)
-    print(
-        f"{len(scores)} drives: {rmse:.1f} mm with fixes, NEES {nees:.2f}, {refused} refused in a row;",
-        end=" ",
-    )
+    print(f"{len(scores)} drives: {rmse:.1f} mm with fixes, NEES {nees:.2f}, {refused} refused in a row")
     print(f"d² {ends.mean():.2f} at {ends.size} ends of silences, {np.sum(ends > INSIDE)} outside 3 σ")
     missed = missed_bars(scores)
     for bar in missed:
