@@ -59,8 +59,9 @@ def main() -> int:
 
 
 def show(what: str, here: str, beside: str = "", bar: str = "") -> None:
-    """One row."""
-    print(f"{what:<44}{here:<17}{beside:<36}{bar}".rstrip(), flush=True)
+    """A row of two lines, within 80 columns."""
+    figures = f"    {here:<14}{beside:<44}{bar}".rstrip()
+    print(f"{what}\n{figures}" if what else figures, flush=True)
 
 
 def _drivers(directory: Path) -> None:
