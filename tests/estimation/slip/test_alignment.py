@@ -11,7 +11,7 @@ from fixtures.drawn_machine import Machine, drive, parameters, turned
 
 from trackslip_estimation.slip.alignment import rigid_motion
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix
+from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix
 from trackslip_estimation.slip.records import REFUSED
 
 
@@ -159,3 +159,53 @@ def test_at_rest_fixes_that_turn_the_machine_are_never_believed() -> None:
     poses, _, fixes = run(at_rest(5.0, 1.0, heading=math.pi / 2.0), **{"sources.box_pose.use_heading": True})
     assert all(outcome is Outcome.GATED for outcome in fixes[101:])
     assert np.max(np.abs(poses)) < 0.1
+
+
+def placed(measurements: list[Measurement], at: float, pose: tuple[float, float, float]) -> list[Measurement]:
+    """With a manual pose, half a metre and 0.1 rad uncertain, ``at`` s of the drive."""
+    manual = PoseFix(SET_POSE, 10**9 + round(at * 1e9) + 1, np.array(pose), np.diag((0.25, 0.25, 0.01)))
+    return sorted([*measurements, manual], key=lambda m: m.stamp_ns)
+
+
+def test_at_rest_fixes_correct_a_manual_pose_however_many_came_before() -> None:
+    """As more of one stand they counted for next to nothing: after an hour it stayed where it was placed."""
+    poses, covariances, _ = run(placed(at_rest(10.0, 0.0, heading=0.0), 20.0, (0.5, 0.0, 0.0)))
+    index = round(20.5 * 20.0)  # five fixes later
+    assert poses[index - 10, 0] == pytest.approx(0.5, abs=0.01)
+    assert poses[index, :2] == pytest.approx((0.0, 0.0), abs=0.05)
+    assert math.sqrt(covariances[index, 0, 0]) < 0.05
+
+
+def runs_around(measurements: list[Measurement], at_ns: int) -> tuple[int, int]:
+    """The longest run of fixes that err to one side, just before and just after a stamp."""
+    estimator, counts = SlipEstimator(parameters()), [0, 0]
+    for m in measurements:
+        estimator.process(m)
+        newest = estimator.window.states[estimator.window.count - 1]["runs"]["count"].max()
+        if m.stamp_ns < at_ns:
+            counts[0] = int(newest)
+        elif m.stamp_ns == at_ns:
+            counts[1] = int(newest)
+    return counts[0], counts[1]
+
+
+def test_a_run_of_fixes_to_one_side_ends_where_the_pose_is_placed() -> None:
+    """Three before and one after would have widened slip and place together, for nothing."""
+    ahead = [
+        moved(m, 0.05, 0.0) if isinstance(m, PoseFix) and m.stamp_ns > 4e9 else m
+        for m in drive(Machine(duration=8.0)).measurements
+    ]
+    manual = placed(ahead, 6.0, (1.0, 0.0, 0.0))
+    before, after = runs_around(manual, 7 * 10**9 + 1)
+    assert before >= 2
+    assert after == 0
+
+
+def test_a_run_of_fixes_to_one_side_ends_where_fixes_that_agree_move_the_pose() -> None:
+    elsewhere = [
+        moved(m, 8.0, -5.0) if isinstance(m, PoseFix) and m.stamp_ns > 30e9 else m
+        for m in drive(Machine(duration=40.0)).measurements
+    ]
+    outcomes = iter(run(elsewhere)[2])
+    ends = [m.stamp_ns for m in elsewhere if isinstance(m, PoseFix) and next(outcomes) is not Outcome.GATED]
+    assert runs_around(elsewhere, next(ns for ns in ends if ns > 30e9))[1] == 0

@@ -72,6 +72,15 @@ def forget_refused(state: Any, anchored: bool) -> None:
 
 
 @compiled
+def forget_fixes(state: Any, anchored: bool) -> None:
+    """The place is no longer what fixes made it: none of them counts with the next as a stand or a run."""
+    forget_refused(state, anchored)
+    for k in range(len(state.runs)):
+        state.stands[k].count = state.runs[k].count = 0
+        state.runs[k].end = state.rolled
+
+
+@compiled
 def thin(state: Any) -> None:
     """Forget every second refused fix: as long as no heading is known, the way from the start counts."""
     for k in range(CAPACITY // 2):
@@ -144,7 +153,7 @@ def realign(state: Any, at_rest: bool, c: Any) -> bool:
             return False
         drop_oldest(state)
     state.aligning = False
-    forget_refused(state, True)
+    forget_fixes(state, True)
     return True
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.adaptation import learn_from_fix
-from trackslip_estimation.slip.alignment import RigidMotion, forget_refused, keep_refused, move_pose
+from trackslip_estimation.slip.alignment import RigidMotion, forget_fixes, keep_refused, move_pose
 from trackslip_estimation.slip.levers import sensor_place, stamp_shift, to_delayed, to_sensor, turn_heading
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
@@ -91,7 +91,7 @@ def _align(state: Any, rotation: float, variance: float, c: Any) -> None:
     origin, target = (fix.predicted_x, fix.predicted_y), (fix.x, fix.y)
     move_pose(state, RigidMotion(rotation, math.sqrt(variance), 0.0, origin, target, count * fix.variance))
     state.aligning = False
-    forget_refused(state, False)
+    forget_fixes(state, False)
 
 
 @compiled

@@ -8,7 +8,7 @@ from typing import Any
 from trackslip_common.compiled import inlined
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_refused
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_fixes
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
@@ -88,9 +88,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     begin_odometry(state)
     state.rolled = 0.0
     state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
-    forget_refused(state, False)
+    forget_fixes(state, False)
     for k in range(MOST_SOURCES):
         state.consistent_ns[k] = stamp_ns
         state.streaks[k].count, state.streaks[k].value = 0, 0.0
-        state.stands[k].count = state.runs[k].count = 0
-        state.runs[k].end = 0.0

@@ -19,7 +19,7 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_refused
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_fixes, forget_refused
 from trackslip_estimation.slip.coasting import begin_coast, doubt_start, inflate, reset_velocity
 from trackslip_estimation.slip.heading import use_heading
 from trackslip_estimation.slip.levers import to_gyro
@@ -176,4 +176,4 @@ def place(state: Any, manual: Any) -> None:
             P[i, j] = P[j, i] = 0.0
     P[:3, :3] = manual.noise
     state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
-    forget_refused(state, False)
+    forget_fixes(state, False)
