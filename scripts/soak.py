@@ -7,13 +7,13 @@ time. Drivers cannot be hurried, for bytes take their time: they run beside it i
 the emulated machine, in real time. Some times a minute it looks at every process and at the messages that
 came since; what all that grew by in an hour is the page ``out/soak/soak.md``. The exit code is 1 if a node
 ended, messages were lost, or something certainly grew by more than its limit.
+
+A drive of the emulated machine is an hour long. Then it is switched off, and on again.
 """
 
 import argparse
 import math
 import os
-import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -21,94 +21,26 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
-
+from soak_monitor import Monitor
 from soak_page import Sample, growths, page
-from trackslip_common.nodes.messages import message_class, topic_class
-from trackslip_common.nodes.qos import subscriber_qos
+from trackslip_common.errors import ExitCode, InputError
 from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
+from trackslip_sim.demo.output import Results, claim
 from trackslip_sim.demo.processes import Processes
+from trackslip_tools.cli.progress import shown
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "soak"
+RESULTS = Results("soak", ("bag*", "devices", "drive", "*.log", "soak.md", "state.yaml*"))
 DRIVE_S, SPEED = 600, 10.0
+LONGEST_DRIVE_S = 3600.0  # of the emulator
 LIMITS = {"RSS (MB)": 10.0, "threads": 1.0, "open files": 1.0}  # growth in an hour
 _SAMPLES = 240  # in a run
 _PERIODS = (1.0, 30.0)  # s between them
 _DISK = 2_000_000_000  # bytes that recordings may take
-_NUMBER = re.compile(r"\d+(\.\d+)?")  # of two messages that differ in numbers the second is the first again
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _TICKS = os.sysconf("SC_CLK_TCK")
-
-
-class Monitor:
-    """A node that sees what comes of the graph."""
-
-    def __init__(self, domain: int) -> None:
-        rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("soak")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._came: dict[int, float] = {}  # stamp of sprockets → s, steady
-        self._sequence = -1
-        self._latencies: list[float] = []
-        self.totals = {"estimates": 0, "reports missing": 0, "restarts of the drive": 0, "errors": 0}
-        self.errors: dict[str, int] = {}
-        for topic, handle in (
-            ("sprockets", self._on_sprockets),
-            ("odometry", self._on_odometry),
-            ("measurement_reports", self._on_report),
-        ):
-            self._node.create_subscription(topic_class(topic), topic, handle, subscriber_qos(topic))
-        kind = message_class("diagnostic_msgs/msg/DiagnosticArray")
-        self._node.create_subscription(kind, "/diagnostics", self._on_diagnostics, 100)
-
-    def spin_until(self, until_s: float) -> None:
-        """Handle what comes."""
-        while (left := until_s - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
-
-    def latency(self) -> dict[tuple[str, str], float]:
-        """From sprockets to their odometry, both as they came here, since the last look."""
-        found, self._latencies = self._latencies or [math.nan], []
-        p50, p99 = np.quantile(found, (0.5, 0.99))
-        return {("graph", "latency p50 (ms)"): 1e3 * p50, ("graph", "latency p99 (ms)"): 1e3 * p99}
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._executor.shutdown(timeout_sec=1.0)
-        self._node.destroy_node()
-        rclpy.try_shutdown()
-
-    def _on_sprockets(self, message: Any) -> None:
-        if len(self._came) > 10_000:
-            self._came.clear()
-        self._came[_stamp(message)] = time.monotonic()
-
-    def _on_odometry(self, message: Any) -> None:
-        self.totals["estimates"] += 1
-        came = self._came.pop(_stamp(message), None)
-        if came is not None:
-            self._latencies.append(time.monotonic() - came)
-
-    def _on_report(self, message: Any) -> None:
-        self.totals["reports missing"] += max(message.sequence - self._sequence - 1, 0) * (
-            self._sequence >= 0
-        )
-        self.totals["restarts of the drive"] += message.outcome == message.RESTARTED
-        self._sequence = message.sequence
-
-    def _on_diagnostics(self, message: Any) -> None:
-        for status in message.status:
-            if status.level == status.ERROR:
-                self.totals["errors"] += 1
-                text = _NUMBER.sub("…", f"{status.name}: {status.message}")
-                self.errors[text] = self.errors.get(text, 0) + 1
 
 
 def main() -> int:
@@ -121,61 +53,111 @@ def main() -> int:
     args = parser.parse_args()
     if not (args.duration >= 30.0 and 0.1 <= args.speed <= 20.0):
         print("soak: accepted: DURATION 30 s or more, SPEED 0.1 to 20", file=sys.stderr)
-        return 2
+        return ExitCode.BAD_INPUT
     try:
-        return _soak(args.duration, args.speed)
+        with claim(OUT, RESULTS):
+            return _soak(args.duration, args.speed)
+    except InputError as error:
+        print(f"soak: {error}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
-        return 130
+        print("interrupted", file=sys.stderr)
+        return ExitCode.INTERRUPTED
 
 
 def _soak(duration_s: float, speed: float) -> int:
-    shutil.rmtree(OUT, ignore_errors=True)
-    OUT.mkdir(parents=True)
     drive = OUT / "drive"
     simulate = ["simulate", "--scenario", "field_trial", "--duration", str(DRIVE_S), "--output", str(drive)]
     subprocess.run([*_TRACKSLIP, *simulate], check=True, stdout=subprocess.DEVNULL)
     domain = 1 + os.getpid() % 50
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    print(f"soak: {duration_s:.0f} s at {speed:g} times real time; logs in {OUT}", flush=True)
     with _running(domain, _estimators()) as fast, _running(domain + 50, _devices(duration_s)) as slow:
         monitor = Monitor(domain)
-        player = ["replay", str(drive), "--publish", "--loop", "--rate", str(speed)]
-        player += ["--remap", "box_pose:=recorded_box_pose"]  # the localizer makes its own
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-        with (OUT / "player.log").open("wb") as log:
-            playing = subprocess.Popen([*_TRACKSLIP, *player], env=environment, stdout=log, stderr=log)
+        playing = _play(drive, speed, domain)
+        graph = Graph(fast, slow, playing)
+        samples: list[Sample] = []
         try:
-            pids = {**fast.pids(), **slow.pids(), "player": playing.pid}
-            samples = list(_samples(monitor, pids, duration_s, (fast, slow)))
+            for sample in shown(_samples(monitor, graph, duration_s), "soak", total=_looks(duration_s)[0]):
+                samples.append(sample)
+            interrupted = False
+        except KeyboardInterrupt:  # what was seen until then is worth a page
+            interrupted = True
         finally:
+            ended = graph.ended()
             playing.send_signal(signal.SIGINT)
             playing.wait()
             monitor.close()
-        what = f"{duration_s:.0f} s at {speed:g} times real time"
-        return _conclude(samples, monitor, what, {**fast.ended(), **slow.ended()})
+        lasted_s = samples[-1].time_s if samples else 0.0
+        found = _conclude(samples, monitor, f"{lasted_s:.0f} s at {speed:g} times real time", ended)
+        return ExitCode.INTERRUPTED if interrupted else found
 
 
 _TRACKSLIP = (sys.executable, "-m", "trackslip_tools.cli.main")
 
 
-def _samples(
-    monitor: Monitor, pids: Mapping[str, int], duration_s: float, all_of: tuple[Processes, ...]
-) -> Iterator[Sample]:
-    """From when the graph has settled; until the time is over, or a node has ended."""
+def _play(drive: Path, speed: float, domain: int) -> "subprocess.Popen[bytes]":
+    """The drive, again and again; Ctrl-C is ours to pass on."""
+    player = ["replay", str(drive), "--publish", "--loop", "--rate", str(speed)]
+    player += ["--remap", "box_pose:=recorded_box_pose"]  # the localizer makes its own
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+    with (OUT / "player.log").open("wb") as log:
+        return subprocess.Popen(
+            [*_TRACKSLIP, *player], env=environment, stdout=log, stderr=log, start_new_session=True
+        )
+
+
+class Graph:
+    """All processes of a soak."""
+
+    def __init__(self, fast: Processes, slow: Processes, playing: "subprocess.Popen[bytes]") -> None:
+        self._fast, self._slow, self._playing = fast, slow, playing
+        self._restart_s = LONGEST_DRIVE_S
+
+    def pids(self) -> dict[str, int]:
+        """By name."""
+        return {**self._fast.pids(), **self._slow.pids(), "player": self._playing.pid}
+
+    def ended(self) -> dict[str, int]:
+        """Exit codes of those that should run and do not."""
+        player = self._playing.poll()
+        codes = {**self._fast.ended(), **self._slow.ended()}
+        return codes if player is None else {**codes, "player": player}
+
+    def keep_driving(self, elapsed_s: float, left_s: float) -> None:
+        """Switch the emulated machine off and on where its drive is over."""
+        if elapsed_s > self._restart_s:
+            self._slow.stop(["emulator"])
+            self._slow.start(next(node for node in _devices(left_s) if node.executable == "emulator"))
+            self._restart_s = elapsed_s + LONGEST_DRIVE_S
+
+
+def _looks(duration_s: float) -> tuple[int, float]:
+    """How many samples, and how far apart, s."""
     period_s = min(max(duration_s / _SAMPLES, _PERIODS[0]), _PERIODS[1])
+    return round(duration_s / period_s) - 1, period_s
+
+
+def _samples(monitor: Monitor, graph: Graph, duration_s: float) -> Iterator[Sample]:
+    """From when the graph has settled; until the time is over, or a node has ended."""
+    count, period_s = _looks(duration_s)
     began_s = time.monotonic()
     monitor.spin_until(began_s + period_s)
     monitor.latency()
-    cpu = {name: _cpu_s(pid) for name, pid in pids.items()}
-    for k in range(2, round(duration_s / period_s) + 1):
+    cpu = {pid: _cpu_s(pid) for pid in graph.pids().values()}
+    for k in range(2, count + 2):
         monitor.spin_until(began_s + k * period_s)
-        if any(processes.ended() for processes in all_of):
+        if graph.ended():
             return
         values = monitor.latency()
-        for name, pid in pids.items():
+        for name, pid in graph.pids().items():
             values |= {(name, quantity): value for quantity, value in _process(pid).items()}
             now_s = _cpu_s(pid)
-            values[name, "processor (%)"], cpu[name] = 100.0 * (now_s - cpu[name]) / period_s, now_s
-        yield Sample(time.monotonic() - began_s, values)
+            values[name, "processor (%)"] = 100.0 * (now_s - cpu.get(pid, now_s)) / period_s
+            cpu[pid] = now_s
+        elapsed_s = time.monotonic() - began_s
+        yield Sample(elapsed_s, values)
+        graph.keep_driving(elapsed_s, duration_s - elapsed_s)
 
 
 def _conclude(samples: list[Sample], monitor: Monitor, what: str, ended: Mapping[str, int]) -> int:
@@ -190,11 +172,13 @@ def _conclude(samples: list[Sample], monitor: Monitor, what: str, ended: Mapping
     ]
     notes = [*(f"- {text} ({count} times)" for text, count in sorted(monitor.errors.items())), *grown]
     notes += [f"- {name} ended with exit code {code}" for name, code in ended.items()]
+    notes += [] if monitor.totals["estimates"] else ["- the slip estimator estimated nothing"]
     heading = f"{what}, {len(samples)} samples, on {os.cpu_count()} cores."
     text = page(samples, monitor.totals, heading) + "\n" + "".join(f"{note}\n" for note in notes)
     (OUT / "soak.md").write_text(text, encoding="utf-8")
     print(text)
-    return int(bool(ended or grown or monitor.totals["reports missing"]))
+    lost = monitor.totals["reports missing"] or not monitor.totals["estimates"]
+    return ExitCode.FAILED if ended or grown or lost else ExitCode.DONE
 
 
 @contextmanager
@@ -225,7 +209,7 @@ def _devices(duration_s: float) -> list[NodeSpec]:
         devices=OUT / "devices",
         bag=OUT,
         can_port=42000 + os.getpid() % 1000,
-        duration=min(duration_s + 60.0, 3600.0),
+        duration=min(duration_s + 60.0, LONGEST_DRIVE_S),
         soil="sand",
         scenario="thesis",
         vehicle="pc05",
@@ -250,10 +234,6 @@ def _cpu_s(pid: int) -> float:
     """Processor time so far, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / _TICKS
-
-
-def _stamp(message: Any) -> int:
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import os
 import pytest
 
 from trackslip_common.errors import InputError
-from trackslip_sim.demo.output import MARKER, claim
+from trackslip_sim.demo.output import DEMO, Results, claim
 from trackslip_sim.demo.show import status
 
 
@@ -19,7 +19,7 @@ def test_demo_removed_any_directory_it_was_given(tmp_path):
     with pytest.raises(InputError, match=r"results.*not a demo's.*accepted"):
         claim(mine)
     assert (mine / "thesis.tex").read_text() == "years of work"
-    assert not (mine / MARKER).exists()
+    assert not (mine / DEMO.marker).exists()
 
 
 @pytest.mark.parametrize("before", ["absent", "empty", "nested"])
@@ -28,7 +28,7 @@ def test_new_and_empty_directories_are_taken(tmp_path, before):
     if before == "empty":
         output.mkdir()
     with claim(output):
-        assert (output / MARKER).is_file()
+        assert (output / DEMO.marker).is_file()
 
 
 def test_an_earlier_demos_results_are_replaced_and_other_files_stay(tmp_path):
@@ -40,7 +40,7 @@ def test_an_earlier_demos_results_are_replaced_and_other_files_stay(tmp_path):
         (output / "slip_estimator.log").write_text("old")
     (output / "notes.txt").write_text("the user's")
     with claim(output):
-        assert sorted(path.name for path in output.iterdir()) == sorted([MARKER, "notes.txt"])
+        assert sorted(path.name for path in output.iterdir()) == sorted([DEMO.marker, "notes.txt"])
 
 
 def test_links_are_not_followed_when_results_are_replaced(tmp_path):
@@ -63,6 +63,15 @@ def test_a_second_demo_in_one_directory_is_refused(tmp_path):
         assert (output / "summary.json").exists()
     with claim(output):
         pass
+
+
+def test_a_soak_removed_whatever_lay_in_its_directory(tmp_path):
+    soak, output = Results("soak", ("soak.md",)), tmp_path / "soak"
+    with claim(output):
+        (output / "summary.json").write_text("{}")
+    with pytest.raises(InputError, match=r"^'.*' holds files that are not a soak's; accepted"):
+        claim(output, soak)
+    assert (output / "summary.json").exists()
 
 
 @pytest.mark.parametrize("made", ["a file", "below a file"])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The directory of a demo's results: marked as such, so that nothing of a user's is ever removed."""
+"""A directory of results: marked as such, so that nothing of a user's is ever removed."""
 
 import fcntl
 import os
@@ -8,40 +8,56 @@ import shutil
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 from trackslip_common.errors import InputError
 
-MARKER = ".trackslip-demo"
-_MADE = ("bag", "dev", "*.log", "summary.json", "demo.png")  # what a demo writes, and a later one replaces
-_ACCEPTED = "accepted: a new or an empty directory, or that of an earlier demo"
+
+class Results(NamedTuple):
+    """Of one kind of run."""
+
+    of: str
+    made: tuple[str, ...]  # what a run writes, and a later one replaces
+    option: str = ""  # by which the directory was given
+
+    @property
+    def marker(self) -> str:
+        """Name of the file that marks a directory of these."""
+        return f".trackslip-{self.of}"
+
+    def refusal(self, reason: str) -> InputError:
+        """In one line."""
+        accepted = f"a new or an empty directory, or that of an earlier {self.of}"
+        return InputError(f"{self.option}{reason}; accepted: {accepted}")
 
 
-def claim(output: Path) -> AbstractContextManager[None]:
-    """Mark ``output`` as a demo's, remove an earlier demo's results, and keep other demos out until the exit.
+DEMO = Results("demo", ("bag", "dev", "*.log", "summary.json", "demo.png"), "--output: ")
+
+
+def claim(output: Path, results: Results = DEMO) -> AbstractContextManager[None]:
+    """Mark ``output``, remove an earlier run's results, and keep other runs of the kind out until the exit.
 
     Raises:
-        InputError: it cannot be made, holds what no demo made, or another demo is writing there.
+        InputError: it cannot be made, holds what no such run made, or another one is writing there.
     """
     try:
-        return _claim(output)
+        return _claim(output, results)
     except OSError as error:
-        raise InputError(f"--output: '{output}' cannot be written ({error.strerror}); {_ACCEPTED}") from error
+        raise results.refusal(f"'{output}' cannot be written ({error.strerror})") from error
 
 
-def _claim(output: Path) -> AbstractContextManager[None]:
+def _claim(output: Path, results: Results) -> AbstractContextManager[None]:
     output.mkdir(parents=True, exist_ok=True)
-    marker = output / MARKER
+    marker = output / results.marker
     if not marker.is_file() and any(output.iterdir()):
-        raise InputError(f"--output: '{output}' holds files that are not a demo's; {_ACCEPTED}")
+        raise results.refusal(f"'{output}' holds files that are not a {results.of}'s")
     lock = os.open(marker, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(lock)
-        raise InputError(
-            f"--output: another demo is writing to '{output}'; accepted: another directory"
-        ) from None
-    for pattern in _MADE:
+        raise results.refusal(f"another {results.of} is writing to '{output}'") from None
+    for pattern in results.made:
         for path in output.glob(pattern):
             _remove(path)
     return _held(lock)
