@@ -27,7 +27,7 @@ from soak_page import Sample, growths, page
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
 from trackslip_sim.demo.output import Results, claim
-from trackslip_sim.demo.processes import Processes
+from trackslip_sim.demo.processes import Processes, end_with_parent
 from trackslip_tools.cli.progress import shown
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -103,7 +103,12 @@ def _play(drive: Path, speed: float, domain: int) -> "subprocess.Popen[bytes]":
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
     with (OUT / "player.log").open("wb") as log:
         return subprocess.Popen(
-            [*_TRACKSLIP, *player], env=environment, stdout=log, stderr=log, start_new_session=True
+            [*_TRACKSLIP, *player],
+            env=environment,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+            preexec_fn=end_with_parent,
         )
 
 
