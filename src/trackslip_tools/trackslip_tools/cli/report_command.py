@@ -12,7 +12,7 @@ from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import fleet_command, replay_options, worker_options
-from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.outputs import PAGE, refuse_foreign, require_writable
 from trackslip_tools.cli.progress import counted, following, in_shares
 from trackslip_tools.fleet.entry import Entry, entry_of, exit_code
 from trackslip_tools.fleet.find import is_folder
@@ -79,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
     recordings: dict[Path, Recording] = {}
     runs = []
     require_writable(output=args.output)
+    refuse_foreign("output", args.output, PAGE)
     with counted(len(pairs), "replaying") as advance:
         for path, name in pairs:
             label = _label(names[path], name, *several)
@@ -118,6 +119,9 @@ def _pages(args: argparse.Namespace, files: Sequence[str]) -> int:
     if len(files) > 1:
         raise InputError(f"--params {files[1]}: one too many; accepted: one for a folder of bags")
     make_folder(args.output)
+    for page in args.output.glob("*.html"):
+        if page.name == INDEX or page.stem.isdecimal():
+            refuse_foreign("output", page, PAGE)
     entries = fleet_command.work(args, _entry)
     write_pages(entries, args.output)
     show(f"report: {args.output / INDEX}")

@@ -19,6 +19,13 @@ from trackslip_tools.tuning.tuner import Tuning
 
 PARAMETERS, TABLE, NUMBERS, JOURNAL = "slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl"
 
+# How each begins; by that a later tuning knows what it may replace.
+BEGINNINGS = {
+    PARAMETERS: "# Found by trackslip tune",
+    TABLE: f"# What {PARAMETERS} rests on",
+    NUMBERS: "{",
+}
+
 
 def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> None:
     """Parameters and table; ``p`` is what tuning started from.
@@ -34,12 +41,12 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
         for group in groups:
             inner = inner.setdefault(group, {})
         inner[last] = values[name]
-    text = f"# Found by trackslip tune on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
+    text = f"{BEGINNINGS[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
     text += yaml.safe_dump({NODE: {"ros__parameters": tree}}, sort_keys=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / PARAMETERS).write_text(text, encoding="utf-8")
-        (folder / TABLE).write_text(f"# What {PARAMETERS} rests on\n\n{table(tuning)}\n", encoding="utf-8")
+        (folder / TABLE).write_text(f"{BEGINNINGS[TABLE]}\n\n{table(tuning)}\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"--output: '{folder}' cannot be written ({error.strerror})") from error
 
