@@ -77,7 +77,7 @@ class PtyPort:
         return sent
 
     def _is_port(self) -> bool:
-        return self.link.is_symlink() and os.readlink(self.link).startswith(_PORTS)
+        return self.link.is_symlink() and str(self.link.readlink()).startswith(_PORTS)
 
     def close(self) -> None:
         """Unplug: the client sees the device disappear; safe to call twice."""
