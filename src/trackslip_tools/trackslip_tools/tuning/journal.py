@@ -80,7 +80,7 @@ class Journal:
 
 
 def _text_of(path: Path) -> str:
-    if path.exists() and not path.is_file():  # a pipe would be waited for
+    if path.is_fifo():  # it would be waited for
         raise TypeError("no file")
     return path.read_text(encoding="utf-8") if path.exists() else ""
 
