@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results replace earlier results, and nothing else: a file that was named by mistake stays as it is."""
 
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ from trackslip_sim.study.slip.results import Row
 from trackslip_tools.cli.outputs import PAGE, refuse_foreign
 from trackslip_tools.tuning.evidence import BEGINNINGS, JOURNAL, PARAMETERS
 from trackslip_tools.tuning.journal import Journal
+from trackslip_tools.whole_file import write_whole
 
 Refuse = Callable[..., str]
 MINE = "years of work\n"
@@ -99,3 +101,28 @@ def test_a_pipe_as_a_journal_or_a_cache_was_waited_for(tmp_path: Path, kept: str
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match=f"is no {kept}"):
         Journal(tmp_path / "pipe", (), ("a",)) if kept == "journal" else Cache(tmp_path / "pipe", Row)
+
+
+def test_a_full_disk_left_half_a_page_in_place_of_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half(path: Path, text: str, encoding: str) -> int:
+        with path.open("w", encoding=encoding) as file:
+            file.write(text[: len(text) // 2])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    page = tmp_path / "report.html"
+    write_whole(page, "before")
+    monkeypatch.setattr(Path, "write_text", half)
+    with pytest.raises(OSError, match="No space left"):
+        write_whole(page, "after that")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("report.html", "before")]
+
+
+def test_what_is_no_file_is_written_as_it_is(tmp_path: Path, mine: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(mine)
+    write_whole(link, "through the link")
+    write_whole(Path(os.devnull), "nowhere")
+    assert link.is_symlink()
+    assert mine.read_text(encoding="utf-8") == "through the link"

@@ -28,6 +28,7 @@ from trackslip_tools.report.panel import MOST_RUNS
 from trackslip_tools.report.recording import Recording, read_recording
 from trackslip_tools.report.run import Run
 from trackslip_tools.smoothing.smooth_bag import smooth_bag
+from trackslip_tools.whole_file import write_whole
 
 EXAMPLE = "trackslip report out/demo/bag --params own --params tuned.yaml --output report.html"
 
@@ -172,6 +173,6 @@ def _page(runs: Sequence[Run], limits: VerdictLimits) -> str:
 
 def _write(path: Path, page: str) -> None:
     try:
-        path.write_text(page, encoding="utf-8")
+        write_whole(path, page)
     except OSError as error:
         raise InputError(f"--output: '{path}' cannot be written ({error.strerror})") from error

@@ -16,6 +16,7 @@ from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_tools.tuning.plan import changed, expanded
 from trackslip_tools.tuning.task import Score
 from trackslip_tools.tuning.tuner import Tuning
+from trackslip_tools.whole_file import write_whole
 
 PARAMETERS, TABLE, NUMBERS, JOURNAL = "slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl"
 
@@ -45,8 +46,8 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
     text += yaml.safe_dump({NODE: {"ros__parameters": tree}}, sort_keys=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / PARAMETERS).write_text(text, encoding="utf-8")
-        (folder / TABLE).write_text(f"{BEGINNINGS[TABLE]}\n\n{table(tuning)}\n", encoding="utf-8")
+        write_whole(folder / PARAMETERS, text)
+        write_whole(folder / TABLE, f"{BEGINNINGS[TABLE]}\n\n{table(tuning)}\n")
     except OSError as error:
         raise InputError(f"--output: '{folder}' cannot be written ({error.strerror})") from error
 
