@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text beside its place, and move it there; as it is to what is no file, or where no other may be.
+    """Write a text beside its place, and move it there; directly where that cannot be.
 
     Raises:
         OSError: it cannot be written; what was there is as before.
