@@ -132,6 +132,23 @@ def test_a_bag_with_an_older_definition_is_read_by_its_own() -> None:
     assert messages.make("trackslip_msgs/msg/TrackSlip").right_slip == 0.0
 
 
+SEPARATOR = "\n" + "=" * 80 + "\nMSG: "
+ENDLESS = {
+    "holds itself": "sensor_msgs/JointState again",
+    "holds itself in a list": f"a/E e{SEPARATOR}a/E\na/F[] f{SEPARATOR}a/F\na/E e",
+    "an array of nothing": f"a/E[1000000000] e{SEPARATOR}a/E\n",
+    "an array of arrays": f"a/E[2000] e{SEPARATOR}a/E\na/F[2000] f{SEPARATOR}a/F\nuint8 x",
+}
+
+
+@pytest.mark.parametrize("defect", ENDLESS)
+def test_a_definition_without_an_end(defect: str) -> None:
+    """The one ended in a traceback, the other took all memory, for a bag of a thousand bytes."""
+    definition = MessageDefinition(MessageDefinitionFormat.MSG, ENDLESS[defect])
+    with pytest.raises(ValueError, match=r"holds itself|too large"):
+        types.store_for("sensor_msgs/msg/JointState", definition)
+
+
 def test_the_same_definition_shares_the_store() -> None:
     text = types.schema_text("sensor_msgs/msg/Imu")
     definition = MessageDefinition(MessageDefinitionFormat.MSG, text)

@@ -13,8 +13,13 @@ import pytest
 import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.typesys import Stores, get_typestore
 
+from trackslip_bags import unpacking
 from trackslip_bags.chunks import read_stretches
+from trackslip_bags.importing.ros1 import Ros1Bags
+from trackslip_bags.messages import make
 from trackslip_bags.reader import open_bag
 from trackslip_bags.unpacking import LARGEST, check_packed_file, message, unpacked
 from trackslip_common.errors import InputError
@@ -51,6 +56,26 @@ def test_message_that_unpacks_to_too_much() -> None:
     with pytest.raises(ValueError, match="more than 256 MB"):
         message(packed)
     assert message(zstandard.ZstdCompressor().compress(b"abc")) == b"abc"
+
+
+@pytest.mark.parametrize("kind", ["BZ2", "LZ4"])
+def test_chunk_of_ros1_that_unpacks_to_too_much(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """2 kB that were 3 GB in memory: of ROS 1 bags nothing was limited."""
+    file, store = tmp_path / "robot.bag", get_typestore(Stores.ROS1_NOETIC)
+    name = "std_msgs/msg/String"
+    bag = Ros1Writer(file)
+    bag.set_compression(Ros1Writer.CompressionFormat[kind])
+    with bag:
+        connection = bag.add_connection("/a", name, typestore=store)
+        bag.write(connection, 1, store.serialize_ros1(make(name, data="a" * 100_000), name))
+    assert file.stat().st_size < 10_000
+    with Ros1Bags([file]) as bags:
+        assert [len(message.content.data) for message in bags.read(["/a"])] == [100_000]
+    monkeypatch.setattr(unpacking, "LARGEST", 50_000)
+    with Ros1Bags([file]) as bags, pytest.raises(InputError, match="unpacks to more than"):
+        list(bags.read(["/a"]))
 
 
 def test_file_that_unpacks_to_too_much(tmp_path: Path) -> None:

@@ -211,6 +211,22 @@ def test_port_comes_back_under_its_name(tmp_path):
     port.close()
 
 
+@pytest.mark.parametrize("kind", ["a file", "a link to a file", "a directory"])
+def test_a_port_took_the_place_of_a_file_of_the_users(tmp_path, kind):
+    """The emulator's ``device_directory`` was one with a file ``watson`` in it, which was deleted."""
+    mine, named = tmp_path / "mine", tmp_path / "watson"
+    mine.write_text("years of work", encoding="utf-8")
+    {
+        "a file": lambda: mine.rename(named),
+        "a link to a file": lambda: named.symlink_to(mine),
+        "a directory": named.mkdir,
+    }[kind]()
+    before = sorted((path.name, path.is_symlink()) for path in tmp_path.iterdir())
+    with pytest.raises(InputError, match=r"watson' is no port of an emulator, and is not replaced"):
+        PtyPort(named)
+    assert sorted((path.name, path.is_symlink()) for path in tmp_path.iterdir()) == before
+
+
 def test_every_kind_says_what_its_value_is():
     for name, kind in KINDS.items():
         assert kind.sensors, name

@@ -23,6 +23,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.layout import ANY, CDR_HEADER, CDR_SLACK, Field, FieldsOf
 
 _IDL_SEPARATOR = "=" * 80 + "\n"
+_MOST_VALUES = 1_000_000  # of one message whose lists are all empty
 
 
 @lru_cache(maxsize=1)
@@ -84,10 +85,12 @@ def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
     Raises:
         InputError: the bag holds no definition of the type and the type is unknown here.
         TypesysError: the bag's definition cannot be parsed.
+        ValueError: it is of a type without an end, or a very large one.
     """
     if definition.format == MessageDefinitionFormat.NONE:
         return ensure(type_name)
     defined = _parse(type_name, definition)
+    check_finite(defined)
     with suppress(InputError):  # where the type is known to the bag alone
         shared = ensure(type_name)
         if all(_fields(shared.fielddefs, name) == _fields(defined, name) for name in defined):
@@ -127,6 +130,38 @@ def _parse(type_name: str, definition: MessageDefinition) -> Typesdict:
     for text in texts:
         types |= get_types_from_idl(text)
     return types
+
+
+def check_finite(types: Typesdict) -> None:
+    """Refuse types that hold themselves, and arrays of a fixed size that no message has.
+
+    An array of a thousand million messages without a field takes no byte of a bag, and all memory to read.
+
+    Raises:
+        ValueError: one is such a type.
+    """
+    known: dict[str, int] = {}
+    for name in types:
+        if _values_of(name, types, known) > _MOST_VALUES:
+            raise ValueError(f"type {name}: too large; accepted: up to {_MOST_VALUES} values of fixed number")
+
+
+def _values_of(name: str, types: Typesdict, known: dict[str, int], inside: tuple[str, ...] = ()) -> int:
+    """How many values a message of a type has at least; ``known``: those of the types looked at before."""
+    if name in inside:
+        raise ValueError(f"type {name}: it holds itself; accepted: a type of others")
+    if name not in known:
+        values = 1
+        for _, description in types[name][1] if name in types else ():
+            (kind, detail), size = field_parts(description), 1
+            if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                inner, count = detail
+                size = int(count) if kind == Nodetype.ARRAY else 0
+                kind, detail = inner
+            of_one = _values_of(str(detail), types, known, (*inside, name)) if kind == Nodetype.NAME else 1
+            values += size * of_one
+        known[name] = values
+    return known[name]
 
 
 def _fields(types: Typesdict, name: str) -> object:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Unpacks what bags hold packed: never to more than it states, nor to more than a recorder would write."""
 
+import bz2
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -30,6 +31,10 @@ def _zstd(data: bytes, most: int) -> bytes:
 def _lz4(data: bytes, most: int) -> bytes:
     content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
     return content
+
+
+def _bz2(data: bytes, most: int) -> bytes:
+    return bz2.BZ2Decompressor().decompress(data, max_length=most)
 
 
 _KINDS: Mapping[str, Callable[[bytes, int], bytes]] = MappingProxyType(
@@ -69,9 +74,13 @@ def message(data: bytes) -> bytes:
     Raises:
         ValueError: it unpacks to more than ``LARGEST``.
     """
-    content = _zstd(data, LARGEST + 1)
+    return _limited("message", _zstd, data)
+
+
+def _limited(what: str, unpack: Callable[[bytes, int], bytes], data: bytes) -> bytes:
+    content = unpack(data, LARGEST + 1)
     if len(content) > LARGEST:
-        raise ValueError(f"a message that unpacks to more than {LARGEST / 1e6:.0f} MB")
+        raise ValueError(f"a {what} that unpacks to more than {LARGEST / 1e6:.0f} MB")
     return content
 
 
@@ -95,6 +104,11 @@ def limit_rosbags() -> None:
     """Have rosbags, which unpacks chunks without a limit, do it by ``unpacked``."""
     for kind in _KINDS:
         storage_mcap.DECOMPRESSORS[kind] = partial(_named, kind)
+
+
+def of_ros1() -> dict[str, Callable[[bytes], bytes]]:
+    """By compression, what unpacks a chunk of a ROS 1 bag; it raises ``ValueError`` beyond ``LARGEST``."""
+    return {kind: partial(_limited, "chunk", unpack) for kind, unpack in (("bz2", _bz2), ("lz4", _lz4))}
 
 
 def _named(compression: str, data: bytes, size: int) -> bytes:

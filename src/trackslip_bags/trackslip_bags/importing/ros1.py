@@ -9,12 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.rosbag1 import Reader
+from rosbags.rosbag1.reader import decompressors
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from trackslip_bags import unpacking
 from trackslip_bags.importing.logged import Logged
 from trackslip_bags.reader import absolute
 from trackslip_bags.sources import error_line
+from trackslip_bags.types import check_finite
 from trackslip_common.errors import InputError
+
+decompressors.update(unpacking.of_ros1())  # those of rosbags have no limit
 
 
 class Ros1Bags:
@@ -72,7 +77,9 @@ class Ros1Bags:
         try:
             for connection in connections:
                 store = get_typestore(Stores.EMPTY)
-                store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+                defined = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+                check_finite(defined)
+                store.register(defined)
                 stores[connection.id] = store
             for connection, time_ns, raw in reader.messages(connections) if connections else ():
                 content = stores[connection.id].deserialize_ros1(raw, connection.msgtype)

@@ -3,7 +3,8 @@
 """The file that keeps the track of the box, for a localizer that is started again during a drive.
 
 Without it the box would be sought about the initial pose, where it no longer is. JSON, written beside itself
-and moved into place. It outlives the process and need not outlive the machine, so nothing waits for the disk.
+and moved into place; a file that is no track is moved aside. It outlives the process and need not outlive
+the machine, so nothing waits for the disk.
 """
 
 import json
@@ -81,6 +82,7 @@ class TrackFile:
         """
         self._path = own_file("track_file", path)
         self._written_ns = 0
+        self._is_foreign = False  # what is there is no track, perhaps somebody's text
         self.failures = 0
         self.failure = ""  # why the last reading or writing failed; empty where it did not
 
@@ -95,6 +97,7 @@ class TrackFile:
                 content = file.read(_LARGEST + 1)
             return parse_track(content.decode("utf-8", errors="replace"))
         except (InputError, OSError) as error:
+            self._is_foreign = True
             self._fail(f"{self._path} is not used: {getattr(error, 'strerror', None) or error}")
             return None
 
@@ -107,6 +110,9 @@ class TrackFile:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             beside.write_text(track_text(kept), encoding="utf-8")
+            if self._is_foreign and self._path.exists():
+                self._path.replace(self._path.with_name(f"{self._path.name}.unused"))
+            self._is_foreign = False
             beside.replace(self._path)
         except (OSError, ValueError) as error:  # ValueError: no path at all
             with suppress(OSError, ValueError):

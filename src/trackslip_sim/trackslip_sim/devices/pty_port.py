@@ -9,7 +9,10 @@ import termios
 import tty
 from pathlib import Path
 
+from trackslip_common.errors import InputError
+
 _MOST_BYTES = 65536
+_PORTS = "/dev/pts/"  # to which links of ours lead
 _BAUD_OF_CODE = {
     getattr(termios, name): int(name[1:])
     for name in dir(termios)
@@ -32,7 +35,16 @@ class PtyPort:
         self.plug()
 
     def plug(self) -> None:
-        """Appear, as a new device under the old name."""
+        """Appear, as a new device under the old name.
+
+        Raises:
+            InputError: something else has that name.
+        """
+        if os.path.lexists(self.link) and not self._is_port():
+            raise InputError(
+                f"device_directory: '{self.link}' is no port of an emulator, and is not replaced; "
+                "accepted: a directory of its own"
+            )
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -63,6 +75,9 @@ class PtyPort:
                 sent += os.write(self._master, data[sent:])
         self.bytes_lost += len(data) - sent
         return sent
+
+    def _is_port(self) -> bool:
+        return self.link.is_symlink() and str(self.link.readlink()).startswith(_PORTS)
 
     def close(self) -> None:
         """Unplug: the client sees the device disappear; safe to call twice."""

@@ -28,7 +28,7 @@ class Cache(Generic[R]):
         """Read what is there, unless everything is to be computed afresh; a line cut short is left out.
 
         Raises:
-            InputError: the file cannot be read or made.
+            InputError: the file cannot be read or made, or is one of something else.
         """
         self._path = path
         self._kind = kind
@@ -36,10 +36,14 @@ class Cache(Generic[R]):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.touch()
-            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+            content = "" if path.is_fifo() else path.read_text(encoding="utf-8", errors="replace")
         except OSError as error:
             raise InputError(f"--cache: '{path}' cannot be used ({error.strerror})") from error
-        for line in () if fresh else lines:
+        if path.is_fifo() or (content.strip() and not content.lstrip().startswith("{")):
+            raise InputError(
+                f"--cache: '{path}' is no cache of a study; accepted: a new file, or such a cache"
+            )
+        for line in () if fresh else content.splitlines():
             self._remember(line)
 
     def get(self, key: str) -> R | None:

@@ -12,6 +12,9 @@ from trackslip_common.errors import InputError
 from trackslip_tools.calibration.calibrate import Calibration
 from trackslip_tools.calibration.finding import Finding
 from trackslip_tools.terminal_text import WIDTH, wrapped
+from trackslip_tools.whole_file import write_whole
+
+BEGINNING = "# from "  # of the parameter file
 
 
 def text(calibration: Calibration) -> str:
@@ -38,11 +41,12 @@ def write_parameters(path: Path, calibration: Calibration, bags: Sequence[str]) 
     Raises:
         InputError: the file cannot be written.
     """
-    evidence = [f"from {bag}" for bag in bags] + text(calibration).splitlines()
+    evidence = text(calibration).splitlines()
     content = {node: {"ros__parameters": _nested(v)} for node, v in calibration.parameters.items()}
-    lines = [*(f"# {line}" for line in evidence), yaml.safe_dump(content, sort_keys=False)]
+    heads = [*(f"{BEGINNING}{bag}" for bag in bags), *(f"# {line}" for line in evidence)]
+    lines = [*heads, yaml.safe_dump(content, sort_keys=False)]
     try:
-        path.write_text("\n".join(lines), encoding="utf-8")
+        write_whole(path, "\n".join(lines))
     except OSError as error:
         raise InputError(f"--output: '{path}' cannot be written ({error.strerror})") from error
 

@@ -11,11 +11,11 @@ from trackslip_bags.reader import Bag, open_bag, require_topics
 from trackslip_common.errors import ExitCode, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.calibration.calibrate import calibrate
-from trackslip_tools.calibration.output import summary, text, write_parameters
+from trackslip_tools.calibration.output import BEGINNING, summary, text, write_parameters
 from trackslip_tools.calibration.recording import read_recording
 from trackslip_tools.cli import machine_options, replay_options
 from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.outputs import refuse_foreign, require_writable
 from trackslip_tools.cli.progress import counted, in_shares
 
 EXAMPLE = "trackslip calibrate bags/slalom_sand out/demo/bag --output calibration.yaml"
@@ -57,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
         InputError: a bag, a parameter or an option cannot be used.
     """
     require_writable(output=args.output, json=args.json)
+    if args.output is not None:
+        refuse_foreign("output", args.output, BEGINNING)
     with open_bag(args.bags[0], args.namespace) as bag:
         p = replay_options.parameters_of(bag, args.params, [], args.vehicle)
         gyro, poses = _sources(args, bag, p)

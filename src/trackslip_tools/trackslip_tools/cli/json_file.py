@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trackslip_common.errors import InputError
+from trackslip_tools.whole_file import write_whole
 
 
 def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
@@ -17,7 +18,7 @@ def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> No
         InputError: the file cannot be written.
     """
     try:
-        path.write_text(json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_whole(path, json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
     except OSError as error:
         raise InputError(f"--json: '{path}' cannot be written ({error.strerror})") from error
 

@@ -1,18 +1,23 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Refuses before the work what could not be written after it."""
+"""Refuses before the work what could not be written after it, or would replace what is not ours."""
 
 import os
 from pathlib import Path
 
 from trackslip_common.errors import InputError
 
+# How what is written begins.
+PAGE = "<!DOCTYPE html>\n<!-- SPDX-FileCopyrightText: 2026 Trackslip authors"
+_JSON = ("{", "[")
+
 
 def require_writable(**files: Path | None) -> None:
     """Files that are written at the end, by the option that names them; one that is there is replaced.
 
     Raises:
-        InputError: one is a directory, has no folder to be in, or may not be written.
+        InputError: one is a directory, has no folder to be in, or may not be written; or ``json`` is a
+            file of something else.
     """
     for option, path in files.items():
         if path is None:
@@ -25,5 +30,30 @@ def require_writable(**files: Path | None) -> None:
         elif not os.access(path if path.exists() else folder, os.W_OK):
             why = "Permission denied"
         else:
+            if option == "json":
+                refuse_foreign(option, path, *_JSON)
             continue
         raise InputError(f"--{option}: '{path}' cannot be written ({why})")
+
+
+def refuse_foreign(option: str, path: Path, *beginnings: str) -> None:
+    """A file that is there is replaced only where it begins like one that was written for that option.
+
+    So a bag, or a text of the user's, that was named by mistake stays.
+
+    Raises:
+        InputError: it does not, or cannot be read.
+    """
+    if not path.is_file():
+        return
+    longest = max(len(beginning.encode()) for beginning in beginnings)
+    try:
+        with path.open("rb") as file:
+            head = file.read(longest).decode(errors="replace")
+    except OSError as error:
+        raise InputError(f"--{option}: '{path}' cannot be written ({error.strerror})") from error
+    if head and not head.startswith(beginnings):
+        accepted = "a new file, or one that this command wrote"
+        raise InputError(
+            f"--{option}: '{path}' holds something else, and is not replaced; accepted: {accepted}"
+        )

@@ -12,7 +12,7 @@ from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import fleet_command, replay_options, worker_options
-from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.outputs import PAGE, refuse_foreign, require_writable
 from trackslip_tools.cli.progress import counted, following, in_shares
 from trackslip_tools.fleet.entry import Entry, entry_of, exit_code
 from trackslip_tools.fleet.find import is_folder
@@ -28,6 +28,7 @@ from trackslip_tools.report.panel import MOST_RUNS
 from trackslip_tools.report.recording import Recording, read_recording
 from trackslip_tools.report.run import Run
 from trackslip_tools.smoothing.smooth_bag import smooth_bag
+from trackslip_tools.whole_file import write_whole
 
 EXAMPLE = "trackslip report out/demo/bag --params own --params tuned.yaml --output report.html"
 
@@ -79,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
     recordings: dict[Path, Recording] = {}
     runs = []
     require_writable(output=args.output)
+    refuse_foreign("output", args.output, PAGE)
     with counted(len(pairs), "replaying") as advance:
         for path, name in pairs:
             label = _label(names[path], name, *several)
@@ -118,6 +120,9 @@ def _pages(args: argparse.Namespace, files: Sequence[str]) -> int:
     if len(files) > 1:
         raise InputError(f"--params {files[1]}: one too many; accepted: one for a folder of bags")
     make_folder(args.output)
+    for page in args.output.glob("*.html"):
+        if page.name == INDEX or page.stem.isdecimal():
+            refuse_foreign("output", page, PAGE)
     entries = fleet_command.work(args, _entry)
     write_pages(entries, args.output)
     show(f"report: {args.output / INDEX}")
@@ -168,6 +173,6 @@ def _page(runs: Sequence[Run], limits: VerdictLimits) -> str:
 
 def _write(path: Path, page: str) -> None:
     try:
-        path.write_text(page, encoding="utf-8")
+        write_whole(path, page)
     except OSError as error:
         raise InputError(f"--output: '{path}' cannot be written ({error.strerror})") from error

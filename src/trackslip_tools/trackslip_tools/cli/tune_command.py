@@ -14,10 +14,19 @@ from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import replay_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.outputs import refuse_foreign
 from trackslip_tools.cli.progress import counted, shown
 from trackslip_tools.fleet.find import find_bags
 from trackslip_tools.terminal_text import for_terminal
-from trackslip_tools.tuning.evidence import JOURNAL, NUMBERS, PARAMETERS, numbers, table, write_evidence
+from trackslip_tools.tuning.evidence import (
+    BEGINNINGS,
+    JOURNAL,
+    NUMBERS,
+    PARAMETERS,
+    numbers,
+    table,
+    write_evidence,
+)
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import LIKELIHOOD, read_plan
 from trackslip_tools.tuning.reading import read_task
@@ -58,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
         InputError: a bag, a parameter or an option cannot be used.
     """
     plan = read_plan(config_file(args.plan))
+    for name, beginning in BEGINNINGS.items():
+        refuse_foreign("output", args.output / name, beginning)
     bags = find_bags(args.bags)
     needs_reference = plan.settings.objective != LIKELIHOOD
     tasks = [_read(bag, args, needs_reference=needs_reference) for bag in shown(bags, "reading")]

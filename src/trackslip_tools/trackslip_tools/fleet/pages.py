@@ -8,6 +8,7 @@ from pathlib import Path
 from trackslip_common.errors import InputError
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.table import COLUMNS, names
+from trackslip_tools.whole_file import write_whole
 
 INDEX = "index.html"
 
@@ -37,11 +38,11 @@ def write_pages(entries: Sequence[Entry], folder: Path) -> None:
     try:
         for name, file, entry in _named(entries):
             if entry.page:
-                (folder / file).write_text(entry.page, encoding="utf-8")
+                write_whole(folder / file, entry.page)
             cells = [show(entry) for show in COLUMNS.values()]
             rows.append((name, file if entry.page else "", cells, entry.error))
         page = environment.get_template("index.html").render(heads=list(COLUMNS), rows=rows)
-        (folder / INDEX).write_text(page, encoding="utf-8")
+        write_whole(folder / INDEX, page)
     except OSError as error:
         raise InputError(f"--output: '{folder}' cannot be written ({error.strerror})") from error
 

@@ -16,8 +16,16 @@ from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_tools.tuning.plan import changed, expanded
 from trackslip_tools.tuning.task import Score
 from trackslip_tools.tuning.tuner import Tuning
+from trackslip_tools.whole_file import write_whole
 
 PARAMETERS, TABLE, NUMBERS, JOURNAL = "slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl"
+
+# How each begins; by that a later tuning knows what it may replace.
+BEGINNINGS = {
+    PARAMETERS: "# Found by trackslip tune",
+    TABLE: f"# What {PARAMETERS} rests on",
+    NUMBERS: "{",
+}
 
 
 def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> None:
@@ -34,12 +42,12 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
         for group in groups:
             inner = inner.setdefault(group, {})
         inner[last] = values[name]
-    text = f"# Found by trackslip tune on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
+    text = f"{BEGINNINGS[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
     text += yaml.safe_dump({NODE: {"ros__parameters": tree}}, sort_keys=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / PARAMETERS).write_text(text, encoding="utf-8")
-        (folder / TABLE).write_text(f"# What {PARAMETERS} rests on\n\n{table(tuning)}\n", encoding="utf-8")
+        write_whole(folder / PARAMETERS, text)
+        write_whole(folder / TABLE, f"{BEGINNINGS[TABLE]}\n\n{table(tuning)}\n")
     except OSError as error:
         raise InputError(f"--output: '{folder}' cannot be written ({error.strerror})") from error
 

@@ -32,12 +32,15 @@ class Journal:
         self._scores: dict[tuple[int, Values], Score] = {}
         heading = {"names": list(names), "of": _fingerprint(tasks)}
         try:
-            lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+            text = _text_of(path)
+            lines = text.splitlines()
             known = [entry for entry in map(parse_line, lines) if entry is not None]
             if known and known[0] != heading:
                 raise InputError(
                     f"'{path}' is of other bags or parameters; accepted: another --output, or remove it"
                 )
+            if text.strip() and not text.lstrip().startswith("{"):
+                raise TypeError("no line of ours")
             for entry in known[1:]:
                 self._scores[_key(entry, len(heading["names"]))] = record(Score, entry["score"])
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -74,6 +77,12 @@ class Journal:
     def _write(self, entry: Mapping[str, Any]) -> None:
         self._file.write("\n" * bool(self._file.tell()) + json.dumps(entry))
         self._file.flush()
+
+
+def _text_of(path: Path) -> str:
+    if path.is_fifo():  # it would be waited for
+        raise TypeError("no file")
+    return path.read_text(encoding="utf-8") if path.exists() else ""
 
 
 def _key(entry: Mapping[str, Any], names: int) -> tuple[int, Values]:

@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Results replace earlier results, and nothing else: a file that was named by mistake stays as it is."""
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from trackslip_common.errors import InputError
+from trackslip_sim.study.cache import Cache
+from trackslip_sim.study.slip.results import Row
+from trackslip_tools.cli.outputs import PAGE, refuse_foreign
+from trackslip_tools.tuning.evidence import BEGINNINGS, JOURNAL, PARAMETERS
+from trackslip_tools.tuning.journal import Journal
+from trackslip_tools.whole_file import write_whole
+
+Refuse = Callable[..., str]
+MINE = "years of work\n"
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    path = tmp_path / "thesis.tex"
+    path.write_text(MINE, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        *(("replay", "--json"), ("smooth", "--json"), ("report", "--output")),
+        *(("calibrate", "--output"), ("calibrate", "--json")),
+    ],
+)
+def test_a_text_of_the_users_was_replaced_by_a_result(
+    bag: Path, mine: Path, refuse: Refuse, command: str, option: str
+) -> None:
+    assert "holds something else, and is not replaced" in refuse(command, bag, option, mine)
+    assert mine.read_text(encoding="utf-8") == MINE
+
+
+def test_a_recording_was_replaced_by_a_report(bag: Path, tmp_path: Path, refuse: Refuse) -> None:
+    other = tmp_path / "other.mcap"
+    content = next(bag.glob("*.mcap")).read_bytes()
+    other.write_bytes(content)
+    refuse("report", bag, "--output", other)
+    assert other.read_bytes() == content
+
+
+@pytest.mark.parametrize("name", BEGINNINGS)
+def test_parameters_of_the_users_were_replaced_by_tuned_ones(
+    bag: Path, tmp_path: Path, refuse: Refuse, name: str
+) -> None:
+    """As by ``tune --output config``."""
+    (tmp_path / name).write_text(MINE, encoding="utf-8")
+    assert "is not replaced" in refuse("tune", bag, "--output", tmp_path)
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir() if path.is_file()] == [(name, MINE)]
+
+
+@pytest.mark.parametrize("name", ["index.html", "1.html"])
+def test_pages_of_the_users_were_replaced_by_those_of_a_folder(
+    bag: Path, tmp_path: Path, refuse: Refuse, name: str
+) -> None:
+    site = tmp_path / "site"
+    site.mkdir()
+    (site / name).write_text("<!DOCTYPE html>\n<title>My site</title>", encoding="utf-8")
+    (site / "own.html").write_text(MINE, encoding="utf-8")
+    assert "is not replaced" in refuse("report", bag.parent, "--output", site)
+    assert sorted(path.name for path in site.iterdir()) == sorted([name, "own.html"])
+
+
+def test_what_was_written_before_and_empty_files_are_replaced(tmp_path: Path) -> None:
+    before = tmp_path / "report.html"
+    for content in (f"{PAGE} -->", "", PAGE):
+        before.write_text(content, encoding="utf-8")
+        refuse_foreign("output", before, PAGE)
+    for path in (Path(os.devnull), tmp_path / "new.html", tmp_path):
+        refuse_foreign("output", path, PAGE)
+    assert set(BEGINNINGS) > {PARAMETERS}
+
+
+def test_a_journal_began_anew_over_a_file_of_the_users(tmp_path: Path) -> None:
+    journal = tmp_path / JOURNAL
+    journal.write_text(MINE, encoding="utf-8")
+    with pytest.raises(InputError, match="is no journal of tune"):
+        Journal(journal, (), ("a",))
+    assert journal.read_text(encoding="utf-8") == MINE
+
+
+def test_a_study_wrote_its_pieces_behind_a_text_of_the_users(mine: Path) -> None:
+    with pytest.raises(InputError, match="is no cache of a study"):
+        Cache(mine, Row)
+    assert mine.read_text(encoding="utf-8") == MINE
+
+
+@pytest.mark.parametrize("kept", ["journal", "cache"])
+def test_a_pipe_as_a_journal_or_a_cache_was_waited_for(tmp_path: Path, kept: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match=f"is no {kept}"):
+        Journal(tmp_path / "pipe", (), ("a",)) if kept == "journal" else Cache(tmp_path / "pipe", Row)
+
+
+def test_a_full_disk_left_half_a_page_in_place_of_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half(path: Path, text: str, encoding: str) -> int:
+        with path.open("w", encoding=encoding) as file:
+            file.write(text[: len(text) // 2])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    page = tmp_path / "report.html"
+    write_whole(page, "before")
+    monkeypatch.setattr(Path, "write_text", half)
+    with pytest.raises(OSError, match="No space left"):
+        write_whole(page, "after that")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("report.html", "before")]
+
+
+def test_what_is_no_file_is_written_as_it_is(tmp_path: Path, mine: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(mine)
+    write_whole(link, "through the link")
+    write_whole(Path(os.devnull), "nowhere")
+    assert link.is_symlink()
+    assert mine.read_text(encoding="utf-8") == "through the link"
