@@ -19,6 +19,7 @@ MEASUREMENTS: Mapping[str, Measurement] = MappingProxyType(
         "soil_on_slopes": studies.soil_on_slopes,
         "dig_cycles": cab.dig_cycles,
         "turned_cab": cab.turned_cab,
+        "dig_study": cab.dig_study,
         "attitude": attitude.on_slopes,
         "drawn_machines": studies.drawn_machines,
         "two_machines": studies.two_machines,

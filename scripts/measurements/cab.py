@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from measurements.studies import pair
 from measurements.workbench import trackslip, write_yaml
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.soils import load_soils
@@ -27,6 +28,15 @@ _DIG = {
     "swing rad": lambda row: f"{row['rmse']['swing']:.4f}",
     "NEES": lambda row: f"{row['nees']:.1f}",
 }
+_STUDY = {
+    "soil": lambda row: words(row["soil"]),
+    "encoder": lambda row: row["encoder"],
+    "σ_xy m": lambda row: f"{row['sigma_xy']:g}",
+    "position ×": lambda row: f"{row['position_rmse'] / row['position_bound']:.2f}",
+    "heading mrad (bound)": lambda row: pair(row, "heading", 1e3, 1),
+    "swing mrad (bound)": lambda row: pair(row, "swing", 1e3, 1),
+    "NEES": lambda row: f"{row['nees_pose']:.1f}",
+}
 _TURNED = {
     "soil": lambda row: words(row["soil"]),
     "cab": lambda row: row["looks"],
@@ -42,6 +52,11 @@ def dig_cycles(folder: Path) -> list[str]:
     return table(_DIG, list(_dig_rows(folder)), text_columns=2)
 
 
+def dig_study(folder: Path) -> list[str]:
+    """The same drive for 260 s in the study, whose fixes have white noise, beside its bound."""
+    return table(_STUDY, list(_study_rows(folder)), text_columns=2)
+
+
 def turned_cab(folder: Path) -> list[str]:
     """``field_trial`` with the cab to one side all the time, its angle known, or known to nobody."""
     return table(_TURNED, list(_turned_rows(folder)), text_columns=2)
@@ -55,6 +70,17 @@ def _dig_rows(folder: Path) -> Iterator[dict[str, Any]]:
         for encoder, option in (("yes", ""), ("no", _WITHOUT_ENCODER)):
             found = trackslip(f"replay {bag} {option}", folder)
             yield {"drive": f"{words(soil)}, {seed}", "encoder": encoder, **found}
+
+
+def _study_rows(folder: Path) -> Iterator[dict[str, Any]]:
+    options = "--scenario dig_cycles --vehicle pc05_cab --duration 260 --settling 60 --seeds 3"
+    grid = f"--filter ekf --sigma-xy 0.01 0.05 --soil {' '.join(soil for soil, _ in _DRIVES)}"
+    found = [
+        {"encoder": encoder, **row}
+        for encoder, option in (("yes", ""), ("no", _WITHOUT_ENCODER))
+        for row in trackslip(f"study --workers 1 {options} {grid} {option}", folder)
+    ]
+    yield from sorted(found, key=lambda row: [soil for soil, _ in _DRIVES].index(row["soil"]))
 
 
 def _turned_rows(folder: Path) -> Iterator[dict[str, Any]]:

@@ -20,15 +20,15 @@ _SLOPES = {
 _DRAWN = {
     "soil": lambda row: words(row["soil"]),
     "σ_xy m": lambda row: f"{row['sigma_xy']:g}",
-    "position mm (bound)": lambda row: _pair(row, "position", 1e3, 1),
-    "slip in turns % (bound)": lambda row: _pair(row, "turning_slip", 100.0, 2),
+    "position mm (bound)": lambda row: pair(row, "position", 1e3, 1),
+    "slip in turns % (bound)": lambda row: pair(row, "turning_slip", 100.0, 2),
     "NEES of pose": lambda row: f"{row['nees_pose']:.1f}",
 }
 _MACHINES = {
     "machine": lambda row: f"`{row['vehicle']}`",
     "soil": lambda row: words(row["soil"]),
-    "position mm (bound)": lambda row: _pair(row, "position", 1e3, 1),
-    "slip % (bound)": lambda row: _pair(row, "slip", 100.0, 2),
+    "position mm (bound)": lambda row: pair(row, "position", 1e3, 1),
+    "slip % (bound)": lambda row: pair(row, "slip", 100.0, 2),
     "NEES of pose": lambda row: f"{row['nees_pose']:.1f}",
 }
 
@@ -62,5 +62,6 @@ def _error(row: dict[str, Any], name: str) -> str:
     return f"{100.0 * row[f'{name}_error']:.1f} ({100.0 * row[f'{name}_worst']:.1f}), {share}"
 
 
-def _pair(row: dict[str, Any], name: str, scale: float, digits: int) -> str:
+def pair(row: dict[str, Any], name: str, scale: float, digits: int) -> str:
+    """An error of a row of the study, and its bound."""
     return f"{scale * row[f'{name}_rmse']:.{digits}f} ({scale * row[f'{name}_bound']:.{digits}f})"

@@ -17,6 +17,19 @@ def about_z(angle: float) -> FloatArray:
     return np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
 
 
+def upper_poses(poses: FloatArray, swing: FloatArray, axis: tuple[float, float]) -> FloatArray:
+    """(k, 3) x, y, heading of the upper structure's frame, which is base_link while it looks forward.
+
+    ``poses`` (k, 3) are those of base_link on level ground, ``swing`` (k,) is σ about the axis at (x, y), m.
+    """
+    x, y, yaw = poses.T
+    axis_x, axis_y = axis
+    cos, sin, above = np.cos(yaw), np.sin(yaw), yaw + swing
+    x = x + (cos - np.cos(above)) * axis_x - (sin - np.sin(above)) * axis_y
+    y = y + (sin - np.sin(above)) * axis_x + (cos - np.cos(above)) * axis_y
+    return np.stack((x, y, above), axis=1)
+
+
 class Placement(NamedTuple):
     """Of base_link in the site frame; angles ZYX as in REP-103."""
 

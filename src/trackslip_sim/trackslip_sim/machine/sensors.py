@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.vehicle import GRAVITY, UPPER, VehicleParameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
-from trackslip_sim.machine.placement import Placement, about_z
+from trackslip_sim.machine.placement import Placement, about_z, upper_poses
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.window import TruthWindow
 
@@ -147,10 +147,7 @@ class MachineSensors:
         """The same of the upper structure's frame, which is base_link while it looks forward."""
         x, y, yaw = self.pose_at(times)
         swing = np.interp(times, self._window.truth.t, self._window.truth.swing)
-        axis_x, axis_y = self._mounting.axis
-        cos, sin, above = np.cos(yaw), np.sin(yaw), yaw + swing
-        x = x + (cos - np.cos(above)) * axis_x - (sin - np.sin(above)) * axis_y
-        y = y + (sin - np.sin(above)) * axis_x + (cos - np.cos(above)) * axis_y
+        x, y, above = upper_poses(np.stack((x, y, yaw), axis=1), swing, self._mounting.axis).T
         return x, y, above
 
     def swing(self, stamp_ns: int) -> SwingSample:

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log, run_whole
-from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, SwingAngle, YawRate
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import POSE, SPROCKETS, YAW_RATE, to_records
+from trackslip_estimation.slip.records import ON_SWING, POSE, SPROCKETS, YAW_RATE, to_records
 from trackslip_estimation.slip.window import Window
-from trackslip_sim.machine.sensors import SensorNoise
+from trackslip_sim.machine.placement import upper_poses
+from trackslip_sim.machine.sensors import SensorNoise, mounting_of
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
@@ -47,6 +48,10 @@ class Drive:
     scored: IntArray  # (s,) those of them after settling
     moving: BoolArray  # (s,) whether the slips mean something
     turning: BoolArray  # (s,) moving, and in a turn
+    seen: FloatArray  # (k, 3) true pose of the sensor whose poses the fixes are
+    begins_at: FloatArray  # (3,) the same at the start
+    shown_rate: FloatArray  # (k,) true yaw rate of what the gyro sits on, rad/s
+    swings: bool  # whether any of them sits on the upper structure
     fix_size: int  # numbers of a fix: 3, or 2 where the heading is not used
     noise: SensorNoise  # of the inertial unit's other axes, which are read where there is a terrain
 
@@ -61,6 +66,12 @@ class Drive:
         """(k,) rows of the gyro."""
         rates: BoolArray = self.rows.measurements["kind"] == YAW_RATE
         return rates
+
+    @property
+    def angles(self) -> BoolArray:
+        """(k,) rows of the swing encoder."""
+        angles: BoolArray = self.rows.measurements["kind"] == ON_SWING
+        return angles
 
     def with_noise(self, cell: Cell, sigma_heading: float) -> RecordArray:
         """(k,) measurements with the noises of a cell; values are each run's own."""
@@ -82,13 +93,11 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
     Raises:
         InputError: scenario, soil or sources are refused, or on level ground nothing moves after settling.
     """
-    scenario = load_scenario(p.scenario).stretched(p.duration)
-    if terrain:
-        scenario = replace(scenario, terrain=load_terrain(terrain))
-    truth = simulate(scenario, soil=soil, vehicle=estimator.vehicle.whole())
+    truth = _simulated(p, estimator, soil, terrain)
     end = int(truth.duration * p.sprocket_rate + 1e-6) / p.sprocket_rate
     sprockets = list(_sprockets(truth, p, end, estimator.encoder_resolution))
-    found = [*sprockets, *_rates(p.gyro_rate, end, estimator), *_fixes(p, end, estimator)]
+    readings = [*_rates(p.gyro_rate, end, estimator), *_angles(p.swing_rate, end, estimator)]
+    found = [*sprockets, *readings, *_fixes(p, end, estimator)]
     begin, rows = _read(found, estimator)
     stamps_ns, kinds = rows.measurements["stamp_ns"], rows.measurements["kind"]
     at = truth.interpolate(stamps_ns * 1e-9)
@@ -112,8 +121,20 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
         moving=moving,
         turning=moving & (rows.drives["motion"]["motion"][scored] == Motion.TURNING),
         noise=load_emulator_parameters({}).noise,
+        seen=_seen(at, estimator),
+        begins_at=_seen(truth.at(0.0), estimator)[0],
+        shown_rate=_shown_rate(at, estimator),
+        swings=estimator.swings,
         fix_size=3 if estimator.poses()[_first(estimator.poses(), "pose_sources")].use_heading else 2,
     )
+
+
+def _simulated(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str, terrain: str) -> Truth:
+    scenario = load_scenario(p.scenario).stretched(p.duration)
+    if terrain:
+        scenario = replace(scenario, terrain=load_terrain(terrain))
+    whole, upper = estimator.vehicle.whole(), estimator.vehicle.upper_structure
+    return simulate(scenario, soil=soil, vehicle=whole, upper=upper)
 
 
 def _read(found: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window, Rows]:
@@ -154,6 +175,34 @@ def _fixes(p: StudyParameters, end: float, estimator: SlipEstimatorParameters) -
     covariance = np.diag((1.0, 1.0, p.sigma_heading**2))
     for k in range(int(end * p.fix_rate + 1e-6) + 1):
         yield PoseFix(source, _ns(k / p.fix_rate), np.zeros(3), covariance)
+
+
+def _angles(rate: float, end: float, estimator: SlipEstimatorParameters) -> Iterator[Measurement]:
+    """Empty ones, of the first swing encoder, if there is one."""
+    stddev = mounting_of(estimator.vehicle).encoder_stddev
+    for source in list(estimator.angles())[:1]:
+        for k in range(1, int(end * rate + 1e-6) + 1):
+            yield SwingAngle(source, _ns(k / rate), 0.0, stddev**2)
+
+
+def _seen(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
+    """(k, 3) true pose of the sensor of the fixes, on level ground."""
+    source = next(iter(estimator.poses().values()))
+    poses = np.stack((at.x, at.y, at.yaw), axis=1)
+    if source.above:
+        poses = upper_poses(poses, at.swing, estimator.vehicle.swing_axis)
+    ahead, left, _ = source.lever
+    if ahead != 0.0 or left != 0.0:
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        poses[:, 0] += cos * ahead - sin * left
+        poses[:, 1] += sin * ahead + cos * left
+    return poses
+
+
+def _shown_rate(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
+    """(k,) true yaw rate of what the gyro sits on."""
+    above = next(iter(estimator.gyros().values())).above
+    return at.yaw_rate + at.swing_rate if above else at.yaw_rate
 
 
 def _first(sources: Mapping[str, object], name: str) -> str:

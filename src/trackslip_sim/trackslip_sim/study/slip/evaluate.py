@@ -14,7 +14,7 @@ from trackslip_estimation.slip.models.model import POSE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.window import Window, make_window
 from trackslip_sim.study.slip.drive import Drive
-from trackslip_sim.study.slip.kernels import bound, compare, scratch, variances
+from trackslip_sim.study.slip.kernels import SLIPS, bound, compare, scratch, variances
 from trackslip_sim.study.slip.parameters import DRAWN, SHEAR, Cell, StudyParameters
 from trackslip_sim.study.slip.results import IGNORING, Row, Sums, summary, total
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial, of_machine
@@ -54,12 +54,14 @@ def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEs
             c["stamp_errors"] = estimator.changed({"pose_sources": (_UNKNOWN,)}).poses()[_UNKNOWN].stamp_error
         else:  # what the filters are given is all true
             c["gate_limits"], c["stamp_errors"] = np.inf, 0.0
+        if drive.swings:  # nor do fixes of a cab repeat an error
+            c["correlation_times"] = c["standing_share"] = 0.0
     rows = drive.rows._replace(measurements=drive.with_noise(cell, p.sigma_heading))
     return Setting(cell, drive, rows, config, linear, p.sigma_heading)
 
 
 def score(setting: Setting, trial: Trial, bounds: FloatArray) -> Sums:
-    """One run, filtered; ``bounds`` (s, 6) are its least variances."""
+    """One run, filtered; ``bounds`` (s, 7) are its least variances."""
     drive, scored = setting.drive, setting.drive.scored
     window = _filtered(setting, trial)
     states, nis_of = window.states[1 : window.count], window.updates["nis"][1 : window.count]
@@ -79,7 +81,7 @@ def _filtered(setting: Setting, trial: Trial) -> Window:
 
 
 def least(setting: Setting, trial: Trial) -> FloatArray:
-    """(s, 6) variances by the posterior Cramér–Rao bound."""
+    """(s, 7) variances by the posterior Cramér–Rao bound."""
     drive, linear = setting.drive, setting.linear
     rows, true = of_machine(trial.rows, trial.machine, linear)
     covariances = bound(rows, trial.states, trial.start_state, trial.spread, true)
@@ -110,4 +112,4 @@ def trace(setting: Setting, seed: int) -> Trace:
         trial.states[drive.samples, POSE],
         trial.slips[drive.samples],
     )
-    return Trace(t, poses, poses + errors[:, :3], slips, slips + errors[:, 3:], deviations[:, 3:])
+    return Trace(t, poses, poses + errors[:, :3], slips, slips + errors[:, SLIPS], deviations[:, SLIPS])

@@ -11,7 +11,7 @@
 did up to it.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,10 @@ from trackslip_estimation.kalman.linear_algebra import (
     weighted_square,
     wrap,
 )
-from trackslip_estimation.slip.levers import stamp_shift, to_delayed
+from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_gyro, to_sensor
 from trackslip_estimation.slip.models.dispatch import COUPLED, body_jacobian, body_twist, linearize, slips
-from trackslip_estimation.slip.models.model import POSE, YAW
+from trackslip_estimation.slip.models.model import POSE, SWING, YAW
+from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.observation import (
     add_rounding,
     comparable_speeds,
@@ -40,14 +41,15 @@ from trackslip_estimation.slip.observation import (
     jacobian,
     observed,
 )
-from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS, STATE
+from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS, STATE, YAW_RATE
 from trackslip_estimation.slip.records import POSE as POSE_FIX
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 RecordArray = NDArray[np.void]
 
-ERRORS = 6  # x, y, φ, i_L, i_R, α
+ERRORS = 7  # x, y, φ, i_L, i_R, α, σ
+SLIPS, ON_CAB = slice(3, 6), 6  # of these
 _ITERATIONS = 3  # the turning model is linear, the others nearly
 
 
@@ -96,24 +98,39 @@ def bound(
     for k in range(rows.drives.size):
         measurement, drive = rows.measurements[k], rows.drives[k]
         _, F, Q = linearize(before, none, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
+        if c.swings:
+            shear(P, F)
         ekf.propagate_covariance(P, F, Q, COUPLED)
         before, stamp_ns = states[k].copy(), measurement.stamp_ns
-        kind = measurement.kind
-        if kind != SPROCKETS:
-            z, R = observed(measurement, drive, c)
-            left, right, _ = comparable_speeds(kind, drive, c)
-            add_rounding(kind, before, R, drive, c)
-            H = jacobian(kind, before, z.size, (left, right), c)
-            shift = (0.0, 0.0, 0.0)
-            if kind == POSE_FIX:
-                room[0] = drive
-                room[0].mean[:] = before
-                shift = stamp_shift(room[0], measurement.source, c)
-            to_delayed(before.copy(), P, shift, 1.0)
-            ekf.correct(before.copy(), P, np.zeros(z.size), H, R)
-            to_delayed(before.copy(), P, shift, -1.0)
+        if measurement.kind != SPROCKETS:
+            room[0] = drive
+            room[0].mean[:], room[0].covariance[:] = before, P
+            _update(room[0], measurement, P, c)
         bounds[k] = P
     return bounds
+
+
+@compiled
+def _update(state: Any, measurement: Any, P: FloatArray, c: Any) -> None:
+    """P about the true state, a record of ``STATE``, given a measurement in the coordinates of its sensor."""
+    kind, source, x, level = measurement.kind, measurement.source, state.mean.copy(), state.attitude.level
+    of_pose, of_gyro = kind == POSE_FIX, kind == YAW_RATE and c.above[source] == 1
+    z, R = observed(measurement, state, c)
+    shift = stamp_shift(state, source, c) if of_pose else (0.0, 0.0, 0.0)
+    if of_pose:
+        to_sensor(x, P, level, source, 1.0, c)
+    if of_gyro:
+        to_gyro(x, P, 1.0)
+    to_delayed(x.copy(), P, shift, 1.0)
+    left, right, _ = comparable_speeds(kind, state, c)
+    add_rounding(kind, x, R, state, c)
+    H = jacobian(kind, x, z.size, (left, right), c)
+    ekf.correct(x.copy(), P, np.zeros(z.size), H, R)
+    to_delayed(x.copy(), P, shift, -1.0)
+    if of_gyro:
+        to_gyro(x, P, -1.0)
+    if of_pose:
+        to_sensor(x, P, level, source, -1.0, c)
 
 
 @compiled
@@ -193,7 +210,10 @@ def variances(
     room: Scratch,
     config: RecordArray,
 ) -> FloatArray:
-    """(s, 6) of pose and slips, by covariances (k, n, n) about states (k, n), at s of the k rows."""
+    """(s, 7) of pose, slips and swing, by covariances (k, n, n) about states (k, n), at s of the k rows.
+
+    The swing's are nan where nothing sits above.
+    """
     c, state, estimate = config[0], room.state[0], room.estimate[0]
     found = np.empty((entries.size, ERRORS))
     for i in range(entries.size):
@@ -203,6 +223,7 @@ def variances(
         fill_outputs(state, c, estimate)
         for j in range(3):
             found[i, j], found[i, 3 + j] = covariances[k, j, j], estimate.slip_covariance[j, j]
+        found[i, ON_CAB] = covariances[k, SWING, SWING] if c.swings else np.nan
     return found
 
 
@@ -215,7 +236,7 @@ def compare(
     room: Scratch,
     config: RecordArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Errors (s, 6) of pose and slips, and their NEES (s, 2): of the pose, of both slips.
+    """Errors (s, 7) of pose, slips and swing, and NEES (s, 2): of the pose, of both slips.
 
     Of ``filtered`` (k,) of ``STATE`` against true states (k, n) and slips (k, 3), at s of the k rows.
     """
@@ -226,7 +247,8 @@ def compare(
         fill_outputs(filtered[k], c, estimate)
         errors[i, :3] = filtered[k].mean[:3] - states[k, :3]
         errors[i, YAW] = wrap(errors[i, YAW])
-        errors[i, 3:] = estimate.slips - slips_[k]
+        errors[i, SLIPS] = estimate.slips - slips_[k]
+        errors[i, ON_CAB] = wrap(filtered[k].mean[SWING] - states[k, SWING]) if c.swings else np.nan
         nees[i, 0] = weighted_square(root(filtered[k].covariance[:3, :3].copy()), errors[i, :3])
         nees[i, 1] = weighted_square(root(estimate.slip_covariance[:2, :2].copy()), errors[i, 3:5])
     return errors, nees

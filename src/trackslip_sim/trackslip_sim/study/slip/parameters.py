@@ -27,6 +27,9 @@ class StudyParameters(GridParameters):
     settling: float = parameter("time at the start that is not scored", unit="s", ge=0.0)
     truths: tuple[str, ...] = parameter("how the truth comes about", choices=TRUTHS)
     filters: tuple[str, ...] = parameter("which filters", choices=FILTERS)
+    swing_rate: float = parameter(
+        "readings of a swing encoder, where sensors sit above", unit="Hz", ge=1.0, le=1000.0
+    )
     sigma_omega: tuple[float, ...] = parameter("noise of the gyro", unit="rad/s", gt=0.0, le=100.0)
 
     def __post_init__(self) -> None:

@@ -28,6 +28,7 @@ Interval = tuple[float, float]
 CONFIDENCE = 0.95
 IGNORING = ("position_rmse", "turning_slip_rmse", "nees_pose")
 _POSITION, _HEADING, _SLIPS, _ALPHA = slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6)
+_SWING = slice(6, 7)
 
 
 @dataclass(frozen=True)
@@ -66,13 +67,15 @@ class Row:
     ignoring_position_rmse: float | None = None  # of a filter to which the ground is flat, on a terrain
     ignoring_turning_slip_rmse: float | None = None
     ignoring_nees_pose: float | None = None
+    swing_rmse: float | None = None  # rad, where sensors sit above
+    swing_bound: float | None = None
 
 
 class Sums(NamedTuple):
     """Of one run, or of several together, at each scored time."""
 
-    squares: FloatArray  # (s, 6) errors squared: x, y, φ, i_L, i_R, α
-    bounds: FloatArray  # (s, 6) least variances
+    squares: FloatArray  # (s, 7) errors squared: x, y, φ, i_L, i_R, α, σ
+    bounds: FloatArray  # (s, 7) least variances
     nees: FloatArray  # (s, 2) pose, slips
     nis: FloatArray  # (2,) pose, yaw rate; means over time
 
@@ -101,6 +104,7 @@ def summary(cell: Cell, p: StudyParameters, sums: Sums, drive: Drive) -> Row:
         ("slip", _SLIPS, drive.moving, 2),
         ("turning_slip", _SLIPS, drive.turning, 2),
         ("alpha", _ALPHA, drive.moving, 1),
+        *([("swing", _SWING, always, 1)] if drive.swings else []),
     ):
         values[f"{name}_rmse"] = _root_mean(squares[wanted, columns], tracks)
         values[f"{name}_bound"] = _root_mean(bounds[wanted, columns], tracks)

@@ -4,6 +4,7 @@
 
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, ClassVar
@@ -20,7 +21,14 @@ from trackslip_sim.study.engine import Study, Workers, spread
 from trackslip_sim.study.slip import kernels
 from trackslip_sim.study.slip.drive import Drive, make_drive
 from trackslip_sim.study.slip.evaluate import evaluate
-from trackslip_sim.study.slip.parameters import Cell, StudyParameters, cells, load_study_parameters
+from trackslip_sim.study.slip.parameters import (
+    NODE,
+    SHEAR,
+    Cell,
+    StudyParameters,
+    cells,
+    load_study_parameters,
+)
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.table import NOTHING, Columns, table, words
 from trackslip_sim.truth import shear
@@ -82,6 +90,15 @@ _COLUMNS: Columns = {
 }
 
 
+def _columns(rows: Sequence[Row]) -> Columns:
+    """With the swing behind the heading, where sensors sit above."""
+    if all(row.swing_rmse is None for row in rows):
+        return _COLUMNS
+    columns = list(_COLUMNS.items())
+    after = list(_COLUMNS).index("heading mrad") + 1
+    return dict([*columns[:after], ("swing mrad", _error("swing", 1e3)), *columns[after:]])
+
+
 _ON_TERRAIN: Columns = {
     "terrain": lambda row: words(row.terrain),
     "truth": lambda row: str(row.truth),
@@ -124,6 +141,21 @@ class _Drives:
         return {**vars(self), "_known": {}}
 
 
+def _above(p: StudyParameters, estimator: SlipEstimatorParameters, chosen: bool) -> StudyParameters:
+    """Parameters for sensors above, of whose truths there is one; ``chosen``: whether these were asked for.
+
+    Raises:
+        InputError: others were, or a terrain.
+    """
+    topics = ", ".join(topic for topic, source in estimator.mounted().items() if source.above)
+    above = f"cells with {topics} above are on"
+    if others := [truth for truth in p.truths if truth != SHEAR and chosen]:
+        raise InputError(f"{NODE}: truths: {others[0]}: {above} the {SHEAR} truth")
+    if any(p.terrains):
+        raise InputError(f"{NODE}: terrains: {above} level ground; accepted: none")
+    return replace(p, truths=(SHEAR,))
+
+
 def _evaluate(drives: _Drives, cell: Cell) -> Row:
     return evaluate(cell, drives.of(cell), drives.p, drives.estimator)
 
@@ -152,6 +184,8 @@ class SlipStudy(Study[Cell, Row]):
         scenario = {} if first is None else {"scenario": first}
         self._p = load_study_parameters({**given, **scenario})
         self._estimator = load_slip_parameters(dict(map(parse_set, settings)))
+        if self._estimator.swings:
+            self._p = _above(self._p, self._estimator, "truths" in given)
         self.cells = {cell: [cell] for cell in cells(self._p)}
         self._common = {
             "study": {name: value for name, value in to_flat(self._p).items() if name not in _GRID},
@@ -177,7 +211,7 @@ class SlipStudy(Study[Cell, Row]):
         bounds = ", ".join(f"{low:.2f}–{high:.2f} for {dof}" for dof, (low, high) in intervals.items())
         legend = _LEGEND.format(bounds=bounds, seeds=row.seeds)
         level, sloping = ([r for r in rows if bool(r.terrain) == on_terrain] for on_terrain in (False, True))
-        lines = table(_COLUMNS, level, text_columns=3) if level else []
+        lines = table(_columns(level), level, text_columns=3) if level else []
         if sloping:
             lines += [*[""][: len(lines)], *table(_ON_TERRAIN, sloping, text_columns=4)]
             legend = f"{legend} {_TERRAIN_LEGEND}"

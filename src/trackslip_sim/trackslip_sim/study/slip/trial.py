@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of a cell: a truth and what the sensors say of it, drawn from one seed."""
 
+import math
 import zlib
 from dataclasses import replace
 from typing import NamedTuple
@@ -11,7 +12,10 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.kalman.linear_algebra import root
 from trackslip_estimation.slip.config import ConfigRecord
-from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE
+from trackslip_estimation.slip.levers import to_sensor
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE
+from trackslip_estimation.slip.models.model import POSE as OF_POSE
+from trackslip_estimation.slip.models.speed import ROTATION_OFFSET
 from trackslip_estimation.slip.models.turning import ASYMMETRY
 from trackslip_estimation.slip.models.turning import CODE as TURNING
 from trackslip_estimation.slip.records import POSE, YAW_RATE
@@ -92,22 +96,49 @@ def _matched(setting: Setting, random: np.random.Generator) -> Trial:
 
 
 def _shear(setting: Setting, random: np.random.Generator) -> Trial:
-    """The truth has nothing of the model; only the gyro's bias is drawn as the filter expects it."""
-    at, fixes, rates = setting.drive.truth, setting.drive.fixes, setting.drive.rates
+    """The truth has nothing of the model; what the filter knows at the start errs as it expects.
+
+    That is the gyro's bias, and the angle of a cab that no encoder shows.
+    """
+    drive = setting.drive
+    at, fixes, rates = drive.truth, drive.fixes, drive.rates
     poses = np.stack((at.x, at.y, at.yaw), axis=1)
     deviations = fix_deviations(setting.cell, setting.sigma_heading)
-    start = _start(setting, deviations * random.standard_normal(3))
-    mean, covariance = prior = _start(setting, np.zeros(3))
+    begins_at = drive.begins_at + deviations * random.standard_normal(3)
+    mean, covariance = prior = _start(setting, drive.begins_at)
+    mean[OF_POSE] = 0.0  # at the origin
     mean[GYRO_BIAS] = np.sqrt(covariance[GYRO_BIAS, GYRO_BIAS]) * random.standard_normal()
     values = np.zeros((len(poses), 3))
-    values[fixes] = poses[fixes] + deviations * random.standard_normal((np.count_nonzero(fixes), 3))
+    values[fixes] = drive.seen[fixes] + deviations * random.standard_normal((np.count_nonzero(fixes), 3))
     noise = setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
-    values[rates, 0] = at.yaw_rate[rates] + mean[GYRO_BIAS] + noise
+    values[rates, 0] = drive.shown_rate[rates] + mean[GYRO_BIAS] + noise
     twists = np.stack((at.v_x, at.yaw_rate), axis=1)
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
-    states = nearest(poses, twists, true_speeds, setting.drive.true_drives, prior, setting.linear)
+    states = nearest(poses, twists, true_speeds, drive.true_drives, prior, setting.linear)
+    off = 0.0  # of the cab's angle, as the filter has it at the start
+    if drive.swings:
+        off = _swing(setting, mean, states, values, random)
+    start = _start(setting, begins_at, off)
     slips = np.stack((at.left_slip, at.right_slip, at.slip_angle), axis=1)
     return Trial(_with_values(setting.rows, values), start, mean, covariance, states, slips)
+
+
+def _swing(
+    setting: Setting, start: FloatArray, states: FloatArray, values: FloatArray, random: np.random.Generator
+) -> float:
+    """The true swing into ``start`` (n,) and ``states`` (k, n), what an encoder shows into ``values`` (k, 3).
+
+    Returns the error of what the filter takes for σ at the start: none where an encoder shows it soon.
+    """
+    drive, c = setting.drive, setting.linear[0]
+    at, shown = drive.truth, drive.angles
+    start[SWING] = drive.whole.swing[0]
+    states[:, SWING], states[:, SWING_RATE] = at.swing, at.swing_rate
+    states[:, ROTATION_OFFSET] += c["swing"]["balance"] * (np.cos(at.swing) - np.cos(start[SWING]))
+    source, noise = setting.rows.measurements["source"][shown], setting.rows.measurements["noise"][shown]
+    offset = c["heading_offset"][source]
+    values[shown, 0] = at.swing[shown] + offset + np.sqrt(noise[:, 0, 0]) * random.standard_normal(len(noise))
+    return 0.0 if shown.any() else math.sqrt(c["prior_variance"][SWING]) * random.standard_normal()
 
 
 def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
@@ -164,12 +195,15 @@ def _interpolate(times: FloatArray, t: FloatArray, columns: FloatArray) -> Float
     return np.stack([np.interp(times, t, column) for column in columns.T], axis=1)
 
 
-def _start(setting: Setting, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean (n,) and covariance (n, n) that a filter begins with at a fix."""
+def _start(setting: Setting, pose: FloatArray, swing_error: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """Mean (n,) and covariance (n, n) that a filter begins with at a fix, with the swing off by an error."""
     c = setting.config[0]
     mean, covariance = c["prior_mean"].copy(), c["prior_covariance"].copy()
     mean[:3] = pose
     covariance[:3, :3] = np.diag(np.square(fix_deviations(setting.cell, setting.sigma_heading)))
+    begin, source = setting.drive.begin.states[0], setting.drive.begin.measurements["source"][0]
+    mean[SWING] += swing_error
+    to_sensor(mean[: c["size"]], covariance, begin["attitude"]["level"], source, -1.0, c)
     return mean, covariance
 
 

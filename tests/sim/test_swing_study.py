@@ -1,0 +1,274 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Cells of the study with all sensors on a cab that swings: what they see, their bound, and their scores."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.config import ConfigRecord, make_config
+from trackslip_estimation.slip.models.dispatch import linearize, move, twist
+from trackslip_estimation.slip.models.model import (
+    GYRO_BIAS,
+    GYRO_SCALE,
+    SENSOR_ERRORS,
+    SWING,
+    SWING_RATE,
+    YAW,
+)
+from trackslip_estimation.slip.models.model import POSE as OF_POSE
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.slip.records import MEASUREMENT, ON_SWING, POSE, STATE, YAW_RATE
+from trackslip_sim.machine.placement import upper_poses
+from trackslip_sim.study.slip.drive import Drive, make_drive
+from trackslip_sim.study.slip.evaluate import evaluate, make_setting
+from trackslip_sim.study.slip.kernels import Rows, bound
+from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters, load_study_parameters
+from trackslip_sim.study.slip.study import SlipStudy
+from trackslip_sim.study.slip.trial import make_trial
+from trackslip_tools.cli.main import main
+
+FloatArray = NDArray[np.float64]
+
+CAB = {"vehicle": "pc05_cab"}
+PERIOD = 0.02  # s
+STDDEV = 0.002  # rad, of its encoder
+CELL = Cell(SHEAR, "sand", "ekf", 0.02, 0.01)
+COMMAND = ["study", "--scenario", "dig_cycles", "--vehicle", "pc05_cab", "--soil", "sand", "--workers", "1"]
+
+
+@pytest.fixture(scope="module")
+def p() -> StudyParameters:
+    """Driven for 24 s, then two slews, and 14 s of driving back."""
+    return load_study_parameters({"scenario": "dig_cycles", "duration": 62.0, "settling": 24.0, "seeds": 4})
+
+
+@pytest.fixture(scope="module")
+def with_encoder() -> SlipEstimatorParameters:
+    return load_slip_parameters(CAB)
+
+
+@pytest.fixture(scope="module")
+def without_encoder() -> SlipEstimatorParameters:
+    return load_slip_parameters(CAB, {"swing_sources": [""]})
+
+
+@pytest.fixture(scope="module")
+def drive(p: StudyParameters, with_encoder: SlipEstimatorParameters) -> Drive:
+    return make_drive(p, with_encoder, "sand")
+
+
+# What the filters are fed
+
+
+def test_fixes_and_gyro_are_those_of_the_cab(
+    drive: Drive, p: StudyParameters, with_encoder: SlipEstimatorParameters
+) -> None:
+    trial = make_trial(make_setting(CELL, drive, p, with_encoder), seed=0)
+    values, at = trial.rows.measurements["value"], drive.truth
+    assert np.ptp(at.swing) > 3.0
+    axis = np.array(with_encoder.vehicle.swing_axis)
+    by_machine, by_cab = (_site(poses, axis) for poses in (trial.states[:, OF_POSE], drive.seen))
+    np.testing.assert_allclose(by_machine, by_cab, atol=1e-9)  # the axis is where both have it
+    fixes = values[drive.fixes] - drive.seen[drive.fixes]
+    assert np.std(fixes, axis=0) == pytest.approx((0.02, 0.02, p.sigma_heading), rel=0.15)
+    headings = values[drive.fixes, 2] - at.yaw[drive.fixes] - at.swing[drive.fixes]
+    assert np.abs(headings).max() < 5.0 * p.sigma_heading
+    rates = values[drive.rates, 0] - at.yaw_rate[drive.rates] - at.swing_rate[drive.rates]
+    assert np.std(rates) == pytest.approx(0.01, rel=0.1)
+    shown = values[drive.angles, 0] - at.swing[drive.angles]
+    assert np.std(shown) == pytest.approx(STDDEV, rel=0.1)
+    np.testing.assert_array_equal(trial.states[:, SWING], at.swing)
+    np.testing.assert_array_equal(trial.states[:, SWING_RATE], at.swing_rate)
+
+
+def _site(poses: FloatArray, point: FloatArray) -> FloatArray:
+    """(k, 2) a point of each of the frames (k, 3), in the site frame."""
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return poses[:, :2] + np.stack((cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]), axis=1)
+
+
+def test_without_an_encoder_the_angle_at_the_start_errs_as_the_filter_expects(
+    p: StudyParameters, with_encoder: SlipEstimatorParameters, without_encoder: SlipEstimatorParameters
+) -> None:
+    short = load_study_parameters({"scenario": "dig_cycles", "duration": 8.0, "settling": 4.0})
+    bare, shown = (make_drive(short, estimator, "sand") for estimator in (without_encoder, with_encoder))
+    assert not bare.angles.any()
+    assert shown.angles.sum() == round(8.0 * p.swing_rate)
+    setting = make_setting(CELL, bare, short, without_encoder)
+    trials = [make_trial(setting, seed) for seed in range(100)]
+    errors = np.array([t.start[0][[YAW, SWING]] - t.start_state[[YAW, SWING]] for t in trials])
+    assert np.std(errors[:, 1]) == pytest.approx(without_encoder.swing.initial_angle_stddev, rel=0.2)
+    assert np.std(errors.sum(axis=1)) == pytest.approx(p.sigma_heading, rel=0.2)  # a fix shows the sum
+
+
+# The bound
+
+
+def test_of_n_readings_of_an_encoder_the_bound_is_their_mean(with_encoder: SlipEstimatorParameters) -> None:
+    """While the brake holds the cab without play: of r each, r/n."""
+    n, config = 40, make_config(with_encoder)
+    config["swing"]["held_density"] = 0.0
+    rows = _rows(n, config, ON_SWING, np.diag((STDDEV**2, 0.0, 0.0)))
+    start, P = config["prior_mean"][0].copy(), config["prior_covariance"][0].copy()
+    P[SWING, SWING], P[SWING_RATE, SWING_RATE] = 1e6, 0.0
+    found = bound(rows, np.tile(start, (n, 1)), start, P, config)[:, SWING, SWING]
+    np.testing.assert_allclose(found, STDDEV**2 / np.arange(1, n + 1), rtol=1e-6)
+
+
+def test_a_fix_above_bounds_the_sum_of_heading_and_swing(with_encoder: SlipEstimatorParameters) -> None:
+    config, r = make_config(with_encoder), 1e-4
+    config["stamp_errors"], config["heading_floor"], config["swing"]["held_density"] = 0.0, 0.0, 0.0
+    rows = _rows(1, config, POSE, np.diag((1e6, 1e6, r)))
+    rows.measurements["stamp_ns"] = 1  # before anything moves
+    start, P = config["prior_mean"][0].copy(), np.zeros_like(config["prior_covariance"][0])
+    of_yaw, of_swing = P[YAW, YAW], P[SWING, SWING] = 9e-4, 4e-4
+    found = bound(rows, start[None], start, P, config)[0]
+    total = of_yaw + of_swing + r
+    assert found[YAW, YAW] == pytest.approx(of_yaw - of_yaw**2 / total, rel=1e-4)
+    assert found[SWING, SWING] == pytest.approx(of_swing - of_swing**2 / total, rel=1e-4)
+    assert found[YAW, SWING] == pytest.approx(-of_yaw * of_swing / total, rel=1e-4)
+
+
+def _rows(count: int, config: ConfigRecord, kind: int, noise: FloatArray) -> Rows:
+    """Of one kind of measurement above, while the tracks count as driving, but stand."""
+    rows = Rows(np.zeros(count, MEASUREMENT), np.zeros(count, STATE))
+    rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, count + 1)
+    rows.measurements["kind"], rows.measurements["noise"] = kind, noise
+    rows.measurements["source"] = np.flatnonzero(config["above"][0])[0]
+    rows.drives["motion"]["motion"] = Motion.STRAIGHT
+    return rows
+
+
+def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: SlipEstimatorParameters) -> None:
+    """In the information form; F and H by differences, H of sensors that are put on the cab here."""
+    config, noises = (
+        make_config(with_encoder),
+        {POSE: (4e-4, 4e-4, 1e-4), YAW_RATE: (1e-4,), ON_SWING: (4e-6,)},
+    )
+    config["stamp_errors"], count = 0.0, 60
+    rows = Rows(np.zeros(count, MEASUREMENT), np.zeros(count, STATE))
+    rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, count + 1)
+    rows.measurements["kind"] = kinds = np.resize([ON_SWING, YAW_RATE, POSE], count)
+    box, imu = (list(with_encoder.timeouts_ns()).index(topic) for topic in ("box_pose", "imu/data_raw"))
+    rows.measurements["source"] = np.where(kinds == YAW_RATE, imu, box)
+    for kind, noise in noises.items():
+        rows.measurements["noise"][kinds == kind] = np.diag(np.resize((*noise, 0.0, 0.0), 3))
+    rows.drives["speeds"] = (1.6, 1.2, PERIOD, False)
+    rows.drives["motion"]["motion"] = Motion.TURNING
+    x, P = config["prior_mean"][0].copy(), config["prior_covariance"][0].copy()
+    x[OF_POSE], x[SWING], x[SWING_RATE] = (1.0, 2.0, 0.5), 0.8, 0.3
+    P[OF_POSE, OF_POSE] = np.diag(noises[POSE])
+    P[SWING, SWING], P[SWING_RATE, SWING_RATE] = 0.01, 0.01
+    spare = np.flatnonzero(np.diag(P) == 0.0)
+    P[spare, spare] = 1e-4
+    start, states, J = x, [], np.linalg.inv(P)
+    for kind, drive in zip(kinds.tolist(), rows.drives, strict=True):
+        F = _by_differences(lambda state, drive=drive: move(state, drive, PERIOD, config[0]), x)
+        Q = linearize(x, np.zeros((x.size, x.size)), drive, PERIOD, config[0])[2]
+        J = np.linalg.inv(F @ np.linalg.inv(J) @ F.T + Q)
+        x = move(x, drive, PERIOD, config[0])
+        states.append(x)
+        H = _by_differences(_sensor(kind, with_encoder, config), x)
+        J = J + H.T @ np.diag(1.0 / np.array(noises[kind])) @ H
+    found, wanted = bound(rows, np.array(states), start, P, config)[-1], np.linalg.inv(J)
+    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+    np.testing.assert_allclose(found / scale, wanted / scale, atol=1e-4)
+    assert wanted[SENSOR_ERRORS, SENSOR_ERRORS] == pytest.approx(1e-4)  # what no sensor sees stays
+
+
+def _sensor(
+    kind: int, p: SlipEstimatorParameters, config: ConfigRecord
+) -> Callable[[FloatArray], FloatArray]:
+    """h of a sensor on the cab."""
+
+    def shown(x: FloatArray) -> FloatArray:
+        if kind == ON_SWING:
+            return x[SWING : SWING + 1]
+        if kind == YAW_RATE:
+            rate = twist(x, 1.6, 1.2, config[0])[2] + x[SWING_RATE]
+            return np.array(((1.0 + x[GYRO_SCALE]) * rate + x[GYRO_BIAS],))
+        return upper_poses(x[None, OF_POSE], x[SWING : SWING + 1], p.vehicle.swing_axis)[0]
+
+    return shown
+
+
+def _by_differences(function: Callable[[FloatArray], FloatArray], x: FloatArray) -> FloatArray:
+    e = 1e-5
+    return np.stack([(function(x + e * d) - function(x - e * d)) / (2.0 * e) for d in np.eye(x.size)], axis=1)
+
+
+# What it says of filters
+
+
+@pytest.mark.parametrize("encoder", [True, False])
+def test_a_filter_on_the_cab_is_near_its_bound(
+    encoder: bool,
+    p: StudyParameters,
+    with_encoder: SlipEstimatorParameters,
+    without_encoder: SlipEstimatorParameters,
+) -> None:
+    estimator = with_encoder if encoder else without_encoder
+    row = evaluate(CELL, make_drive(p, estimator, "sand"), p, estimator)
+    assert row.swing_rmse is not None
+    assert row.swing_bound is not None
+    assert 1.5 < row.nees_pose < 4.5
+    for rmse, least in (
+        (row.position_rmse, row.position_bound),
+        (row.heading_rmse, row.heading_bound),
+        (row.swing_rmse, row.swing_bound),
+    ):
+        assert 0.7 < rmse / least < 1.4
+    assert (row.swing_bound < STDDEV) == encoder
+
+
+def test_cells_without_a_cab_have_no_swing() -> None:
+    short = load_study_parameters({"scenario": "slalom", "duration": 9.0, "settling": 6.0, "seeds": 1})
+    estimator = load_slip_parameters()
+    row = evaluate(CELL, make_drive(short, estimator, "sand"), short, estimator)
+    assert (row.swing_rmse, row.swing_bound) == (None, None)
+    assert "swing" not in SlipStudy({}, []).markdown([row])
+
+
+# The command
+
+
+def test_the_study_swings_the_upper_structure_of_its_vehicle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was refused: the drive lost ``upper_structure.drive`` of the vehicle."""
+    options = ["--duration", "27", "--settling", "20", "--seeds", "1", "--filter", "ekf"]
+    options += ["--sigma-xy", "0.02"]
+    files = ["--cache", str(tmp_path / "cells.jsonl"), "--json", str(tmp_path / "rows.json")]
+    assert main([*COMMAND, *options, *files]) == 0
+    (row,) = json.loads((tmp_path / "rows.json").read_text(encoding="utf-8"))
+    assert (row["truth"], row["scenario"]) == (SHEAR, "dig_cycles")
+    assert 0.0 < row["swing_bound"] < STDDEV
+    shown = capsys.readouterr().out
+    assert shown.startswith("vehicle: pc05_cab\n")
+    assert "swing mrad" in shown
+    assert main([*COMMAND, *options, *files]) == 0  # what is in the cache has its swing
+    assert json.loads((tmp_path / "rows.json").read_text(encoding="utf-8")) == [row]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            ["--truth", "matched"],
+            "study: truths: matched: cells with box_pose, imu/data_raw above are on the",
+        ),
+        (["--truth", "shear", "drawn"], "study: truths: drawn: cells with box_pose"),
+        (["--terrain", "hill"], "study: terrains: cells with box_pose, imu/data_raw above are on level"),
+        (["--vehicle", "pc05"], "accepted: a vehicle with upper_structure.drive"),
+    ],
+)
+def test_what_no_cab_does_is_refused(
+    options: list[str], message: str, tmp_path: Path, refusal: Callable[[list[str]], str]
+) -> None:
+    assert message in refusal([*COMMAND, "--cache", str(tmp_path / "cells.jsonl"), *options])
