@@ -13,12 +13,9 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
-from trackslip_common.config_files import config_directory, load_parameters, parameters_text
+from trackslip_common.config_files import config_directory, load_parameters
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import to_flat
 from trackslip_common.vehicle import load_vehicle, vehicle_of_text, vehicle_text
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
@@ -38,6 +35,7 @@ from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
 from trackslip_tools.replay.whole_inputs import read_inputs
+from trackslip_tools.report.limits import load_limits
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import changed, read_plan
 from trackslip_tools.tuning.task import Score
@@ -78,10 +76,31 @@ def scenario(folder: Path) -> Reader:
         output = folder / "bag"
         options = ["--scenario", str(path), "--duration", "0.3", "--output", str(output)]
         code = main(["simulate", *options])
-        _remove(output)
+        remove(output)
         return code
 
     return Reader(_config("scenarios/*.yaml"), read)
+
+
+def terrain(folder: Path) -> Reader:
+    """Driven on for a moment."""
+
+    def read(path: Path) -> int:
+        options = ["--scenario", "straight", "--terrain", str(path), "--duration", "0.3"]
+        code = main(["simulate", *options, "--output", str(folder / "bag")])
+        remove(folder / "bag")
+        return code
+
+    return Reader(_config("terrains/*.yaml"), read)
+
+
+def limits(_: Path) -> Reader:
+    """What a report judges by."""
+
+    def read(path: Path) -> None:
+        load_limits([str(path)])
+
+    return Reader(_config("report.yaml"), read)
 
 
 def fault(_: Path) -> Reader:
@@ -99,37 +118,10 @@ def fault(_: Path) -> Reader:
 
 def parameters(_: Path) -> Reader:
     """A ROS parameter file, as --params of a short replay."""
-    _compile()
+    compile_replay()
     names = ("slip_estimator.yaml", "sources.yaml", "soil_estimator.yaml", "gnss.yaml", "tune.yaml")
     seeds = [(config_directory() / name).read_bytes() for name in names]
     return Reader(seeds, lambda path: main(["replay", str(BAG), "--stop", "1", "--params", str(path)]))
-
-
-def carried(folder: Path) -> Reader:
-    """Parameters or vehicle as a text in a bag."""
-    _compile()
-    with open_bag(BAG) as bag:
-        others = [m for m in bag.messages(None, None, bag.start_ns + 2_200_000_000) if m.topic not in _TEXTS]
-
-    def read(path: Path) -> int:
-        text = path.read_text(encoding="utf-8", errors="replace")
-        output = folder / "bag"
-        is_vehicle = "ros__parameters" not in text
-        with BagWriter(output) as made:
-            for k, m in enumerate(others):
-                if k == 0:
-                    data = serialize(make("std_msgs/msg/String", data=text))
-                    made.write(_TEXTS[is_vehicle], "std_msgs/msg/String", data, m.log_time_ns)
-                made.write(m.topic, m.type_name, m.raw, m.log_time_ns)
-        code = max(main([command, str(output)]) for command in ("info", "replay"))
-        _remove(output)
-        return code
-
-    stated = parameters_text(to_flat(load_slip_parameters()), "slip_estimator")
-    return Reader([stated.encode(), vehicle_text(load_vehicle()).encode()], read)
-
-
-_TEXTS = ("/slip_estimator/parameters", "/vehicle")
 
 
 def plan(_: Path) -> Reader:
@@ -172,7 +164,7 @@ def mapping(folder: Path) -> Reader:
 
     def read(path: Path) -> int:
         code = main(["import", str(log), "--mapping", str(path), "--output", str(folder / "bag")])
-        _remove(folder / "bag")
+        remove(folder / "bag")
         return code
 
     return Reader([_MAPPING, *_config("mappings/*.yaml")], read)
@@ -185,7 +177,7 @@ def table(folder: Path) -> Reader:
     def read(path: Path) -> int:
         options = ["--mapping", str(folder / "mapping.yaml"), "--output", str(folder / "bag")]
         code = main(["import", str(path), *options])
-        _remove(folder / "bag")
+        remove(folder / "bag")
         return code
 
     return Reader(
@@ -291,13 +283,13 @@ def cache(_: Path) -> Reader:
     return Reader([seed], read, ".jsonl")
 
 
-def _compile() -> None:
+def compile_replay() -> None:
     """The first replay takes as long as ten hostile ones."""
     with contextlib.redirect_stdout(io.StringIO()):
         main(["replay", str(BAG), "--stop", "1"])
 
 
-def _remove(bag: Path) -> None:
+def remove(bag: Path) -> None:
     """A bag, where one was made."""
     for file in bag.iterdir() if bag.is_dir() else ():
         file.unlink()
@@ -305,10 +297,10 @@ def _remove(bag: Path) -> None:
         bag.rmdir()
 
 
-READERS: dict[str, Callable[[Path], Reader]] = {
+READERS_OF_TEXTS: dict[str, Callable[[Path], Reader]] = {
     made.__name__: made
     for made in (
-        *(vehicle, scenario, fault, parameters, carried, plan, roles, dbc, mapping, table),
+        *(vehicle, scenario, terrain, limits, fault, parameters, plan, roles, dbc, mapping, table),
         *(state, track, journal, cache),
     )
 }

@@ -56,6 +56,29 @@ def pipe(tmp_path: Path) -> Callable[[str], Path]:
     return made
 
 
+@pytest.mark.parametrize(
+    ("stated", "instead"),
+    [
+        ("type: std_msgs/msg/String", "type: .nan"),
+        ("name: /text", "name: [1]"),
+        ("message_count: 10", "message_count: ten"),
+        ("message_count: 10", "message_count: 1.5"),
+        ("nanoseconds: 9", "nanoseconds: .inf"),
+        ("nanoseconds_since_epoch: 1", "nanoseconds_since_epoch: 1e300"),
+    ],
+)
+def test_metadata_of_other_kinds_ended_info_in_a_traceback(tmp_path: Path, stated: str, instead: str) -> None:
+    """The files tell then what is in the bag, and the bag is called damaged."""
+    file = text_bag(tmp_path / "bag") / "metadata.yaml"
+    text = file.read_text(encoding="utf-8")
+    assert stated in text
+    file.write_text(text.replace(stated, instead), encoding="utf-8")
+    with open_bag(tmp_path / "bag") as bag:
+        assert "metadata" in bag.damage
+        assert "/text" in describe(bag)
+        assert sum(1 for _ in bag.messages()) == 10
+
+
 def test_two_types_on_one_topic_are_named_as_such(tmp_path: Path) -> None:
     path = two_typed_bag(tmp_path / "bag")
     with pytest.raises(InputError, match=f"/both has messages of several types .{NUMBER} and {TEXT}."):

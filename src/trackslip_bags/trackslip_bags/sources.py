@@ -60,6 +60,7 @@ class WholeBag:
             unpacking.check_packed_file(packed)
         self._reader = Reader(path)
         self._reader.open()
+        _check_stated(self._reader)
         self._packed = self._reader.compression_mode == "message"
         if self._packed and isinstance(
             self._reader.storage, DirectoryReader
@@ -87,6 +88,23 @@ class WholeBag:
 
     def close(self) -> None:
         self._reader.close()
+
+
+def _check_stated(reader: Reader) -> None:
+    """What metadata states of times and topics is of the kinds that it should be; rosbags takes it as it is.
+
+    Raises:
+        ValueError: it is not.
+    """
+    of_topics = [(c.topic, c.msgtype, c.msgcount) for c in reader.connections]
+    times = (reader.start_time, reader.end_time)
+    kinds = [(time_ns, int) for time_ns in times]
+    kinds += [
+        (value, kind) for stated in of_topics for value, kind in zip(stated, (str, str, int), strict=True)
+    ]
+    for value, kind in kinds:
+        if not isinstance(value, kind):
+            raise ValueError(f"metadata: {value!r:.40}; accepted: {kind.__name__}")
 
 
 def _mcap_files(reader: Reader) -> tuple[Path, ...]:

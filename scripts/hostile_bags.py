@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The readers of bags that ``hostile_files.py`` tries: bags of which a part is hostile."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import yaml
+from mcap.writer import Writer
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.typesys import Stores, get_typestore
+
+from hostile_readers import BAG, Reader, compile_replay, remove
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import parameters_text
+from trackslip_common.parameters import to_flat
+from trackslip_common.vehicle import load_vehicle, vehicle_text
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_tools.cli.main import main
+
+_TEXTS = ("/slip_estimator/parameters", "/vehicle")
+_JOINTS = {"from": "/joint_states", "left": ["left"], "right": ["right"]}
+_MSG = b"""std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_IDL = b"""================================================================================
+IDL: sensor_msgs/msg/JointState
+module sensor_msgs { module msg { struct JointState {
+  std_msgs::msg::Header header; sequence<string> name;
+  sequence<double> position; sequence<double> velocity; sequence<double> effort; }; }; };
+================================================================================
+IDL: std_msgs/msg/Header
+module std_msgs { module msg { struct Header {
+  builtin_interfaces::msg::Time stamp; string frame_id; }; }; };
+================================================================================
+IDL: builtin_interfaces/msg/Time
+module builtin_interfaces { module msg { struct Time { int32 sec; uint32 nanosec; }; }; };
+"""
+
+
+def carried(folder: Path) -> Reader:
+    """Parameters or vehicle as a text in a bag."""
+    compile_replay()
+    with open_bag(BAG) as bag:
+        others = [m for m in bag.messages(None, None, bag.start_ns + 2_200_000_000) if m.topic not in _TEXTS]
+
+    def read(path: Path) -> int:
+        text = path.read_text(encoding="utf-8", errors="replace")
+        output = folder / "bag"
+        is_vehicle = "ros__parameters" not in text
+        with BagWriter(output) as made:
+            for k, m in enumerate(others):
+                if k == 0:
+                    data = serialize(make("std_msgs/msg/String", data=text))
+                    made.write(_TEXTS[is_vehicle], "std_msgs/msg/String", data, m.log_time_ns)
+                made.write(m.topic, m.type_name, m.raw, m.log_time_ns)
+        code = max(main([command, str(output)]) for command in ("info", "replay"))
+        remove(output)
+        return code
+
+    stated = parameters_text(to_flat(load_slip_parameters()), "slip_estimator")
+    return Reader([stated.encode(), vehicle_text(load_vehicle()).encode()], read)
+
+
+def ros1(folder: Path) -> Reader:
+    """A bag of ROS 1, as it is and with chunks that are packed."""
+    store, seeds = get_typestore(Stores.ROS1_NOETIC), []
+    kinds = store.types
+    for packed in (None, Ros1Writer.CompressionFormat.BZ2, Ros1Writer.CompressionFormat.LZ4):
+        file = folder / "seed.bag"
+        bag = Ros1Writer(file)
+        if packed is not None:
+            bag.set_compression(packed)
+        with bag:
+            joints = bag.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+            for k in range(4):
+                stamp = kinds["builtin_interfaces/msg/Time"](sec=1000 + k, nanosec=0)
+                header = kinds["std_msgs/msg/Header"](seq=k, stamp=stamp, frame_id="base_link")
+                state = _state(kinds[joints.msgtype], header)
+                bag.write(joints, (1000 + k) * 10**9, store.serialize_ros1(state, joints.msgtype))
+        seeds.append(file.read_bytes())
+        file.unlink()
+    return Reader(seeds, _importing(folder, lambda path: path), ".bag")
+
+
+def metadata(folder: Path) -> Reader:
+    """The text beside the files of a bag."""
+    bag = folder / "recorded"
+    bag.mkdir()
+    for file in BAG.glob("*.mcap"):
+        (bag / file.name).write_bytes(file.read_bytes())
+
+    def read(path: Path) -> int:
+        (bag / "metadata.yaml").write_bytes(path.read_bytes())
+        return max(main(["info", str(bag)]), main(["recover", str(bag), "--output", str(folder / "bag")]))
+
+    def tried(path: Path) -> int:
+        code = read(path)
+        remove(folder / "bag")
+        return code
+
+    return Reader([(BAG / "metadata.yaml").read_bytes()], tried)
+
+
+def definition(folder: Path) -> Reader:
+    """What a bag says that its types are, and messages of them."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds, kind = store.types, "sensor_msgs/msg/JointState"
+    header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](1000, 0), "base_link")
+    raw = bytes(store.serialize_cdr(_state(kinds[kind], header), kind))
+
+    def made(path: Path) -> Path:
+        file = folder / "defined.mcap"
+        with file.open("wb") as stream:
+            writer = Writer(stream)
+            writer.start("ros2")
+            text = path.read_bytes()
+            schema = writer.register_schema(kind, "ros2idl" if b"module" in text else "ros2msg", text)
+            channel = writer.register_channel("/joint_states", "cdr", schema)
+            for k in range(3):
+                writer.add_message(channel, k + 1, raw, k + 1)
+            writer.finish()  # type: ignore[no-untyped-call]
+        return file
+
+    return Reader([_MSG, _IDL], _importing(folder, made), ".msg")
+
+
+def _state(kind: type, header: object) -> object:
+    """One ``JointState`` of two sprockets."""
+    values = np.array((0.5, 0.6))
+    return kind(header=header, name=["left", "right"], position=values, velocity=values, effort=values)
+
+
+def _importing(folder: Path, log: Callable[[Path], Path]) -> Callable[[Path], int]:
+    """What reads a log, made of the case, by a mapping of its joints."""
+    mapping = folder / "mapping.yaml"
+    mapping.write_text(yaml.safe_dump({"topics": {"sprockets": _JOINTS}}), encoding="utf-8")
+
+    def read(path: Path) -> int:
+        options = ["--mapping", str(mapping), "--output", str(folder / "bag")]
+        code = main(["import", str(log(path)), *options])
+        remove(folder / "bag")
+        return code
+
+    return read
+
+
+READERS_OF_BAGS: dict[str, Callable[[Path], Reader]] = {
+    made.__name__: made for made in (carried, ros1, metadata, definition)
+}
