@@ -96,13 +96,10 @@ def _check_stated(reader: Reader) -> None:
     Raises:
         ValueError: it is not.
     """
-    of_topics = [(c.topic, c.msgtype, c.msgcount) for c in reader.connections]
-    times = (reader.start_time, reader.end_time)
-    kinds = [(time_ns, int) for time_ns in times]
-    kinds += [
-        (value, kind) for stated in of_topics for value, kind in zip(stated, (str, str, int), strict=True)
-    ]
-    for value, kind in kinds:
+    wanted: list[tuple[object, type]] = [(reader.start_time, int), (reader.end_time, int)]
+    for c in reader.connections:
+        wanted += [(c.topic, str), (c.msgtype, str), (c.msgcount, int)]
+    for value, kind in wanted:
         if not isinstance(value, kind):
             raise ValueError(f"metadata: {value!r:.40}; accepted: {kind.__name__}")
 
