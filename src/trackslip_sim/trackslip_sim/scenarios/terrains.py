@@ -13,6 +13,8 @@ from trackslip_common.errors import InputError
 from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
 from trackslip_sim.truth.terrain import FLAT, Feature, Hill, Plane, Ramp, Terrain
 
+_LEAST_M, _MOST = 1e-3, 1e6  # of a width; of any number
+
 
 def terrain_names() -> list[str]:
     """Names of the terrains in ``config/terrains``, and ``flat``."""
@@ -55,19 +57,19 @@ def _feature(entry: Mapping[str, Any]) -> Feature:
         raise InputError(f"kind = {kind!r} is refused; accepted: {', '.join(_KINDS)}")
     build, keys = _KINDS[kind]
     refuse_unknown(entry, ("kind", *keys))
-    numbers = {key: _finite(entry, key) for key in keys}
+    numbers = {key: _moderate(entry, key) for key in keys}
     for key in ("rounding", "width"):
-        if key in numbers and not numbers[key] > 0.0:
-            raise InputError(f"{key} = {numbers[key]!r} is refused; accepted: > 0 m")
+        if key in numbers and not numbers[key] >= _LEAST_M:
+            raise InputError(f"{key} = {numbers[key]!r} is refused; accepted: at least {_LEAST_M:g} m")
     if numbers.get("length", 0.0) < numbers.get("rounding", 0.0):
         raise InputError(f"length = {numbers['length']!r} is refused; accepted: >= rounding")
     return build(*(math.radians(value) if key.endswith("_deg") else value for key, value in numbers.items()))
 
 
-def _finite(entry: Mapping[str, Any], key: str) -> float:
+def _moderate(entry: Mapping[str, Any], key: str) -> float:
     value = number(entry, key)
-    if not math.isfinite(value):
-        raise InputError(f"{key} = {value!r} is refused; accepted: a finite number")
+    if not abs(value) <= _MOST:
+        raise InputError(f"{key} = {value!r} is refused; accepted: within ±{_MOST:g}")
     return value
 
 
