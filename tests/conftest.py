@@ -3,7 +3,7 @@
 """What tests share: repeatable hypothesis, the folder of real data, and a small kinematic truth."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -49,6 +49,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return ("graph",) in [mark.args for mark in item.iter_markers("xdist_group")], str(item.path)
 
     items.sort(key=order, reverse=True)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def environment_of_others() -> Iterator[None]:
+    """Commands that run in this process set variables of ROS, which the nodes of later modules would take."""
+    before = dict(os.environ)
+    yield
+    for name in {*os.environ} - {*before}:
+        del os.environ[name]
+    os.environ.update(before)
 
 
 @pytest.fixture(scope="session")
