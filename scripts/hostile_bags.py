@@ -106,14 +106,11 @@ def metadata(folder: Path) -> Reader:
 
     def read(path: Path) -> int:
         (bag / "metadata.yaml").write_bytes(path.read_bytes())
-        return max(main(["info", str(bag)]), main(["recover", str(bag), "--output", str(folder / "bag")]))
-
-    def tried(path: Path) -> int:
-        code = read(path)
+        code = max(main(["info", str(bag)]), main(["recover", str(bag), "--output", str(folder / "bag")]))
         remove(folder / "bag")
         return code
 
-    return Reader([(BAG / "metadata.yaml").read_bytes()], tried)
+    return Reader([(BAG / "metadata.yaml").read_bytes()], read)
 
 
 def definition(folder: Path) -> Reader:

@@ -60,7 +60,11 @@ class WholeBag:
             unpacking.check_packed_file(packed)
         self._reader = Reader(path)
         self._reader.open()
-        _check_stated(self._reader)
+        try:
+            _check_stated(self._reader)
+        except ValueError:
+            self._reader.close()
+            raise
         self._packed = self._reader.compression_mode == "message"
         if self._packed and isinstance(
             self._reader.storage, DirectoryReader

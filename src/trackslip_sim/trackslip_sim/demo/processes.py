@@ -129,6 +129,6 @@ def _signal(process: "subprocess.Popen[bytes]", number: int) -> None:
 
 
 def end_with_parent() -> None:
-    """In the child: get a signal when the demo dies; heed Ctrl-C even if a shell turned it off."""
+    """In the child: get a signal when the parent dies; heed Ctrl-C even if a shell turned it off."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
