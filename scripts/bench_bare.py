@@ -18,6 +18,7 @@ from typing import Any
 
 import rclpy
 from rclpy.qos import ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from trackslip_bags.reader import open_bag
@@ -68,7 +69,7 @@ def run(path: Path, name: str) -> None:
     """Until interrupted."""
     known = json.loads(path.read_text(encoding="utf-8"))
     own, topics = known["nodes"][name], known["topics"]
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is Python's, wherever it comes
     node = rclpy.create_node(name)
     outputs = {topic: _output(node, topic, topics[topic]) for topic in own["publishes"] if topic in topics}
     for topic, is_reliable in own["takes"].items():
@@ -82,7 +83,7 @@ def run(path: Path, name: str) -> None:
             threading.Thread(target=_repeat, args=(publish, period), daemon=True).start()
     executor = Executor()
     executor.add_node(node)
-    while rclpy.ok():
+    while True:
         executor.spin_until_future_complete(Future(), _SPIN)
 
 
