@@ -97,11 +97,21 @@ def test_absence_forgets_the_evidence():
     assert lost.evidence.log_odds == 0.0
 
 
+def test_a_place_that_was_95_percent_sure_was_stated_as_if_it_were_certain():
+    """A laser 15 m away had taken the wrong quarter for 17 s: the true place was five standard deviations off."""
+    weights = np.array([0.95, 0.05, 0.0, 0.0])
+    pose, covariance = mixed(modes(), weights, elapsed=0.25)
+    off = modes()[1].pose[:2] - pose[:2]
+    assert 0.25 * off @ np.linalg.solve(covariance[:2, :2], off) < 0.3  # so that those of 1 s add up to little
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    assert covariance[1, 1] == pytest.approx(NARROW[1, 1])  # no hypothesis lies there
+
+
 def test_mixture_holds_each_place_and_heading():
-    pose, covariance = mixed(modes(), np.full(4, 0.25))
+    pose, covariance = mixed(modes(), np.full(4, 0.25), elapsed=30.0)
     assert pose == pytest.approx([0.025, 0.0, 0.0])
     assert covariance[0, 0] == pytest.approx(0.01**2 + 0.025**2)
     assert covariance[2, 2] >= (np.pi / 2.0) ** 2
-    _, sides = mixed(modes(), np.array([0.999, 0.001, 0.0, 0.0]))
+    _, sides = mixed(modes(), np.array([0.999, 0.001, 0.0, 0.0]), elapsed=0.2)
     assert sides[2, 2] == pytest.approx((np.pi / 4.0) ** 2, rel=0.01)
-    assert mixed(modes(), CERTAIN)[1] == pytest.approx(NARROW)
+    assert mixed(modes(), CERTAIN, elapsed=0.2)[1] == pytest.approx(NARROW)

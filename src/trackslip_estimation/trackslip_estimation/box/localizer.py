@@ -147,7 +147,7 @@ class BoxLocalizer:
             self._search.background.update(scan.ranges, found.beams)
         stamp_ns = scan.time_ns(float(found.beams.indices.mean()))
         self._tracks = [self._continued(stamp_ns, modes[0], headings)]
-        pose, covariance = mixed(modes, weights)
+        pose, covariance = mixed(modes, weights, expected.elapsed)
         covariance[2, 2] = max(covariance[2, 2], expected.surprise_variance(modes[0]))
         yaw = float(np.arctan2(np.sin(pose[2]), np.cos(pose[2])))
         return BoxFix(stamp_ns, float(pose[0]), float(pose[1]), yaw, covariance)

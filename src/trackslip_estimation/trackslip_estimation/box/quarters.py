@@ -30,6 +30,8 @@ NEGLIGIBLE = 1e-4  # probability of another heading beside which one is claimed
 REFUTED = 1e-6  # odds below which the other sides are not fitted
 LARGEST_STEP = 1.0  # of Λ in one scan
 LOST = 0.5 * np.pi / 4.0  # rad: a heading predicted no better has lost which sides were which
+DOUBT = 10.0  # s, for which a hypothesis goes on to be wrong
+SHORTEST = 0.01  # s between fixes
 _TURNS = QUARTER_TURN * np.arange(4.0)
 _WRAPS = 2.0 * np.pi * np.arange(-2.0, 3.0)[:, np.newaxis, np.newaxis]
 
@@ -132,17 +134,19 @@ class Headings:
         return modes[first:] + modes[:first], np.roll(belief, -first), remembered
 
 
-def mixed(modes: list[Mode], weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+def mixed(modes: list[Mode], weights: FloatArray, elapsed: float) -> tuple[FloatArray, FloatArray]:
     """Pose (3,) and covariance (3, 3) of the modes together; the heading is that of the first.
 
-    Headings in doubt are not averaged, for two that are a quarter turn apart have no mean; their variance is
-    such that each of them lies within two standard deviations.
+    ``elapsed``: since the fix before, s. What is wrong in one fix is as wrong in the next: the spread of the
+    places counts once in ``DOUBT``. Headings in doubt are not averaged, for two that are a quarter turn apart
+    have no mean; their variance is such that each of them lies within two standard deviations.
     """
     away = np.array([mode.pose - modes[0].pose for mode in modes])
     away[:, 2] -= 2.0 * np.pi * np.round(away[:, 2] / (2.0 * np.pi))
     mean = weights @ away
     mean[2] = 0.0
     spread = away - mean
+    spread[:, :2] *= np.sqrt(max(DOUBT / max(elapsed, SHORTEST), 1.0))
     covariance = sum(w * m.covariance for w, m in zip(weights, modes, strict=True))
     covariance = covariance + (weights[:, np.newaxis] * spread).T @ spread
     farthest = np.abs(away[weights > NEGLIGIBLE, 2]).max(initial=0.0)

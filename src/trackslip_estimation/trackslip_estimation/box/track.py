@@ -13,6 +13,7 @@ the vehicle is sought about where it was, ever wider:
     Q_pp = σ² (2 τ Δt − τ² (3 − 4 e + e²))      Q_pv = σ² τ (1 − e)²      Q_vv = σ² (1 − e²)
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,8 @@ _NS = 1e-9  # s
 class Expectation:
     """Where base_link should be, (x, y, yaw) in m and rad, and how far from there a fix may lie.
 
-    yaw_variance: of the heading predicted, rad²; headings: this one, and its quarter turns.
+    yaw_variance: of the heading predicted, rad²; headings: this one, and its quarter turns; elapsed: since the
+    fix before, s.
     """
 
     pose: FloatArray
@@ -41,6 +43,7 @@ class Expectation:
     yaw_reach: float
     yaw_variance: float
     headings: Headings
+    elapsed: float
 
     def surprise_variance(self, fix: Mode) -> float:
         """Heading variance, rad², with which a fix that its own track contradicts agrees with it; else 0.
@@ -99,6 +102,7 @@ class Track:
             yaw_reach=p.gate_yaw + SPREADS * np.sqrt(variance),
             yaw_variance=variance,
             headings=self.headings,
+            elapsed=elapsed,
         )
 
     def updated(self, stamp_ns: int, fix: Mode, headings: Headings, p: BoxLocalizerParameters) -> "Track":
@@ -135,6 +139,7 @@ def initial_expectation(p: BoxLocalizerParameters) -> Expectation:
         yaw_reach=np.pi / 4.0,
         yaw_variance=INITIAL_YAW_STDDEV**2,
         headings=Headings(CERTAIN, SideEvidence()),
+        elapsed=math.inf,
     )
 
 
