@@ -84,9 +84,9 @@ class Study(ABC, Generic[Piece, Result]):
         Raises:
             InputError: the cache cannot be used, or a piece cannot be driven.
         """
-        cache: Cache[Result] = Cache(path, self.RESULT, fresh)
         pieces = [piece for of_cell in self.cells.values() for piece in of_cell]
         keys = [self._key(piece) for piece in pieces]
+        cache: Cache[Result] = Cache(path, self.RESULT, fresh)
         missing = {key: piece for key, piece in zip(keys, pieces, strict=True) if cache.get(key) is None}
         with closing(self.compute(list(missing.values()), workers)) as computed:
             for key in dict.fromkeys(keys):
