@@ -147,6 +147,11 @@ def read_stamp(stamp: Path) -> dict[str, str]:
     return found if isinstance(found, dict) else {}
 
 
+def write_stamp(stamp: Path, digest: str, ros: str) -> None:
+    """Records that a part of the set-up is complete; without a digest, that it has begun."""
+    write_file(stamp, json.dumps({"digest": digest, "ros": ros}))
+
+
 def write_file(path: Path, text: str, mode: int = 0o644) -> None:
     """Writes a file whole or not at all: whoever reads meanwhile finds the old one or the new one."""
     part = path.with_name(f"{path.name}.part")

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 
-from setup_commands import ROOT, write_file
+from setup_commands import ROOT, SetupError, write_file, write_stamp
 
 VENV = ROOT / ".venv"
+VENV_STAMP = VENV / "trackslip.json"  # by which we know what we made, complete or not
 WORKSPACE = ROOT / "ros2_ws"
 SYSTEM = "system"  # the ROS 2 that is sourced, in place of wheels
 
@@ -58,6 +60,29 @@ def bare_environment(keep_ros: bool = False) -> dict[str, str]:
         if others and (keep_ros or name == "PATH"):
             kept[name] = os.pathsep.join(others)
     return kept
+
+
+def clear_venv(ros: str) -> None:
+    """Leaves nothing in ``.venv`` but a stamp that says so: the next run goes on from there.
+
+    Raises:
+        SetupError: it is not what an earlier set-up made, or something in it cannot be removed.
+    """
+    inside = list(VENV.iterdir()) if VENV.is_dir() else []
+    names = {path.name for path in inside}
+    ours = VENV_STAMP.name in names or all(name.startswith(VENV_STAMP.name) for name in names)
+    if not ours or (os.path.lexists(VENV) and not VENV.is_dir()):
+        raise SetupError(f"{VENV} was not made by make setup, and stays; move it away and run this again")
+    try:
+        VENV.mkdir(exist_ok=True)
+        write_stamp(VENV_STAMP, "", ros)
+        for path in inside:
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            elif path != VENV_STAMP:
+                path.unlink(missing_ok=True)
+    except OSError as error:
+        raise SetupError(f"{error.filename} cannot be replaced ({error.strerror})") from error
 
 
 def build_command(ros: str, command: list[str]) -> tuple[list[str], dict[str, str]]:

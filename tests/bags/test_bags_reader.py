@@ -204,18 +204,7 @@ def test_damage_inside_is_reported_not_read(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("bag.bag", b"#ROSBAG V2.0\n"),
-        ("bag.mcap", b""),
-        ("bag.mcap", b"\x89MCAP0\r\n"),
-        ("bag.mcap", b"no mcap at all, but longer than any footer would be\n"),
-        ("bag.db3", b"SQLite format 3\x00 and then nothing of the kind"),
-        ("log.csv", b"t,x\n0,1\n"),
-        ("bag", None),
-    ],
-)
+@pytest.mark.parametrize(("name", "content"), [("bag.mcap", b"\x89MCAP0\r\n"), ("bag", None)])
 def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes | None) -> None:
     path = tmp_path / name
     if content is None:

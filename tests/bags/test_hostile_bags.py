@@ -145,14 +145,11 @@ def test_a_pipe_as_a_csv_log_is_refused_and_not_waited_for(pipe: Callable[[str],
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        ('a,b\n1,2\n"3,4\n5,6\n', "quotes that close"),
         (f"a,b\n1,{'7' * 200_000}\n", "less than 128 kB"),
-        (f"a,b\n1,{'7' * 5000}\n", "accepted: a finite number"),
         (f'"{"a" * 200_000}",b\n1,2\n', "not a table"),
-        ("a,b\n1,\0\n", "zero bytes"),
     ],
 )
-def test_unclosed_quotes_and_huge_fields_of_a_csv_log(tmp_path: Path, content: str, expected: str) -> None:
+def test_huge_fields_of_a_csv_log(tmp_path: Path, content: str, expected: str) -> None:
     file = tmp_path / "log.csv"
     file.write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match=expected) as refused:

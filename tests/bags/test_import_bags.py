@@ -230,13 +230,6 @@ def test_split_bags_of_ros1_are_one_log(tmp_path: Path) -> None:
     assert found.counts["/sprockets"] == len(TRUTH.t)
 
 
-@pytest.mark.parametrize("content", [b"", b"#ROSBAG V2.0\n", b"#ROSBAG V1.2\n1234", b"\x00" * 5000])
-def test_what_is_no_bag_of_ros1_is_named(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "robot.bag").write_bytes(content)
-    with pytest.raises(InputError, match=r"robot\.bag' cannot be read .* accepted: a ROS 1 bag"):
-        imported(tmp_path / "robot.bag", tmp_path)
-
-
 def test_a_cut_bag_of_ros1_names_what_mends_it(tmp_path: Path) -> None:
     whole = write_ros1(tmp_path / "robot.bag", TRUTH).read_bytes()
     for size in (len(whole) // 3, len(whole) - 100):

@@ -83,30 +83,6 @@ def test_a_missing_file_is_named_with_where_it_was_sought(name: str) -> None:
         config_file(name)
 
 
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (b"a: [1, 2", "not YAML"),
-        (b"a: b: c\n", "not YAML"),
-        (b"\ta: 1\n", "not YAML"),
-        (b"a: 2001-99-99\n", "not YAML"),
-        (b"\xff\xfe\x00", "cannot be read"),
-        (b"", "a YAML mapping"),
-        (b"[1, 2]", "a YAML mapping"),
-        (b"just text", "a YAML mapping"),
-    ],
-)
-def test_what_is_no_mapping_is_refused_in_one_line(tmp_path: Path, content: bytes, reason: str) -> None:
-    path = tmp_path / "p.yaml"
-    path.write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        read_yaml(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert reason in message
-    assert "\n" not in message
-
-
 @pytest.mark.parametrize("text", ["1e-3", "1.0e-3", "1.e-3", "+.1E-2", "0.001"])
 def test_numbers_are_read_as_ros_reads_them(text: str) -> None:
     assert parse_yaml(f"a: [{text}]", "here") == {"a": [0.001]}

@@ -43,7 +43,7 @@ def test_stamp_that_is_not_text_reads_as_none(tmp_path: Path) -> None:
 
 
 def test_stamp_reads_as_written(tmp_path: Path) -> None:
-    setup_workspace.write_stamp(tmp_path / "stamp.json", "12ab", "kilted")
+    setup_commands.write_stamp(tmp_path / "stamp.json", "12ab", "kilted")
     assert read_stamp(tmp_path / "stamp.json") == {"digest": "12ab", "ros": "kilted"}
 
 
@@ -133,3 +133,103 @@ def test_ros_that_cannot_be_had_is_refused(
 ) -> None:
     with pytest.raises(SetupError):
         choose(requested, before, monkeypatch)
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A checkout where ``set_up`` makes a ``.venv`` of one file."""
+    venv, workspace = tmp_path / ".venv", tmp_path / "ros2_ws"
+    for module in (setup_environment, setup_workspace):
+        monkeypatch.setattr(module, "VENV", venv)
+        monkeypatch.setattr(module, "VENV_STAMP", venv / "trackslip.json")
+        monkeypatch.setattr(module, "WORKSPACE", workspace)
+    monkeypatch.setattr(setup_workspace, "WORKSPACE_STAMP", workspace / "install" / ".trackslip.json")
+    monkeypatch.setattr(setup_workspace, "choose_ros", lambda asked: asked or "jazzy")
+    monkeypatch.setattr(setup_workspace, "install_system_packages", lambda: None)
+    monkeypatch.setattr(setup_workspace, "create_venv", lambda _: (venv / "made").touch())
+    monkeypatch.setattr(
+        setup_workspace, "build_workspace", lambda _: (workspace / "install").mkdir(parents=True)
+    )
+    monkeypatch.setattr(setup_workspace, "install_environment", lambda _: None)
+    return venv
+
+
+@pytest.mark.parametrize("kind", ["environment", "file", "link to nothing"])
+def test_an_environment_that_something_else_made_was_removed(checkout: Path, kind: str) -> None:
+    """Somebody's own ``python3 -m venv .venv`` in the checkout."""
+    if kind == "environment":
+        checkout.mkdir()
+        (checkout / "pyvenv.cfg").write_text("mine")
+    elif kind == "file":
+        checkout.write_text("mine")
+    else:
+        checkout.symlink_to("nowhere")
+    before = sorted(checkout.parent.rglob("*"))
+    with pytest.raises(SetupError, match="was not made by make setup, and stays; move it away") as refused:
+        setup_workspace.set_up("", checks=False)
+    assert "\n" not in str(refused.value)
+    assert sorted(checkout.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize("stamp", ["", "{", '{"digest": "of before", "ros": "jazzy"}'])
+def test_own_environment_is_replaced_also_where_its_stamp_is_damaged(checkout: Path, stamp: str) -> None:
+    (checkout / "lib").mkdir(parents=True)
+    (checkout / "lib64").symlink_to("lib")
+    (checkout / "trackslip.json").write_text(stamp)
+    setup_workspace.set_up("", checks=False)
+    assert sorted(path.name for path in checkout.iterdir()) == ["made", "trackslip.json"]
+    (checkout / "more").touch()
+    setup_workspace.set_up("", checks=False)
+    assert (checkout / "more").exists()  # nothing had changed
+
+
+@pytest.mark.parametrize("left", [[], ["trackslip.json.part"]])
+def test_environment_that_was_just_begun_is_gone_on_with(checkout: Path, left: list[str]) -> None:
+    checkout.mkdir()
+    for name in left:
+        (checkout / name).touch()
+    setup_workspace.set_up("", checks=False)
+    assert sorted(path.name for path in checkout.iterdir()) == ["made", "trackslip.json"]
+
+
+@pytest.mark.parametrize("step", ["removing", "install_system_packages", "create_venv", "build_workspace"])
+def test_set_up_ended_at_any_step_goes_on(checkout: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    """Also by kill -9, as if nothing of what follows had run."""
+
+    def end(*_: object) -> None:
+        (checkout / "half").touch()
+        raise KeyboardInterrupt
+
+    (checkout / "lib").mkdir(parents=True)
+    (checkout / "trackslip.json").touch()
+    with monkeypatch.context() as patch:
+        where = (setup_environment.shutil, "rmtree") if step == "removing" else (setup_workspace, step)
+        patch.setattr(*where, end)
+        with pytest.raises(KeyboardInterrupt):
+            setup_workspace.set_up("", checks=False)
+    setup_workspace.set_up("", checks=False)
+    kept = {"half"} if step == "build_workspace" else set()  # .venv was complete
+    assert {path.name for path in checkout.iterdir()} == {"made", "trackslip.json"} | kept
+    assert read_stamp(checkout / "trackslip.json")["digest"]
+
+
+def test_what_cannot_be_removed_is_said(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (checkout / "lib").mkdir(parents=True)
+    (checkout / "trackslip.json").touch()
+
+    def refuses(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(setup_environment.shutil, "rmtree", refuses)
+    with pytest.raises(SetupError, match=r"lib cannot be replaced \(Permission denied\)"):
+        setup_workspace.set_up("", checks=False)
+
+
+def test_make_clean_leaves_an_environment_that_something_else_made(tmp_path: Path) -> None:
+    makefile = Path(setup_commands.ROOT, "Makefile")
+    for name, remains in (("pyvenv.cfg", True), ("trackslip.json", False)):
+        (tmp_path / ".venv" / "bin").mkdir(parents=True, exist_ok=True)
+        (tmp_path / ".venv" / name).touch()
+        subprocess.run(["make", "-f", makefile, "clean"], cwd=tmp_path, check=True, capture_output=True)
+        assert (tmp_path / ".venv").exists() == remains
+        (tmp_path / ".venv" / name).unlink(missing_ok=True)

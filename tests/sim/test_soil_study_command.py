@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from trackslip_sim.study.cache import Cache
+from trackslip_sim.study.engine import BEGINNING
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.soil import study as soil_study
 from trackslip_sim.study.soil.parameters import load_soil_study_parameters
@@ -70,7 +71,8 @@ def test_it_writes_rows_and_tables(
     assert rows[4]["recognised_after"] is None  # never: JSON knows no infinity
     shown, error = capsys.readouterr()
     whole = (tmp_path / "soil_table.md").read_text()
-    assert shown.startswith("vehicle: pc05\n\n" + for_terminal(whole))
+    assert whole.startswith(f"{BEGINNING}\n")
+    assert shown.startswith("vehicle: pc05\n\n" + for_terminal(whole.removeprefix(f"{BEGINNING}\n")))
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert error == ""
     lines = [line for line in whole.splitlines() if line.startswith("|")]

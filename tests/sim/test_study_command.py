@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_sim.study.engine import BEGINNING
 from trackslip_sim.study.slip import study as slip_study
 from trackslip_sim.study.slip.evaluate import evaluate
 from trackslip_sim.study.slip.figures import on_terrain, runs
@@ -62,21 +63,26 @@ def test_it_writes_rows_table_and_figures(
     assert all(0.0 < row["position_rmse"] < 10.0 * row["position_bound"] for row in rows)
     shown, error = capsys.readouterr()
     whole = (tmp_path / "study_table.md").read_text()
-    assert shown.startswith("vehicle: pc05\n\n" + for_terminal(whole))
+    assert whole.startswith(f"{BEGINNING}\n")
+    assert shown.startswith("vehicle: pc05\n\n" + for_terminal(whole.removeprefix(f"{BEGINNING}\n")))
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert error == ""  # no progress bar in a pipe
     drawn = {path.name for path in (tmp_path / "figures").iterdir()}
     assert drawn == {
         f"study_{what}_{truth}.png" for what in ("rmse", "nees") for truth in ("shear", "matched")
     }
+    assert main([*command, *options]) == 0  # over what it wrote
 
 
 def test_cells_on_terrain_have_a_table_and_a_figure_of_their_own(tmp_path: Path) -> None:
     on_hill = _row(terrain="hill", ignoring_position_rmse=6.0, ignoring_nees_pose=30.0)
     still = replace(on_hill, soil="dry_clay", turning_slip_rmse=math.nan, ignoring_turning_slip_rmse=None)
     still = replace(still, turning_slip_bound=math.nan)
-    SlipStudy({}, []).write([replace(on_hill, ignoring_turning_slip_rmse=2.0), still, _row()], tmp_path)
-    assert {path.name for path in tmp_path.rglob("*.*")} == {"slope_table.md", "study_slopes.png"}
+    study = SlipStudy({"terrains": ["flat", "hill"]}, [])
+    (tmp_path / "figures").mkdir()
+    study.write([replace(on_hill, ignoring_turning_slip_rmse=2.0), still, _row()], tmp_path)
+    written = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
+    assert written == set(study.files()) == {"slope_table.md", "figures/study_slopes.png"}
     figure = on_terrain([replace(on_hill, ignoring_turning_slip_rmse=2.0), still])
     drawn = [[float(y) for line in axes.lines[1:] for y in line.get_ydata()] for axes in figure.axes]
     np.testing.assert_equal(drawn, [[1.0, 6.0]] * 2 + [[1.0, 2.0], [math.nan] * 2] + [[1.0 / 3.0, 10.0]] * 2)

@@ -69,26 +69,9 @@ def test_a_bad_option_is_refused_in_one_line(bag: Path, refuse: Refuse, options:
     assert expected in refuse("replay", bag, *options.split(" "))
 
 
-@pytest.mark.parametrize(
-    "content", ["{", "slip_estimator: 3", "slip_estimator: {ros__parameters: {a: 1}}", "- 1", "\xff\n\t:"]
-)
-def test_a_bad_parameter_file_is_refused_in_one_line(
-    bag: Path, tmp_path: Path, refuse: Refuse, content: str
-) -> None:
-    path = tmp_path / "p.yaml"
-    path.write_text(content, encoding="utf-8")
-    refuse("replay", bag, "--params", path)
-
-
 @pytest.mark.parametrize("command", ["replay", "info"])
 def test_a_missing_bag_is_refused(tmp_path: Path, refuse: Refuse, command: str) -> None:
     assert "nowhere' not found" in refuse(command, tmp_path / "nowhere")
-
-
-@pytest.mark.parametrize("name", ["log.txt", "log.mcap", "log.db3"])
-def test_a_text_file_is_no_bag(tmp_path: Path, refuse: Refuse, name: str) -> None:
-    (tmp_path / name).write_text("hello\n", encoding="utf-8")
-    assert "accepted: a rosbag2 directory" in refuse("replay", tmp_path / name)
 
 
 def test_a_bag_without_sprockets_is_refused(

@@ -5,12 +5,14 @@
 import json
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +123,19 @@ def test_workers_and_scheduler_exclude_each_other(fleet: Path, refuse: Callable[
     words = refuse("replay", fleet, "--workers", "2", "--scheduler", "tcp://127.0.0.1:1")
     assert "not allowed with" in words
     assert "--workers: '0' is refused" in refuse("replay", fleet, "--workers", "0")
+
+
+@pytest.mark.parametrize("count", ["100000", "9" * 5000, "1e3", "-1"])
+@pytest.mark.parametrize("command", ["replay", "tune", "study", "report"])
+def test_as_many_processes_as_asked_for_were_started(
+    tmp_path: Path, refuse: Callable[..., str], monkeypatch: pytest.MonkeyPatch, command: str, count: str
+) -> None:
+    """``--workers 100000``: a hundred thousand Pythons, or as many as the machine could bear."""
+    monkeypatch.setattr(ProcessPoolExecutor, "__init__", lambda *_, **__: pytest.fail("they are started"))
+    words = refuse(command, *([] if command == "study" else [tmp_path]), f"--workers={count}")
+    assert re.search(
+        r"--workers: '\S{1,13}' is refused; accepted: a whole number from 1 to \d+, 4 for each core", words
+    )
 
 
 def test_a_report_of_a_folder_has_a_page_of_each_bag(fleet: Path, tmp_path: Path) -> None:

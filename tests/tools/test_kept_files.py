@@ -11,6 +11,7 @@ import pytest
 
 from trackslip_common.errors import InputError
 from trackslip_sim.study.cache import Cache
+from trackslip_sim.study.engine import Study
 from trackslip_sim.study.slip.results import Row
 from trackslip_tools.cli.outputs import PAGE, refuse_foreign
 from trackslip_tools.tuning.evidence import BEGINNINGS, JOURNAL, PARAMETERS
@@ -72,6 +73,37 @@ def test_pages_of_the_users_were_replaced_by_those_of_a_folder(
     assert sorted(path.name for path in site.iterdir()) == sorted([name, "own.html"])
 
 
+STUDY = ("study", "--seeds", "1", "--soil", "sand", "--cache")
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ((), "study_table.md"),
+        ((), "figures/study_rmse_shear.png"),
+        (("--terrain", "hill"), "slope_table.md"),
+        (("--terrain", "hill"), "figures/study_slopes.png"),
+        (("--estimator", "soil"), "soil_table.md"),
+    ],
+)
+def test_tables_and_figures_of_the_users_were_replaced_by_those_of_a_study(
+    tmp_path: Path, refuse: Refuse, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], name: str
+) -> None:
+    monkeypatch.setattr(Study, "run", lambda *_, **__: pytest.fail("refused after the work"))
+    theirs = tmp_path / "docs" / name
+    theirs.parent.mkdir(parents=True)
+    theirs.write_text("| soil | what I measured |\n", encoding="utf-8")
+    before = sorted(tmp_path.rglob("*"))
+    line = refuse(*STUDY, tmp_path / "cache", *options, "--output", tmp_path / "docs")
+    assert f"{name}' holds something else, and is not replaced" in line
+    assert theirs.read_text(encoding="utf-8") == "| soil | what I measured |\n"
+    assert sorted(tmp_path.rglob("*")) == before
+    theirs.unlink()
+    theirs.mkdir()
+    line = refuse(*STUDY, tmp_path / "cache", *options, "--output", tmp_path / "docs")
+    assert f"{name}' cannot be written (it is a directory)" in line
+
+
 def test_what_was_written_before_and_empty_files_are_replaced(tmp_path: Path) -> None:
     before = tmp_path / "report.html"
     for content in (f"{PAGE} -->", "", PAGE):
@@ -106,14 +138,14 @@ def test_a_pipe_as_a_journal_or_a_cache_was_waited_for(tmp_path: Path, kept: str
 def test_a_full_disk_left_half_a_page_in_place_of_the_one_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def half(path: Path, text: str, encoding: str) -> int:
-        with path.open("w", encoding=encoding) as file:
-            file.write(text[: len(text) // 2])
+    def half(path: Path, content: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(content[: len(content) // 2])
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     page = tmp_path / "report.html"
     write_whole(page, "before")
-    monkeypatch.setattr(Path, "write_text", half)
+    monkeypatch.setattr(Path, "write_bytes", half)
     with pytest.raises(OSError, match="No space left"):
         write_whole(page, "after that")
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("report.html", "before")]

@@ -110,16 +110,3 @@ def parameters_text(parameters: Mapping[str, Any], node: str, **beside: Any) -> 
     content = {"ros__parameters": dict(parameters), **beside}
     text: str = yaml.safe_dump({node: content}, sort_keys=False)
     return text
-
-
-def own_file(name: str, text: str) -> Path | None:
-    """The path of the file that a node keeps, from its parameter ``name``; it may begin with ~; empty: none.
-
-    Raises:
-        InputError: nobody knows that home directory.
-    """
-    try:
-        return Path(text).expanduser() if text else None
-    except RuntimeError as error:
-        accepted = "a path, from ~ where there is a home directory"
-        raise InputError(f"{name}: '{text}' has no home directory; accepted: {accepted}") from error

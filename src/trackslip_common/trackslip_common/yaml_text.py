@@ -16,6 +16,7 @@ from trackslip_common.errors import InputError
 LONGEST = 1_000_000  # characters
 _DEEPEST = 40  # mappings and lists inside each other
 _MOST = 100_000  # values
+_LONGEST_NUMBER = 100  # characters of a whole number
 _LARGEST = 2**63  # of a whole number, as in a ROS parameter
 # What PyYAML's constructors let through for tags and values that are wrong, beside its own errors.
 _WRONG = (yaml.YAMLError, ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError)
@@ -57,7 +58,7 @@ class _Loader(Composer, yaml.CSafeLoader):
 
     def construct_whole_number(self, node: yaml.ScalarNode) -> int:
         """A whole number of 64 bits."""
-        value: int = self.construct_yaml_int(node)
+        value: int = self.construct_yaml_int(node) if len(node.value) <= _LONGEST_NUMBER else _LARGEST
         if not -_LARGEST <= value < _LARGEST:
             raise _refused(node, "a whole number beyond 64 bits")
         return value
@@ -82,7 +83,9 @@ def parse_yaml(text: str, where: str) -> Any:
     try:
         return yaml.load(text, Loader=_Loader)
     except _WRONG as error:
-        raise InputError(f"{where}: not YAML ({' '.join(str(error).split())})") from error
+        is_text = isinstance(error, (yaml.YAMLError, ValueError))
+        reason = " ".join(str(error).split()) if is_text else "a value that is not of its tag"
+        raise InputError(f"{where}: not YAML ({reason})") from error
 
 
 def _check_keys(node: yaml.Node) -> None:

@@ -128,13 +128,15 @@ def test_a_changed_value_is_refused(drove, tmp_path, key, value):
 def test_a_file_that_is_no_track_was_replaced_by_one(drove, tmp_path):
     """``track_file`` was the name of a text of the user's."""
     path = tmp_path / "notes.txt"
-    path.write_text("years of work", encoding="utf-8")
-    file = TrackFile(str(path))
-    assert file.read() is None
-    file.write(drove[0].kept)
+    for text in ("years of work", "more of it"):
+        path.write_text(text, encoding="utf-8")
+        file = TrackFile(str(path))
+        assert file.read() is None
+        file.write(drove[0].kept)
     assert path.with_name("notes.txt.unused").read_text(encoding="utf-8") == "years of work"
+    assert path.with_name("notes.txt.unused-2").read_text(encoding="utf-8") == "more of it"
     assert TrackFile(str(path)).read() is not None
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 def test_a_place_that_cannot_be_written_is_reported_and_ends_nothing(drove, tmp_path):

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
+from trackslip_common.kept_files import MOST_ASIDE
 from trackslip_estimation.slip import state_file
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import Learned, aged, meaning, to_tree
@@ -161,6 +162,27 @@ def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reas
         kept.finish()
     assert path.with_name(f"{path.name}.unused").read_bytes() == content
     assert len(list(path.parent.iterdir())) == 2
+    assert StateFile(str(path)).read(OF) is not None
+
+
+def test_a_second_file_that_does_not_fit_replaced_the_first_one_aside(path: Path) -> None:
+    """Nine are kept; then nothing is written, and /diagnostics say why."""
+    for n in range(MOST_ASIDE + 1):
+        put(path, f"years of work, {n}")
+        kept = StateFile(str(path))
+        assert kept.read(OF) is None
+        kept.write(LEARNED, OF)
+        kept.finish()
+    assert kept.failure == "9 files slip_estimator.yaml.unused… are there already; move or delete some"
+    assert path.read_text(encoding="utf-8") == f"years of work, {MOST_ASIDE}"
+    kept.forget()
+    assert kept.failures == 2
+    texts = sorted(file.read_text(encoding="utf-8") for file in path.parent.iterdir())
+    assert texts == [f"years of work, {n}" for n in range(MOST_ASIDE + 1)]
+    path.with_name(f"{path.name}.unused-3").unlink()
+    kept.write(LEARNED, OF)
+    kept.finish()
+    assert kept.failure == ""
     assert StateFile(str(path)).read(OF) is not None
 
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_common.config_files import own_file
 from trackslip_common.errors import InputError
+from trackslip_common.kept_files import move_aside, own_file
 from trackslip_estimation.box.quarters import Headings, SideEvidence
 from trackslip_estimation.box.track import Kept, Track
 
@@ -110,8 +110,8 @@ class TrackFile:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             beside.write_text(track_text(kept), encoding="utf-8")
-            if self._is_foreign and self._path.exists():
-                self._path.replace(self._path.with_name(f"{self._path.name}.unused"))
+            if self._is_foreign:
+                move_aside(self._path)
             self._is_foreign = False
             beside.replace(self._path)
         except (OSError, ValueError) as error:  # ValueError: no path at all

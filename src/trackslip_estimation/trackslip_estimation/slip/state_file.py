@@ -19,8 +19,8 @@ from typing import Any
 
 import yaml
 
-from trackslip_common.config_files import own_file
 from trackslip_common.errors import InputError
+from trackslip_common.kept_files import move_aside, own_file
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.learned import Learned, Meaning, OtherMachine, aged, from_tree, to_tree
 from trackslip_estimation.slip.learned_text import findings, lines_of
@@ -77,7 +77,8 @@ class StateFile:
             InputError: nobody knows that home directory.
         """
         self._path = own_file("state_file", path)
-        self._aside = ""  # what to add to the name of a file that was not used
+        self._is_foreign = False  # what is there was not used
+        self._other = ""  # digest of the machine that it is of, where that is known
         self._writer: threading.Thread | None = None
         self._lock = threading.Lock()
         self._written_s: float | None = None
@@ -93,15 +94,15 @@ class StateFile:
         """What is there, widened with its age; None where nothing is of use: see ``note``."""
         if self._path is None:
             return None
-        self._aside, self.used = "", True
+        self._is_foreign, self._other, self.used = False, "", True
         try:
             if not self._path.exists():
                 self.note = f"nothing learned before: no file {self._path}"
                 return None
             learned, written_s = parse_state(_content(self._path), of)
         except (InputError, OSError) as error:
-            self.used = False
-            self._aside = f"of-{digest(error.machine)[:8]}" if isinstance(error, OtherMachine) else "unused"
+            self._is_foreign, self.used = True, False
+            self._other = digest(error.machine)[:8] if isinstance(error, OtherMachine) else ""
             reason = error.strerror if isinstance(error, OSError) else error
             self.note = f"{self._path} is not used: {reason}"
             return None
@@ -168,9 +169,11 @@ class StateFile:
 
     def _move_aside(self, path: Path) -> None:
         """Where it is a file that was not used."""
-        if self._aside and path.exists():
-            path.replace(path.with_name(f"{path.name}.{self._aside}"))
-        self._aside = ""
+        if self._is_foreign and self._other and path.exists():
+            path.replace(path.with_name(f"{path.name}.of-{self._other}"))  # over what that one knew before
+        elif self._is_foreign:
+            move_aside(path)
+        self._is_foreign = False
 
     def _fail(self, reason: str) -> None:
         with self._lock:

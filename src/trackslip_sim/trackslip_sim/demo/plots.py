@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the figures of ``docs/figures`` look."""
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -9,6 +10,8 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from trackslip_tools.whole_file import write_whole
 
 COLOURS = ("#c2862d", "#6b4a2f", "#3b6ea5", "#b2483f", "#5f8f4e")
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
@@ -47,4 +50,6 @@ def label(axes: Axes, title: str, x: str, y: str) -> None:
 
 def save(figure: Figure, file: Path) -> None:
     """Write a PNG that is the same whenever its content is."""
-    figure.savefig(file, metadata={"Software": None})
+    image = io.BytesIO()
+    figure.savefig(image, format="png", metadata={"Software": None})
+    write_whole(file, image.getvalue())

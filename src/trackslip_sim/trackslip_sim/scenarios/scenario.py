@@ -171,8 +171,9 @@ def load_scenario(name_or_file: str) -> Scenario:
     named = config_directory() / "scenarios" / f"{name_or_file}.yaml"
     for path in (named, Path(name_or_file)):
         if path.is_file():
+            tree = read_yaml(path)
             try:
-                return parse_scenario(read_yaml(path))
+                return parse_scenario(tree)
             except InputError as error:
                 raise InputError(f"{path}: {error}") from error
     raise InputError(

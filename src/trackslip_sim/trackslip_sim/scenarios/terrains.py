@@ -32,8 +32,9 @@ def load_terrain(name_or_file: str) -> Terrain:
     named = config_directory() / "terrains" / f"{name_or_file}.yaml"
     for path in (named, Path(name_or_file)):
         if path.is_file():
+            tree = read_yaml(path)
             try:
-                return parse_terrain(read_yaml(path))
+                return parse_terrain(tree)
             except InputError as error:
                 raise InputError(f"{path}: {error}") from error
     raise InputError(

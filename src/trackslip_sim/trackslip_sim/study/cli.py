@@ -4,7 +4,7 @@
 
 import argparse
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,14 +14,14 @@ from typing import Any
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.vehicle import ASSUMED, load_vehicle
 from trackslip_estimation.slip.parameters import NODE
-from trackslip_sim.study.engine import Study
+from trackslip_sim.study.engine import BEGINNING, Study
 from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_tools.cli import machine_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.outputs import PNG, refuse_foreign, require_writable
 from trackslip_tools.cli.progress import shown
 from trackslip_tools.terminal_text import for_terminal
 
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         InputError: an option is refused, or a file cannot be written.
     """
     study = _study(args)
-    _prepare(args)
+    _prepare(args, study.files())
     workers = partial(worker_options.chosen, args, most=len(study))
     running = study.run(args.cache, workers, fresh=args.fresh)
     rows = study.rows(list(shown(running, study.UNIT, total=len(study))))
@@ -103,11 +103,15 @@ def _cache_file() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "trackslip" / "study.jsonl"
 
 
-def _prepare(args: argparse.Namespace) -> None:
-    """Refuse before the study what cannot be written after it."""
+def _prepare(args: argparse.Namespace, names: Sequence[str]) -> None:
+    """Refuse before the study what cannot be written after it, or is somebody else's."""
     require_writable(json=args.json)
-    if args.output is not None:
+    files = [] if args.output is None else [args.output / name for name in names]
+    for file in files:
+        refuse_foreign("output", file, PNG if file.suffix == ".png" else BEGINNING)
+    for file in files:
         try:
-            args.output.mkdir(parents=True, exist_ok=True)
+            file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"--output: '{args.output}' cannot be used ({error.strerror})") from error
+            raise InputError(f"--output: '{file.parent}' cannot be used ({error.strerror})") from error
+        require_writable(output=file)

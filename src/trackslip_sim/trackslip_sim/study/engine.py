@@ -11,9 +11,11 @@ from types import ModuleType
 from typing import Any, ClassVar, Generic, TypeVar
 
 from trackslip_sim.study.cache import Cache, key_of
+from trackslip_tools.whole_file import write_whole
 from trackslip_tools.workers import Map
 from trackslip_tools.workers import workers as workers_of
 
+BEGINNING = "<!-- Written by trackslip study. -->\n"  # of a file of tables
 Workers = Callable[[Any], AbstractContextManager[Map]]
 """Opens workers for what all pieces share."""
 
@@ -82,9 +84,9 @@ class Study(ABC, Generic[Piece, Result]):
         Raises:
             InputError: the cache cannot be used, or a piece cannot be driven.
         """
-        cache: Cache[Result] = Cache(path, self.RESULT, fresh)
         pieces = [piece for of_cell in self.cells.values() for piece in of_cell]
         keys = [self._key(piece) for piece in pieces]
+        cache: Cache[Result] = Cache(path, self.RESULT, fresh)
         missing = {key: piece for key, piece in zip(keys, pieces, strict=True) if cache.get(key) is None}
         with closing(self.compute(list(missing.values()), workers)) as computed:
             for key in dict.fromkeys(keys):
@@ -99,9 +101,13 @@ class Study(ABC, Generic[Piece, Result]):
         found = iter(results)
         return [self.row(cell, [next(found) for _ in of_cell]) for cell, of_cell in self.cells.items()]
 
+    def files(self) -> tuple[str, ...]:
+        """What ``write`` writes: the tables, then the figures."""
+        return (self.FILE,)
+
     def write(self, rows: Sequence[Any], folder: Path) -> None:
-        """The tables as a file."""
-        (folder / self.FILE).write_text(self.markdown(rows), encoding="utf-8")
+        """The tables as a file, in a folder that is there."""
+        write_whole(folder / self.files()[0], f"{BEGINNING}\n{self.markdown(rows)}")
 
     def _key(self, piece: Any) -> str:
         return key_of({"piece": asdict(piece), **self.rests_on(piece)}, *self.SOURCES)

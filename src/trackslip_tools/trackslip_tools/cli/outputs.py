@@ -9,6 +9,7 @@ from trackslip_common.errors import InputError
 
 # How what is written begins.
 PAGE = "<!DOCTYPE html>\n<!-- SPDX-FileCopyrightText: 2026 Trackslip authors"
+PNG = b"\x89PNG\r\n\x1a\n"
 _JSON = ("{", "[")
 
 
@@ -36,7 +37,7 @@ def require_writable(**files: Path | None) -> None:
         raise InputError(f"--{option}: '{path}' cannot be written ({why})")
 
 
-def refuse_foreign(option: str, path: Path, *beginnings: str) -> None:
+def refuse_foreign(option: str, path: Path, *beginnings: str | bytes) -> None:
     """A file that is there is replaced only where it begins like one that was written for that option.
 
     So a bag, or a text of the user's, that was named by mistake stays.
@@ -46,13 +47,13 @@ def refuse_foreign(option: str, path: Path, *beginnings: str) -> None:
     """
     if not path.is_file():
         return
-    longest = max(len(beginning.encode()) for beginning in beginnings)
+    known = tuple(begin.encode() if isinstance(begin, str) else begin for begin in beginnings)
     try:
         with path.open("rb") as file:
-            head = file.read(longest).decode(errors="replace")
+            head = file.read(max(map(len, known)))
     except OSError as error:
         raise InputError(f"--{option}: '{path}' cannot be written ({error.strerror})") from error
-    if head and not head.startswith(beginnings):
+    if head and not head.startswith(known):
         accepted = "a new file, or one that this command wrote"
         raise InputError(
             f"--{option}: '{path}' holds something else, and is not replaced; accepted: {accepted}"

@@ -10,6 +10,10 @@ if TYPE_CHECKING:
     from trackslip_tools.workers import Map
 
 
+_PER_CORE = 4  # processes; more take memory, some 200 MB each, and are no faster
+_DIGITS = 12
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare both."""
     group = parser.add_mutually_exclusive_group()
@@ -34,6 +38,11 @@ def chosen(
 
 
 def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is refused; accepted: a whole number >= 1")
+    from trackslip_tools.workers import cores
+
+    most = _PER_CORE * cores()
+    if not text.isdecimal() or len(text) > _DIGITS or not 1 <= int(text) <= most:
+        shown = text if len(text) <= _DIGITS else f"{text[:_DIGITS]}…"
+        accepted = f"a whole number from 1 to {most}, {_PER_CORE} for each core"
+        raise argparse.ArgumentTypeError(f"'{shown}' is refused; accepted: {accepted}")
     return int(text)

@@ -217,14 +217,18 @@ class SlipStudy(Study[Cell, Row]):
             legend = f"{legend} {_TERRAIN_LEGEND}"
         return "\n".join((*lines, "", legend)) + "\n"
 
-    def write(self, rows: Sequence[Row], folder: Path) -> None:
+    def files(self) -> tuple[str, ...]:
         """The table, and in ``figures`` what the Monte Carlo gives."""
+        if any(cell.terrain for cell in self.cells):
+            return _SLOPES, "figures/study_slopes.png"
+        drawn = [f"study_{what}_{truth}" for truth in self._p.truths for what in ("rmse", "nees")]
+        return self.FILE, *(f"figures/{name}.png" for name in drawn)
+
+    def write(self, rows: Sequence[Row], folder: Path) -> None:
         from trackslip_sim.study.slip import figures  # matplotlib: not for every command's start
 
-        (folder / "figures").mkdir(exist_ok=True)
+        super().write(rows, folder)
         if sloping := [row for row in rows if row.terrain]:
-            (folder / _SLOPES).write_text(self.markdown(rows), encoding="utf-8")
             figures.write_slopes(sloping, folder / "figures")
         else:
-            super().write(rows, folder)
             figures.write_monte_carlo(rows, folder / "figures")
