@@ -34,8 +34,8 @@ _NS = 1e-9  # s
 class Expectation:
     """Where base_link should be, (x, y, yaw) in m and rad, and how far from there a fix may lie.
 
-    yaw_variance: of the heading predicted, rad²; headings: this one, and its quarter turns; elapsed: since the
-    fix before, s.
+    yaw_variance: of the heading predicted, rad²; headings: this one, and its quarter turns.
+    elapsed: since the fix before, s.
     """
 
     pose: FloatArray
