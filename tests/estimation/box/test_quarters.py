@@ -98,7 +98,7 @@ def test_absence_forgets_the_evidence():
 
 
 def test_a_place_that_was_95_percent_sure_was_stated_as_if_it_were_certain():
-    """A laser 15 m away had taken the wrong quarter for 17 s: the true place was five standard deviations off."""
+    """A laser 15 m away had taken the wrong quarter for 17 s: the place was five standard deviations off."""
     weights = np.array([0.95, 0.05, 0.0, 0.0])
     pose, covariance = mixed(modes(), weights, elapsed=0.25)
     off = modes()[1].pose[:2] - pose[:2]
