@@ -90,7 +90,7 @@ def test_without_a_path_nothing_is_done(tmp_path: Path, monkeypatch: pytest.Monk
     assert not kept
     assert kept.read(OF) is None
     kept.write(LEARNED, OF)
-    kept.forget()
+    kept.forget(OF)
     kept.finish()
     assert kept.failures == 0
     assert list(tmp_path.iterdir()) == []
@@ -175,7 +175,7 @@ def test_a_second_file_that_does_not_fit_replaced_the_first_one_aside(path: Path
         kept.finish()
     assert kept.failure == "9 files slip_estimator.yaml.unused… are there already; move or delete some"
     assert path.read_text(encoding="utf-8") == f"years of work, {MOST_ASIDE}"
-    kept.forget()
+    kept.forget(OF)
     assert kept.failures == 2
     texts = sorted(file.read_text(encoding="utf-8") for file in path.parent.iterdir())
     assert texts == [f"years of work, {n}" for n in range(MOST_ASIDE + 1)]
@@ -201,6 +201,33 @@ def test_the_file_of_another_vehicle_is_kept_under_its_own_name(path: Path) -> N
     assert aside.name.startswith(f"{path.name}.of-")
     assert aside.read_bytes() == first
     assert StateFile(str(path)).read(meaning(other)) is not None
+
+
+def test_a_vehicle_whose_place_was_taken_began_with_nothing(path: Path, at: Callable[[float], None]) -> None:
+    at(NOW_S)
+    written(path)
+    first = path.read_bytes()
+    p = parameters(**{"vehicle.kinematics.tread": 0.8})
+    other = meaning(p)
+    estimator = SlipEstimator(p)
+    estimator.process_all(drive(Machine(duration=5.0)).measurements)
+    second = StateFile(str(path))
+    assert second.read(other) is None
+    second.write(estimator.learned, other)
+    second.finish()
+
+    at(NOW_S + HOUR)
+    again = StateFile(str(path))
+    found = again.read(OF)
+    assert found is not None
+    assert to_tree(found, OF) == to_tree(aged(LEARNED, HOUR, OF), OF)
+    assert again.used
+    assert "60 min ago" in again.note
+    assert ".of-" in again.note
+    again.forget(OF)
+    assert first not in [file.read_bytes() for file in path.parent.iterdir()]
+    assert StateFile(str(path)).read(OF) is None
+    assert StateFile(str(path)).read(other) is not None  # from where it was moved
 
 
 @pytest.mark.parametrize("now_s", [NOW_S - HOUR, 0.0, NOW_S + 1e9])
@@ -278,8 +305,8 @@ def test_nothing_learned_is_not_written(path: Path) -> None:
 def test_forgotten_it_is_gone_and_comes_again(path: Path, at: Callable[[float], None]) -> None:
     at(NOW_S)
     kept = written(path)
-    kept.forget()
-    kept.forget()
+    kept.forget(OF)
+    kept.forget(OF)
     assert not path.exists()
     assert kept.failures == 0
     kept.write(LEARNED, OF)
@@ -293,8 +320,9 @@ def test_to_forget_loses_nothing_of_another_vehicle(path: Path) -> None:
     written(path)
     first = path.read_bytes()
     kept = StateFile(str(path))
-    assert kept.read(meaning(parameters(**{"vehicle.kinematics.tread": 0.8}))) is None
-    kept.forget()
+    other = meaning(parameters(**{"vehicle.kinematics.tread": 0.8}))
+    assert kept.read(other) is None
+    kept.forget(other)
     (aside,) = path.parent.iterdir()
     assert aside != path
     assert aside.read_bytes() == first

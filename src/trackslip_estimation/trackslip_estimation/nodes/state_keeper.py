@@ -38,7 +38,7 @@ class StateKeeper:
 
     def forget(self) -> None:
         """Delete the file."""
-        self._file.forget()
+        self._file.forget(self._meaning)
 
     def finish(self) -> None:
         """Write for the last time."""

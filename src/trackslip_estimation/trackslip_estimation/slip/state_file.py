@@ -5,7 +5,7 @@
 YAML with a checksum over all that stands before it. It is written beside itself and moved into place, by a
 thread of its own: a slow, full or missing disk is counted and costs nothing else. A file that does not fit
 (edited, cut, of another vehicle) is not used; the first one written in its place moves it aside, to a name of
-its own.
+its own. Another vehicle's is named after that vehicle, which finds it there when its turn comes.
 """
 
 import hashlib
@@ -78,7 +78,7 @@ class StateFile:
         """
         self._path = own_file("state_file", path)
         self._is_foreign = False  # what is there was not used
-        self._other = ""  # digest of the machine that it is of, where that is known
+        self._other = ""  # the machine that it is of, where that is known
         self._writer: threading.Thread | None = None
         self._lock = threading.Lock()
         self._written_s: float | None = None
@@ -96,20 +96,32 @@ class StateFile:
             return None
         self._is_foreign, self._other, self.used = False, "", True
         try:
-            if not self._path.exists():
-                self.note = f"nothing learned before: no file {self._path}"
-                return None
-            learned, written_s = parse_state(_content(self._path), of)
+            if self._path.exists():
+                return self._used(self._path, of)
+            self.note = f"nothing learned before: no file {self._path}"
         except (InputError, OSError) as error:
-            self._is_foreign, self.used = True, False
-            self._other = digest(error.machine)[:8] if isinstance(error, OtherMachine) else ""
+            self._is_foreign = True
+            self._other = error.machine if isinstance(error, OtherMachine) else ""
             reason = error.strerror if isinstance(error, OSError) else error
             self.note = f"{self._path} is not used: {reason}"
-            return None
+        if self._other or not self._is_foreign:
+            with suppress(InputError, OSError):
+                return self._used(_aside(self._path, of.machine), of)
+        self.used = not self._is_foreign
+        return None
+
+    def _used(self, path: Path, of: Meaning) -> Learned:
+        """What a file holds.
+
+        Raises:
+            InputError: it does not fit.
+            OSError: it cannot be read.
+        """
+        learned, written_s = parse_state(_content(path), of)
         age_s = time.time() - written_s
         known = _EARLIEST < age_s < _OLDEST
         age = _words(max(age_s, 0.0)) if known else "at an unknown time"
-        self.note = f"starts from what was learned {age} ({self._path})"
+        self.note = f"starts from what was learned {age} ({path})"
         return aged(learned, max(age_s, 0.0) if known else _UNKNOWN_AGE, of)
 
     def write(self, learned: Learned | None, of: Meaning) -> None:
@@ -123,13 +135,14 @@ class StateFile:
         self._writer = threading.Thread(target=self._write, args=arguments, name="state_file", daemon=True)
         self._writer.start()
 
-    def forget(self) -> None:
-        """Delete it; a file that was not used is moved aside."""
+    def forget(self, of: Meaning) -> None:
+        """Delete what is kept of this machine; a file that was not used is moved aside."""
         self.finish()
         try:
             if self._path is not None:
                 self._move_aside(self._path)
                 self._path.unlink(missing_ok=True)
+                _aside(self._path, of.machine).unlink(missing_ok=True)
         except OSError as error:
             self._fail(f"not deleted: {error.strerror}")
 
@@ -170,7 +183,7 @@ class StateFile:
     def _move_aside(self, path: Path) -> None:
         """Where it is a file that was not used."""
         if self._is_foreign and self._other and path.exists():
-            path.replace(path.with_name(f"{path.name}.of-{self._other}"))  # over what that one knew before
+            path.replace(_aside(path, self._other))  # over what that one knew before
         elif self._is_foreign:
             move_aside(path)
         self._is_foreign = False
@@ -179,6 +192,11 @@ class StateFile:
         with self._lock:
             self.failures += 1
             self.failure = reason
+
+
+def _aside(path: Path, machine: str) -> Path:
+    """Where the file of a machine is kept while another one's is in its place."""
+    return path.with_name(f"{path.name}.of-{digest(machine)[:8]}")
 
 
 def _content(path: Path) -> str:
