@@ -3,6 +3,7 @@
 """The reader: every form of bag that rosbag2 writes, damaged ones, and what is no bag."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from trackslip_bags.messages import header, make, serialize
 from trackslip_bags.reader import Bag, open_bag, require_topics
+from trackslip_bags.recovery.recover import recover
 from trackslip_bags.types import typestore
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
@@ -269,3 +271,13 @@ def test_the_description_fits_a_terminal(name: str, tmp_path: Path) -> None:
     with open_bag(tmp_path / "bag") as bag:
         lines = describe(bag).splitlines()
     assert max(map(len, lines[3:])) <= max(WIDTH, len(name) + 2 + len(kind))
+
+
+@pytest.mark.parametrize("read", [open_bag, lambda path: recover(path, path.with_name("out"))])
+def test_a_bag_of_ros_1_was_called_an_unrecognized_storage_format(
+    read: Callable[[Path], object], tmp_path: Path
+) -> None:
+    file = tmp_path / "robot.bag"
+    file.write_bytes(b"#ROSBAG V2.0\n" + bytes(5000))
+    with pytest.raises(InputError, match="is of ROS 1: trackslip import"):
+        read(file)

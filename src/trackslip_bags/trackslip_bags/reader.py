@@ -30,6 +30,7 @@ from trackslip_bags.sources import (
 from trackslip_bags.types import decode, store_for
 from trackslip_common.errors import InputError, did_you_mean, listed
 
+_ROS1 = b"#ROSBAG"
 ACCEPTED = "a rosbag2 directory (metadata.yaml with .mcap or .db3), or an .mcap or .db3 file"
 
 
@@ -155,6 +156,10 @@ def _open(path: Path | str) -> Bag:
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     refuse_pipes(path)
+    if _is_ros1(path):
+        raise InputError(
+            f"bag '{path}' is of ROS 1: trackslip import makes one of ours of it (docs/import.md)"
+        )
     try:
         whole = WholeBag(path)
         return Bag(path, [whole], files=whole.files)
@@ -166,6 +171,14 @@ def _open(path: Path | str) -> Bag:
     if not sources:
         raise InputError(f"bag '{path}' cannot be read ({reason}); accepted: {ACCEPTED}")
     return Bag(path, sources, "; ".join(note for _, note in parts if note) or reason)
+
+
+def _is_ros1(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_ROS1)) == _ROS1
+    except OSError:  # a directory, or one that nobody may read
+        return False
 
 
 def refuse_pipes(path: Path) -> None:
