@@ -88,7 +88,8 @@ docs: setup ## pages of all packages' docstrings; HTML in out/docs, its links ch
 	@$(ENTER) exec $(VENV)/python scripts/make_docs.py
 
 clean: ## remove all that was made: .venv, the build, results, caches
-	[ ! -e .venv/trackslip.json ] || \
-		{ find .venv/ -mindepth 1 -maxdepth 1 ! -name trackslip.json -exec rm -rf {} + && rm -rf .venv; }
+	@if ls .venv/trackslip* > /dev/null 2>&1; then \
+		find .venv -mindepth 1 -maxdepth 1 ! -name 'trackslip*' -exec rm -rf {} + && rm -rf .venv; \
+	elif [ -e .venv ]; then echo "make clean: .venv was not made by make setup, and stays"; fi
 	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log ros2_ws/setup.log out .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -19,7 +19,7 @@ import sys
 from setup_commands import ROOT, SetupError, write_file, write_stamp
 
 VENV = ROOT / ".venv"
-VENV_STAMP = VENV / "trackslip.json"  # by which we know what we made, complete or not
+VENV_STAMP = VENV / "trackslip.json"  # of what we make, complete or not
 WORKSPACE = ROOT / "ros2_ws"
 SYSTEM = "system"  # the ROS 2 that is sourced, in place of wheels
 
@@ -69,8 +69,7 @@ def clear_venv(ros: str) -> None:
         SetupError: it is not what an earlier set-up made, or something in it cannot be removed.
     """
     inside = list(VENV.iterdir()) if VENV.is_dir() else []
-    names = {path.name for path in inside}
-    ours = VENV_STAMP.name in names or all(name.startswith(VENV_STAMP.name) for name in names)
+    ours = not inside or any(path.name.startswith("trackslip") for path in inside)  # a stamp may be lost
     if not ours or (os.path.lexists(VENV) and not VENV.is_dir()):
         raise SetupError(f"{VENV} was not made by make setup, and stays; move it away and run this again")
     try:

@@ -171,11 +171,15 @@ def test_an_environment_that_something_else_made_was_removed(checkout: Path, kin
     assert sorted(checkout.parent.rglob("*")) == before
 
 
-@pytest.mark.parametrize("stamp", ["", "{", '{"digest": "of before", "ros": "jazzy"}'])
-def test_own_environment_is_replaced_also_where_its_stamp_is_damaged(checkout: Path, stamp: str) -> None:
+@pytest.mark.parametrize("stamp", [None, "", "{", '{"digest": "of before", "ros": "jazzy"}'])
+def test_own_environment_is_replaced_also_where_its_stamp_is_damaged(
+    checkout: Path, stamp: str | None
+) -> None:
     (checkout / "lib").mkdir(parents=True)
     (checkout / "lib64").symlink_to("lib")
-    (checkout / "trackslip.json").write_text(stamp)
+    (checkout / "trackslip.sh").touch()
+    if stamp is not None:
+        (checkout / "trackslip.json").write_text(stamp)
     setup_workspace.set_up("", checks=False)
     assert sorted(path.name for path in checkout.iterdir()) == ["made", "trackslip.json"]
     (checkout / "more").touch()
