@@ -4,11 +4,12 @@
 
 import dataclasses
 import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from fixtures.browser import EVIL, OpenPage, scroll_with_a_finger
+from fixtures.browser import EVIL, OpenPage, pages_of, scroll_with_a_finger
 from PIL import Image
 
 from trackslip_tools.report.events import Event
@@ -20,6 +21,8 @@ from trackslip_tools.report.run import Run
 from trackslip_tools.report.spells import Spell
 
 DRAWN = "document.documentElement.dataset.drawn === 'all' && Bokeh.documents[0].is_idle"
+CURSORS = "[...Bokeh.documents[0].all_models].filter(m => m.dimension == 'height')"
+CURSOR = f"{CURSORS}.some(m => m.visible)"
 MATHS = "$$\\href{javascript:alert(1)}{x}$$"
 ENDING = "</script><script>alert(1)</script>"
 DESK, TABLET = 1500, 1024
@@ -59,14 +62,48 @@ def hostile(recording: Recording) -> Recording:
     )
 
 
+@pytest.fixture(scope="module")
+def heard() -> list[str]:
+    """What the pages complain about that several tests use."""
+    return []
+
+
 @pytest.fixture
-def page(open_page: OpenPage) -> Any:
-    return open_page(DESK, "file:")
+def complaints(heard: list[str]) -> Iterator[list[str]]:
+    """That and what a page of the test's own complains about; nobody hears it twice."""
+    yield heard
+    heard.clear()
 
 
-def show(page: Any, file: Path) -> None:
+@pytest.fixture(scope="module")
+def open_shared(browser: Any, heard: list[str]) -> Iterator[OpenPage]:
+    with pages_of(browser, heard) as opens:
+        yield opens
+
+
+@pytest.fixture(scope="module")
+def opened_on_desk(open_shared: OpenPage, one_run: Path) -> Any:
+    return show(open_shared(DESK, "file:"), one_run)
+
+
+@pytest.fixture(scope="module")
+def opened_on_tablet(open_shared: OpenPage, one_run: Path) -> Any:
+    return show(open_shared(TABLET, "file:"), one_run)
+
+
+@pytest.fixture
+def page(opened_on_desk: Any) -> Any:
+    """The report of one run, drawn once for all tests: at its top, no moment chosen, the mouse at no plot."""
+    opened_on_desk.mouse.move(0.0, 0.0)
+    opened_on_desk.evaluate(f"scrollTo(0, 0); {CURSORS}.forEach(m => {{m.visible = false}})")
+    return opened_on_desk
+
+
+def show(page: Any, file: Path) -> Any:
+    """The page, when all of the file is drawn."""
     page.goto(file.as_uri())
     page.wait_for_function(DRAWN)
+    return page
 
 
 def shown_range(page: Any, name: str) -> tuple[float, float]:
@@ -84,8 +121,7 @@ def middle(page: Any, index: int) -> tuple[float, float, float]:
     return box["x"] + box["width"] / 2.0, box["y"] + 0.6 * box["height"], box["width"]
 
 
-def test_every_plot_is_drawn_without_a_complaint(page: Any, one_run: Path, complaints: list[str]) -> None:
-    show(page, one_run)
+def test_every_plot_is_drawn_without_a_complaint(page: Any, complaints: list[str]) -> None:
     plots = page.locator(".plot")
     roots = page.evaluate("Bokeh.documents[0].roots().length")
     assert plots.count() == roots > 10
@@ -98,10 +134,7 @@ def test_every_plot_is_drawn_without_a_complaint(page: Any, one_run: Path, compl
     assert complaints == []
 
 
-def test_a_zoom_in_one_plot_zooms_all_and_a_double_click_ends_it(
-    page: Any, one_run: Path, complaints: list[str]
-) -> None:
-    show(page, one_run)
+def test_a_zoom_in_one_plot_zooms_all_and_a_double_click_ends_it(page: Any, complaints: list[str]) -> None:
     whole = shown_range(page, "time-0")
     for _ in range(5):  # on a busy machine a plot may still move away below the mouse
         x, y, width = middle(page, 2)
@@ -125,15 +158,10 @@ def test_a_zoom_in_one_plot_zooms_all_and_a_double_click_ends_it(
     assert complaints == []
 
 
-def test_the_cursor_is_the_same_moment_in_all_plots_and_on_the_path(
-    page: Any, one_run: Path, complaints: list[str]
-) -> None:
-    show(page, one_run)
+def test_the_cursor_is_the_same_moment_in_all_plots_and_on_the_path(page: Any, complaints: list[str]) -> None:
     x, y, _ = middle(page, 3)
     page.mouse.move(x, y, steps=3)
-    page.wait_for_function(
-        "[...Bokeh.documents[0].all_models].some(m => m.dimension == 'height' && m.visible)"
-    )
+    page.wait_for_function(CURSOR)
     moments = page.evaluate(
         """[...Bokeh.documents[0].all_models]
                .filter(m => m.type == "Span" && m.dimension == "height").map(m => m.location)"""
@@ -157,8 +185,7 @@ def test_the_cursor_is_the_same_moment_in_all_plots_and_on_the_path(
     assert complaints == []
 
 
-def test_light_and_dark(page: Any, one_run: Path, complaints: list[str]) -> None:
-    show(page, one_run)
+def test_light_and_dark(page: Any, complaints: list[str]) -> None:
     title = "Bokeh.documents[0].get_model_by_name('path').title.text_color"
     light = page.evaluate(title)
     page.locator("#theme").click()
@@ -176,9 +203,9 @@ def test_light_and_dark(page: Any, one_run: Path, complaints: list[str]) -> None
 
 
 def test_names_and_reasons_that_look_like_html_are_text_even_at_the_cursor(
-    page: Any, comparison: Path, complaints: list[str]
+    open_page: OpenPage, comparison: Path, complaints: list[str]
 ) -> None:
-    show(page, comparison)
+    page = show(open_page(DESK, "file:"), comparison)
     x, y, width = middle(page, 3)
     for share in (-0.1, 0.0, 0.1):
         page.mouse.move(x + share * width, y, steps=3)
@@ -196,19 +223,16 @@ def test_names_and_reasons_that_look_like_html_are_text_even_at_the_cursor(
 
 
 def test_one_finger_scrolls_a_button_zooms_and_a_tap_chooses_the_moment(
-    open_page: OpenPage, one_run: Path, complaints: list[str]
+    opened_on_tablet: Any, complaints: list[str]
 ) -> None:
-    page = open_page(TABLET, "file:")
-    show(page, one_run)
+    page = opened_on_tablet
     whole, path = shown_range(page, "time-0"), shown_range(page, "path")
     for plot in ('[data-plot="path"]', '[data-plot="time-3"]'):
         scroll_with_a_finger(page, plot)
     assert (shown_range(page, "time-0"), shown_range(page, "path")) == (whole, path)
     x, y, _ = middle(page, 3)
     page.touchscreen.tap(x, y)
-    page.wait_for_function(
-        "[...Bokeh.documents[0].all_models].some(m => m.dimension == 'height' && m.visible)"
-    )
+    page.wait_for_function(CURSOR)
     page.locator("#time-zoom [data-zoom='0.5']").tap()
     start, end = shown_range(page, "time-5")
     assert end - start == pytest.approx(0.5 * (whole[1] - whole[0]))
@@ -222,12 +246,9 @@ def test_one_finger_scrolls_a_button_zooms_and_a_tap_chooses_the_moment(
     assert complaints == []
 
 
-def test_the_first_swipe_after_a_mouse_scrolls_too(
-    open_page: OpenPage, one_run: Path, complaints: list[str]
-) -> None:
+def test_the_first_swipe_after_a_mouse_scrolls_too(opened_on_tablet: Any, complaints: list[str]) -> None:
     """The tools of the mouse took it, and zoomed: the page scrolled from the second swipe on."""
-    page = open_page(TABLET, "file:")
-    show(page, one_run)
+    page = opened_on_tablet
     whole = shown_range(page, "time-0")
     x, y, _ = middle(page, 3)
     page.mouse.move(x, y, steps=3)
@@ -239,10 +260,7 @@ def test_the_first_swipe_after_a_mouse_scrolls_too(
     assert complaints == []
 
 
-def test_on_a_wide_screen_the_path_stays_beside_the_plots_over_time(
-    page: Any, one_run: Path, complaints: list[str]
-) -> None:
-    show(page, one_run)
+def test_on_a_wide_screen_the_path_stays_beside_the_plots_over_time(page: Any, complaints: list[str]) -> None:
     later = page.locator('[data-plot="time-8"]')
     later.scroll_into_view_if_needed()
     path, beside = page.locator('[data-plot="path"]').bounding_box(), later.bounding_box()

@@ -3,6 +3,7 @@
 """The thesis' filter (Fig. 4.3): the Kalman filter where all is linear, consistent, never indefinite."""
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -169,31 +170,44 @@ def measurement(rng: np.random.Generator) -> Measured:
     return pose_measured(rng.normal(size=3), R, bool(rng.random() < 0.5))
 
 
+NEAR = {"icr.initial_centre_stddev": 0.05, "icr.centre": 0.01}  # far from where the centres meet
+
+
 @each
 @pytest.mark.parametrize("kappa", [None, 0.0, -4.0])
 def test_it_is_consistent_on_its_own_model(model: str, kappa: float | None) -> None:
     """Truth drawn from the model itself, 60 seeds: mean NEES of the whole state within its 99.8 % bounds."""
-    near = {"model": model, "icr.initial_centre_stddev": 0.05, "icr.centre": 0.01}  # far from where they meet
-    config, n = config_of(near, with_kappa(kappa)), MODELS[model].ACTIVE
-    start = start_of(config, np.zeros(3), np.diag((0.05, 0.05, 0.02)) ** 2)
+    config, n = config_of({"model": model, **NEAR}, with_kappa(kappa)), MODELS[model].ACTIVE
     nees = []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        truth = start.mean + rng.normal(size=SIZE) * np.sqrt(np.diag(start.covariance))
+    for start, steps, truth in _drawn(model):
         state = start
-        for k in range(100):
-            left, right = 2.0 + 0.8 * math.sin(k / 10.0), 2.0 - 0.8 * math.sin(k / 10.0)
-            drive = Drive(left, right, *TURNING[:2], departure=TURNING.departure)
-            Q = process_noise(truth, np.zeros((SIZE, SIZE)), drive, 0.05, config)
-            truth = moved(truth, drive, 0.05, config) + rng.normal(size=SIZE) @ _root(Q)
-            speeds = Speeds(left, right, 0.05, differenced=True)
-            seen = _seen(k, truth, speeds, config, rng)
+        for speeds, seen in steps:
             state = filter_step(config, state, speeds, 0.05, TURNING, seen).updated
         error = state.mean - truth
         error[YAW] = wrap(error[YAW])
         nees.append(error[:n] @ np.linalg.solve(state.covariance[:n, :n], error[:n]))
     low, high = chi2.ppf((1e-3, 1.0 - 1e-3), n * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
+
+
+@cache
+def _drawn(model: str) -> list[tuple[Gaussian, list[tuple[Speeds, Measured]], FloatArray]]:
+    """Start, steps and true end of 60 drives."""
+    config = config_of({"model": model, **NEAR})
+    start = start_of(config, np.zeros(3), np.diag((0.05, 0.05, 0.02)) ** 2)
+    drives = []
+    for seed in range(60):
+        rng, steps = np.random.default_rng(seed), []
+        truth = start.mean + rng.normal(size=SIZE) * np.sqrt(np.diag(start.covariance))
+        for k in range(100):
+            left, right = 2.0 + 0.8 * math.sin(k / 10.0), 2.0 - 0.8 * math.sin(k / 10.0)
+            drive = Drive(left, right, *TURNING[:2], departure=TURNING.departure)
+            Q = process_noise(truth, np.zeros((SIZE, SIZE)), drive, 0.05, config)
+            truth = moved(truth, drive, 0.05, config) + rng.normal(size=SIZE) @ _root(Q)
+            speeds = Speeds(left, right, 0.05, differenced=True)
+            steps.append((speeds, _seen(k, truth, speeds, config, rng)))
+        drives.append((start, steps, truth))
+    return drives
 
 
 def _root(Q: FloatArray) -> FloatArray:
