@@ -41,7 +41,7 @@ _LEAST, _MOST = -0.5, 1.5  # λ on any ground: a machine may slide ahead of its 
 _STDDEV = 0.15  # of a λ that is believed
 _STANDING = int(Motion.STANDING)
 _RUN = 4  # fixes of one that shows anything
-_SURPRISE = 4.0  # standard deviations of its mean
+_SURPRISE = 4.5  # standard deviations of its mean; 4 come by chance once in 100 drives of a minute
 _CHI2_RATIO, _CHI2_SPARE = 1.6, 12.0  # χ² of fixes that agree: at most ratio · dof + spare
 
 
