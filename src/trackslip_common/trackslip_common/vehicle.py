@@ -139,11 +139,19 @@ class SwingEncoder(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
+class InertialUnit(Parameters):
+    """The inertial unit, where it is no Watson; for the emulator."""
+
+    rate: float = parameter("of its samples", unit="Hz", ge=1.0, le=1000.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sensors(Parameters):
-    """Where what is mounted on the machine sits."""
+    """What is mounted on the machine, and where."""
 
     box: Box | None
     antenna: Antenna | None
+    imu: InertialUnit | None
     mounts: Mounts | None
     swing_encoder: SwingEncoder | None
 

@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 
 from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import Parameters
-from trackslip_common.vehicle import UNDERCARRIAGE, UPPER
+from trackslip_common.vehicle import UNDERCARRIAGE, UPPER, VehicleParameters
 from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
 from trackslip_drivers.protocols.watson import BITS_PER_CHAR, GRAVITY, TESLA_PER_MILLIGAUSS, Layout
+from trackslip_drivers.records import ImuSample
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, CanDevice
+from trackslip_sim.devices.inertial_unit import InertialUnit
 from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.nmea_device import NmeaDevice
 from trackslip_sim.devices.sick_device import SickDevice
@@ -60,7 +62,8 @@ def drive(p: EmulatorParameters) -> Truth:
 class EmulatedExcavator:
     """Devices from power-on at ``start_ns``; they measure ``truth`` from ``drive_start_ns`` on.
 
-    Each device is set up as its driver's defaults in ``config/`` expect it, and fails as ``faults`` says.
+    Each device is set up as its driver's defaults in ``config/`` expect it, and fails as ``faults`` says. A
+    machine whose inertial unit is no Watson has both: ``inertial``, which has no port, for ``offline``.
     """
 
     def __init__(self, p: EmulatorParameters, truth: Truth | TruthWindow, start_ns: int) -> None:
@@ -87,6 +90,7 @@ class EmulatedExcavator:
         self.can = CanDevice(frames, *measures, start_ns + boot_ns)
         self._watson_line = BaudLine(watson.serial_baud, BITS_PER_CHAR)
         self.watson = WatsonDevice(layout, self._watson_line, readings.imu, True, start_ns)
+        self.inertial = _inertial_unit(p.vehicle, readings.imu, start_ns)
         self.sick = SickDevice(sick, p.sick_start, readings.ranges, start_ns)
         self._gnss_line = BaudLine(default_parameters(NmeaParameters, "nmea_gnss").serial_baud, BITS_PER_CHAR)
         placement = self._placement_of[p.vehicle.mount_of("antenna")]
@@ -110,7 +114,8 @@ class EmulatedExcavator:
             lines = self._watson_line, self._gnss_line
             return min(line.next_read_ns(now_ns, tick_ns) for line in lines)
         devices = [device.next_ns(now_ns, tick_ns) for device in (self.watson, self.sick, self.gnss)]
-        return min(self.can.next_ns, *devices)
+        of_samples = [] if self.inertial is None else [self.inertial.next_ns]
+        return min(self.can.next_ns, *of_samples, *devices)
 
     def step_can(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Frames due by now."""
@@ -126,6 +131,12 @@ class EmulatedExcavator:
         else:
             sent = self._watson_line.read(now_ns)
         return self._lines[WATSON].transmit(sent, now_ns)
+
+    def step_inertial(self, now_ns: int) -> list[ImuSample]:
+        """Samples due by now of a unit that is no Watson; a fault of bytes is none of its."""
+        if self.inertial is None:
+            return []
+        return self.inertial.step(min(now_ns, self.end_ns), self._can_receive(WATSON, now_ns))
 
     def step_sick(self, now_ns: int) -> bytes:
         """Characters that have left by now."""
@@ -182,6 +193,13 @@ class EmulatedExcavator:
     def _can_receive(self, sensor: str, now_ns: int) -> bool:
         deaf = any(self.faults.at(sensor, kind, now_ns) is not None for kind in (UNPLUG, WRONG_BAUD))
         return self._powered(sensor, now_ns) and not deaf
+
+
+def _inertial_unit(
+    vehicle: VehicleParameters, measure: Callable[[int], ImuSample], start_ns: int
+) -> InertialUnit | None:
+    imu = vehicle.sensors.imu if vehicle.sensors is not None else None
+    return None if imu is None else InertialUnit(imu.rate, measure, start_ns)
 
 
 def _full_scales(frames: FrameSet, layout: Layout, sick: SickParameters) -> FullScales:

@@ -28,7 +28,7 @@ from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, NmeaStream, Sa
 from trackslip_drivers.protocols.sick_session import Phase, SickSession
 from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
-from trackslip_drivers.records import FixSample, ScanSample, SprocketSample
+from trackslip_drivers.records import FixSample, ImuSample, ScanSample, SprocketSample
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_estimation.box import parameters as box_parameters
@@ -138,11 +138,10 @@ class _Host:
         for frame in self.excavator.step_can(now_ns):
             for sample in self._can.receive(*frame, now_ns):
                 add("sprockets" if isinstance(sample, SprocketSample) else "hydraulics", sample, now_ns)
-        sent = self.excavator.step_watson(now_ns)
-        for line in self._imu.feed(sent, now_ns):
-            add("imu/data_raw", line, now_ns)
-            if line.magnetic_field is not None:
-                add("imu/mag", line, now_ns)
+        for reading in self._step_inertial(now_ns):
+            add("imu/data_raw", reading, now_ns)
+            if reading.magnetic_field is not None:
+                add("imu/mag", reading, now_ns)
         self._talk_to_scanner(now_ns)
         sent = self.excavator.step_gnss(now_ns)
         for found in self._gnss.feed(sent, now_ns) if sent else ():
@@ -155,6 +154,10 @@ class _Host:
         if now_ns - self._written_ns >= _WRITE_NS:
             self.recording.write()
             self._written_ns = now_ns
+
+    def _step_inertial(self, now_ns: int) -> Sequence[ImuSample]:
+        lines = self._imu.feed(self.excavator.step_watson(now_ns), now_ns)
+        return lines if self.excavator.inertial is None else self.excavator.step_inertial(now_ns)
 
     def next_ns(self, now_ns: int) -> int:
         """The next tick at which there may be anything to do."""
