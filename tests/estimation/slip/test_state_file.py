@@ -230,6 +230,27 @@ def test_a_vehicle_whose_place_was_taken_began_with_nothing(path: Path, at: Call
     assert StateFile(str(path)).read(other) is not None  # from where it was moved
 
 
+def test_a_damaged_file_of_this_machine_was_lost_without_a_word(path: Path) -> None:
+    """It was kept aside while another machine's was in its place, and was replaced in turn."""
+    p = parameters(**{"vehicle.kinematics.tread": 0.8})
+    written(path)
+    estimator, visitor = SlipEstimator(p), StateFile(str(path))
+    estimator.process_all(drive(Machine(duration=5.0)).measurements)
+    visitor.read(meaning(p))
+    visitor.write(estimator.learned, meaning(p))
+    visitor.finish()
+    (aside,) = (p for p in path.parent.iterdir() if p != path)
+    aside.write_text("years of work", encoding="utf-8")
+    kept = StateFile(str(path))
+    assert kept.read(OF) is None
+    assert f"{aside} is not used: it was edited, or cut off" in kept.note
+    assert not kept.used
+    kept.write(LEARNED, OF)
+    kept.finish()
+    assert aside.with_name(f"{aside.name}.unused").read_text(encoding="utf-8") == "years of work"
+    assert StateFile(str(path)).read(OF) is not None
+
+
 @pytest.mark.parametrize("now_s", [NOW_S - HOUR, 0.0, NOW_S + 1e9])
 def test_a_clock_that_cannot_be_right_forgets_the_ground_only(
     path: Path, at: Callable[[float], None], now_s: float

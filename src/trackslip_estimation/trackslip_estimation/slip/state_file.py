@@ -79,6 +79,7 @@ class StateFile:
         self._path = own_file("state_file", path)
         self._is_foreign = False  # what is there was not used
         self._other = ""  # the machine that it is of, where that is known
+        self._damaged: Path | None = None  # what was kept aside of this machine, and was not used
         self._writer: threading.Thread | None = None
         self._lock = threading.Lock()
         self._written_s: float | None = None
@@ -94,7 +95,7 @@ class StateFile:
         """What is there, widened with its age; None where nothing is of use: see ``note``."""
         if self._path is None:
             return None
-        self._is_foreign, self._other, self.used = False, "", True
+        self._is_foreign, self._other, self._damaged, self.used = False, "", None, True
         try:
             if self._path.exists():
                 return self._used(self._path, of)
@@ -102,12 +103,15 @@ class StateFile:
         except (InputError, OSError) as error:
             self._is_foreign = True
             self._other = error.machine if isinstance(error, OtherMachine) else ""
-            reason = error.strerror if isinstance(error, OSError) else error
-            self.note = f"{self._path} is not used: {reason}"
-        if self._other or not self._is_foreign:
-            with suppress(InputError, OSError):
-                return self._used(_aside(self._path, of.machine), of)
-        self.used = not self._is_foreign
+            self.note = _refusal(self._path, error)
+        aside = _aside(self._path, of.machine)
+        if (self._other or not self._is_foreign) and aside.exists():
+            try:
+                return self._used(aside, of)
+            except (InputError, OSError) as error:
+                self._damaged = aside
+                self.note += f"; {_refusal(aside, error)}"
+        self.used = not self._is_foreign and self._damaged is None
         return None
 
     def _used(self, path: Path, of: Meaning) -> Learned:
@@ -181,7 +185,10 @@ class StateFile:
             self._written_s, self.failure = now_s, ""
 
     def _move_aside(self, path: Path) -> None:
-        """Where it is a file that was not used."""
+        """Where it is a file that was not used; and what of this machine was not."""
+        if self._damaged is not None:
+            move_aside(self._damaged)
+            self._damaged = None
         if self._is_foreign and self._other and path.exists():
             path.replace(_aside(path, self._other))  # over what that one knew before
         elif self._is_foreign:
@@ -197,6 +204,10 @@ class StateFile:
 def _aside(path: Path, machine: str) -> Path:
     """Where the file of a machine is kept while another one's is in its place."""
     return path.with_name(f"{path.name}.of-{digest(machine)[:8]}")
+
+
+def _refusal(path: Path, error: Exception) -> str:
+    return f"{path} is not used: {error.strerror if isinstance(error, OSError) else error}"
 
 
 def _content(path: Path) -> str:
