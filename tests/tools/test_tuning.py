@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tuner: its plan, what it makes of a bag, the search, the journal, and what it leaves behind."""
+"""The tuner: what it makes of a bag, its journal, and what it leaves behind."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
+from fixtures.tuning_plans import plan_of
 
 from trackslip_common.config_files import node_parameters, read_yaml
 from trackslip_common.errors import InputError
@@ -23,8 +23,7 @@ from trackslip_tools.replay.dead_reckoning import Path as Track
 from trackslip_tools.replay.scoring import nees_of_each, path_of, score
 from trackslip_tools.tuning.evidence import PARAMETERS, TABLE, numbers, write_evidence
 from trackslip_tools.tuning.journal import Journal
-from trackslip_tools.tuning.plan import Plan, changed, read_plan
-from trackslip_tools.tuning.search import search
+from trackslip_tools.tuning.plan import Plan, changed
 from trackslip_tools.tuning.task import Job, Score, Task, make_task, score_of
 from trackslip_tools.tuning.tuner import Tuner, Tuning, Work
 from trackslip_tools.workers import workers
@@ -34,20 +33,6 @@ SEGMENTS = [
     (4.0, 1.0, 2.0, 0.0, 0.2, 0.0),
     (4.0, 2.0, 2.0, 0.05, 0.05, 0.0),
 ]
-FLOORS = """
-objective: {objective}
-evaluations: 40
-seed: 3
-parameters:
-  "sources.*.position_floor": {{low: 0.005, high: 2.0, scale: log}}
-  gate_relaxation: {{low: 2.0, high: 20.0}}
-"""
-
-
-def plan_of(folder: Path, text: str = FLOORS, objective: str = "likelihood") -> Plan:
-    file = folder / "tune.yaml"
-    file.write_text(text.format(objective=objective))
-    return read_plan(file)
 
 
 def measurements(drive: Callable[..., Any], seed: int = 0, sigma: float = 0.1) -> list[Measurement]:
@@ -73,65 +58,6 @@ def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: Work | None = N
     with Journal(folder / "journal.jsonl", tasks, plan.bounds) as journal, workers(1, shared=tasks) as mapped:
         work = work or partial(mapped, score_of)
         return Tuner(plan, tasks, work, journal, lambda _: None).run(cross_validate=True)
-
-
-# the plan
-
-
-def test_a_plan_maps_its_unit_cube_onto_the_bounds(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path)
-    assert plan.values(np.zeros(2)) == {"sources.*.position_floor": 0.005, "gate_relaxation": 2.0}
-    assert plan.values(np.ones(2)) == {"sources.*.position_floor": 2.0, "gate_relaxation": 20.0}
-    middle = plan.values(np.full(2, 0.5))
-    assert middle == pytest.approx({"sources.*.position_floor": 0.1, "gate_relaxation": 11.0})
-    p = changed(load_slip_parameters(), middle)
-    assert p.poses()["box_pose"].position_floor == middle["sources.*.position_floor"]
-    np.testing.assert_allclose(plan.shares(p), 0.5)
-    np.testing.assert_allclose(plan.shares(changed(p, {"gate_relaxation": 100.0})), (0.5, 1.0))
-
-
-def test_the_example_fits_the_parameters_that_there_are() -> None:
-    plan = read_plan(Path(__file__).parents[2] / "config" / "tune.yaml")
-    shares = plan.shares(load_slip_parameters())
-    assert ((shares > 0.0) & (shares < 1.0)).all()
-
-
-@pytest.mark.parametrize(
-    ("entry", "words"),
-    [
-        ("no.such: {low: 1, high: 2}", "no.such: not to be tuned; accepted: "),
-        ("odom_frame: {low: 1, high: 2}", "odom_frame: not to be tuned"),
-        ("yaw_rate_stddev: {low: 1, high: 2}", "yaw_rate_stddev: not to be tuned"),
-        ("gate_relaxation: 3.0", "gate_relaxation: 3.0 gives no bounds"),
-        ("gate_relaxation: {low: 5.0, high: 2.0}", "low: 5 is out of range; accepted: < 2"),
-        ("gate_relaxation: {low: 0.0, high: 2.0, scale: log}", "low: 0 is out of range; accepted: > 0"),
-        ("gate_relaxation: {low: 0.5, high: 2.0}", "gate_relaxation: 0.5 is out of range; accepted: >= 1"),
-        ("gate_relaxation: {low: 1.0, high: 2.0, scale: cubic}", "'cubic' is out of range"),
-        ("gate_relaxation: {low: 1.0}", "parameter 'high' is missing"),
-    ],
-)
-def test_a_plan_that_does_not_fit_is_refused_in_one_line(tmp_path: Path, entry: str, words: str) -> None:
-    text = f"objective: likelihood\nevaluations: 40\nseed: 0\nparameters:\n  {entry}\n"
-    with pytest.raises(InputError) as refused:
-        plan_of(tmp_path, text.replace("{", "{{").replace("}", "}}"))
-    assert words in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (
-            "objective: beauty\nevaluations: 40\nseed: 0\nparameters: {{kappa: {{low: 0, high: 1}}}}",
-            "'beauty'",
-        ),
-        ("objective: position\nevaluations: 1\nseed: 0\nparameters: {{kappa: {{low: 0, high: 1}}}}", ">= 20"),
-        ("objective: position\nevaluations: 40\nseed: 0\n", "nothing to tune"),
-    ],
-)
-def test_an_effort_that_does_not_fit_is_refused(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        plan_of(tmp_path, text)
 
 
 # scores
@@ -177,50 +103,6 @@ def test_without_a_reference_there_are_no_errors(drive: Callable[..., Any]) -> N
     p = load_slip_parameters()
     task = make_task("bag", records(measurements(drive), p), p, None)
     assert np.isnan((task.score({}).position, task.score({}).heading, task.score({}).nees)).all()
-
-
-# the search
-
-
-def test_what_ends_the_workers_ends_the_search() -> None:
-    """scipy took it for a mistake in the way it is called, and a traceback came of it."""
-
-    def costs(_: Any) -> Any:
-        raise InputError("its workers ended")
-
-    with pytest.raises(InputError, match="its workers ended"):
-        search(costs, np.array((0.1, 0.9)), 300, seed=1)
-
-
-def test_the_search_finds_the_bottom_of_a_bent_valley() -> None:
-    asked: list[np.ndarray[Any, Any]] = []
-
-    def costs(points: Any) -> Any:
-        asked.extend(points)
-        x, y = points.T
-        return (x - 0.7) ** 2 + 30.0 * (y - x**2) ** 2
-
-    best = search(costs, np.array((0.1, 0.9)), 300, seed=1)
-    np.testing.assert_allclose(best, (0.7, 0.49), atol=0.02)
-    assert len(asked) <= 305
-    assert any(np.allclose(point, (0.1, 0.9)) for point in asked)
-    assert (np.array(asked) >= 0.0).all()
-    assert (np.array(asked) <= 1.0).all()
-    first = list(asked)
-    asked.clear()
-    search(costs, np.array((0.1, 0.9)), 300, seed=1)
-    np.testing.assert_array_equal(first, asked)
-
-
-def test_a_search_that_has_not_converged_keeps_to_its_points() -> None:
-    asked: list[int] = []
-
-    def costs(points: Any) -> Any:
-        asked.append(len(points))
-        return np.sum(np.sin(20.0 * points) + np.abs(points - 0.3) ** 0.2, axis=1)
-
-    search(costs, np.full(9, 0.9), 300, seed=1)
-    assert 290 <= sum(asked) <= 301
 
 
 # the whole
@@ -324,17 +206,6 @@ def test_a_journal_with_values_of_other_types_is_refused(
     file.write_text(f"{file.read_text(encoding='utf-8')}\n{line}", encoding="utf-8")
     with pytest.raises(InputError, match="is no journal of tune"):
         Journal(file, [task_of(drive, 0)], plan.bounds)
-
-
-@pytest.mark.parametrize("name", [True, 1, None])
-def test_a_name_in_a_plan_that_is_no_text_is_refused(tmp_path: Path, name: object) -> None:
-    """``true: log`` between the bounds ended tune with a traceback."""
-    file = tmp_path / "tune.yaml"
-    bounds = {"low": 0.1, "high": 1.0, name: "log"}
-    tree = {"objective": "likelihood", "evaluations": 20, "seed": 0, "parameters": {"turning.loss": bounds}}
-    file.write_text(yaml.safe_dump(tree), encoding="utf-8")
-    with pytest.raises(InputError, match=f"unknown parameter '{name}'"):
-        read_plan(file)
 
 
 def test_a_journal_of_other_bags_is_refused(drive: Callable[..., Any], tmp_path: Path) -> None:

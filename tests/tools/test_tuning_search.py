@@ -1,0 +1,52 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The tuner's search over the unit cube."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackslip_common.errors import InputError
+from trackslip_tools.tuning.search import search
+
+
+def test_what_ends_the_workers_ends_the_search() -> None:
+    """scipy took it for a mistake in the way it is called, and a traceback came of it."""
+
+    def costs(_: Any) -> Any:
+        raise InputError("its workers ended")
+
+    with pytest.raises(InputError, match="its workers ended"):
+        search(costs, np.array((0.1, 0.9)), 300, seed=1)
+
+
+def test_the_search_finds_the_bottom_of_a_bent_valley() -> None:
+    asked: list[np.ndarray[Any, Any]] = []
+
+    def costs(points: Any) -> Any:
+        asked.extend(points)
+        x, y = points.T
+        return (x - 0.7) ** 2 + 30.0 * (y - x**2) ** 2
+
+    best = search(costs, np.array((0.1, 0.9)), 300, seed=1)
+    np.testing.assert_allclose(best, (0.7, 0.49), atol=0.02)
+    assert len(asked) <= 305
+    assert any(np.allclose(point, (0.1, 0.9)) for point in asked)
+    assert (np.array(asked) >= 0.0).all()
+    assert (np.array(asked) <= 1.0).all()
+    first = list(asked)
+    asked.clear()
+    search(costs, np.array((0.1, 0.9)), 300, seed=1)
+    np.testing.assert_array_equal(first, asked)
+
+
+def test_a_search_that_has_not_converged_keeps_to_its_points() -> None:
+    asked: list[int] = []
+
+    def costs(points: Any) -> Any:
+        asked.append(len(points))
+        return np.sum(np.sin(20.0 * points) + np.abs(points - 0.3) ** 0.2, axis=1)
+
+    search(costs, np.full(9, 0.9), 300, seed=1)
+    assert 290 <= sum(asked) <= 301
