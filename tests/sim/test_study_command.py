@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trackslip_estimation.slip import sources
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.study.engine import BEGINNING
 from trackslip_sim.study.slip import study as slip_study
@@ -72,6 +73,22 @@ def test_it_writes_rows_table_and_figures(
         f"study_{what}_{truth}.png" for what in ("rmse", "nees") for truth in ("shear", "matched")
     }
     assert main([*command, *options]) == 0  # over what it wrote
+
+
+def test_a_drawn_cell_was_remembered_with_another_default_of_sources(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What an unknown source's stamps may err by is no parameter of the estimator as it is."""
+    (cell,) = {cell for cell in _drawn().cells if cell.soil == "sand"}
+    before = _drawn().rests_on(cell)
+    assert before == _drawn().rests_on(cell)
+    defaults = sources._defaults()
+    other = {**defaults, "pose_sources": {**defaults["pose_sources"], "stamp_error": 0.06}}
+    monkeypatch.setattr(sources, "_defaults", lambda: other)
+    assert before != _drawn().rests_on(cell)
+
+
+def _drawn() -> SlipStudy:
+    given = {"truths": ["drawn"], "filters": ["ekf"], "sigma_xy": [0.01], "sigma_omega": [0.01]}
+    return SlipStudy(given, [])
 
 
 def test_cells_on_terrain_have_a_table_and_a_figure_of_their_own(tmp_path: Path) -> None:

@@ -51,13 +51,18 @@ def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEs
         c["heading_ceiling"] = np.inf
         c["position_floor"] = c["heading_floor"] = 0.0
         if cell.truth == DRAWN:
-            c["stamp_errors"] = estimator.changed({"pose_sources": (_UNKNOWN,)}).poses()[_UNKNOWN].stamp_error
+            c["stamp_errors"] = of_drawn(estimator).poses()[_UNKNOWN].stamp_error
         else:  # what the filters are given is all true
             c["gate_limits"], c["stamp_errors"] = np.inf, 0.0
         if drive.swings:  # nor do fixes of a cab repeat an error
             c["correlation_times"] = c["standing_share"] = 0.0
     rows = drive.rows._replace(measurements=drive.with_noise(cell, p.sigma_heading))
     return Setting(cell, drive, rows, config, linear, p.sigma_heading)
+
+
+def of_drawn(estimator: SlipEstimatorParameters) -> SlipEstimatorParameters:
+    """What it is told of a drawn machine: its fixes are those of a source that nobody knows."""
+    return estimator.changed({"pose_sources": (_UNKNOWN,)})
 
 
 def score(setting: Setting, trial: Trial, bounds: FloatArray) -> Sums:

@@ -15,12 +15,13 @@ from trackslip_common.soils import load_soils
 from trackslip_estimation import attitude, kalman, slip
 from trackslip_estimation.slip import models
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_sim import machine
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.study.engine import Study, Workers, spread
 from trackslip_sim.study.slip import kernels
 from trackslip_sim.study.slip.drive import Drive, make_drive
-from trackslip_sim.study.slip.evaluate import evaluate
+from trackslip_sim.study.slip.evaluate import evaluate, of_drawn
 from trackslip_sim.study.slip.parameters import (
     NODE,
     SHEAR,
@@ -174,7 +175,7 @@ class SlipStudy(Study[Cell, Row]):
         | {name: name for name in ("seeds", "scenario", "duration", "settling")}
     )
     RESULT: ClassVar[type[Any]] = Row
-    SOURCES: ClassVar[Sequence[ModuleType]] = (kalman, attitude, slip, models, shear, kernels)
+    SOURCES: ClassVar[Sequence[ModuleType]] = (kalman, attitude, slip, models, shear, machine, kernels)
     FILE: ClassVar[str] = "study_table.md"
 
     def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:
@@ -190,6 +191,7 @@ class SlipStudy(Study[Cell, Row]):
         self._common = {
             "study": {name: value for name, value in to_flat(self._p).items() if name not in _GRID},
             "estimator": to_flat(self._estimator),
+            "drawn": to_flat(of_drawn(self._estimator)),
             "truth": to_flat(load_settings()),
             "scenario": repr(load_scenario(self._p.scenario)),
         }
