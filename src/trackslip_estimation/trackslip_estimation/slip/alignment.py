@@ -11,7 +11,8 @@ other over the way driven between them: one rigid motion takes what was predicte
 their noise and what the tracks err by over that way, and the way is long enough to fix ψ. Then the pose moves
 so, with the covariance of that fit. If it turns, what had been learned while the heading was wrong is as at
 the start; else heading and all that was learned stay. Fixes of the newest motion count: where they do not
-agree, the oldest is dropped.
+agree, the oldest is dropped. On a slope a machine may slide and not go where it looks: where the fixes show
+its heading, they turn nothing there, and k is open.
 
 A machine that stands shows no such way. There fixes that agree are believed once their source has insisted
 for some timeouts: the place moves to them.
@@ -23,7 +24,7 @@ from typing import Any, NamedTuple
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_SCALE, SIZE, SWING, YAW, X, Y
+from trackslip_estimation.slip.models.model import DOWNHILL, FIX_DELAY, GYRO_SCALE, SIZE, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
 from trackslip_estimation.slip.traction import FEWEST, PATH_ERROR, agree, find_slip
 
@@ -31,6 +32,7 @@ CAPACITY = 16  # refused fixes that are remembered
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which there is none
 _SHIFT_ERROR = 0.1  # of the way between the fixes and the pose
 _SIGNIFICANT = 3.0  # standard deviations of a rotation
+_GENTLE, _STEEP = 0.05, 0.1  # sines of slopes
 _INSISTS = 3  # timeouts without a fix inside its gate, after which fixes that agree at rest are believed
 
 
@@ -75,6 +77,7 @@ def forget_refused(state: Any, anchored: bool) -> None:
 def forget_fixes(state: Any, anchored: bool) -> None:
     """The place is no longer what fixes made it: none of them counts with the next as a stand or a run."""
     forget_refused(state, anchored)
+    state.lean = 0.0  # it is in P
     for k in range(len(state.runs)):
         state.stands[k].count = state.runs[k].count = 0
         state.runs[k].end = state.rolled
@@ -131,7 +134,7 @@ def insists(state: Any, source: int, stamp_ns: int, c: Any) -> bool:
 
 
 @compiled
-def realign(state: Any, at_rest: bool, c: Any) -> bool:
+def realign(state: Any, at_rest: bool, heading_shown: bool, c: Any) -> bool:
     """Move the pose by what the newest refused fixes that agree show; whether they show enough.
 
     ``at_rest``: whether they may do so over no way driven.
@@ -141,7 +144,7 @@ def realign(state: Any, at_rest: bool, c: Any) -> bool:
         found = rigid_motion(state.refused, count, state.adaptation.track_variance)
         if count >= FEWEST and agree(found.chi2, 2.0 * count - 3.0):
             if found.stddev < c.adaptation.alignment_stddev:
-                _follow(state, found, c)
+                _follow(state, found, heading_shown, c)
             elif at_rest and not state.aligning:
                 _shift(state, found)
             else:
@@ -158,11 +161,14 @@ def realign(state: Any, at_rest: bool, c: Any) -> bool:
 
 
 @compiled
-def _follow(state: Any, found: RigidMotion, c: Any) -> None:
+def _follow(state: Any, found: RigidMotion, heading_shown: bool, c: Any) -> None:
     """The pose after a rigid motion, and what else that says."""
     doubt = math.sqrt(found.stddev * found.stddev + state.covariance[YAW, YAW])
     if state.aligning:
         move_pose(state, found)
+    elif abs(found.rotation) > _SIGNIFICANT * doubt and heading_shown and _is_steep(state):
+        _shift(state, found)
+        _open_slide(state, found)
     elif abs(found.rotation) > _SIGNIFICANT * doubt:
         move_pose(state, found)
         _forget(state, c)
@@ -170,6 +176,20 @@ def _follow(state: Any, found: RigidMotion, c: Any) -> None:
         _shift(state, found)
     if c.swings:  # what sits above may have turned, instead
         state.covariance[SWING, SWING] += found.rotation**2
+
+
+@compiled
+def _is_steep(state: Any) -> bool:
+    """Whether the ground is so steep that a machine may slide on it."""
+    level = state.attitude.level
+    return bool(level.tilted == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
+
+
+@compiled
+def _open_slide(state: Any, by: RigidMotion) -> None:
+    """P with k as large as makes the way of the rotated one."""
+    across = max(abs(state.attitude.level.downhill_y), _GENTLE)
+    state.covariance[DOWNHILL, DOWNHILL] += (math.sin(by.rotation) / across) ** 2
 
 
 @compiled

@@ -57,10 +57,17 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
     z, R = measurement.value[:rows].copy(), measurement.noise[:rows, :rows].copy()
     raise_to_floors(R, rows, source, c)
     for i in range(2):
-        R[i, i] += c.levers[source, 2] ** 2 * state.attitude.level.lean_variance
+        R[i, i] += lean(state, source, c)
         if c.above[source] == 1:
             R[i, i] += unknown_arm(state.covariance, source, c)
     return z, R
+
+
+@compiled
+def lean(state: Any, source: int, c: Any) -> float:
+    """Variance of the place of an antenna above the ground, as roll and pitch err, m²."""
+    found: float = c.levers[source, 2] ** 2 * state.attitude.level.lean_variance
+    return found
 
 
 @compiled

@@ -160,6 +160,7 @@ STATE = np.dtype(
         ("driven", np.float64, (2,)),  # by left and right sprocket since the start, rad
         ("moved", np.float64, (3,)),  # ∫ of the twist as it was predicted, since the start: m, m, rad
         ("fixed_ns", np.int64),  # stamp of the last fix
+        ("lean", np.float64),  # variance of x and y beside P, as an antenna leans that stands high, m²
         ("rolled", np.float64),  # by the tracks since the start, mean of both, m
         ("aligning", np.bool_),  # the heading is not known yet
         ("refused_count", np.int64),  # since a fix was inside its gate

@@ -41,6 +41,7 @@ from trackslip_estimation.slip.observation import (
     comparable_speeds,
     expected,
     jacobian,
+    lean,
     observed,
 )
 from trackslip_estimation.slip.records import HEADING, POSE, YAW_RATE
@@ -49,6 +50,7 @@ from trackslip_estimation.slip.traction import along_heading, changed_slip, goes
 
 FloatArray = NDArray[np.float64]
 
+_MOST_LEAN = 0.9  # of the variance of a fix, as far as it states more than its own noise
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 
 
@@ -205,7 +207,8 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     else:
         keep_refused(state, (x[X], x[Y]), (z[X], z[Y]), (R[X, X] + R[Y, Y]) / 2.0)
         heading_fits = m <= YAW or innovation[YAW] ** 2 <= limit * (predicted + R)[YAW, YAW]
-        if realign(state, heading_fits and insists(state, source, measurement.stamp_ns, c), c):
+        at_rest = heading_fits and insists(state, source, measurement.stamp_ns, c)
+        if realign(state, at_rest, heading_fits and m > YAW, c):
             state.consistent_ns[source] = measurement.stamp_ns
             update.follows = False
             return
@@ -214,6 +217,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
         return
     if nis > limit:
         R = R + (nis / limit - 1.0) * (predicted + R)
+    share_lean(state, P, R, source, c)
     R = min(known, shared_error(predicted, R)) * R
     count_fix(state, source, alone, R, c)
     correct(measurement.kind, x, P, (z, R), (0.0, 0.0), c)
@@ -225,6 +229,20 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
     if inside:
         forget_refused(state, True)
+
+
+@inlined
+def share_lean(state: Any, P: FloatArray, R: FloatArray, source: int, c: Any) -> None:
+    """All fixes of an antenna have the same lean: no number of them tells it, and none need outweigh it.
+
+    It is not in R, then, but beside P; what fixes of another lean had is in P from now on.
+    """
+    leans = lean(state, source, c)
+    was = max(state.lean - leans, 0.0)
+    for i in range(2):
+        R[i, i] -= min(leans, _MOST_LEAN * R[i, i])
+        P[i, i] += was
+    state.lean = leans
 
 
 @inlined
