@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is read of messages of other robots: numbers, one row a message, and the samples made of the rows."""
+"""What is read of messages of other robots: one row of numbers a reading."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackslip_bags.importing.local import LocalFrame
-from trackslip_bags.importing.mapping_topics import NEEDS_GEOMETRY, BagTopic, Joints
+from trackslip_bags.importing.mapping_topics import BagTopic, Joints
 from trackslip_bags.importing.roles import (
     FIX,
     HYDRAULICS,
@@ -25,14 +24,8 @@ from trackslip_bags.importing.roles import (
 )
 from trackslip_bags.importing.samples import (
     FloatArray,
-    IntArray,
-    Values,
-    differences,
-    track_speeds,
-    without_heading,
     yaw_of,
 )
-from trackslip_common.errors import InputError
 from trackslip_common.message_fields import PLANE_IN_6
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
 
@@ -170,88 +163,3 @@ READERS: Mapping[tuple[str, str], Reader] = {
     ("hydraulics", HYDRAULICS): _hydraulics,
 }
 """(role, message type) → what reads it."""
-
-
-def values_of(
-    rows: FloatArray, stamps_ns: IntArray, topic: BagTopic, type_name: str, local: LocalFrame
-) -> Values:
-    """What the role's messages are made of, from (n, k) numbers.
-
-    Raises:
-        InputError: neither mapping nor messages say how sure a pose is, or how large the vehicle.
-    """
-    match topic.role:
-        case "sprockets":
-            return _sprocket_values(rows, stamps_ns, topic)
-        case "imu":
-            return _imu_values(rows, topic)
-        case "pose":
-            return _pose_values(rows, topic, type_name, local)
-        case "odometry":
-            return {"place": rows[:, :3], "turn": rows[:, 3:7], "variances": rows[:, 7:]}
-        case "fix":
-            covariance = rows[:, 3:12].reshape(-1, 3, 3)
-            return {
-                "place": rows[:, :3],
-                "covariance": covariance,
-                "kind": rows[:, 12],
-                "status": rows[:, 13],
-            }
-        case _:
-            return dict(zip(ROLES["hydraulics"].fields, rows.T, strict=True))
-
-
-def _sprocket_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
-    if rows.shape[1] == 2:  # speed and yaw rate
-        if topic.geometry is None:
-            raise InputError(f"{topic.where}: {NEEDS_GEOMETRY}")
-        nothing = np.full((len(rows), 2), np.nan)
-        return {"velocity": track_speeds(rows[:, 0], rows[:, 1], topic.geometry), "position": nothing}
-    velocity, position = rows[:, :2], rows[:, 2:]
-    if np.isnan(velocity).any() and np.isfinite(position).all():
-        velocity = differences(position, stamps_ns)
-    return {"velocity": velocity, "position": position}
-
-
-def _imu_values(rows: FloatArray, topic: BagTopic) -> Values:
-    names, sizes = ("rate", "acceleration", "orientation"), (3, 3, 4)
-    found: Values = {}
-    begin = 0
-    for name, size in zip(names, sizes, strict=True):
-        found[name] = rows[:, begin : begin + size]
-        found[f"{name}_covariance"] = rows[:, begin + size : begin + size + 9].reshape(-1, 3, 3)
-        begin += size + 9
-    for axis, spread in topic.spreads.items():
-        key = "rate" if axis.startswith("angular") else "acceleration"
-        k = "xyz".index(axis[-1])
-        found[f"{key}_covariance"][:, k, k] = _variance(spread)
-    return found
-
-
-def _pose_values(rows: FloatArray, topic: BagTopic, type_name: str, local: LocalFrame) -> Values:
-    if type_name == FIX:
-        covariance = np.full((len(rows), 3, 3), np.nan)
-        covariance[:, :2, :2] = rows[:, 3:12].reshape(-1, 3, 3)[:, :2, :2]
-        covariance[rows[:, 12] == 0.0] = np.nan
-        pose = np.column_stack((local.east_north(rows[:, :3]), np.full(len(rows), np.nan)))
-    else:
-        pose, covariance = rows[:, :3].copy(), rows[:, 3:12].reshape(-1, 3, 3).copy()
-    for axis, spread in topic.spreads.items():
-        k, m = {"x": (0, 0), "y": (1, 1), "yaw": (2, 2), "xy": (0, 1)}[axis]
-        if axis in ("x", "y"):
-            covariance[:, k, :] = covariance[:, :, k] = 0.0
-        covariance[:, k, m] = covariance[:, m, k] = _variance(spread)
-    if topic.position_only:
-        pose[:, 2] = np.nan
-    headed = np.isfinite(pose[:, 2]).any()
-    for k, axis in enumerate(("x", "y", "yaw") if headed else ("x", "y")):
-        if not (covariance[:, k, k] > 0.0).all():
-            accepted = f"stddev: {{{axis}: …}}{', or position_only: true' if axis == 'yaw' else ''}"
-            text = f"{topic.source} states no variance of {axis} that is above 0"
-            raise InputError(f"{topic.where}: {text}; accepted: {accepted}")
-    return without_heading(pose, covariance)
-
-
-def _variance(spread: Any) -> float:
-    value = float(spread.value)
-    return value * value if spread.is_stddev else value

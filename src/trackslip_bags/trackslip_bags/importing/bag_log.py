@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row, values_of
+from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row
+from trackslip_bags.importing.bag_values import refusals, values_of
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.logged import Logged, RobotLog, Ros2Bag
 from trackslip_bags.importing.mapping_topics import BagTopic
@@ -126,11 +127,17 @@ class _Collector:
         if not self._rows:
             raise InputError(self._nothing())
         stamps_ns, log_times_ns = np.array(self._times, np.int64).T
-        values = values_of(np.array(self._rows, np.float64), stamps_ns, topic, self._type_name, local)
-        frames = self._frames if len(set(self._frames)) > 1 else self._frames[:1]
-        return Samples(
-            topic.name, topic.role, frames, stamps_ns, log_times_ns, values, self._left_out, topic.source
-        )
+        rows = np.array(self._rows, np.float64)
+        used = np.ones(len(rows), np.bool_)
+        for reason, refused in refusals(rows, topic, self._type_name, local):
+            self._left_out[reason] += int((used & refused).sum())
+            used &= ~refused
+        values = values_of(rows[used], stamps_ns[used], topic, self._type_name, local)
+        frames = [self._frames[k] for k in np.flatnonzero(used).tolist()]
+        frames = frames if len(set(frames)) > 1 else frames[:1]
+        times = stamps_ns[used], log_times_ns[used]
+        left_out = +self._left_out
+        return Samples(topic.name, topic.role, frames, *times, values, left_out, topic.source)
 
     def _nothing(self) -> str:
         """Why there is not one sample."""

@@ -77,7 +77,7 @@ def _imu(columns: Values, spreads: Values) -> Values:
 def _pose(columns: Values, spreads: Values, local: LocalFrame) -> Values:
     """Local east and north where latitude and longitude are given."""
     if "latitude" in columns:
-        x, y = local.east_north(_place(columns)).T
+        x, y = local.east_north(place_of(columns)).T
     else:
         x, y = columns["x"], columns["y"]
     if "qw" in columns:
@@ -94,7 +94,7 @@ def _pose(columns: Values, spreads: Values, local: LocalFrame) -> Values:
 
 
 def _fix(columns: Values, spreads: Values) -> Values:
-    place = _place(columns)
+    place = place_of(columns)
     covariance, known = np.zeros((len(place), 3, 3)), np.full(len(place), "x" in spreads and "y" in spreads)
     for k, axis in enumerate("xyz"):
         covariance[:, k, k] = spreads.get(axis, UNOBSERVED)
@@ -125,7 +125,7 @@ def _odometry(columns: Values) -> Values:
     return {"place": place, "turn": turn, "variances": np.zeros((len(level), 12))}
 
 
-def _place(columns: Values) -> FloatArray:
+def place_of(columns: Values) -> FloatArray:
     """(n, 3) rad, rad, m; the altitude nan where it is unknown."""
     nothing = np.full(len(columns["latitude"]), np.nan)
     return np.column_stack((columns["latitude"], columns["longitude"], columns.get("altitude", nothing)))

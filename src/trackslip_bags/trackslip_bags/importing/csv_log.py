@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.importing.columns import FIRST, Column, Spread, TimeColumn
-from trackslip_bags.importing.csv_fields import values_of
+from trackslip_bags.importing.csv_fields import place_of, values_of
 from trackslip_bags.importing.csv_table import NO_TIME, Table, Wanted, read_table
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import CsvTopic
@@ -97,6 +97,11 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
         chosen.drop(~(spreads[axis] > 0.0), f"no standard deviation of {axis} above 0")
     if "latitude" in columns:
         chosen.drop(_is_nowhere(table, topic, columns), "latitude and longitude are 0")
+    if "latitude" in columns and topic.role == "pose" and chosen.rows.any():
+        left = np.flatnonzero(chosen.rows)
+        refused = local.refusals(place_of(columns)[left], f"{topic.where}: {table.path}")
+        for reason, which in refused:
+            chosen.drop(np.isin(np.arange(len(chosen.rows)), left[which]), reason)
     rows = chosen.rows
     if not rows.any():
         reasons = ", ".join(f"{n} rows: {reason}" for reason, n in chosen.left_out.items()) or "all are blank"

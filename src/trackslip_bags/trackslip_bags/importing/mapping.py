@@ -16,7 +16,7 @@ parameters: {…}                        # of slip_estimator; both are kept in t
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from trackslip_bags.importing.columns import FIRST
 from trackslip_bags.importing.mapping_topics import FROM, BagTopic, CsvTopic, Geometry, read_topic
@@ -27,14 +27,8 @@ from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.vehicle import VehicleParameters, load_vehicle
-
-
-class Datum(NamedTuple):
-    """Origin of local east and north."""
-
-    latitude: float  # deg
-    longitude: float  # deg
-    altitude: float  # m
+from trackslip_estimation.gnss.localizer import Datum
+from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
 
 
 @dataclass(frozen=True)
@@ -117,7 +111,8 @@ def _datum(where: str, value: Any) -> Datum | None:
     tree = section(where, value)
     check_keys(where, tree, ("latitude", "longitude"), ("altitude",))
     latitude, longitude = (number(f"{where}.{name}", tree[name]) for name in ("latitude", "longitude"))
-    if abs(latitude) > 90.0 or abs(longitude) > 180.0:
-        accepted = "latitude in -90 … 90, longitude in -180 … 180 deg"
+    if abs(latitude) > HIGHEST_LATITUDE or abs(longitude) > 180.0:
+        limit = f"{HIGHEST_LATITUDE:g}"
+        accepted = f"latitude in -{limit} … {limit}, longitude in -180 … 180 deg"
         raise InputError(f"{where}: {latitude:g}, {longitude:g} is out of range; accepted: {accepted}")
     return Datum(latitude, longitude, number(f"{where}.altitude", tree.get("altitude", 0.0)))
