@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from fixtures.robot_logs import EPOCH_NS, drive, write_gnss_csv, write_ros1, write_ros2
+from fixtures.robot_logs import EPOCH_NS, Gnss, drive, write_gnss_csv, write_ros1, write_ros2
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
@@ -106,6 +106,30 @@ def test_a_machine_with_gnss_goes_through(tmp_path: Path) -> None:
             errors.append(np.hypot(*(truth.pose[k, :2] - antenna - (place.x, place.y))))
     assert len(errors) > 1900
     assert np.sqrt(np.mean(np.square(errors))) < 0.06  # with the noise of the fix that is the datum
+
+
+@pytest.mark.parametrize("topic", ["/gps/heading", "/gps/quaternion"])
+@pytest.mark.parametrize("write", [write_ros1, write_ros2])
+def test_the_heading_of_two_antennas_came_from_no_bag(write: Any, topic: str, tmp_path: Path) -> None:
+    """RTK on a robot of others; its second antenna is to the left of the first."""
+    antenna = Gnss((-0.2, 0.1), np.pi / 2.0)
+    log = write(tmp_path / "robot.bag", TRUTH, antenna)
+    content = mapping(gnss_pose={"from": "/gps/fix"}, heading={"from": topic})
+    del content["topics"]["mocap_pose"]
+    content["datum"] = {"latitude": 48.1, "longitude": 11.6, "altitude": 500.0}
+    content["parameters"] |= {
+        "pose_sources": ["gnss_pose"],
+        "heading_sources": ["heading"],
+        "initial_yaw_stddev": 1.8,
+        "sources": {
+            "gnss_pose": {"use_heading": False, "lever_arm_x": -0.2, "lever_arm_y": 0.1},
+            "heading": {"offset": 1.5708},
+        },
+    }
+    found = replayed(imported(tmp_path, log, content))
+    assert "heading" not in found["rejected"]
+    assert found["rmse"]["heading"] < 0.005
+    assert found["rmse"]["filter"] < 0.02
 
 
 def test_the_order_of_arrival_is_that_of_the_robot(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackslip_bags.importing.mapping_topics import BagTopic, Joints
+from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic, Joints
 from trackslip_bags.importing.roles import (
     FIX,
     HYDRAULICS,
@@ -17,6 +17,7 @@ from trackslip_bags.importing.roles import (
     ODOMETRY,
     POSE,
     POSE_STAMPED,
+    QUATERNION_STAMPED,
     ROLES,
     TRANSFORM,
     TRANSFORMS,
@@ -27,14 +28,17 @@ from trackslip_bags.importing.samples import (
     yaw_of,
 )
 from trackslip_common.message_fields import PLANE_IN_6
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 
 Row = tuple[float, ...]
 
 NO_JOINTS = "has none of the joints"
 NO_FIX = "receiver without a fix"
 _NAN_4, _ZERO_9 = (math.nan,) * 4, (0.0,) * 9
-_DEFAULT_JOINTS = {"left": Joints((LEFT_SPROCKET,), 1.0), "right": Joints((RIGHT_SPROCKET,), 1.0)}
+_DEFAULT_JOINTS = {
+    key: Joints((name,), 1.0)
+    for key, name in zip((*SIDES, JOINT), (LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT), strict=True)
+}
 
 
 class Reading(NamedTuple):
@@ -48,22 +52,27 @@ class Reading(NamedTuple):
 Reader = Callable[[Any, BagTopic], Iterator[Reading]]
 
 
+def sides_of(topic: BagTopic) -> list[Joints]:
+    """Joints of left and right, or of a swing."""
+    keys = (JOINT,) if topic.role == "swing" else SIDES
+    return [topic.joints.get(key, _DEFAULT_JOINTS[key]) for key in keys]
+
+
 def _joints(message: Any, topic: BagTopic) -> Iterator[Reading]:
-    """Left and right velocity, left and right position."""
+    """Velocity of each joint of ``sides_of``, then position of each; nan where it has none."""
+    sides = sides_of(topic)
     at = {name: k for k, name in enumerate(message.name)}
-    sides = [(topic.joints or _DEFAULT_JOINTS)[side] for side in ("left", "right")]
-    if not all(name in at for side in sides for name in side.names):
-        yield Reading(message.header, _NAN_4, NO_JOINTS)
-        return
-    row = []
+    row: list[float] = []
+    found = False
+    has_joints = all(name in at for side in sides for name in side.names)
     for values, use in ((message.velocity, "velocities"), (message.position, "positions")):
+        known = has_joints and topic.uses in ("both", use) and len(values) == len(at)
         for side in sides:
-            known = topic.uses in ("both", use) and len(values) == len(at)
-            mean = (
-                sum(float(values[at[name]]) for name in side.names) / len(side.names) if known else math.nan
-            )
-            row.append(mean * side.ratio)
-    yield Reading(message.header, tuple(row), "" if any(map(math.isfinite, row)) else "holds no such numbers")
+            own = [float(values[at[name]]) if known else math.nan for name in side.names]
+            found |= all(map(math.isfinite, own))
+            row += own
+    lacks = "" if found else "holds no such numbers" if has_joints else NO_JOINTS
+    yield Reading(message.header, tuple(row), lacks)
 
 
 def _twist(message: Any, topic: BagTopic) -> Iterator[Reading]:
@@ -87,6 +96,15 @@ def _imu(message: Any, topic: BagTopic) -> Iterator[Reading]:
     )
     lacks = "" if message.angular_velocity_covariance[0] >= 0.0 else "states that it has no angular velocity"
     yield Reading(message.header, tuple(map(float, row)), lacks)
+
+
+def _heading(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    """Quaternion, and nine numbers of its covariance; 0 where the message has none."""
+    turn = message.quaternion if hasattr(message, "quaternion") else message.orientation
+    covariance = getattr(message, "orientation_covariance", _ZERO_9)
+    row = tuple(map(float, (turn.x, turn.y, turn.z, turn.w, *covariance)))
+    lacks = "" if any(row[:4]) and all(map(math.isfinite, row[:4])) else "holds no orientation"
+    yield Reading(message.header, row, "states that it has no orientation" if covariance[0] < 0.0 else lacks)
 
 
 def _vector(vector: Any, covariance: Any) -> Row:
@@ -155,6 +173,8 @@ READERS: Mapping[tuple[str, str], Reader] = {
     ("sprockets", JOINTS): _joints,
     **{("sprockets", name): _twist for name in (ODOMETRY, *TWISTS)},
     ("imu", IMU): _imu,
+    **{("heading", name): _heading for name in (IMU, QUATERNION_STAMPED)},
+    ("swing", JOINTS): _joints,
     **{("pose", name): _pose for name in (POSE, POSE_STAMPED, ODOMETRY)},
     **{("pose", name): _transform for name in (TRANSFORM, *TRANSFORMS)},
     ("pose", FIX): _fix,

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row
+from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row, sides_of
 from trackslip_bags.importing.bag_values import refusals, values_of
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.logged import Logged, RobotLog, Ros2Bag
-from trackslip_bags.importing.mapping_topics import BagTopic
+from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.ros1 import Ros1Bags
 from trackslip_bags.importing.samples import Samples
@@ -143,9 +143,10 @@ class _Collector:
         """Why there is not one sample."""
         topic = self.topic
         if self._seen:
-            wanted = [name for joints in topic.joints.values() for name in joints.names]
+            wanted = [name for joints in sides_of(topic) for name in joints.names]
             like = next((text for name in wanted if (text := did_you_mean(name, self._seen))), "")
-            asked = ", ".join(wanted) or "left_sprocket, right_sprocket (no left and right in the mapping)"
+            keys = JOINT if topic.role == "swing" else " and ".join(SIDES)
+            asked = ", ".join(wanted) + ("" if topic.joints else f" (no {keys} in the mapping)")
             there = ", ".join(self._seen)
             return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"
         reasons = ", ".join(f"{n}: {reason}" for reason, n in self._left_out.items())

@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from trackslip_bags.importing.bag_fields import sides_of
 from trackslip_bags.importing.local import LocalFrame, Rows
 from trackslip_bags.importing.mapping_topics import NEEDS_GEOMETRY, BagTopic
-from trackslip_bags.importing.roles import FIX, ROLES
+from trackslip_bags.importing.roles import FIX, JOINTS, ROLES
 from trackslip_bags.importing.samples import (
     FloatArray,
     IntArray,
     Values,
     differences,
+    headings,
     track_speeds,
     without_heading,
 )
@@ -53,8 +55,14 @@ def values_of(
         InputError: neither mapping nor messages say how sure a pose is, or how large the vehicle.
     """
     match topic.role:
+        case "sprockets" if type_name == JOINTS:
+            return _joint_values(rows, stamps_ns, topic)
         case "sprockets":
-            return _sprocket_values(rows, stamps_ns, topic)
+            return _twist_values(rows, topic)
+        case "swing":
+            return {"angle": _means(rows[:, rows.shape[1] // 2 :], topic)[:, 0]}
+        case "heading":
+            return _heading_values(rows, topic)
         case "imu":
             return _imu_values(rows, topic)
         case "pose":
@@ -73,16 +81,38 @@ def values_of(
             return dict(zip(ROLES["hydraulics"].fields, rows.T, strict=True))
 
 
-def _sprocket_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
-    if rows.shape[1] == 2:  # speed and yaw rate
-        if topic.geometry is None:
-            raise InputError(f"{topic.where}: {NEEDS_GEOMETRY}")
-        nothing = np.full((len(rows), 2), np.nan)
-        return {"velocity": track_speeds(rows[:, 0], rows[:, 1], topic.geometry), "position": nothing}
-    velocity, position = rows[:, :2], rows[:, 2:]
+def _twist_values(rows: FloatArray, topic: BagTopic) -> Values:
+    """Of speed and yaw rate."""
+    if topic.geometry is None:
+        raise InputError(f"{topic.where}: {NEEDS_GEOMETRY}")
+    nothing = np.full((len(rows), 2), np.nan)
+    return {"velocity": track_speeds(rows[:, 0], rows[:, 1], topic.geometry), "position": nothing}
+
+
+def _joint_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
+    """Of each joint's velocity and position."""
+    velocity, position = (_means(part, topic) for part in np.split(rows, 2, axis=1))
     if np.isnan(velocity).any() and np.isfinite(position).all():
         velocity = differences(position, stamps_ns)
     return {"velocity": velocity, "position": position}
+
+
+def _means(joints: FloatArray, topic: BagTopic) -> FloatArray:
+    """(n, sides) of (n, joints), each side's mean times its ratio."""
+    found, begin = [], 0
+    for side in sides_of(topic):
+        end = begin + len(side.names)
+        found.append(sum(joints[:, begin:end].T) / len(side.names) * side.ratio)
+        begin = end
+    return np.column_stack(found)
+
+
+def _heading_values(rows: FloatArray, topic: BagTopic) -> Values:
+    covariance = rows[:, 4:].reshape(-1, 3, 3).copy()
+    if "yaw" in topic.spreads:
+        covariance[:, 2, :] = covariance[:, :, 2] = 0.0
+        covariance[:, 2, 2] = _variance(topic.spreads["yaw"])
+    return headings(rows[:, :4], covariance)
 
 
 def _imu_values(rows: FloatArray, topic: BagTopic) -> Values:

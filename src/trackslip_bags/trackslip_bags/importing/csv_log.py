@@ -16,8 +16,8 @@ from trackslip_bags.importing.csv_fields import place_of, values_of
 from trackslip_bags.importing.csv_table import NO_TIME, Table, Wanted, read_table
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import CsvTopic
-from trackslip_bags.importing.roles import ROLES
-from trackslip_bags.importing.samples import FloatArray, IntArray, Samples
+from trackslip_bags.importing.roles import QUATERNION, ROLES
+from trackslip_bags.importing.samples import FloatArray, IntArray, Samples, yaw_of
 from trackslip_bags.importing.times import LIMIT_NS, too_late
 from trackslip_common.errors import InputError
 
@@ -95,6 +95,8 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     chosen.drop(stamps_ns == NO_TIME, "no time")
     for axis in spreads.keys() & {"x", "y"} if topic.role == "pose" else ():
         chosen.drop(~(spreads[axis] > 0.0), f"no standard deviation of {axis} above 0")
+    if topic.role == "heading" and "qw" in columns:
+        chosen.drop(np.isnan(yaw_of(*(columns[name] for name in QUATERNION))), "holds no orientation")
     if "latitude" in columns:
         chosen.drop(_is_nowhere(table, topic, columns), "latitude and longitude are 0")
     if "latitude" in columns and topic.role == "pose" and chosen.rows.any():
