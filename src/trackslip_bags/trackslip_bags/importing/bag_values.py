@@ -21,6 +21,7 @@ from trackslip_bags.importing.samples import (
     without_heading,
 )
 from trackslip_common.errors import InputError
+from trackslip_common.turns import continuous
 
 
 def refusals(
@@ -90,8 +91,10 @@ def _twist_values(rows: FloatArray, topic: BagTopic) -> Values:
 
 
 def _joint_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
-    """Of each joint's velocity and position."""
-    velocity, position = (_means(part, topic) for part in np.split(rows, 2, axis=1))
+    """Of each joint's velocity and position, which may begin anew after each of its turns."""
+    speeds, angles = np.split(rows, 2, axis=1)
+    turned = [continuous(stamps_ns, *pair) for pair in zip(angles.T, speeds.T, strict=True)]
+    velocity, position = _means(speeds, topic), _means(np.column_stack(turned), topic)
     if np.isnan(velocity).any() and np.isfinite(position).all():
         velocity = differences(position, stamps_ns)
     return {"velocity": velocity, "position": position}
