@@ -26,9 +26,10 @@ from trackslip_bags.old_parameters import current_names
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import VehicleParameters, load_vehicle
+from trackslip_common.vehicle import VehicleParameters, load_vehicle, vehicle_layer
 from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
+from trackslip_estimation.slip.parameters import load_slip_parameters
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     parameters = {name: value for name, value in parameters.items() if name != "vehicle"}
     if vehicle is None and stated is not None:
         vehicle = _vehicle(path, stated)
+    _check_parameters(path, parameters, vehicle)
     geometry = None if vehicle is None else _geometry(vehicle)
     common: dict[str, Any] = {name: tree[name] for name in ("time", "received") if name in tree}
     found = {name: read_topic(where, name, topic, common, geometry) for name, topic in topics.items()}
@@ -90,6 +92,15 @@ def _vehicle(path: Path, value: Any) -> VehicleParameters:
         return load_vehicle(str(beside) if beside.is_file() else name)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _check_parameters(path: Path, parameters: Mapping[str, Any], vehicle: VehicleParameters | None) -> None:
+    """They are the slip estimator's, by the names of today or those that are still read."""
+    machine = {} if vehicle is None else vehicle_layer(vehicle)
+    try:
+        load_slip_parameters(machine, current_names(flatten(parameters)))
+    except InputError as error:
+        raise InputError(f"{path}: parameters: {error}") from error
 
 
 def _vehicle_among(parameters: Mapping[str, Any]) -> Any:
