@@ -127,21 +127,14 @@ def test_a_machine_with_gnss_goes_through(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.parametrize("topic", ["/gps/heading", "/gps/quaternion"])
 @pytest.mark.parametrize("write", [write_ros1, write_ros2])
 def test_the_heading_of_two_antennas_came_from_no_bag(write: Any, topic: str, tmp_path: Path) -> None:
-    """RTK on a robot of others; its second antenna is to the left of the first."""
+    """RTK on a robot of others, by the mapping on the page."""
     antenna = Gnss((-0.2, 0.1), np.pi / 2.0)
     log = write(tmp_path / "robot.bag", TRUTH, antenna)
-    content = mapping(gnss_pose={"from": "/gps/fix"}, heading={"from": topic})
+    of_page = yaml.safe_load(PAGE.read_text(encoding="utf-8").split("```yaml")[1].split("```")[0])
+    content = mapping(**(of_page["topics"] | {"heading": {"from": topic}}))
     del content["topics"]["mocap_pose"]
-    content["datum"] = {"latitude": 48.1, "longitude": 11.6, "altitude": 500.0}
-    content["parameters"] |= {
-        "pose_sources": ["gnss_pose"],
-        "heading_sources": ["heading"],
-        "initial_yaw_stddev": 1.8,
-        "sources": {
-            "gnss_pose": {"use_heading": False, "lever_arm_x": -0.2, "lever_arm_y": 0.1},
-            "heading": {"offset": 1.5708},
-        },
-    }
+    content["datum"] = of_page["datum"]
+    content["parameters"] |= of_page["parameters"]
     found = replayed(imported(tmp_path, log, content))
     assert "heading" not in found["rejected"]
     assert found["rmse"]["heading"] < 0.005
