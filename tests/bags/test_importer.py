@@ -124,10 +124,10 @@ def test_the_bag_is_in_the_order_of_stamps(tmp_path: Path) -> None:
 
 
 def test_parameters_travel_in_the_bag(tmp_path: Path) -> None:
-    mapping = changed(vehicle="warthog", parameters={"late_window": 0.5})
+    mapping = changed(vehicle="warthog", parameters={"encoder_resolution": 0.0})
     with open_bag(import_text(tmp_path, mapping=mapping)) as bag:
         assert bag_vehicle(bag) == load_vehicle("warthog")
-        assert bag_parameters(bag) == {"late_window": 0.5}
+        assert bag_parameters(bag) == {"encoder_resolution": 0.0}
 
 
 def test_no_parameters_no_message(tmp_path: Path) -> None:
@@ -212,6 +212,16 @@ BAD_MAPPINGS = {
     "start: 'noon' is not accepted": changed(start="noon"),
     "start: 1e+300 is out of range": changed(start=1e300),
     "parameters: ['tread'] is not accepted": changed(parameters=["tread"]),
+    "parameters: slip_estimator: unknown parameter 'pose_source', did you mean 'pose_sources'?": changed(
+        parameters={"pose_source": ["reference_pose"]}
+    ),
+    "parameters: slip_estimator: unknown parameter 'sources.gnss.lever_arm_x'; accepted: sources.reference": (
+        changed(parameters__sources={"gnss": {"lever_arm_x": 1.0}})
+    ),
+    "'sources.reference_pose.use_headin', did you mean 'sources.reference_pose.use_heading'?": (
+        changed(parameters__sources={"reference_pose": {"use_headin": False}})
+    ),
+    "parameters: slip_estimator: encoder_resolution": changed(parameters__encoder_resolution=-1.0),
     "vehicle and parameters.vehicle; accepted: vehicle alone": changed(
         vehicle="warthog", parameters={"vehicle": {"tread": 1.0}}
     ),

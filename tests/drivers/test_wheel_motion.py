@@ -43,6 +43,32 @@ def test_positions_alone_are_differenced():
     assert motion.sample(2 * S, NAMES, [7.0] * 5, []).left_velocity == 0.0
 
 
+@pytest.mark.parametrize("first", [-math.pi, 0.0])
+@pytest.mark.parametrize("uses", ["both", "positions"])
+def test_positions_that_wrap_gave_minus_309_rad_per_s(first, uses):
+    """Each joint begins anew at a moment of its own; at 50 Hz and 5 rad/s."""
+    motion = JointMotion(parameters(uses=uses))
+    turned = [0.3, 0.0, 2.0, 1.0, 5.9]
+    found = []
+    for k in range(300):
+        positions = [(angle + 0.1 * k - first) % math.tau + first for angle in turned]
+        found.append(motion.sample(S + k * S // 50, NAMES, positions, []))
+    assert [one.left_velocity for one in found[1:]] == pytest.approx([5.0] * 299)
+    assert [one.right_velocity for one in found[1:]] == pytest.approx([5.0] * 299)
+    assert found[-1].left_position - found[0].left_position == pytest.approx(29.9)
+
+
+def test_positions_that_wrap_beside_velocities_are_followed():
+    motion = JointMotion(parameters())
+    found = [
+        motion.sample(S + k * S // 50, NAMES, [(0.1 * k + math.pi) % math.tau - math.pi] * 5, [5.0] * 5)
+        for k in range(100)
+    ]
+    assert found[-1].left_position == pytest.approx(9.9)
+    motion.restart()
+    assert motion.sample(4 * S, NAMES, [1.0] * 5, [5.0] * 5).left_position == 1.0
+
+
 def test_velocities_alone_leave_positions_unknown():
     found = JointMotion(parameters()).sample(S, NAMES, [], [1.0] * 5)
     assert math.isnan(found.left_position)

@@ -3,6 +3,7 @@
 """Logs of another robot, of both ROS, through import, replay and report: by hand is only a mapping."""
 
 import json
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from fixtures.robot_logs import EPOCH_NS, drive, write_gnss_csv, write_ros1, write_ros2
+from fixtures.robot_logs import EPOCH_NS, Gnss, drive, write_gnss_csv, write_ros1, write_ros2
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
@@ -24,6 +25,7 @@ from trackslip_tools.cli.main import main
 from trackslip_tools.replay.no_estimate import Processed, why_no_estimate
 
 TRUTH = drive(40.0)
+PAGE = Path(__file__).parents[2] / "docs" / "import.md"
 
 
 def mapping(**changed: Any) -> dict[str, Any]:
@@ -81,19 +83,33 @@ def test_a_four_wheel_robot_goes_through(bag: Path, found: dict[str, Any]) -> No
     assert "of the position" not in page.read_text(encoding="utf-8")
 
 
+def test_the_page_on_imports_stated_figures_of_an_older_filter(found: dict[str, Any]) -> None:
+    """To half a millimetre: the last digit is the processor's."""
+    page = PAGE.read_text(encoding="utf-8")
+    stated = {
+        name: re.search(rf"^      {re.escape(name)} +(\d\.\d+)", page, re.MULTILINE)
+        for name in ("encoders alone", "encoders + gyro", "filter")
+    }
+    for name, key in zip(stated, ("dead_reckoning", "encoder_gyro", "filter"), strict=True):
+        assert float(stated[name][1]) == pytest.approx(found["rmse"][key], abs=5e-4), name
+
+
 def test_a_log_of_ros_1_gives_the_same(ros1_log: Path, found: dict[str, Any], tmp_path: Path) -> None:
     of_ros_1 = replayed(imported(tmp_path, ros1_log, mapping()))
     for key in ("messages", "rejected", "final", "rmse", "nees", "nees_position"):
         assert of_ros_1[key] == found[key], key
 
 
-def test_a_machine_with_gnss_goes_through(tmp_path: Path) -> None:
+def test_a_machine_with_gnss_goes_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Three files, RTK of 2 cm at 5 Hz on the boom's side, and a heading that is blank for two seconds."""
     truth = drive(40.0, tread=2.38)
     logs = write_gnss_csv(tmp_path / "logs", truth, (-1.2, 0.6))
     bag, out = tmp_path / "bag", tmp_path / "estimates"
     arguments = ["--mapping", "mappings/gnss_machine.yaml", "--output", str(bag)]
+    capsys.readouterr()
     assert main(["import", str(logs), *arguments]) == ExitCode.DONE
+    datum = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("datum: "))
+    assert f"    {datum}\n" in PAGE.read_text(encoding="utf-8")
     replayed(bag, "--output", str(out))
     c, s = np.cos(truth.pose[0, 2]), np.sin(truth.pose[0, 2])
     antenna = truth.pose[0, :2] + np.array((-1.2, 0.6)) @ np.array(((c, s), (-s, c)))  # the first fix, nearly
@@ -106,6 +122,23 @@ def test_a_machine_with_gnss_goes_through(tmp_path: Path) -> None:
             errors.append(np.hypot(*(truth.pose[k, :2] - antenna - (place.x, place.y))))
     assert len(errors) > 1900
     assert np.sqrt(np.mean(np.square(errors))) < 0.06  # with the noise of the fix that is the datum
+
+
+@pytest.mark.parametrize("topic", ["/gps/heading", "/gps/quaternion"])
+@pytest.mark.parametrize("write", [write_ros1, write_ros2])
+def test_the_heading_of_two_antennas_came_from_no_bag(write: Any, topic: str, tmp_path: Path) -> None:
+    """RTK on a robot of others, by the mapping on the page."""
+    antenna = Gnss((-0.2, 0.1), np.pi / 2.0)
+    log = write(tmp_path / "robot.bag", TRUTH, antenna)
+    of_page = yaml.safe_load(PAGE.read_text(encoding="utf-8").split("```yaml")[1].split("```")[0])
+    content = mapping(**(of_page["topics"] | {"heading": {"from": topic}}))
+    del content["topics"]["mocap_pose"]
+    content["datum"] = of_page["datum"]
+    content["parameters"] |= of_page["parameters"]
+    found = replayed(imported(tmp_path, log, content))
+    assert "heading" not in found["rejected"]
+    assert found["rmse"]["heading"] < 0.005
+    assert found["rmse"]["filter"] < 0.02
 
 
 def test_the_order_of_arrival_is_that_of_the_robot(

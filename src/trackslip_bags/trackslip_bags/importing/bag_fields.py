@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is read of messages of other robots: numbers, one row a message, and the samples made of the rows."""
+"""What is read of messages of other robots: one row of numbers a reading."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackslip_bags.importing.local import LocalFrame
-from trackslip_bags.importing.mapping_topics import NEEDS_GEOMETRY, BagTopic, Joints
+from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic, Joints
 from trackslip_bags.importing.roles import (
     FIX,
     HYDRAULICS,
@@ -18,6 +17,7 @@ from trackslip_bags.importing.roles import (
     ODOMETRY,
     POSE,
     POSE_STAMPED,
+    QUATERNION_STAMPED,
     ROLES,
     TRANSFORM,
     TRANSFORMS,
@@ -25,23 +25,20 @@ from trackslip_bags.importing.roles import (
 )
 from trackslip_bags.importing.samples import (
     FloatArray,
-    IntArray,
-    Values,
-    differences,
-    track_speeds,
-    without_heading,
     yaw_of,
 )
-from trackslip_common.errors import InputError
 from trackslip_common.message_fields import PLANE_IN_6
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 
 Row = tuple[float, ...]
 
 NO_JOINTS = "has none of the joints"
 NO_FIX = "receiver without a fix"
 _NAN_4, _ZERO_9 = (math.nan,) * 4, (0.0,) * 9
-_DEFAULT_JOINTS = {"left": Joints((LEFT_SPROCKET,), 1.0), "right": Joints((RIGHT_SPROCKET,), 1.0)}
+_DEFAULT_JOINTS = {
+    key: Joints((name,), 1.0)
+    for key, name in zip((*SIDES, JOINT), (LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT), strict=True)
+}
 
 
 class Reading(NamedTuple):
@@ -55,22 +52,27 @@ class Reading(NamedTuple):
 Reader = Callable[[Any, BagTopic], Iterator[Reading]]
 
 
+def sides_of(topic: BagTopic) -> list[Joints]:
+    """Joints of left and right, or of a swing."""
+    keys = (JOINT,) if topic.role == "swing" else SIDES
+    return [topic.joints.get(key, _DEFAULT_JOINTS[key]) for key in keys]
+
+
 def _joints(message: Any, topic: BagTopic) -> Iterator[Reading]:
-    """Left and right velocity, left and right position."""
+    """Velocity of each joint of ``sides_of``, then position of each; nan where it has none."""
+    sides = sides_of(topic)
     at = {name: k for k, name in enumerate(message.name)}
-    sides = [(topic.joints or _DEFAULT_JOINTS)[side] for side in ("left", "right")]
-    if not all(name in at for side in sides for name in side.names):
-        yield Reading(message.header, _NAN_4, NO_JOINTS)
-        return
-    row = []
+    row: list[float] = []
+    found = False
+    has_joints = all(name in at for side in sides for name in side.names)
     for values, use in ((message.velocity, "velocities"), (message.position, "positions")):
+        known = has_joints and topic.uses in ("both", use) and len(values) == len(at)
         for side in sides:
-            known = topic.uses in ("both", use) and len(values) == len(at)
-            mean = (
-                sum(float(values[at[name]]) for name in side.names) / len(side.names) if known else math.nan
-            )
-            row.append(mean * side.ratio)
-    yield Reading(message.header, tuple(row), "" if any(map(math.isfinite, row)) else "holds no such numbers")
+            own = [float(values[at[name]]) if known else math.nan for name in side.names]
+            found |= all(map(math.isfinite, own))
+            row += own
+    lacks = "" if found else "holds no such numbers" if has_joints else NO_JOINTS
+    yield Reading(message.header, tuple(row), lacks)
 
 
 def _twist(message: Any, topic: BagTopic) -> Iterator[Reading]:
@@ -94,6 +96,15 @@ def _imu(message: Any, topic: BagTopic) -> Iterator[Reading]:
     )
     lacks = "" if message.angular_velocity_covariance[0] >= 0.0 else "states that it has no angular velocity"
     yield Reading(message.header, tuple(map(float, row)), lacks)
+
+
+def _heading(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    """Quaternion, and nine numbers of its covariance; 0 where the message has none."""
+    turn = message.quaternion if hasattr(message, "quaternion") else message.orientation
+    covariance = getattr(message, "orientation_covariance", _ZERO_9)
+    row = tuple(map(float, (turn.x, turn.y, turn.z, turn.w, *covariance)))
+    lacks = "" if any(row[:4]) and all(map(math.isfinite, row[:4])) else "holds no orientation"
+    yield Reading(message.header, row, "states that it has no orientation" if covariance[0] < 0.0 else lacks)
 
 
 def _vector(vector: Any, covariance: Any) -> Row:
@@ -162,6 +173,8 @@ READERS: Mapping[tuple[str, str], Reader] = {
     ("sprockets", JOINTS): _joints,
     **{("sprockets", name): _twist for name in (ODOMETRY, *TWISTS)},
     ("imu", IMU): _imu,
+    **{("heading", name): _heading for name in (IMU, QUATERNION_STAMPED)},
+    ("swing", JOINTS): _joints,
     **{("pose", name): _pose for name in (POSE, POSE_STAMPED, ODOMETRY)},
     **{("pose", name): _transform for name in (TRANSFORM, *TRANSFORMS)},
     ("pose", FIX): _fix,
@@ -170,88 +183,3 @@ READERS: Mapping[tuple[str, str], Reader] = {
     ("hydraulics", HYDRAULICS): _hydraulics,
 }
 """(role, message type) → what reads it."""
-
-
-def values_of(
-    rows: FloatArray, stamps_ns: IntArray, topic: BagTopic, type_name: str, local: LocalFrame
-) -> Values:
-    """What the role's messages are made of, from (n, k) numbers.
-
-    Raises:
-        InputError: neither mapping nor messages say how sure a pose is, or how large the vehicle.
-    """
-    match topic.role:
-        case "sprockets":
-            return _sprocket_values(rows, stamps_ns, topic)
-        case "imu":
-            return _imu_values(rows, topic)
-        case "pose":
-            return _pose_values(rows, topic, type_name, local)
-        case "odometry":
-            return {"place": rows[:, :3], "turn": rows[:, 3:7], "variances": rows[:, 7:]}
-        case "fix":
-            covariance = rows[:, 3:12].reshape(-1, 3, 3)
-            return {
-                "place": rows[:, :3],
-                "covariance": covariance,
-                "kind": rows[:, 12],
-                "status": rows[:, 13],
-            }
-        case _:
-            return dict(zip(ROLES["hydraulics"].fields, rows.T, strict=True))
-
-
-def _sprocket_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
-    if rows.shape[1] == 2:  # speed and yaw rate
-        if topic.geometry is None:
-            raise InputError(f"{topic.where}: {NEEDS_GEOMETRY}")
-        nothing = np.full((len(rows), 2), np.nan)
-        return {"velocity": track_speeds(rows[:, 0], rows[:, 1], topic.geometry), "position": nothing}
-    velocity, position = rows[:, :2], rows[:, 2:]
-    if np.isnan(velocity).any() and np.isfinite(position).all():
-        velocity = differences(position, stamps_ns)
-    return {"velocity": velocity, "position": position}
-
-
-def _imu_values(rows: FloatArray, topic: BagTopic) -> Values:
-    names, sizes = ("rate", "acceleration", "orientation"), (3, 3, 4)
-    found: Values = {}
-    begin = 0
-    for name, size in zip(names, sizes, strict=True):
-        found[name] = rows[:, begin : begin + size]
-        found[f"{name}_covariance"] = rows[:, begin + size : begin + size + 9].reshape(-1, 3, 3)
-        begin += size + 9
-    for axis, spread in topic.spreads.items():
-        key = "rate" if axis.startswith("angular") else "acceleration"
-        k = "xyz".index(axis[-1])
-        found[f"{key}_covariance"][:, k, k] = _variance(spread)
-    return found
-
-
-def _pose_values(rows: FloatArray, topic: BagTopic, type_name: str, local: LocalFrame) -> Values:
-    if type_name == FIX:
-        covariance = np.full((len(rows), 3, 3), np.nan)
-        covariance[:, :2, :2] = rows[:, 3:12].reshape(-1, 3, 3)[:, :2, :2]
-        covariance[rows[:, 12] == 0.0] = np.nan
-        pose = np.column_stack((local.east_north(rows[:, :3]), np.full(len(rows), np.nan)))
-    else:
-        pose, covariance = rows[:, :3].copy(), rows[:, 3:12].reshape(-1, 3, 3).copy()
-    for axis, spread in topic.spreads.items():
-        k, m = {"x": (0, 0), "y": (1, 1), "yaw": (2, 2), "xy": (0, 1)}[axis]
-        if axis in ("x", "y"):
-            covariance[:, k, :] = covariance[:, :, k] = 0.0
-        covariance[:, k, m] = covariance[:, m, k] = _variance(spread)
-    if topic.position_only:
-        pose[:, 2] = np.nan
-    headed = np.isfinite(pose[:, 2]).any()
-    for k, axis in enumerate(("x", "y", "yaw") if headed else ("x", "y")):
-        if not (covariance[:, k, k] > 0.0).all():
-            accepted = f"stddev: {{{axis}: …}}{', or position_only: true' if axis == 'yaw' else ''}"
-            text = f"{topic.source} states no variance of {axis} that is above 0"
-            raise InputError(f"{topic.where}: {text}; accepted: {accepted}")
-    return without_heading(pose, covariance)
-
-
-def _variance(spread: Any) -> float:
-    value = float(spread.value)
-    return value * value if spread.is_stddev else value

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row, values_of
+from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row, sides_of
+from trackslip_bags.importing.bag_values import refusals, values_of
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.logged import Logged, RobotLog, Ros2Bag
-from trackslip_bags.importing.mapping_topics import BagTopic
+from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.ros1 import Ros1Bags
 from trackslip_bags.importing.samples import Samples
@@ -126,19 +127,26 @@ class _Collector:
         if not self._rows:
             raise InputError(self._nothing())
         stamps_ns, log_times_ns = np.array(self._times, np.int64).T
-        values = values_of(np.array(self._rows, np.float64), stamps_ns, topic, self._type_name, local)
-        frames = self._frames if len(set(self._frames)) > 1 else self._frames[:1]
-        return Samples(
-            topic.name, topic.role, frames, stamps_ns, log_times_ns, values, self._left_out, topic.source
-        )
+        rows = np.array(self._rows, np.float64)
+        used = np.ones(len(rows), np.bool_)
+        for reason, refused in refusals(rows, topic, self._type_name, local):
+            self._left_out[reason] += int((used & refused).sum())
+            used &= ~refused
+        values = values_of(rows[used], stamps_ns[used], topic, self._type_name, local)
+        frames = [self._frames[k] for k in np.flatnonzero(used).tolist()]
+        frames = frames if len(set(frames)) > 1 else frames[:1]
+        times = stamps_ns[used], log_times_ns[used]
+        left_out = +self._left_out
+        return Samples(topic.name, topic.role, frames, *times, values, left_out, topic.source)
 
     def _nothing(self) -> str:
         """Why there is not one sample."""
         topic = self.topic
         if self._seen:
-            wanted = [name for joints in topic.joints.values() for name in joints.names]
+            wanted = [name for joints in sides_of(topic) for name in joints.names]
             like = next((text for name in wanted if (text := did_you_mean(name, self._seen))), "")
-            asked = ", ".join(wanted) or "left_sprocket, right_sprocket (no left and right in the mapping)"
+            keys = JOINT if topic.role == "swing" else " and ".join(SIDES)
+            asked = ", ".join(wanted) + ("" if topic.joints else f" (no {keys} in the mapping)")
             there = ", ".join(self._seen)
             return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"
         reasons = ", ".join(f"{n}: {reason}" for reason, n in self._left_out.items())

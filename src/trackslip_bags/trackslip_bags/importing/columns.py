@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a mapping names columns of a CSV log: values with their units, times, and how sure they are."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ class Column:
     quantity: str  # of its unit; empty for a plain number
     factor: float
     origin: float | str = 0.0  # in the column's own unit, or FIRST
+    turn: float = 0.0  # of an angle: a whole one in that unit
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
         quantity=quantity,
         factor=factor * number(f"{where}.scale", tree.get("scale", 1.0)),
         origin=FIRST if origin == FIRST else number(f"{where}.origin", origin),
+        turn=math.tau / factor if quantity == "angle" else 0.0,
     )
 
 

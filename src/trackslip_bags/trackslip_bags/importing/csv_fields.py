@@ -8,12 +8,13 @@ import numpy as np
 
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import CsvTopic
-from trackslip_bags.importing.roles import ROLES
+from trackslip_bags.importing.roles import QUATERNION, ROLES
 from trackslip_bags.importing.samples import (
     FloatArray,
     IntArray,
     Values,
     differences,
+    headings,
     track_speeds,
     without_heading,
     yaw_of,
@@ -38,6 +39,8 @@ def values_of(
             return _pose(columns, spreads, local)
         case "fix":
             return _fix(columns, spreads)
+        case "heading":
+            return _heading(columns, spreads)
         case "odometry":
             return _odometry(columns)
         case _:
@@ -77,15 +80,10 @@ def _imu(columns: Values, spreads: Values) -> Values:
 def _pose(columns: Values, spreads: Values, local: LocalFrame) -> Values:
     """Local east and north where latitude and longitude are given."""
     if "latitude" in columns:
-        x, y = local.east_north(_place(columns)).T
+        x, y = local.east_north(place_of(columns)).T
     else:
         x, y = columns["x"], columns["y"]
-    if "qw" in columns:
-        yaw = yaw_of(*(columns[name] for name in ("qx", "qy", "qz", "qw")))
-    elif "heading" in columns:
-        yaw = math.pi / 2.0 - columns["heading"]  # of a compass: from north, clockwise
-    else:
-        yaw = columns.get("yaw", np.full(len(x), np.nan))
+    yaw = _yaw(columns, len(x))
     covariance = np.zeros((len(x), 3, 3))
     for k, axis in enumerate(("x", "y", "yaw")):
         covariance[:, k, k] = spreads.get(axis, np.nan)
@@ -93,8 +91,33 @@ def _pose(columns: Values, spreads: Values, local: LocalFrame) -> Values:
     return without_heading(np.column_stack((x, y, yaw)), covariance)
 
 
+def _yaw(columns: Values, count: int) -> FloatArray:
+    """(n,) from east, counter-clockwise; nan where it is not known."""
+    if "qw" in columns:
+        return yaw_of(*(columns[name] for name in QUATERNION))
+    if "heading" in columns:
+        return math.pi / 2.0 - columns["heading"]  # of a compass: from north, clockwise
+    return columns.get("yaw", np.full(count, np.nan))
+
+
+def _turn(columns: Values, count: int) -> FloatArray:
+    """(n, 4) quaternions."""
+    if "qw" in columns:
+        return np.column_stack([columns[name] for name in QUATERNION])
+    level, yaw = np.zeros(count), _yaw(columns, count)
+    return np.column_stack((level, level, np.sin(yaw / 2.0), np.cos(yaw / 2.0)))
+
+
+def _heading(columns: Values, spreads: Values) -> Values:
+    """Where no row says how sure it is, its source does."""
+    turn = _turn(columns, len(next(iter(columns.values()))))
+    covariance = np.zeros((len(turn), 3, 3))
+    covariance[:, 2, 2] = np.nan_to_num(spreads.get("yaw", covariance[:, 2, 2]), nan=0.0)
+    return headings(turn, covariance)
+
+
 def _fix(columns: Values, spreads: Values) -> Values:
-    place = _place(columns)
+    place = place_of(columns)
     covariance, known = np.zeros((len(place), 3, 3)), np.full(len(place), "x" in spreads and "y" in spreads)
     for k, axis in enumerate("xyz"):
         covariance[:, k, k] = spreads.get(axis, UNOBSERVED)
@@ -117,15 +140,12 @@ def _fix(columns: Values, spreads: Values) -> Values:
 def _odometry(columns: Values) -> Values:
     """Its variances are unknown."""
     level = np.zeros(len(columns["x"]))
-    if "qw" in columns:
-        turn = np.column_stack([columns[name] for name in ("qx", "qy", "qz", "qw")])
-    else:
-        turn = np.column_stack((level, level, np.sin(columns["yaw"] / 2.0), np.cos(columns["yaw"] / 2.0)))
+    turn = _turn(columns, len(level))
     place = np.column_stack((columns["x"], columns["y"], columns.get("z", level)))
     return {"place": place, "turn": turn, "variances": np.zeros((len(level), 12))}
 
 
-def _place(columns: Values) -> FloatArray:
+def place_of(columns: Values) -> FloatArray:
     """(n, 3) rad, rad, m; the altitude nan where it is unknown."""
     nothing = np.full(len(columns["latitude"]), np.nan)
     return np.column_stack((columns["latitude"], columns["longitude"], columns.get("altitude", nothing)))

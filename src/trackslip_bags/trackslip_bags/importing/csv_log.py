@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.importing.columns import FIRST, Column, Spread, TimeColumn
-from trackslip_bags.importing.csv_fields import values_of
+from trackslip_bags.importing.csv_fields import place_of, values_of
 from trackslip_bags.importing.csv_table import NO_TIME, Table, Wanted, read_table
 from trackslip_bags.importing.local import LocalFrame
-from trackslip_bags.importing.mapping_topics import CsvTopic
-from trackslip_bags.importing.roles import ROLES
-from trackslip_bags.importing.samples import FloatArray, IntArray, Samples
+from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
+from trackslip_bags.importing.roles import QUATERNION, ROLES
+from trackslip_bags.importing.samples import FloatArray, IntArray, Samples, Values, yaw_of
 from trackslip_bags.importing.times import LIMIT_NS, too_late
 from trackslip_common.errors import InputError
+from trackslip_common.turns import continuous
 
 Rows = NDArray[np.bool_]
 
@@ -86,17 +87,24 @@ class _Chosen:
 def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) -> Samples:
     """One topic of a file."""
     role = ROLES[topic.role]
-    columns = {name: _si(table, column, topic) for name, column in topic.columns.items()}
-    spreads = {axis: _variance(table, spread) for axis, spread in topic.spreads.items()}
     stamps_ns, received_ns = _stamps(table, topic, start_ns)
+    columns = _columns(table, topic, stamps_ns)
+    spreads = {axis: _variance(table, spread) for axis, spread in topic.spreads.items()}
     present = np.isfinite([columns[name] for name in role.needed(columns)])
     chosen = _Chosen(present.any(axis=0) & _new_rows(table, topic))
     chosen.drop(~present.all(axis=0), "some cells are blank")
     chosen.drop(stamps_ns == NO_TIME, "no time")
     for axis in spreads.keys() & {"x", "y"} if topic.role == "pose" else ():
         chosen.drop(~(spreads[axis] > 0.0), f"no standard deviation of {axis} above 0")
+    if topic.role == "heading" and "qw" in columns:
+        chosen.drop(np.isnan(yaw_of(*(columns[name] for name in QUATERNION))), "holds no orientation")
     if "latitude" in columns:
         chosen.drop(_is_nowhere(table, topic, columns), "latitude and longitude are 0")
+    if "latitude" in columns and topic.role == "pose" and chosen.rows.any():
+        left = np.flatnonzero(chosen.rows)
+        refused = local.refusals(place_of(columns)[left], f"{topic.where}: {table.path}")
+        for reason, which in refused:
+            chosen.drop(np.isin(np.arange(len(chosen.rows)), left[which]), reason)
     rows = chosen.rows
     if not rows.any():
         reasons = ", ".join(f"{n} rows: {reason}" for reason, n in chosen.left_out.items()) or "all are blank"
@@ -111,9 +119,26 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     return Samples(topic.name, topic.role, frames, *times, values, chosen.left_out, table.path.name)
 
 
-def _si(table: Table, column: Column, topic: CsvTopic) -> FloatArray:
+def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
+    """(rows,) of each, SI; angles of sprockets may begin anew after each turn of what the column shows."""
+    given = topic.columns.items()
+    numbers = {name: [table.numbers[n].copy() for n in column.names] for name, column in given}
+    found = {name: _si(numbers[name], column, topic) for name, column in given}
+    timed = stamps_ns != NO_TIME
+    for side in SIDES if topic.role == "sprockets" else ():
+        column = topic.columns.get(f"{side}_position")
+        if column is None or not column.turn or not column.factor:
+            continue
+        speeds = found.get(f"{side}_velocity", np.full(len(timed), np.nan)) / column.factor
+        for angles in numbers[f"{side}_position"]:
+            angles[timed] = continuous(stamps_ns[timed], angles[timed], speeds[timed], column.turn)
+        found[f"{side}_position"] = _si(numbers[f"{side}_position"], column, topic)
+    return found
+
+
+def _si(numbers: Sequence[FloatArray], column: Column, topic: CsvTopic) -> FloatArray:
     """(rows,) SI; what is along the ground as that of a sprocket, in a topic of sprockets."""
-    values: FloatArray = np.mean([table.numbers[name] for name in column.names], axis=0)
+    values: FloatArray = np.mean(numbers, axis=0)
     known = values[np.isfinite(values)]
     origin = float(column.origin) if column.origin != FIRST else float(known[0]) if known.size else 0.0
     found: FloatArray = (values - origin) * column.factor

@@ -16,7 +16,7 @@ import numpy as np
 from trackslip_bags.importing.bag_log import is_bag, read_bag_log
 from trackslip_bags.importing.csv_log import read_csv_logs
 from trackslip_bags.importing.local import LocalFrame
-from trackslip_bags.importing.mapping import Datum, LogMapping
+from trackslip_bags.importing.mapping import LogMapping
 from trackslip_bags.importing.mapping_topics import BagTopic, CsvTopic
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.samples import Samples
@@ -28,6 +28,7 @@ from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import TOPIC as VEHICLE
 from trackslip_common.vehicle import vehicle_text
+from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
 _CSV = (".csv", ".txt", ".tsv", ".dat")

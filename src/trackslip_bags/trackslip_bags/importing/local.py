@@ -1,31 +1,97 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Positions on the Earth as east and north of a datum (WGS84)."""
+"""Positions on the Earth as east and north of a datum (WGS84); which are none of its map, as live."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
 
-from trackslip_bags.importing.mapping import Datum
+from trackslip_common.config_files import load_parameters
+from trackslip_common.errors import InputError
+from trackslip_estimation.gnss.localizer import Datum, Reason, east_north, why_far
+from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
 FloatArray = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+_MOST_TRIED = 100  # positions, as a datum
 
 
 class LocalFrame:
-    """East and north of a datum: of the one that is given, or of the first position asked for."""
+    """East and north of a datum: of the one that is given, or of the first position that most are near.
+
+    A log begins with a wild position as well as it has one within; the map must not be about that.
+    """
 
     def __init__(self, datum: Datum | None) -> None:
         self.datum = datum
+        limits = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",))
+        self._reach = limits.max_distance
+
+    def refusals(self, place: FloatArray, where: str) -> Iterator[tuple[str, Rows]]:
+        """Reasons to leave out some of (n, 3) latitude and longitude, rad, and altitude, m; (n,) which.
+
+        Raises:
+            InputError: all of them are to be left out.
+        """
+        is_none: Rows = (np.abs(place[:, 0]) > math.pi / 2.0) | (np.abs(place[:, 1]) > math.pi)
+        reasons = {Reason.OUT_OF_RANGE: is_none, Reason.NOT_A_NUMBER: np.isinf(place[:, 2])}
+        good = ~(reasons[Reason.OUT_OF_RANGE] | reasons[Reason.NOT_A_NUMBER])
+        if good.any():
+            datum = self._datum_of(place[good], where)
+            far = np.zeros(len(place), np.bool_)
+            far[good] = self._far(datum, place[good])
+            why = [why_far(datum, *degrees) for degrees in np.degrees(place[far, :2]).tolist()]
+            for reason in (Reason.HEMISPHERE, Reason.FAR):
+                rows = far.copy()
+                rows[far] = [one is reason for one in why]
+                reasons[reason] = rows
+        if np.logical_or.reduce(list(reasons.values())).all():
+            raise InputError(self._all_refused(place[0], where, reasons))
+        yield from ((reason.value, rows) for reason, rows in reasons.items())
 
     def east_north(self, place: FloatArray) -> FloatArray:
-        """(n, 2) m of (n, 3) latitude and longitude, rad, and altitude, m (nan: that of the datum)."""
-        if self.datum is None:
-            latitude, longitude, altitude = place[0].tolist()
+        """(n, 2) m of (n, 3) latitude and longitude, rad, and altitude, m (nan: that of the datum).
+
+        They are what ``refusals`` leaves.
+        """
+        return _east_north(self._datum_of(place, ""), place)
+
+    def _datum_of(self, place: FloatArray, where: str) -> Datum:
+        """The datum; of the first position that at least half are near, where none is given."""
+        left = np.arange(len(place)) if self.datum is None else np.arange(0)
+        for _ in range(_MOST_TRIED):
+            if self.datum is not None or not left.size:
+                break
+            latitude, longitude, altitude = place[left[0]].tolist()
             altitude = altitude if math.isfinite(altitude) else 0.0
-            self.datum = Datum(math.degrees(latitude), math.degrees(longitude), altitude)
-        degrees = np.degrees(place[:, :2])
-        altitudes = np.where(np.isnan(place[:, 2]), self.datum.altitude, place[:, 2])
-        east, north, _ = pymap3d.geodetic2enu(degrees[:, 0], degrees[:, 1], altitudes, *self.datum)
-        return np.column_stack((east, north))
+            tried = Datum(math.degrees(latitude), math.degrees(longitude), altitude)
+            far = self._far(tried, place)
+            self.datum = tried if 2 * int(far.sum()) <= len(place) else None
+            left = left[far[left]]
+        if self.datum is None:
+            text = f"no position has half of the {len(place)} within {self._reach / 1e3:g} km"
+            raise InputError(f"{where}: {text}; accepted: datum: {{latitude: …, longitude: …}}")
+        return self.datum
+
+    def _far(self, datum: Datum, place: FloatArray) -> Rows:
+        """(n,) whether positions are beyond the map."""
+        far: Rows = np.hypot(*_east_north(datum, place).T) > self._reach
+        return far
+
+    def _all_refused(self, first: FloatArray, where: str, reasons: dict[Reason, Rows]) -> str:
+        """Names the first position, and the datum."""
+        reason = next(reason for reason, rows in reasons.items() if rows[0])
+        latitude, longitude = np.degrees(first[:2]).tolist()
+        about = "" if self.datum is None else f" ({self.datum.latitude:.6f}, {self.datum.longitude:.6f})"
+        return (
+            f"{where}: every position is refused: the first, at latitude {latitude:.6f}, longitude "
+            f"{longitude:.6f} deg, is {reason.value}{about}; accepted: within {self._reach / 1e3:g} km of it"
+        )
+
+
+def _east_north(datum: Datum, place: FloatArray) -> FloatArray:
+    latitude, longitude = np.degrees(place[:, :2]).T
+    return np.column_stack(east_north(datum, latitude, longitude, place[:, 2]))

@@ -16,7 +16,7 @@ parameters: {…}                        # of slip_estimator; both are kept in t
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from trackslip_bags.importing.columns import FIRST
 from trackslip_bags.importing.mapping_topics import FROM, BagTopic, CsvTopic, Geometry, read_topic
@@ -26,15 +26,10 @@ from trackslip_bags.old_parameters import current_names
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import VehicleParameters, load_vehicle
-
-
-class Datum(NamedTuple):
-    """Origin of local east and north."""
-
-    latitude: float  # deg
-    longitude: float  # deg
-    altitude: float  # m
+from trackslip_common.vehicle import VehicleParameters, load_vehicle, vehicle_layer
+from trackslip_estimation.gnss.localizer import Datum
+from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
+from trackslip_estimation.slip.parameters import load_slip_parameters
 
 
 @dataclass(frozen=True)
@@ -68,6 +63,7 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     parameters = {name: value for name, value in parameters.items() if name != "vehicle"}
     if vehicle is None and stated is not None:
         vehicle = _vehicle(path, stated)
+    _check_parameters(path, parameters, vehicle)
     geometry = None if vehicle is None else _geometry(vehicle)
     common: dict[str, Any] = {name: tree[name] for name in ("time", "received") if name in tree}
     found = {name: read_topic(where, name, topic, common, geometry) for name, topic in topics.items()}
@@ -98,6 +94,15 @@ def _vehicle(path: Path, value: Any) -> VehicleParameters:
         raise InputError(f"{path}: {error}") from error
 
 
+def _check_parameters(path: Path, parameters: Mapping[str, Any], vehicle: VehicleParameters | None) -> None:
+    """They are the slip estimator's, by the names of today or those that are still read."""
+    machine = {} if vehicle is None else vehicle_layer(vehicle)
+    try:
+        load_slip_parameters(machine, current_names(flatten(parameters)))
+    except InputError as error:
+        raise InputError(f"{path}: parameters: {error}") from error
+
+
 def _vehicle_among(parameters: Mapping[str, Any]) -> Any:
     """The vehicle where mappings of earlier versions have it, by the names of today; None where it is not."""
     stated = parameters.get("vehicle")
@@ -117,7 +122,8 @@ def _datum(where: str, value: Any) -> Datum | None:
     tree = section(where, value)
     check_keys(where, tree, ("latitude", "longitude"), ("altitude",))
     latitude, longitude = (number(f"{where}.{name}", tree[name]) for name in ("latitude", "longitude"))
-    if abs(latitude) > 90.0 or abs(longitude) > 180.0:
-        accepted = "latitude in -90 … 90, longitude in -180 … 180 deg"
+    if abs(latitude) > HIGHEST_LATITUDE or abs(longitude) > 180.0:
+        limit = f"{HIGHEST_LATITUDE:g}"
+        accepted = f"latitude in -{limit} … {limit}, longitude in -180 … 180 deg"
         raise InputError(f"{where}: {latitude:g}, {longitude:g} is out of range; accepted: {accepted}")
     return Datum(latitude, longitude, number(f"{where}.altitude", tree.get("altitude", 0.0)))

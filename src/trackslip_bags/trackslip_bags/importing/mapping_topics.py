@@ -27,9 +27,11 @@ from trackslip_bags.importing.tree import (
 )
 from trackslip_common.errors import InputError, did_you_mean
 
+SIDES, JOINT = ("left", "right"), "joint"  # keys of the joints of sprockets, and of a swing
+USES = ("both", "positions", "velocities")  # of the joints of sprockets
 _COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
 _OF_CSV = ("file", "time", "received", "new_when_changes")
-_OF_BAG = ("left", "right", "use", "stamp", "child_frame", "position_only")
+_OF_BAG = (*SIDES, JOINT, "use", "stamp", "child_frame", "position_only")
 NEEDS_GEOMETRY = (
     "a speed over ground needs a vehicle in the mapping, or geometry: {rolling_radius: …, tread: …}"
 )
@@ -80,7 +82,7 @@ class BagTopic(Topic):
     """From the messages of a topic."""
 
     source: str
-    joints: Mapping[str, Joints]  # left and right
+    joints: Mapping[str, Joints]  # of sprockets left and right, of a swing its joint
     uses: str  # of joints: both, positions, velocities
     stamped: bool  # by the header; else by the time of the log
     child_frame: str | None  # of transforms
@@ -135,17 +137,18 @@ def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
 
 
 def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping[str, Any]) -> BagTopic:
-    joints = {side: _joints(f"{where}.{side}", tree[side]) for side in ("left", "right") if side in tree}
+    joints = {key: _joints(f"{where}.{key}", tree[key]) for key in (*SIDES, JOINT) if key in tree}
+    uses = "positions" if role is ROLES["swing"] else "both"
     columns = [axis for axis, spread in of_both["spreads"].items() if isinstance(spread.value, Column)]
     if columns:
         raise InputError(f"{where}: a column of {columns[0]}, and the log is a bag; accepted: a number, SI")
-    if len(joints) == 1:
+    if len(joints.keys() & set(SIDES)) == 1:
         raise InputError(f"{where}: only one of left and right; accepted: the joints of both")
     return BagTopic(
         **of_both,
         source=text(f"{where}.{FROM}", tree[FROM]),
         joints=joints,
-        uses=choice(f"{where}.use", tree.get("use", "both"), ("both", "positions", "velocities")),
+        uses=choice(f"{where}.use", tree.get("use", uses), USES),
         stamped=choice(f"{where}.stamp", tree.get("stamp", "header"), ("header", "log")) == "header",
         child_frame=text(f"{where}.child_frame", tree["child_frame"]) if "child_frame" in tree else None,
         position_only=_flag(f"{where}.position_only", tree.get("position_only", False)),
@@ -156,7 +159,9 @@ def _keys_of(role: Role, keys: tuple[str, ...]) -> tuple[str, ...]:
     """Those that mean something of such a topic."""
     without = set() if role.axes else {"stddev", "covariance"}
     if role is not ROLES["sprockets"]:
-        without |= {"left", "right", "use", "geometry"}
+        without |= {*SIDES, "use", "geometry"}
+    if role is not ROLES["swing"]:
+        without |= {JOINT}
     if role is not ROLES["pose"]:
         without |= {"child_frame", "position_only"}
     return tuple(key for key in (*keys, *_COMMON) if key not in without)

@@ -22,6 +22,7 @@ TWISTS = (
     "geometry_msgs/msg/TwistStamped",
     "geometry_msgs/msg/TwistWithCovarianceStamped",
 )
+QUATERNION_STAMPED = "geometry_msgs/msg/QuaternionStamped"
 HYDRAULICS = "trackslip_msgs/msg/TrackHydraulics"
 
 _POSITION = ("length",)
@@ -34,7 +35,7 @@ NUMBER = ()  # without a unit
 
 _RATES = tuple(f"angular_velocity_{axis}" for axis in "xyz")
 _ACCELERATIONS = tuple(f"linear_acceleration_{axis}" for axis in "xyz")
-_QUATERNION = ("qx", "qy", "qz", "qw")
+QUATERNION = ("qx", "qy", "qz", "qw")
 _VELOCITIES = ("left_velocity", "right_velocity")
 _POSITIONS = ("left_position", "right_position")
 _PLACE = ("latitude", "longitude")
@@ -111,15 +112,31 @@ ROLES: Mapping[str, Role] = {
             "altitude": _POSITION,
             "yaw": _ANGLE,
             "heading": _ANGLE,
-            **dict.fromkeys(_QUATERNION, NUMBER),
+            **dict.fromkeys(QUATERNION, NUMBER),
         },
         choices=(
             (("x", "y"), _PLACE, (*_PLACE, "altitude")),
-            ((), ("yaw",), ("heading",), _QUATERNION),
+            ((), ("yaw",), ("heading",), QUATERNION),
         ),
         messages=(POSE, POSE_STAMPED, ODOMETRY, TRANSFORM, *TRANSFORMS, FIX),
         axes={"x": "length", "y": "length", "yaw": "angle"},
-        optional=("altitude", "yaw", "heading", *_QUATERNION),
+        optional=("altitude", "yaw", "heading", *QUATERNION),
+    ),
+    "heading": Role(
+        type_name=IMU,
+        frame="gnss_antenna",
+        fields={"yaw": _ANGLE, "heading": _ANGLE, **dict.fromkeys(QUATERNION, NUMBER)},
+        choices=((("yaw",), ("heading",), QUATERNION),),
+        messages=(IMU, QUATERNION_STAMPED),
+        axes={"yaw": "angle"},
+    ),
+    "swing": Role(
+        type_name=JOINTS,
+        frame="base_link",
+        fields={"angle": _ANGLE},
+        choices=((("angle",),),),
+        messages=(JOINTS,),
+        axes={},
     ),
     "fix": Role(
         type_name=FIX,
@@ -136,9 +153,9 @@ ROLES: Mapping[str, Role] = {
         fields={
             **dict.fromkeys(("x", "y", "z"), _POSITION),
             "yaw": _ANGLE,
-            **dict.fromkeys(_QUATERNION, NUMBER),
+            **dict.fromkeys(QUATERNION, NUMBER),
         },
-        choices=((("x", "y"), ("x", "y", "z")), (("yaw",), _QUATERNION)),
+        choices=((("x", "y"), ("x", "y", "z")), (("yaw",), QUATERNION)),
         messages=(ODOMETRY,),
         axes={},
         optional=("z",),
@@ -167,6 +184,8 @@ ROLE_OF_TOPIC: Mapping[str, str] = {
     "box_pose": "pose",
     "gnss_pose": "pose",
     "fix": "fix",
+    "heading": "heading",
+    "swing": "swing",
     "hydraulics": "hydraulics",
 }
 """Of topics that need not say what they are."""

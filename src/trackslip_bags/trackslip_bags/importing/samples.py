@@ -3,7 +3,8 @@
 """What a log gave, as arrays, and the ROS messages that are made of them.
 
     sprockets    velocity (n, 2), position (n, 2): left, right                      rad/s, rad
-    imu          rate, acceleration (n, 3), orientation (n, 4), each with a covariance (n, 3, 3)
+    imu, heading rate, acceleration (n, 3), orientation (n, 4), each with a covariance (n, 3, 3)
+    swing        angle (n,)                                                         rad
     pose         pose (n, 3): x, y, yaw; covariance (n, 3, 3)                       m, m, rad
     fix          place (n, 3): latitude, longitude, altitude; covariance (n, 3, 3);
                  kind, status (n,)                                                  rad, rad, m
@@ -26,7 +27,7 @@ from numpy.typing import NDArray
 from trackslip_bags.importing.mapping_topics import Geometry
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.messages import header, make
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 from trackslip_estimation.slip.conversions import UNOBSERVED, pose_with_covariance
 from trackslip_estimation.slip.measurements import PoseFix
 
@@ -96,6 +97,19 @@ def without_heading(pose: FloatArray, covariance: FloatArray) -> Values:
     return {"pose": pose, "covariance": covariance}
 
 
+def headings(turn: FloatArray, covariance: FloatArray) -> Values:
+    """Of an Imu that has nothing but orientations (n, 4) x, y, z, w; covariances of 0: unknown."""
+    nothing, unknown = np.full((len(turn), 3), np.nan), np.zeros((len(turn), 3, 3))
+    return {
+        "rate": nothing,
+        "rate_covariance": unknown,
+        "acceleration": nothing,
+        "acceleration_covariance": unknown,
+        "orientation": turn,
+        "orientation_covariance": covariance,
+    }
+
+
 def _sprockets(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     names = [LEFT_SPROCKET, RIGHT_SPROCKET]
     known = np.isfinite(values["position"]).all()
@@ -143,6 +157,10 @@ def _fix(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     }
 
 
+def _swing(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+    return {"name": [SWING_JOINT], "position": [float(values["angle"])]}
+
+
 def _hydraulics(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     return {name: float(value) for name, value in values.items()}
 
@@ -161,6 +179,8 @@ def _odometry(values: Mapping[str, FloatArray]) -> dict[str, Any]:
 _BUILDERS: Mapping[str, Callable[[Mapping[str, FloatArray]], dict[str, Any]]] = {
     "sprockets": _sprockets,
     "imu": _imu,
+    "heading": _imu,
+    "swing": _swing,
     "fix": _fix,
     "odometry": _odometry,
     "hydraulics": _hydraulics,

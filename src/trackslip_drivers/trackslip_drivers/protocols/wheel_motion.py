@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from enum import Enum
 
+from trackslip_common.turns import TurnCounter
 from trackslip_drivers.records import SprocketSample
 from trackslip_drivers.wheel_parameters import WheelParameters
 
@@ -29,7 +30,10 @@ class Rejection(Enum):
 
 
 class JointMotion:
-    """Samples of joint states in order; positions are differenced where there are no velocities."""
+    """Samples of joint states in order; positions are differenced where there are no velocities.
+
+    Positions may begin anew after each turn of a joint; those of a sample are continuous.
+    """
 
     def __init__(self, p: WheelParameters) -> None:
         self._sides = (
@@ -37,11 +41,12 @@ class JointMotion:
             (p.right_joints, p.right_sign / p.joint_ratio),
         )
         self._uses = p.uses
-        self._last: tuple[int, tuple[float, float]] | None = None
+        self.restart()
 
     def restart(self) -> None:
         """What comes next does not continue what was."""
-        self._last = None
+        self._last: tuple[int, tuple[float, float]] | None = None
+        self._turns = {name: TurnCounter() for joints, _ in self._sides for name in joints}
 
     def sample(
         self, stamp_ns: int, names: Sequence[str], positions: Sequence[float], velocities: Sequence[float]
@@ -56,12 +61,23 @@ class JointMotion:
         at = {name: k for k, name in enumerate(names)}
         if any(name not in at for joints, _ in self._sides for name in joints):
             return Rejection.JOINTS
-        angles, speeds = self._of_sides(positions, at), self._of_sides(velocities, at)
+        continuous = self._continuous(stamp_ns, positions, velocities, at)
+        angles, speeds = self._of_sides(continuous, at), self._of_sides(velocities, at)
         if not velocities:
             speeds = self._differenced(stamp_ns, angles)
         if not all(map(math.isfinite, (*speeds, *(angles if positions else ())))):
             return Rejection.NOT_A_NUMBER
         return SprocketSample(stamp_ns, *angles, *speeds)
+
+    def _continuous(
+        self, stamp_ns: int, positions: Sequence[float], velocities: Sequence[float], at: Mapping[str, int]
+    ) -> Sequence[float]:
+        """The positions, those of the sides' joints without their jumps after a turn."""
+        found = list(positions)
+        for name, turns in self._turns.items() if found else ():
+            k = at[name]
+            found[k] = turns.continuous(stamp_ns, found[k], velocities[k] if velocities else math.nan)
+        return found
 
     def _of_sides(self, values: Sequence[float], at: Mapping[str, int]) -> tuple[float, float]:
         if not values:

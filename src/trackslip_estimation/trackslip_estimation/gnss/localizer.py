@@ -11,7 +11,7 @@ and a wrong altitude of 50 m moves a fix by 8 mm; at 100 m by 0.8 mm.
 
 import math
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pymap3d
@@ -113,8 +113,7 @@ class GnssLocalizer:
             return Reason.NO_DATUM
         east, north = _offset(self.datum, fix)
         if math.hypot(east, north) > self._p.max_distance:
-            other = fix.latitude * self.datum.latitude < 0.0 or fix.longitude * self.datum.longitude < 0.0
-            return Reason.HEMISPHERE if other else Reason.FAR
+            return why_far(self.datum, fix.latitude, fix.longitude)
         return Place(fix.stamp_ns, east, north, self._covariance(fix))
 
     def _propose(self, fix: Fix) -> None:
@@ -141,10 +140,24 @@ def is_covariance(covariance: FloatArray) -> bool:
     return all(map(math.isfinite, (a, b, c, d))) and a > 0.0 and d > 0.0 and a * d > b * c and b == c
 
 
+def why_far(datum: Datum, latitude: float, longitude: float) -> Reason:
+    """What is said of a position (°) that is farther from the datum than the map reaches."""
+    other = latitude * datum.latitude < 0.0 or longitude * datum.longitude < 0.0
+    return Reason.HEMISPHERE if other else Reason.FAR
+
+
+def east_north(datum: Datum, latitude: Any, longitude: Any, altitude: Any) -> tuple[Any, Any]:
+    """E, N of positions (°, °, m; nan: that of the datum), numbers or arrays.
+
+    Infinite on the far side of the earth, whose tangent plane is parallel.
+    """
+    known = np.where(np.isnan(altitude), datum.altitude, altitude)
+    east, north, up = pymap3d.geodetic2enu(latitude, longitude, known, *datum)
+    near = np.asarray(up) > -_EARTH_RADIUS
+    return np.where(near, east, math.inf), np.where(near, north, math.inf)
+
+
 def _offset(datum: Datum, fix: Fix) -> tuple[float, float]:
     """E, N."""
-    altitude = datum.altitude if math.isnan(fix.altitude) else fix.altitude
-    east, north, up = pymap3d.geodetic2enu(fix.latitude, fix.longitude, altitude, *datum)
-    return (
-        (float(east), float(north)) if up > -_EARTH_RADIUS else (math.inf, math.inf)
-    )  # the far side of the earth
+    east, north = east_north(datum, fix.latitude, fix.longitude, fix.altitude)
+    return float(east), float(north)

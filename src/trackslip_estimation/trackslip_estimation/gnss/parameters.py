@@ -8,6 +8,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
 
 NODE = "gnss_localizer"
+HIGHEST_LATITUDE = 89.0  # ° of a datum: east and north mean nothing at a pole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +49,7 @@ class GnssLocalizerParameters(Parameters):
             InputError: a value is out of range.
         """
         super().__post_init__()
-        if abs(self.datum_latitude) > 89.0:
+        if abs(self.datum_latitude) > HIGHEST_LATITUDE:
             raise InputError(
                 f"GnssLocalizerParameters.datum_latitude: {self.datum_latitude:g} is out of range;"
                 " accepted: >= -89 and <= 89 °, as east and north mean nothing at a pole"

@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Angles that begin anew after each whole turn, as drivers of joints give them, made continuous.
+
+Such an angle lies within one turn, from 0 on or from half a turn before it, and jumps by nearly a whole turn.
+An angle that was ever seen outside both is a continuous one, whose numbers stay as they are; so is one whose
+speed says that it did turn so far.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_SLACK = 0.002  # of a turn, by which an angle may lie beyond it, rounded
+_NEARLY = 0.75  # of a turn: a jump of an angle that has not been seen to wrap
+_HALF = 0.5  # of a turn: of one that has
+_GAP_S = 1.0  # s after which the first jump of an angle may be any motion
+
+
+class _Reading(NamedTuple):
+    stamp_ns: int
+    angle: float
+
+
+class TurnCounter:
+    """Counts the turns of one joint."""
+
+    def __init__(self, turn: float = math.tau) -> None:
+        self._turn = turn  # in the angle's unit
+        self._turns = 0
+        self._low, self._high = math.inf, -math.inf
+        self._has_wrapped = False
+        self._last: _Reading | None = None
+
+    def continuous(self, stamp_ns: int, angle: float, speed: float = math.nan) -> float:
+        """The angle without its jumps; what is no number stays so and is passed over.
+
+        ``speed``: in units of the angle per second, where it is known.
+        """
+        if not math.isfinite(angle):
+            return angle
+        last, self._last = self._last, _Reading(stamp_ns, angle)
+        self._low, self._high = min(self._low, angle), max(self._high, angle)
+        if last is not None and within_a_turn(self._low, self._high, self._turn):
+            seconds = max(0, stamp_ns - last.stamp_ns) * 1e-9
+            if self._is_wrap(angle - last.angle, seconds, speed):
+                self._has_wrapped = True
+                self._turns += 1 if angle < last.angle else -1
+        return angle + self._turns * self._turn if self._turns else angle
+
+    def _is_wrap(self, step: float, seconds: float, speed: float) -> bool:
+        """Whether a step of the angle is the jump after a whole turn."""
+        if abs(step) < self._turn * (_HALF if self._has_wrapped else _NEARLY):
+            return False
+        if seconds > _GAP_S and not self._has_wrapped:
+            return False
+        moved = speed * seconds
+        rest = step - math.copysign(self._turn, step)
+        return not abs(step - moved) <= abs(rest - moved)  # nan: nothing speaks against it
+
+
+def within_a_turn(low: float, high: float, turn: float) -> bool:
+    """Whether angles between these may be such as begin anew after each turn."""
+    slack = _SLACK * turn
+    return (low >= -slack and high <= turn + slack) or (
+        low >= -turn / 2.0 - slack and high <= turn / 2.0 + slack
+    )
+
+
+def continuous(
+    stamps_ns: IntArray, angles: FloatArray, speeds: FloatArray | None = None, turn: float = math.tau
+) -> FloatArray:
+    """(n,) angles of one joint without their jumps; those of a continuous one are as they were."""
+    known = angles[np.isfinite(angles)]
+    if not known.size or not within_a_turn(float(known.min()), float(known.max()), turn):
+        return angles
+    if not (np.abs(np.diff(known)) >= _NEARLY * turn).any():
+        return angles
+    counter = TurnCounter(turn)
+    given = np.full(len(angles), np.nan) if speeds is None else speeds
+    rows = zip(stamps_ns.tolist(), angles.tolist(), given.tolist(), strict=True)
+    return np.array([counter.continuous(*row) for row in rows])

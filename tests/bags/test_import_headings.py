@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Headings of antenna pairs and angles of an upper structure, of bags and CSV logs, as they are read."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from fixtures.made_bags import heading, joints, quaternion, write_bag
+
+from trackslip_bags.importing.importer import Imported, import_log
+from trackslip_bags.importing.mapping import read_mapping
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import InputError
+from trackslip_estimation.slip.conversions import heading_fix, swing_angle
+from trackslip_estimation.slip.measurements import HeadingFix
+
+UNKNOWN = 1e-4  # of a source: where the message has no variance
+EAST, NORTH = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+
+
+def imported(folder: Path, log: Path, topics: dict[str, Any], **more: Any) -> tuple[Imported, list[Any]]:
+    """What the importer says, and the messages of one topic."""
+    (folder / "map.yaml").write_text(yaml.safe_dump({"topics": topics, **more}), encoding="utf-8")
+    found = import_log([log], read_mapping(folder / "map.yaml"), folder / "out")
+    with open_bag(folder / "out") as bag:
+        return found, [bag.deserialize(m.raw, m.type_name) for m in bag.messages(list(topics))]
+
+
+def headings(messages: list[Any]) -> list[tuple[float, float]]:
+    """Yaw and variance of each, as the estimator reads it."""
+    fixes = [heading_fix(message, "heading", UNKNOWN) for message in messages]
+    assert all(isinstance(one, HeadingFix) for one in fixes)
+    return [(one.heading, one.variance) for one in fixes if isinstance(one, HeadingFix)]
+
+
+def test_the_orientation_of_an_imu_without_rates_is_a_heading(tmp_path: Path) -> None:
+    """As nmea_gnss publishes it; what states that it has none is left out and counted."""
+    turns = [heading(0.0, EAST, 0.0, 1e-5), heading(0.2, EAST, -1.0, 0.0), heading(0.4, NORTH, 0.0, 0.0)]
+    turns.append(heading(0.6, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0))
+    log = write_bag(tmp_path / "log", (("/gps/heading", one) for one in turns))
+    found, messages = imported(tmp_path, log, {"heading": {"from": "/gps/heading"}})
+    assert headings(messages) == [(0.0, 1e-5), (pytest.approx(math.pi / 2.0), UNKNOWN)]
+    assert found.left_out["/heading"] == {"states that it has no orientation": 1, "holds no orientation": 1}
+    assert {m.header.frame_id for m in messages} == {"gps"}
+    assert messages[0].angular_velocity_covariance[0] == -1.0
+
+
+def test_a_bare_quaternion_is_as_sure_as_its_source_or_the_mapping_says(tmp_path: Path) -> None:
+    log = write_bag(tmp_path / "log", [("/gps/q", quaternion(0.0, NORTH))])
+    _, messages = imported(tmp_path, log, {"compass": {"role": "heading", "from": "/gps/q"}})
+    assert headings(messages) == [(pytest.approx(math.pi / 2.0), UNKNOWN)]
+    (sure := tmp_path / "sure").mkdir()
+    stated = {"role": "heading", "from": "/gps/q", "stddev": {"yaw": 0.1}}
+    _, messages = imported(sure, log, {"compass": stated})
+    assert headings(messages) == [(pytest.approx(math.pi / 2.0), pytest.approx(0.01))]
+
+
+CSV = {
+    "t,h,s\n0,0,2\n1,,2\n2,90,\n": {
+        "heading": {"column": "h", "unit": "deg"},
+        "stddev": {"yaw": {"column": "s", "unit": "deg"}},
+    },
+    "t,qx,qy,qz,qw\n0,0,0,0.70710678,0.70710678\n1,0,0,0,0\n2,0,0,0,1\n": {
+        q: {"column": q} for q in ("qx", "qy", "qz", "qw")
+    },
+    "t,y\n0,90\n1,\n2,0\n": {"yaw": {"column": "y", "unit": "deg"}},
+}
+
+
+@pytest.mark.parametrize("log", CSV)
+def test_columns_of_a_compass_are_headings(log: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(log, encoding="utf-8")
+    time = {"column": "t", "unit": "s"}
+    found, messages = imported(tmp_path, tmp_path / "log.csv", {"heading": CSV[log]}, time=time)
+    first = UNKNOWN if "stddev" not in CSV[log] else math.radians(2.0) ** 2
+    expected = [(math.pi / 2.0, first), (0.0, UNKNOWN)]
+    assert [pytest.approx(one, abs=1e-8) for one in expected] == headings(messages)
+    assert found.left_out == ({"/heading": {"holds no orientation": 1}} if "qx" in log else {})
+
+
+def test_a_joint_of_another_name_is_the_swing(tmp_path: Path) -> None:
+    """Geared and the other way round; messages without it, or without its position, are counted."""
+    names = ["cab", "boom"]
+    states = [joints(0.1 * k, names, [0.5 * k, 9.0], []) for k in range(3)]
+    states += [joints(0.3, ["boom"], [9.0], []), joints(0.4, names, [], [1.0, 1.0])]
+    log = write_bag(tmp_path / "log", (("/joint_states", one) for one in states))
+    swing = {"from": "/joint_states", "joint": {"joints": "cab", "sign": -1, "ratio": 0.1}}
+    found, messages = imported(tmp_path, log, {"swing": swing})
+    angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
+    assert angles == pytest.approx([0.0, -0.05, -0.1])
+    assert found.left_out["/swing"] == {"has none of the joints": 1, "holds no such numbers": 1}
+
+
+def test_a_swing_without_its_joint_names_those_that_are_there(tmp_path: Path) -> None:
+    log = write_bag(tmp_path / "log", [("/joint_states", joints(0.0, ["swing_joint"], [0.5], []))])
+    with pytest.raises(InputError, match=r"no joints swing \(no joint in .*accepted: swing_joint"):
+        imported(tmp_path, log, {"swing": {"from": "/joint_states"}})
+    with pytest.raises(InputError, match=r"unknown key 'left'.*joint"):
+        imported(tmp_path, log, {"swing": {"from": "/joint_states", "left": "a"}})
+
+
+def test_a_column_of_angles_is_the_swing(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,a\n0,10\n1,55\n", encoding="utf-8")
+    swing = {
+        "angle": {"column": "a", "unit": "deg", "origin": 10.0},
+        "time": {"column": "t", "unit": "s"},
+    }
+    _, messages = imported(tmp_path, tmp_path / "log.csv", {"swing": swing})
+    angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
+    assert angles == pytest.approx([0.0, math.pi / 4.0])

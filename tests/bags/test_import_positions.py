@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Positions on the earth that are none of the map, or do not say how sure they are, of CSV logs and bags."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from fixtures.made_bags import fix, write_bag
+
+from trackslip_bags.importing.importer import Imported, import_log
+from trackslip_bags.importing.mapping import read_mapping
+from trackslip_bags.reader import open_bag
+from trackslip_common.config_files import node_defaults
+from trackslip_common.errors import InputError
+from trackslip_estimation.gnss.localizer import Reason
+from trackslip_estimation.gnss.parameters import NODE
+
+SITE = (-33.889, 151.193)
+NEAR = [(SITE[0] + 1e-5 * k, SITE[1]) for k in range(8)]  # 1.1 m apart
+WRONG_SIGN = {"latitude": 33.889, "longitude": 151.193}
+AT_SITE = {"latitude": SITE[0], "longitude": SITE[1], "altitude": 60.0}
+CSV = {k: {"column": k[:3], "unit": "deg"} for k in ("latitude", "longitude")}
+STDDEV = {"stddev": {"x": 0.02, "y": 0.02}}
+
+
+def imported(folder: Path, log: Path, topic: dict[str, Any], **more: Any) -> tuple[Imported, list[Any]]:
+    """What the importer says of one topic, and its messages."""
+    mapping = {"topics": {"gnss_pose": topic}, **more}
+    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    found = import_log([log], read_mapping(folder / "map.yaml"), folder / "out")
+    with open_bag(folder / "out") as bag:
+        return found, [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["gnss_pose"])]
+
+
+@pytest.fixture(params=["csv", "bag"])
+def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
+    """Imports a log of positions, of either kind."""
+
+    def run(places: list[tuple[float, float]], **more: Any) -> tuple[Imported, list[Any]]:
+        if request.param == "csv":
+            rows = [f"{k},{latitude},{longitude}" for k, (latitude, longitude) in enumerate(places)]
+            (tmp_path / "log.csv").write_text("\n".join(("t,lat,lon", *rows, "")), encoding="utf-8")
+            time = {"column": "t", "unit": "s"}
+            return imported(tmp_path, tmp_path / "log.csv", {**CSV, **STDDEV, "time": time}, **more)
+        log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at)) for k, at in enumerate(places)))
+        return imported(tmp_path, log, {"from": "/fix"}, **more)
+
+    return run
+
+
+def test_a_datum_of_the_other_hemisphere_made_a_map_6000_km_away(of_places: Any, tmp_path: Path) -> None:
+    """One sign of the datum is wrong: the import fails, and names both positions."""
+    with pytest.raises(InputError) as caught:
+        of_places(NEAR, datum=WRONG_SIGN)
+    text = str(caught.value)
+    assert "the first, at latitude -33.889000, longitude 151.193000 deg, is " in text
+    assert f"{Reason.HEMISPHERE.value} (33.889000, 151.193000)" in text
+    assert "accepted: within 100 km of it" in text
+    assert "\n" not in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_log_too_far_from_the_datum_is_refused(of_places: Any) -> None:
+    with pytest.raises(InputError, match=r"is too far from the datum \(-35\.5"):
+        of_places(NEAR, datum={"latitude": -35.5, "longitude": 151.193})
+
+
+def test_wild_positions_are_left_out_and_counted(of_places: Any) -> None:
+    """As gnss_localizer does, by the same distance."""
+    wild = [(33.889, 151.193), (-35.0, 151.193)]
+    found, messages = of_places([*NEAR[:3], *wild, *NEAR[3:]], datum=AT_SITE)
+    assert found.left_out["/gnss_pose"] == {Reason.HEMISPHERE.value: 1, Reason.FAR.value: 1}
+    assert len(messages) == len(NEAR)
+    assert all(abs(m.pose.pose.position.y) < 10.0 for m in messages)
+    assert node_defaults(NODE, f"{NODE}.yaml")["max_distance"] == 1e5
+
+
+def test_a_wild_first_position_is_no_datum(of_places: Any) -> None:
+    found, messages = of_places([(33.889, 151.193), (10.0, 20.0), *NEAR])
+    assert found.datum is not None
+    assert found.datum[:2] == pytest.approx(NEAR[0])
+    assert sum(found.left_out["/gnss_pose"].values()) == 2
+    assert len(messages) == len(NEAR)
+
+
+def test_positions_that_have_nothing_in_common_give_no_datum(of_places: Any) -> None:
+    with pytest.raises(InputError, match="no position has half of the 6 within 100 km; accepted: datum"):
+        of_places([(10.0 * k, 20.0) for k in range(1, 7)])
+
+
+def test_a_datum_at_a_pole_is_refused(of_places: Any) -> None:
+    with pytest.raises(InputError, match=r"datum: 89\.5, 0 is out of range; accepted: latitude in -89 … 89"):
+        of_places(NEAR, datum={"latitude": 89.5, "longitude": 0.0})
+
+
+def test_a_latitude_that_is_none_is_left_out_of_a_bag(tmp_path: Path) -> None:
+    places = [NEAR[0], (-91.0, 151.0), *NEAR[1:]]
+    log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at)) for k, at in enumerate(places)))
+    found, messages = imported(tmp_path, log, {"from": "/fix"})
+    assert found.left_out["/gnss_pose"] == {Reason.OUT_OF_RANGE.value: 1}
+    assert len(messages) == len(NEAR)
+
+
+def test_one_fix_without_covariance_refused_a_whole_bag(tmp_path: Path) -> None:
+    """In a CSV log such a row was left out and counted."""
+    fixes = [fix(0.2 * k, *at, kind=0 if k == 3 else 2) for k, at in enumerate(NEAR)]
+    fixes[5].position_covariance[4] = math.nan
+    log = write_bag(tmp_path / "log", (("/fix", one) for one in fixes))
+    found, messages = imported(tmp_path, log, {"from": "/fix"})
+    assert found.left_out["/gnss_pose"] == {"no variance of x above 0": 1, "no variance of y above 0": 1}
+    assert len(messages) == len(NEAR) - 2
+    assert messages[0].pose.covariance[0] == pytest.approx(4e-4)
+
+
+def test_a_bag_in_which_no_fix_has_a_covariance_wants_one(tmp_path: Path) -> None:
+    log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at, kind=0)) for k, at in enumerate(NEAR)))
+    with pytest.raises(InputError, match=r"/fix states no variance of x that is above 0; accepted: stddev"):
+        imported(tmp_path, log, {"from": "/fix"})
+    _, messages = imported(tmp_path, log, {"from": "/fix", **STDDEV})
+    assert len(messages) == len(NEAR)

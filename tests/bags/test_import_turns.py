@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Positions of joints that begin anew after each turn, in bags and CSV logs."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from fixtures.made_bags import joints, write_bag
+
+from trackslip_bags.importing.importer import import_log
+from trackslip_bags.importing.mapping import read_mapping
+from trackslip_bags.reader import open_bag
+
+NAMES = ["fl", "rl", "fr", "rr"]
+STARTS = np.array((0.3, 2.0, 1.0, 5.9))
+SPEEDS = np.array((5.0, 5.0, 4.0, 4.0))  # rad/s
+T = np.arange(300) / 50.0
+ANGLES = STARTS + T[:, np.newaxis] * SPEEDS
+SIDES = {"left": NAMES[:2], "right": {"joints": NAMES[2:], "ratio": 0.5}}
+VEHICLE = {"kinematics": {"rolling_radius": 0.15, "tread": 0.6, "contact_length": 0.5}}
+
+
+def sprockets(folder: Path, log: Path, topic: dict[str, Any]) -> list[Any]:
+    """What the importer makes."""
+    mapping = {"topics": {"sprockets": topic}, "vehicle": VEHICLE}
+    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    import_log([log], read_mapping(folder / "map.yaml"), folder / "out")
+    with open_bag(folder / "out") as bag:
+        return [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["sprockets"])]
+
+
+def wrapped(first: float) -> np.ndarray[Any, Any]:
+    found: np.ndarray[Any, Any] = (ANGLES - first) % math.tau + first
+    return found
+
+
+def joint_bag(path: Path, angles: Any, speeds: list[float]) -> Path:
+    states = (joints(t, NAMES, row, speeds) for t, row in zip(T.tolist(), angles.tolist(), strict=True))
+    return write_bag(path, (("/joint_states", one) for one in states))
+
+
+@pytest.mark.parametrize("first", [-math.pi, 0.0])
+@pytest.mark.parametrize("speeds", [[], SPEEDS.tolist()])
+def test_positions_that_wrap_were_jumps_of_a_bag(first: float, speeds: list[float], tmp_path: Path) -> None:
+    """Each joint jumps at a moment of its own, before the mean of its side and the ratio."""
+    log = joint_bag(tmp_path / "log", wrapped(first), speeds)
+    found = sprockets(tmp_path, log, {"from": "/joint_states", **SIDES})
+    np.testing.assert_allclose([m.velocity for m in found], np.tile((5.0, 2.0), (len(T), 1)), atol=1e-9)
+    positions = np.array([m.position for m in found])
+    np.testing.assert_allclose(positions - positions[0], np.outer(T, (5.0, 2.0)), atol=1e-9)
+
+
+def test_continuous_positions_of_a_bag_stay_as_they_are(tmp_path: Path) -> None:
+    found = sprockets(tmp_path, joint_bag(tmp_path / "log", ANGLES, []), {"from": "/joint_states", **SIDES})
+    means = np.column_stack(((ANGLES[:, 0] + ANGLES[:, 1]) / 2, (ANGLES[:, 2] + ANGLES[:, 3]) / 2 * 0.5))
+    assert np.array([m.position for m in found]).tobytes() == means.tobytes()
+
+
+@pytest.mark.parametrize(("unit", "turn"), [("rad", math.tau), ("deg", 360.0), ("rev", 1.0)])
+def test_positions_that_wrap_were_jumps_of_a_csv_log(unit: str, turn: float, tmp_path: Path) -> None:
+    """A gear is behind the encoder; one cell is blank."""
+    cells = (wrapped(-math.pi)[:, (0, 2)] / math.tau * turn).tolist()
+    rows = [f"{t},{left:.12g},{right:.12g}" for t, (left, right) in zip(T.tolist(), cells, strict=True)]
+    rows[100] = f"{T[100]},,"
+    (tmp_path / "log.csv").write_text("\n".join(("t,l,r", *rows, "")), encoding="utf-8")
+    topic = {
+        "time": {"column": "t", "unit": "s"},
+        "left_position": {"column": "l", "unit": unit, "origin": "first"},
+        "right_position": {"column": "r", "unit": unit, "scale": -0.25},
+    }
+    found = sprockets(tmp_path, tmp_path / "log.csv", topic)
+    assert len(found) == len(T) - 1
+    np.testing.assert_allclose([m.velocity for m in found], np.tile((5.0, -1.0), (len(found), 1)), atol=1e-6)
+    assert found[0].position[0] == 0.0
+
+
+def test_positions_over_ground_have_no_turns(tmp_path: Path) -> None:
+    """Metres that jump by six did so."""
+    text = "t,l,r\n0,0,0\n0.5,6,0\n1,0.2,0\n"
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+    topic: dict[str, Any] = {"time": {"column": "t", "unit": "s"}}
+    topic |= {f"{side}_position": {"column": side[0], "unit": "m"} for side in ("left", "right")}
+    found = sprockets(tmp_path, tmp_path / "log.csv", topic)
+    assert [m.position[0] * 0.15 for m in found] == pytest.approx([0.0, 6.0, 0.2])

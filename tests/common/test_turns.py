@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Angles that begin anew after each turn become continuous ones; those that are stay as they are."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_common.turns import TurnCounter, continuous
+
+RATE = 50.0  # Hz
+TIMES = np.arange(500) / RATE
+STAMPS_NS = np.round(TIMES * 1e9).astype(np.int64)
+
+
+def wrapped(angles: np.ndarray, first: float, turn: float = math.tau) -> np.ndarray:
+    """Within the turn that begins with ``first``."""
+    return (angles - first) % turn + first
+
+
+@pytest.mark.parametrize("first", [-math.pi, 0.0])
+@pytest.mark.parametrize("speed", [5.0, -5.0, 31.0, -70.0])
+def test_angles_that_wrap_are_followed(first: float, speed: float) -> None:
+    """At 70 rad/s they move by more than a fifth of a turn between two samples."""
+    angles = 0.3 + speed * TIMES + 0.5 * np.sin(3.0 * TIMES)
+    found = continuous(STAMPS_NS, wrapped(angles, first))
+    np.testing.assert_allclose(found - found[0], angles - angles[0], atol=1e-9)
+
+
+def test_angles_that_turn_back_at_the_end_of_a_turn_are_followed() -> None:
+    angles = math.pi + 0.2 * np.sin(7.0 * TIMES)
+    found = continuous(STAMPS_NS, wrapped(angles, -math.pi))
+    np.testing.assert_allclose(found - found[0], angles - angles[0], atol=1e-9)
+
+
+def test_angles_of_another_unit() -> None:
+    angles = 400.0 * TIMES
+    found = continuous(STAMPS_NS, wrapped(angles, 0.0, 360.0), turn=360.0)
+    np.testing.assert_allclose(found, angles, atol=1e-9)
+
+
+@given(
+    st.floats(-1e4, 1e4),
+    st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=200),
+    st.floats(0.01, 100.0),
+)
+def test_continuous_angles_stay_as_they_are_to_the_last_bit(start, speeds, factor):
+    """In the node, which sees one after the other, and in the import, which sees all."""
+    angles = start + np.cumsum(speeds) * min(factor, 1.5 * math.pi / 3.0 - 1e-6)
+    stamps_ns = np.arange(len(angles)) * 20_000_000
+    assert continuous(stamps_ns, angles).tobytes() == angles.tobytes()
+    counter = TurnCounter()
+    one_by_one = [counter.continuous(*row) for row in zip(stamps_ns.tolist(), angles.tolist(), strict=True)]
+    assert np.array(one_by_one).tobytes() == angles.tobytes()
+
+
+def test_a_motion_of_a_turn_that_the_speed_confirms_is_none() -> None:
+    """Two samples of a fast joint at 1 Hz, both within a turn."""
+    stamps_ns, angles = np.array((0, 10**9)), np.array((0.5, 6.0))
+    assert continuous(stamps_ns, angles, np.array((5.4, 5.6))).tolist() == [0.5, 6.0]
+    assert continuous(stamps_ns, angles, np.array((0.0, -0.8)))[1] == pytest.approx(6.0 - math.tau)
+    assert continuous(stamps_ns, angles, np.zeros(2))[1] == pytest.approx(6.0 - math.tau)
+
+
+def test_after_a_gap_a_jump_may_be_any_motion() -> None:
+    angles = np.array((0.5, 6.0))
+    assert continuous(np.array((0, 3 * 10**9)), angles).tolist() == [0.5, 6.0]
+    assert continuous(np.array((0, 10**8)), angles)[1] == pytest.approx(6.0 - math.tau)
+
+
+def test_what_is_no_number_is_passed_over() -> None:
+    angles = wrapped(5.0 * TIMES, -math.pi)
+    angles[::7] = math.nan
+    found = continuous(STAMPS_NS, angles)
+    assert np.isnan(found[::7]).all()
+    known = np.isfinite(found)
+    np.testing.assert_allclose(found[known], (5.0 * TIMES)[known], atol=1e-9)
+
+
+def test_an_angle_that_leaves_its_turn_after_all_is_a_continuous_one() -> None:
+    """One wrong count may have been made before; none is after."""
+    counter = TurnCounter()
+    found = [counter.continuous(k * 100_000_000, angle) for k, angle in enumerate((0.2, 5.9, 11.6, 17.3))]
+    assert np.diff(found[1:]) == pytest.approx([5.7, 5.7])
