@@ -25,8 +25,8 @@ from trackslip_bags.importing.tree import check_keys, nanoseconds, number, secti
 from trackslip_bags.old_parameters import current_names
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import VehicleParameters, load_vehicle
+from trackslip_common.parameters import flatten
+from trackslip_common.vehicle import VehicleParameters, load_vehicle, vehicle_of
 
 
 class Datum(NamedTuple):
@@ -89,7 +89,7 @@ def _vehicle(path: Path, value: Any) -> VehicleParameters:
     """By its name, from a file, here or beside the mapping, or as it stands in the mapping."""
     where = f"{path}: vehicle"
     if isinstance(value, Mapping):
-        return from_flat(VehicleParameters, {"name": path.stem, **flatten(value)}, where)
+        return vehicle_of(path.stem, flatten(value), where)
     name = text(where, value)
     beside = path.parent / name
     try:
