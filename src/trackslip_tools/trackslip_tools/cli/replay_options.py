@@ -16,8 +16,8 @@ from trackslip_common.config_files import config_file, node_defaults, node_param
 from trackslip_common.errors import InputError, show, suggestion
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
+from trackslip_common.vehicle import IS_ASSUMED, load_vehicle, names_vehicle, vehicle_layer
 from trackslip_common.vehicle import TOPIC as VEHICLE
-from trackslip_common.vehicle import load_vehicle, names_vehicle, vehicle_layer
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.parameters import (
     GNSS_POSE,
@@ -103,7 +103,7 @@ def parameters_of(
     elif of_bag is not None:
         show(f"vehicle: {p.vehicle.name}, the bag's")
     else:
-        show(f"vehicle: {p.vehicle.name} is assumed: the bag names none (--vehicle does)")
+        show(IS_ASSUMED, is_note=True)
     return p
 
 
