@@ -72,6 +72,13 @@ def test_the_vehicles_of_namespaces_were_said_to_be_assumed(
     assert "vehicle   excavator_20t\n" in capsys.readouterr().out
 
 
+def test_a_replay_without_the_namespace_says_which_there_are(
+    two_machines: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(two_machines)]) == ExitCode.BAD_INPUT
+    assert "(--vehicle does); it has machines in --namespace site/one, two\n" in capsys.readouterr().out
+
+
 def test_a_topic_named_vehicle_of_somebody_else_states_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

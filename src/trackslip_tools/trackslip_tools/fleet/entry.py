@@ -35,7 +35,8 @@ class Entry:
     def vehicle(self) -> str:
         """Its name, and whether nobody named it; empty where the bag could not be read."""
         name = self.summary.get("vehicle", "")
-        return f"{name} (assumed)" if IS_ASSUMED in self.notes else name
+        is_assumed = any(note.startswith(IS_ASSUMED) for note in self.notes)
+        return f"{name} (assumed)" if is_assumed else name
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of ``--json``."""
