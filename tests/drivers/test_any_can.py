@@ -189,6 +189,17 @@ def test_a_frame_with_a_role_must_be_whole(tmp_path, old, new, reason):
     assert "\n" not in text
 
 
+def test_a_position_with_the_factor_0_ended_in_a_traceback(tmp_path):
+    text = refusal(tmp_path, "roles", "roles", unseen_bus.DBC.replace("(0.1,0) [0|359.9]", "(0,0) [0|359.9]"))
+    assert "signal 'Upper.Swing' has the factor 0 in" in text
+
+
+def test_of_two_frames_of_a_name_the_wrong_one_was_read(tmp_path):
+    other = 'BO_ 1028 Upper: 8 MC\n SG_ Fan : 0|8@1+ (1,0) [0|0] "" ECU\n'
+    text = refusal(tmp_path, "roles", "roles", unseen_bus.DBC + other)
+    assert text.endswith("machine.dbc: frame 'Upper' is there twice; accepted: a name for each")
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
 def test_a_degree_sign_of_utf_8_was_unknown(tmp_path, encoding):
     dbc, roles = unseen_bus.write(tmp_path, dbc=unseen_bus.DBC.replace('"deg"', '"°"'))

@@ -165,6 +165,8 @@ class Binder:
         if len(found) > 1:
             names = ", ".join(f"{message.name}.{signal}" for message in found)
             raise InputError(f"{where} is in several frames; accepted: one of {names}")
+        if not found[0].get_signal_by_name(signal).scale:
+            raise InputError(f"{where} has the factor 0 in {self._dbc}; accepted: any other")
         return where, found[0], signal
 
     @staticmethod

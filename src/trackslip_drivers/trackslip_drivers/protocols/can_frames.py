@@ -68,7 +68,11 @@ class FrameSet:
         self.roles = given.roles
         self.bindings = Binder(database, vehicle, dbc, roles).bind(given.roles)
         names = {place.frame for place in self.bindings.places()}
-        self.by_name = {message.name: message for message in database.messages if message.name in names}
+        used = [message for message in database.messages if message.name in names]
+        self.by_name = {message.name: message for message in used}
+        if len(used) > len(self.by_name):
+            twice = next(message.name for message in used if message is not self.by_name[message.name])
+            raise InputError(f"dbc_file {dbc}: frame '{twice}' is there twice; accepted: a name for each")
         for name in given.protections.keys() - names:
             raise InputError(
                 f"roles_file {roles}: frame '{name}' has no role; accepted: {', '.join(sorted(names))}"
