@@ -2,10 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Vehicle files: only the kinematics are required, and what is wrong is told in one line."""
 
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
+from trackslip_common.config_files import config_directory
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import (
     ASSUMED,
@@ -74,9 +78,9 @@ def test_a_vehicle_that_is_named_replaces_all_of_another_and_its_numbers_may_be_
         ("kinematics: {rolling_radius: 0.3, tread: 2.0}", "'kinematics.contact_length' is missing"),
         ("mass: {mass: 3}", "'kinematics.rolling_radius' is missing"),
         (BARE + "masss: {mass: 3}", "unknown parameter 'masss.mass', did you mean 'mass'?"),
-        (BARE + "mass: {mass: 3}", "parameter 'mass.yaw_inertia' is missing"),
+        (BARE + "mass: {mass: 3000}", "parameter 'mass.yaw_inertia' is missing"),
         (BARE + "sensors: {box: {lenght: 1}}", "did you mean 'sensors.box.length'?"),
-        (BARE.replace("2.0", "2000"), "kinematics.tread: 2000.0 is out of range; accepted: > 0 and <= 50 m"),
+        (BARE.replace("2.0", "2000"), "kinematics.tread: 2000.0 is out of range; accepted: > 0 and <= 20 m"),
         (BARE.replace("2.0", "wide"), "kinematics.tread: 'wide' is not a number"),
         ("kinematics: 3", "unknown parameter 'kinematics'; accepted: kinematics.rolling_radius"),
         ("[1, 2]", "expected names and values"),
@@ -112,3 +116,116 @@ def test_a_base_with_a_base_is_refused(tmp_path: Path) -> None:
     path.write_text("base: pc05_cab\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"third\.yaml: base: 'pc05_cab' has one too; accepted"):
         load_vehicle(str(path))
+
+
+@pytest.mark.parametrize(("own", "name"), [("", "antenna_aft"), ("name: digger seven\n", "digger seven")])
+def test_a_variant_was_called_as_its_base_is(own: str, name: str, tmp_path: Path) -> None:
+    path = tmp_path / "antenna_aft.yaml"
+    path.write_text(f"base: excavator_20t\n{own}sensors: {{antenna: {{x: -2.0}}}}\n", encoding="utf-8")
+    variant, base = load_vehicle(str(path)), load_vehicle("excavator_20t")
+    assert (variant.name, base.name) == (name, "excavator_20t")
+    assert (variant.mass, variant.hydraulics) == (base.mass, base.hydraulics)
+    assert vehicle_of_text(vehicle_text(variant), "vehicle").name == name
+    assert load_slip_parameters({"vehicle": str(path)}).vehicle.name == name
+
+
+_WHOLE = """kinematics: {rolling_radius: 0.35, tread: 2.38, contact_length: 3.46}
+mass: {mass: 21000.0, yaw_inertia: 50000.0, track_width: 0.6}
+hydraulics: {motor_displacement: 160.0e-6, gear_ratio: 46.0, motor_efficiency: 0.8,
+  volumetric_efficiency: 0.93, relief_pressure: 34.0e+6, pump_flow: 3.5e-3}
+upper_structure: {mass: 13500.0, swing_axis_x: 0.1, swing_axis_y: 0.0, centre_x: 0.2,
+  drive: {rate: 1.2, acceleration: 0.8, backlash: 0.003}}
+sensors: {antenna: {x: -1.2, y: 0.6, z: 3.0}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("si", "other", "words"),
+    [
+        ("{mass: 21000.0", "{mass: 21.0", "mass.mass: 21.0 is out of range; accepted: >= 30 and <= 2e+06 kg"),
+        (
+            "{mass: 21000.0",
+            "{mass: 90.0",
+            "ground pressure of 0.213 kPa; accepted: 0.5 to 500 kPa, by",
+        ),
+        ("{mass: 21000.0", "{mass: 2.1e+6", "out of range; accepted: >= 30 and <= 2e+06 kg"),
+        ("50000.0", "50.0", "contact length of 0.0141; accepted: 0.1 to 3, by mass.yaw_inertia (kg m²)"),
+        ("34.0e+6", "340.0", "relief_pressure: 340.0 is out of range; accepted: >= 1e+06 and <= 1e+08 Pa"),
+        ("34.0e+6", "34.0", "relief_pressure: 34.0 is out of range"),
+        ("34.0e+6", "34000.0", "relief_pressure: 34000.0 is out of range"),
+        ("160.0e-6", "160.0", "motor_displacement: 160.0 is out of range; accepted: > 0 and <= 0.05 m³"),
+        ("160.0e-6", "0.16", "motor_displacement: 0.16 is out of range"),
+        ("160.0e-6", "0.016", "top speed of 0.00973 m/s; accepted: 0.01 to 30 m/s, by hydraulics"),
+        ("46.0", "0.0217", "top speed of"),
+        ("3.5e-3", "210.0", "pump_flow: 210.0 is out of range; accepted: > 0 and <= 0.1 m³/s"),
+        ("3.5e-3", "3.5", "pump_flow: 3.5 is out of range"),
+        ("0.35", "350.0", "rolling_radius: 350.0 is out of range; accepted: > 0 and <= 2 m"),
+        ("2.38", "238.0", "tread: 238.0 is out of range"),
+        ("3.46", "346.0", "contact_length: 346.0 is out of range"),
+        ("track_width: 0.6", "track_width: 60.0", "track_width: 60.0 is out of range; accepted: >"),
+        ("13500.0", "13.5", "upper_structure.mass and mass.mass (kg)"),
+        ("13500.0", "22000.0", "share of the mass that swings of 1.05; accepted: 0.01 to 1"),
+        ("axis_x: 0.1", "axis_x: 100.0", "swing_axis_x: 100.0 is out of range; accepted: >= -10 and <= 10 m"),
+        ("rate: 1.2", "rate: 68.8", "rate: 68.8 is out of range; accepted: > 0 and <= 5 rad/s"),
+        ("0.003", "0.17", "backlash: 0.17 is out of range; accepted: >= 0 and <= 0.1 rad"),
+        ("x: -1.2", "x: -1200.0", "antenna.x: -1200.0 is out of range; accepted: >= -20 and <= 20 m"),
+    ],
+)
+def test_numbers_in_other_units_passed(si: str, other: str, words: str, file: Path) -> None:
+    file.write_text(_WHOLE, encoding="utf-8")
+    load_vehicle(str(file))
+    file.write_text(_WHOLE.replace(si, other, 1), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        load_vehicle(str(file))
+    assert words in str(refused.value)
+    assert str(refused.value).startswith(f"{file}: ")
+
+
+_SIZES = {  # r, B, l; m, I_z, b; V_m, n_g, p, Q; m_u
+    "robot of 100 kg": ((0.08, 0.5, 0.6), (100.0, 8.0, 0.12), (8e-6, 10.0, 16e6, 5e-5), 30.0),
+    "snow groomer": ((0.35, 3.2, 4.5), (9500.0, 4e4, 1.6), (160e-6, 60.0, 42e6, 6e-3), 3000.0),
+    "excavator of 100 t": ((0.58, 3.9, 5.1), (1e5, 7e5, 0.75), (350e-6, 130.0, 35e6, 8e-3), 6.5e4),
+    "mining shovel": ((1.2, 6.4, 8.2), (9.8e5, 3e7, 1.8), (1e-3, 400.0, 36e6, 0.03), 7e5),
+}
+
+
+@pytest.mark.parametrize("numbers", _SIZES.values(), ids=_SIZES)
+def test_a_machine_of_any_size_is_accepted(numbers: tuple[Any, ...], file: Path) -> None:
+    (r, tread, length), (mass, inertia, width), (displacement, ratio, relief, flow), upper = numbers
+    tree = {
+        "kinematics": {"rolling_radius": r, "tread": tread, "contact_length": length},
+        "mass": {"mass": mass, "yaw_inertia": inertia, "track_width": width},
+        "hydraulics": {
+            "motor_displacement": displacement,
+            "gear_ratio": ratio,
+            "motor_efficiency": 0.8,
+            "volumetric_efficiency": 0.9,
+            "relief_pressure": relief,
+            "pump_flow": flow,
+        },
+        "upper_structure": {"mass": upper, "swing_axis_x": 0.0, "swing_axis_y": 0.0, "centre_x": 0.3},
+    }
+    file.write_text(yaml.safe_dump(tree), encoding="utf-8")
+    assert load_vehicle(str(file)).whole().mass == mass
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_a_number_did_not_say_where_it_comes_from(name: str) -> None:
+    """Of some there was nothing but the unit."""
+    lines = (config_directory() / "vehicles" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
+    above: dict[int, bool] = {}  # indent → whether the group, or a comment of its own, says it
+    bare, explained = [], False
+    for line in lines:
+        value, _, comment = line.partition("#")
+        indent = len(line) - len(line.lstrip())
+        says = len(comment.split()) > 1  # more than a unit
+        if not value.strip():
+            explained = explained or says
+            continue
+        explained = explained or says or any(known for depth, known in above.items() if depth < indent)
+        if re.search(r": *(-?\d|\{.*\d)", value):
+            bare += [] if explained else [line]
+        else:
+            above = {depth: known for depth, known in above.items() if depth < indent} | {indent: explained}
+        explained = False
+    assert bare == []

@@ -209,7 +209,11 @@ def test_pressures_without_recent_spools(excavator, frames, tally):
             "signal 'encoders.left_count' is missing in .*; accepted: FRAME.SIGNAL",
         ),
         ('] "count"', "]", "not a usable DBC"),
-        ("right_count : 16|12", "right_count : 4|12", "not a usable DBC"),
+        (
+            "right_count : 16|12",
+            "right_count : 4|12",
+            "frame 'encoders': The signals right_count and left_count are overlapping",
+        ),
         (" pressures: 8", " pressure: 8", "signal 'pressures.left_pressure' is missing"),
         (
             "SG_ alive_counter",

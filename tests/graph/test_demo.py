@@ -22,6 +22,7 @@ from trackslip_sim.demo.run import main as run_demo
 pytestmark = pytest.mark.xdist_group("graph")
 
 SUMMARY = {
+    "vehicle",
     *("position_rmse", "dead_reckoning_rmse", "heading_rmse", "slip_rmse"),
     *("topics", "replay_matches", "soil"),
 }
@@ -58,6 +59,8 @@ def test_demo_leaves_numbers_picture_and_bag(programs):
     assert summary.keys() == SUMMARY
     assert summary["replay_matches"] is True
     assert summary["soil"]["replay_matches"] is True
+    assert summary["vehicle"] == "pc05"
+    assert "vehicle: pc05\n" in program.stdout
     assert 0.0 < summary["position_rmse"] <= 0.15
     assert summary["topics"].keys() == set(SENSOR_TOPICS) - {"fix", "heading"}  # the PC05 has no receiver
     with AnyReader([folder / "bag"]) as reader:
@@ -77,6 +80,8 @@ def test_machine_with_an_antenna_drives_by_gnss(programs):
     assert program.wait(150.0) == 0, program.stdout + program.stderr
     summary = json.loads((programs.folder / "demo" / "summary.json").read_text(encoding="utf-8"))
     assert summary["topics"].keys() == set(SENSOR_TOPICS) - {"scan"}
+    assert summary["vehicle"] == "excavator_20t"
+    assert "vehicle: excavator_20t\n" in program.stdout
     assert summary["replay_matches"] is True
     assert summary["position_rmse"] <= 0.05
 

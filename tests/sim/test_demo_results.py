@@ -19,6 +19,7 @@ def test_a_drive_out_of_sight_of_the_laser_failed_where_its_error_was_as_stated(
     of_position = np.diag((stated**2, stated**2, 1e-4)) / 2.0
     matching = SimpleNamespace(matches=True)
     result = DemoResult(
+        vehicle="pc05",
         filter=SimpleNamespace(position=error),
         odometry={"covariance": np.tile(of_position, (5, 1, 1))},
         topics={},

@@ -19,7 +19,11 @@ from typing import Any
 import pytest
 from fixtures.pieces import end, refused, square, wait
 
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode, InputError, collected, show
+from trackslip_common.vehicle import IS_ASSUMED, load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.find import find_bags, is_folder
@@ -92,10 +96,10 @@ def test_any_workers_give_the_same_numbers_and_a_broken_bag_is_one_line(
     assert [Path(entry["bag"]).name for entry in entries] == ["a", "b", "d"]
     assert [entry["exit_code"] for entry in entries] == [ExitCode.DONE, ExitCode.BAD_INPUT, ExitCode.DONE]
     assert "cannot be read" in entries[1]["error"]
-    assert entries[2]["notes"] == ["note: power_cut_0.mcap: cut short"]
+    assert entries[2]["notes"] == ["note: power_cut_0.mcap: cut short", IS_ASSUMED]
     assert entries[0]["rmse"]["filter"] < 0.02
     printed = capsys.readouterr()
-    assert "vehicles: pc05 (2)" in printed.out
+    assert "vehicles: pc05 (assumed) (2)" in printed.out
     assert [line for line in printed.out.splitlines() if len(line) > WIDTH and " " in line.strip()] == []
 
 
@@ -155,6 +159,25 @@ def test_hostile_names_and_errors_run_nothing_in_the_index(tmp_path: Path) -> No
     hostile = "<script>alert(1)</script>"
     write_pages([Entry(f"bags/{hostile}", ExitCode.BAD_INPUT, hostile), Entry("bags/b", 0)], tmp_path)
     assert "<script" not in (tmp_path / "index.html").read_text(encoding="utf-8")
+
+
+def test_nobody_said_that_the_vehicle_of_one_of_several_bags_is_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named, file = tmp_path / "named", tmp_path / "many.json"
+    stated = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("pc05")))
+    with open_bag(BAGS / "slalom_sand") as bag, BagWriter(named) as copy:
+        copy.write("/vehicle", "std_msgs/msg/String", serialize(stated), bag.start_ns)
+        for m in bag.messages():
+            copy.write(m.topic, m.type_name, m.raw, m.log_time_ns)
+    bags = [str(BAGS / "slalom_sand"), str(named)]
+    assert main(["replay", bags[0], "--stop", "2"]) == ExitCode.DONE
+    (alone,) = [line for line in capsys.readouterr().out.splitlines() if "vehicle" in line]
+    assert main(["replay", *bags, "--stop", "2", "--workers", "1", "--json", str(file)]) == ExitCode.DONE
+    printed = capsys.readouterr()
+    assert "vehicles: pc05 (1), pc05 (assumed) (1)" in printed.out
+    assert f"slalom_sand: {alone}" in printed.err
+    assert [entry["notes"] for entry in json.loads(file.read_text())] == [[alone], []]
 
 
 def test_the_table_says_what_is_missing_and_fits() -> None:

@@ -38,6 +38,8 @@ DEADLINE = 120.0  # s, of what may have to compile first
         ([str(BAG), "--host", "no.such.host.invalid"], "no.such.host.invalid"),
         ([str(BAG), "--rate", "0"], "'0'"),
         (["--rate", "2"], "BAG"),
+        (["--vehicle", "pc05"], "--vehicle"),
+        ([str(BAG), "--vehicle", "nobody"], "nobody"),
         (["no_such_bag"], "no_such_bag"),
     ],
     ids=lambda value: " ".join(value)[-40:] if isinstance(value, list) else "",
@@ -72,6 +74,18 @@ def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
     assert "turning" in motions
     assert any(value is not None for row in shown["rows"] for value, _, _ in row)
     assert feed.advance(wall_s + 100.0)["time"] == feed.advance(wall_s + 200.0)["time"]  # it stands still
+
+
+def test_a_page_over_a_bag_had_no_vehicle_option(capsys: pytest.CaptureFixture[str]) -> None:
+    """It pointed to one, where the bag names none."""
+    with open_bag(BAG) as bag, with_estimates(bag, "excavator_20t") as whole:
+        state = LiveState("a test", load_vehicle("excavator_20t"), keeps_vehicle=True)
+        feed = BagFeed(whole, state, 1000.0, InputFilters())
+        frame: dict[str, Any] = {}
+        for wall_s in range(100, 103):
+            frame = feed.advance(float(wall_s))
+    assert frame["facts"]["vehicle"] == "excavator_20t"
+    assert "vehicle: excavator_20t" in capsys.readouterr().out
 
 
 def test_a_lost_fix_is_an_event_over_a_bag_without_diagnostics() -> None:

@@ -8,10 +8,14 @@ from typing import Any
 
 import pytest
 
+from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode
+from trackslip_common.vehicle import load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
+
+JOINTS = serialize(make("sensor_msgs/msg/JointState"))
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +48,44 @@ def test_each_machine_replays_alone(emulated_bag: Path, two_machines: Path, tmp_
     other = replayed(tmp_path, two_machines, "--namespace", "two", "--set", start)
     assert "box_pose" not in other["messages"]
     assert other["vehicle"] == alone["vehicle"]
+
+
+def test_the_vehicles_of_namespaces_were_said_to_be_assumed(
+    two_machines: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bag"
+    stated = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("excavator_20t")))
+    with open_bag(two_machines) as bag, BagWriter(path) as copy:
+        copy.write("/two/vehicle", "std_msgs/msg/String", serialize(stated), bag.start_ns)
+        copy.write("/tower/sprockets", "sensor_msgs/msg/JointState", JOINTS, bag.start_ns)
+        for m in bag.messages():
+            if m.topic not in ("/two/vehicle", "/two/slip_estimator/parameters"):
+                copy.write(m.topic, m.type_name, m.raw, m.log_time_ns)
+    assert main(["info", str(path)]) == ExitCode.DONE
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("vehicle")]
+    assert lines == [
+        "vehicle   pc05 (--namespace site/one)",
+        "vehicle   not named: pc05 is assumed (--namespace tower)",
+        "vehicle   excavator_20t (--namespace two)",
+    ]
+    assert main(["info", str(path), "--namespace", "two"]) == ExitCode.DONE
+    assert "vehicle   excavator_20t\n" in capsys.readouterr().out
+
+
+def test_a_replay_without_the_namespace_says_which_there_are(
+    two_machines: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(two_machines)]) == ExitCode.BAD_INPUT
+    assert "(--vehicle does); it has machines in --namespace site/one, two\n" in capsys.readouterr().out
+
+
+def test_a_topic_named_vehicle_of_somebody_else_states_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write("/vehicle", "sensor_msgs/msg/JointState", JOINTS, 0)
+    assert main(["info", str(tmp_path / "bag")]) == ExitCode.DONE
+    assert "not named: pc05 is assumed" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", ["replay", "info"])

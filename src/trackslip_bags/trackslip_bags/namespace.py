@@ -11,21 +11,13 @@ _OF_ALL = ("/tf", "/tf_static", "/diagnostics", "/clock")  # topics that no name
 
 
 class InNamespace:
-    """A part of a bag: ``/digger1/sprockets`` is ``/sprockets``; the other machines' topics are not there.
-
-    Raises:
-        InputError: nothing is in the namespace.
-    """
+    """A part of a bag: ``/digger1/sprockets`` is ``/sprockets``; the other machines' topics are not there."""
 
     def __init__(self, source: Source, namespace: str) -> None:
         self.start_ns, self.end_ns = source.start_ns, source.end_ns
         self._source, self._topics = source, source.topics()
         prefix = f"/{namespace.strip('/')}/"
         self._outside = {_shortened(t, prefix): t for t in self._topics if t.startswith((prefix, *_OF_ALL))}
-        if not any(topic.startswith(prefix) for topic in self._topics):
-            there = sorted({topic.split("/")[1] for topic in self._topics if topic.count("/") > 1})
-            accepted = ", ".join(there) or "none, all topics are without"
-            raise InputError(f"--namespace {namespace}: nothing is in it; accepted: {accepted}")
 
     def topics(self) -> dict[str, TopicInfo]:
         """Name within the namespace → what there is of it."""
@@ -40,6 +32,18 @@ class InNamespace:
     def close(self) -> None:
         """Close the part."""
         self._source.close()
+
+
+def require_in_namespace(topics: Collection[str], namespace: str) -> None:
+    """Check that a bag has something in a namespace.
+
+    Raises:
+        InputError: it has not; names those that it has.
+    """
+    if not any(topic.startswith(f"/{namespace.strip('/')}/") for topic in topics):
+        there = sorted({topic.split("/")[1] for topic in topics if topic.count("/") > 1})
+        accepted = ", ".join(there) or "none, all topics are without"
+        raise InputError(f"--namespace {namespace}: nothing is in it; accepted: {accepted}")
 
 
 def _shortened(topic: str, prefix: str) -> str:

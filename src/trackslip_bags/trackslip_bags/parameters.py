@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from trackslip_bags.old_parameters import current_names
-from trackslip_bags.reader import Bag
+from trackslip_bags.reader import Bag, absolute
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.vehicle import TOPIC, VehicleParameters, WithVehicle, names_vehicle, vehicle_of_text
@@ -18,6 +18,7 @@ from trackslip_common.yaml_text import parse_yaml
 PARAMETERS_TOPIC = "slip_estimator/parameters"
 PARAMETERS_TYPE = "std_msgs/msg/String"
 _NODE = "slip_estimator"
+_SPROCKETS = "sprockets"
 _FROM_TF = ".mounting_from_tf"
 
 
@@ -40,12 +41,25 @@ def bag_vehicle(bag: Bag) -> VehicleParameters | None:
     """
     where = f"bag '{bag.path}'"
     for message in bag.messages([TOPIC]):
+        if message.type_name != PARAMETERS_TYPE:
+            break  # somebody else's topic of that name
         return vehicle_of_text(bag.deserialize(message.raw, message.type_name).data, f"{where}: {TOPIC}")
     values = bag_parameters(bag)
     if not names_vehicle(values):
         return None
     own = {name: value for name, value in values.items() if name.startswith(f"{TOPIC}.")}
     return from_flat(WithVehicle, own, where).vehicle
+
+
+def namespaces(bag: Bag) -> list[str]:
+    """Of the machines in a bag, '' for one that has none: where sprockets are, or what states a vehicle.
+
+    A bag of neither is one of a machine without a namespace.
+    """
+    ends = [f"/{name}" for name in (TOPIC, PARAMETERS_TOPIC, _SPROCKETS)]
+    names = [absolute(name) if "/" not in name else name for name in bag.topics]
+    within = {name.removesuffix(end) for name in names for end in ends if name.endswith(end)}
+    return sorted({name.strip("/") for name in within if not name or name.startswith("/")}) or [""]
 
 
 def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:

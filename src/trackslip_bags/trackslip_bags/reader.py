@@ -16,7 +16,7 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 
 from trackslip_bags.metadata import METADATA
-from trackslip_bags.namespace import InNamespace
+from trackslip_bags.namespace import InNamespace, require_in_namespace
 from trackslip_bags.sources import (
     BagMessage,
     Source,
@@ -148,7 +148,17 @@ def open_bag(path: Path | str, namespace: str = "") -> Bag:
         InputError: there is none, it is of another kind, or nothing of it can be read.
     """
     bag = _open(path)
-    return Bag(bag.path, [InNamespace(s, namespace) for s in bag.sources], bag.damage) if namespace else bag
+    return in_namespace(bag, namespace) if namespace else bag
+
+
+def in_namespace(bag: Bag, namespace: str) -> Bag:
+    """One machine's part of an open bag, with the names that its topics have in the namespace.
+
+    Raises:
+        InputError: nothing is in it.
+    """
+    require_in_namespace(bag.topics, namespace)
+    return Bag(bag.path, [InNamespace(source, namespace) for source in bag.sources], bag.damage)
 
 
 def _open(path: Path | str) -> Bag:

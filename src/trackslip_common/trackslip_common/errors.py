@@ -23,11 +23,14 @@ def printable(text: str, longest: int = 200) -> str:
     return shown if len(text) <= longest else f"{shown[:longest]} …"
 
 
-def show(*texts: object, file: TextIO | None = None) -> None:
-    """Print lines in which names and values may be anybody's: what would steer a terminal is escaped."""
+def show(*texts: object, file: TextIO | None = None, is_note: bool = False) -> None:
+    """Print lines in which names and values may be anybody's: what would steer a terminal is escaped.
+
+    What goes to stderr, or ``is_note``, is kept where lines are collected.
+    """
     lines = _collected.get()
     if lines is not None:
-        lines += map(str, texts if file is sys.stderr else ())
+        lines += map(str, texts if is_note or file is sys.stderr else ())
         return
     for text in texts:
         print(*(printable(line, len(line)) for line in str(text).split("\n")), sep="\n", file=file)
@@ -35,7 +38,7 @@ def show(*texts: object, file: TextIO | None = None) -> None:
 
 @contextmanager
 def collected() -> Iterator[list[str]]:
-    """Nothing is shown meanwhile; what would have gone to stderr is in the list."""
+    """Nothing is shown meanwhile; notes, and what would have gone to stderr, are in the list."""
     lines: list[str] = []
     token = _collected.set(lines)
     try:

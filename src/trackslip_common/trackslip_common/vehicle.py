@@ -21,12 +21,15 @@ import yaml
 from trackslip_common.config_files import config_directory, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, from_flat, parameter, to_flat
+from trackslip_common.vehicle_checks import check_together
 from trackslip_common.yaml_text import parse_yaml
 
 GRAVITY = 9.80665  # m/s²
 ASSUMED = "pc05"  # where no vehicle is named
+IS_ASSUMED = f"vehicle: {ASSUMED} is assumed: the bag names none (--vehicle does)"  # what is said of it then
 TOPIC = "vehicle"  # carries the text of a vehicle, latched; also the name of the parameter that names one
 _GROUP = f"{TOPIC}."
+_NAME = "name"  # of a vehicle file: what the machine is called; else what the file is
 _BASE = "base"  # of a vehicle file: another one, whose numbers it takes where it has none of its own
 
 
@@ -34,68 +37,73 @@ _BASE = "base"  # of a vehicle file: another one, whose numbers it takes where i
 class Kinematics(Parameters):
     """What every vehicle must state: it is enough for pose and slips."""
 
-    rolling_radius: float = parameter("track travel per radian of sprocket r", unit="m", gt=0.0, le=5.0)
-    tread: float = parameter("distance B between the track centre lines", unit="m", gt=0.0, le=50.0)
-    contact_length: float = parameter("length l of one track on the ground", unit="m", gt=0.0, le=50.0)
+    rolling_radius: float = parameter("track travel per radian of sprocket r", unit="m", gt=0.0, le=2.0)
+    tread: float = parameter("distance B between the track centre lines", unit="m", gt=0.0, le=20.0)
+    contact_length: float = parameter("length l of one track on the ground", unit="m", gt=0.0, le=20.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CentreOfGravity(Parameters):
     """Of the whole machine, its upper structure straight ahead and the bucket empty."""
 
-    x: float = parameter("ahead of base_link", unit="m", ge=-50.0, le=50.0)
-    y: float = parameter("left of base_link", unit="m", ge=-50.0, le=50.0)
-    z: float = parameter("height h_g above the ground", unit="m", ge=0.0, le=50.0)
+    x: float = parameter("ahead of base_link", unit="m", ge=-10.0, le=10.0)
+    y: float = parameter("left of base_link", unit="m", ge=-10.0, le=10.0)
+    z: float = parameter("height h_g above the ground", unit="m", ge=0.0, le=10.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bucket(Parameters):
     """Where a load is carried while driving, the upper structure straight ahead."""
 
-    x: float = parameter("ahead of base_link", unit="m", ge=-50.0, le=50.0)
-    z: float = parameter("above the ground", unit="m", ge=0.0, le=50.0)
+    x: float = parameter("ahead of base_link", unit="m", ge=-30.0, le=30.0)
+    z: float = parameter("above the ground", unit="m", ge=0.0, le=20.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mass(Parameters):
     """What presses on the ground, and where."""
 
-    mass: float = parameter("mass m", unit="kg", gt=0.0, le=1e7)
-    yaw_inertia: float = parameter("moment of inertia I_z about the vertical", unit="kg m²", gt=0.0)
-    track_width: float = parameter("width b of one track", unit="m", gt=0.0, le=10.0)
+    mass: float = parameter("mass m", unit="kg", ge=30.0, le=2e6)
+    yaw_inertia: float = parameter("moment of inertia I_z about the vertical", unit="kg m²", gt=0.0, le=1e9)
+    track_width: float = parameter("width b of one track", unit="m", gt=0.0, le=4.0)
     centre_of_gravity: CentreOfGravity | None
     bucket: Bucket | None
+
+    @property
+    def weight(self) -> float:
+        """W = m g, N."""
+        return self.mass * GRAVITY
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hydraulics(Parameters):
     """Travel motors: from pressures to thrusts."""
 
-    motor_displacement: float = parameter("oil per motor turn V_m", unit="m³", gt=0.0, le=0.1)
-    gear_ratio: float = parameter("motor turns per sprocket turn n_g", gt=0.0, le=1e4)
+    motor_displacement: float = parameter("oil per motor turn V_m", unit="m³", gt=0.0, le=0.05)
+    gear_ratio: float = parameter("motor turns per sprocket turn n_g", gt=0.0, le=1e3)
     motor_efficiency: float = parameter("pressure to torque η_m = η₀/η_V", gt=0.0, le=1.0)
     volumetric_efficiency: float = parameter("flow to speed η_V", gt=0.0, le=1.0)
-    relief_pressure: float = parameter("highest pressure over a motor", unit="Pa", gt=0.0, le=1e9)
-    pump_flow: float = parameter("flow of the pump of one track", unit="m³/s", gt=0.0, le=1.0)
+    relief_pressure: float = parameter("highest pressure over a motor", unit="Pa", ge=1e6, le=1e8)
+    pump_flow: float = parameter("flow of the pump of one track", unit="m³/s", gt=0.0, le=0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SwingDrive(Parameters):
     """The motor that swings it."""
 
-    rate: float = parameter("fastest that it swings", unit="rad/s", gt=0.0, le=10.0)
-    acceleration: float = parameter("at which it starts and brakes", unit="rad/s²", gt=0.0, le=100.0)
-    backlash: float = parameter("play of pinion and ring gear, as an angle of the cab", unit="rad", ge=0.0)
+    rate: float = parameter("fastest that it swings", unit="rad/s", gt=0.0, le=5.0)
+    acceleration: float = parameter("at which it starts and brakes", unit="rad/s²", gt=0.0, le=20.0)
+    backlash: float = parameter("play of pinion and ring gear, at the cab", unit="rad", ge=0.0, le=0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class UpperStructure(Parameters):
     """What swings: cab, engine and arm."""
 
-    mass: float = parameter("share of the mass that swings", unit="kg", gt=0.0, le=1e7)
-    swing_axis_x: float = parameter("swing axis ahead of base_link", unit="m", ge=-50.0, le=50.0)
-    swing_axis_y: float = parameter("swing axis left of base_link", unit="m", ge=-50.0, le=50.0)
-    centre_x: float = parameter("its centre of gravity ahead of the axis", unit="m", ge=-50.0, le=50.0)
+    mass: float = parameter("share of the mass that swings", unit="kg", ge=10.0, le=2e6)
+    swing_axis_x: float = parameter("swing axis ahead of base_link", unit="m", ge=-10.0, le=10.0)
+    swing_axis_y: float = parameter("swing axis left of base_link", unit="m", ge=-10.0, le=10.0)
+    centre_x: float = parameter("its centre of gravity ahead of the axis", unit="m", ge=-10.0, le=10.0)
     drive: SwingDrive | None
 
 
@@ -103,19 +111,19 @@ class UpperStructure(Parameters):
 class Box(Parameters):
     """The upright box that a laser beside the machine sees."""
 
-    length: float = parameter("side along x", unit="m", gt=0.0, le=20.0)
-    width: float = parameter("side along y", unit="m", gt=0.0, le=20.0)
-    x: float = parameter("its centre ahead of base_link", unit="m", ge=-50.0, le=50.0)
-    y: float = parameter("its centre left of base_link", unit="m", ge=-50.0, le=50.0)
+    length: float = parameter("side along x", unit="m", gt=0.0, le=15.0)
+    width: float = parameter("side along y", unit="m", gt=0.0, le=15.0)
+    x: float = parameter("its centre ahead of base_link", unit="m", ge=-20.0, le=20.0)
+    y: float = parameter("its centre left of base_link", unit="m", ge=-20.0, le=20.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Antenna(Parameters):
     """Phase centre of the GNSS antenna that gives the position."""
 
-    x: float = parameter("ahead of base_link", unit="m", ge=-50.0, le=50.0)
-    y: float = parameter("left of base_link", unit="m", ge=-50.0, le=50.0)
-    z: float = parameter("above the ground", unit="m", ge=-50.0, le=50.0)
+    x: float = parameter("ahead of base_link", unit="m", ge=-20.0, le=20.0)
+    y: float = parameter("left of base_link", unit="m", ge=-20.0, le=20.0)
+    z: float = parameter("above the ground", unit="m", ge=-20.0, le=20.0)
 
 
 UNDERCARRIAGE, UPPER = MOUNTS = ("undercarriage", "upper")
@@ -159,11 +167,6 @@ class Sensors(Parameters):
 @dataclass(frozen=True, kw_only=True)
 class Vehicle(Kinematics, Mass, Hydraulics):
     """A machine whose ground, mass and hydraulics are all known; SI units."""
-
-    @property
-    def weight(self) -> float:
-        """W = m g, N."""
-        return self.mass * GRAVITY
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,7 +276,7 @@ def load_vehicle(name: str = ASSUMED) -> VehicleParameters:
         InputError: there is no such vehicle, or a value in its file is refused.
     """
     path = _file(name)
-    return from_flat(VehicleParameters, {"name": path.stem, **_numbers_of(path)}, str(path))
+    return vehicle_of(path.stem, _numbers_of(path), str(path))
 
 
 def vehicle_of_text(text: str, where: str) -> VehicleParameters:
@@ -285,7 +288,18 @@ def vehicle_of_text(text: str, where: str) -> VehicleParameters:
     tree = parse_yaml(text, where)
     if not isinstance(tree, Mapping):
         raise InputError(f"{where}: expected names and values (a YAML mapping)")
-    return from_flat(VehicleParameters, {"name": "unnamed", **flatten(tree)}, where)
+    return vehicle_of("unnamed", flatten(tree), where)
+
+
+def vehicle_of(name: str, numbers: Mapping[str, Any], where: str) -> VehicleParameters:
+    """A vehicle by dotted names; it has this name where they hold none.
+
+    Raises:
+        InputError: a name or a value is refused, or values do not go together.
+    """
+    vehicle = from_flat(VehicleParameters, {_NAME: name, **numbers}, where)
+    check_together(vehicle, where)
+    return vehicle
 
 
 def vehicle_text(vehicle: VehicleParameters) -> str:
@@ -315,6 +329,7 @@ def _numbers_of(path: Path) -> dict[str, Any]:
     below = flatten(read_yaml(_file(str(base))))
     if _BASE in below:
         raise InputError(f"{path}: {_BASE}: '{base}' has one too; accepted: a vehicle without")
+    below.pop(_NAME, None)  # a variant is a machine of its own, called so by its file or after it
     return {**below, **values}
 
 

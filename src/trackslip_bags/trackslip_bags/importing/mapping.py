@@ -25,8 +25,8 @@ from trackslip_bags.importing.tree import check_keys, nanoseconds, number, secti
 from trackslip_bags.old_parameters import current_names
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import VehicleParameters, load_vehicle, vehicle_layer
+from trackslip_common.parameters import flatten
+from trackslip_common.vehicle import VehicleParameters, load_vehicle, vehicle_layer, vehicle_of
 from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -85,7 +85,7 @@ def _vehicle(path: Path, value: Any) -> VehicleParameters:
     """By its name, from a file, here or beside the mapping, or as it stands in the mapping."""
     where = f"{path}: vehicle"
     if isinstance(value, Mapping):
-        return from_flat(VehicleParameters, {"name": path.stem, **flatten(value)}, where)
+        return vehicle_of(path.stem, flatten(value), where)
     name = text(where, value)
     beside = path.parent / name
     try:

@@ -16,10 +16,11 @@ from cantools.database import Database, Message
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.protocols.can_codec import Field, field_of
-from trackslip_drivers.protocols.can_roles import ROLES, Role
+from trackslip_drivers.protocols.can_roles import ROLES, SWING, Role
 from trackslip_drivers.protocols.units import UNITS, Quantity, Unit, accepted
 
 _TURN = 2.0 * math.pi
+_ROUNDED_FACTOR = 0.01  # 65536 steps of 0.0055 degrees are 360.4
 _ROUNDING_STEPS = 2.0  # a range of 0…359.9 or −180…180 degrees is one turn
 
 
@@ -140,10 +141,13 @@ class Binder:
         elif role.counts_per_turn:
             raise InputError(f"{where}: counts_per_turn is for counts; accepted: none, as it is an angle")
         step, zero = (1.0, 0.0) if field.floating else (field.scale, field.offset)
+        wrap = role.wraps_at / abs(step) if role.wraps_at else _wrap(field, step, rad)
+        if name == SWING and unit.quantity is Quantity.ANGLE and role.ratio == 1.0 and not role.wraps_at:
+            wrap = _circle(wrap, abs(step), rad)
         return Turned(
             self._place(where, message, signal, role),
             rad * step * role.sign / role.ratio,
-            _whole(role.wraps_at / abs(step) if role.wraps_at else _wrap(field, step, rad)),
+            _whole(wrap),
             (role.offset - zero) / step,
         )
 
@@ -161,6 +165,8 @@ class Binder:
         if len(found) > 1:
             names = ", ".join(f"{message.name}.{signal}" for message in found)
             raise InputError(f"{where} is in several frames; accepted: one of {names}")
+        if not found[0].get_signal_by_name(signal).scale:
+            raise InputError(f"{where} has the factor 0 in {self._dbc}; accepted: any other")
         return where, found[0], signal
 
     @staticmethod
@@ -202,6 +208,15 @@ def _wrap(field: Field, step: float, rad: float) -> float:
     turn = _TURN / (rad * abs(step))
     turns = round(span / turn)
     return turns * turn if turns and abs(span - turns * turn) <= _ROUNDING_STEPS else span
+
+
+def _circle(wrap: float, step: float, rad: float) -> float:
+    """Steps of one turn, whatever the range: no cab swings by half a turn between two frames.
+
+    Where the bits end at one turn but for a rounded factor, a turn is what they hold.
+    """
+    turn = _TURN / (rad * step)
+    return wrap if abs(wrap - turn) <= _ROUNDED_FACTOR * turn else turn
 
 
 def _whole(steps: float) -> float:

@@ -63,23 +63,23 @@ class FrameSet:
     """
 
     def __init__(self, dbc: Path, roles: Path, vehicle: VehicleParameters) -> None:
-        try:
-            database = cantools.database.load_file(dbc, strict=True)
-        except (OSError, UnicodeDecodeError, CantoolsError) as error:
-            raise InputError(f"dbc_file {dbc}: not a usable DBC ({' '.join(str(error).split())})") from error
-        if not isinstance(database, Database):
-            raise InputError(f"dbc_file {dbc}: not a DBC of CAN frames")
+        database = _read(dbc)
         given = read_roles(roles)
         self.roles = given.roles
         self.bindings = Binder(database, vehicle, dbc, roles).bind(given.roles)
         names = {place.frame for place in self.bindings.places()}
-        self.by_name = {message.name: message for message in database.messages if message.name in names}
+        used = [message for message in database.messages if message.name in names]
+        self.by_name = {message.name: message for message in used}
+        if len(used) > len(self.by_name):
+            twice = next(message.name for message in used if message is not self.by_name[message.name])
+            raise InputError(f"dbc_file {dbc}: frame '{twice}' is there twice; accepted: a name for each")
         for name in given.protections.keys() - names:
             raise InputError(
                 f"roles_file {roles}: frame '{name}' has no role; accepted: {', '.join(sorted(names))}"
             )
         self.codecs: dict[str, Codec] = {}
         for name, message in self.by_name.items():
+            _check_signals(f"dbc_file {dbc}: frame '{name}'", message)
             protection = given.protections.get(name, Protection())
             _check_protection(f"roles_file {roles}: frame '{name}'", message, protection)
             self.codecs[name] = self._codec(message, protection)
@@ -129,6 +129,26 @@ def load_frames(p: CanDriverParameters) -> FrameSet:
         InputError: as ``FrameSet``.
     """
     return FrameSet(_file("dbc_file", p.dbc_file), _file("roles_file", p.roles_file), p.vehicle)
+
+
+def _read(dbc: Path) -> Database:
+    """A DBC; frames whose signals overlap or do not fit are in it too, for who knows whether they matter."""
+    try:
+        try:
+            dbc.read_bytes().decode()
+            encoding = "utf-8-sig"
+        except UnicodeDecodeError:
+            encoding = None  # as tools for Windows write it, which cantools knows
+        database = cantools.database.load_file(dbc, encoding=encoding, strict=False)
+    except (OSError, UnicodeDecodeError, CantoolsError) as error:
+        raise InputError(f"dbc_file {dbc}: not a usable DBC ({_line(error)})") from error
+    if not isinstance(database, Database):
+        raise InputError(f"dbc_file {dbc}: not a DBC of CAN frames")
+    return database
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
 def _file(parameter: str, name: str) -> Path:
@@ -208,6 +228,15 @@ class FrameDecoder:
     def _reject(self, source: str, reason: Rejection) -> Rejection:
         self._tally.add(source, reason)
         return reason
+
+
+def _check_signals(where: str, message: Message) -> None:
+    """Raise ``InputError`` where signals overlap, or do not fit in the frame."""
+    try:
+        message.refresh(strict=True)
+    except CantoolsError as error:
+        accepted = "signals that fit in their frame, each with bits of its own"
+        raise InputError(f"{where}: {_line(error).rstrip('.')}; accepted: {accepted}") from error
 
 
 def _check_protection(where: str, message: Message, protection: Protection) -> None:

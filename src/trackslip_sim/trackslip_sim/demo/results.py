@@ -52,6 +52,7 @@ class Counts:
 class DemoResult:
     """Everything that the table, the picture and the JSON file show."""
 
+    vehicle: str  # its name
     filter: Score
     dead_reckoning: Score
     slip_rmse: float
@@ -94,6 +95,7 @@ class DemoResult:
     def save(self, file: File) -> None:
         """Write the numbers as JSON."""
         numbers = {
+            "vehicle": self.vehicle,
             "position_rmse": self.filter.position,
             "dead_reckoning_rmse": self.dead_reckoning.position,
             "heading_rmse": self.filter.heading,
@@ -137,6 +139,7 @@ def evaluate(
     if of_filter is None or of_encoders is None or slip_error is None:
         return None
     return DemoResult(
+        p.vehicle.name,
         of_filter,
         of_encoders,
         slip_error,

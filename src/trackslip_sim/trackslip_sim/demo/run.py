@@ -15,10 +15,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import load_parameters
-from trackslip_common.errors import ExitCode, InputError, suggestion
+from trackslip_common.errors import ExitCode, InputError, printable, suggestion
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters, load_vehicle
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
@@ -69,6 +70,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     options.vehicle = options.vehicle or load_scenario(options.scenario).vehicle
     machine = load_vehicle(options.vehicle)
     machine.whole()
+    options.machine = printable(machine.name)
     options.gnss = _has_receiver(machine)
     return options
 
@@ -110,6 +112,7 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         f"Trackslip demo: {options.duration:g} s of '{options.scenario}' on {options.soil}; "
         f"look in with ROS_DOMAIN_ID={domain}"
     )
+    console.print(f"vehicle: {escape(options.machine)}")
     live = [replace(LIVE, parameters={"port": _free_tcp_port()})] if options.live else []
     for page in live:
         console.print(f"the live page: http://127.0.0.1:{page.parameters['port']}/")
@@ -141,7 +144,7 @@ def _conclude(options: argparse.Namespace, session: Session, path: Path, console
     report(console, result)
     result.save(output / "summary.json")
     picture = output / "demo.png"
-    draw(result, f"{options.scenario}, {options.soil}, {options.duration:g} s", picture)
+    draw(result, f"{options.machine}: {options.scenario}, {options.soil}, {options.duration:g} s", picture)
     console.print(f"replayed and plotted in {time.monotonic() - began:.1f} s")
     for name, file in (("picture", picture), ("numbers", output / "summary.json"), ("bag", path)):
         console.print(f"{name:<8} {file}", soft_wrap=True)

@@ -4,8 +4,8 @@
 
 from datetime import datetime, timezone
 
-from trackslip_bags.parameters import bag_vehicle
-from trackslip_bags.reader import Bag
+from trackslip_bags.parameters import bag_vehicle, namespaces
+from trackslip_bags.reader import Bag, in_namespace
 from trackslip_common.errors import printable
 from trackslip_common.vehicle import ASSUMED
 from trackslip_tools.terminal_text import table, wrapped
@@ -26,8 +26,7 @@ def describe(bag: Bag) -> str:
         f"duration  {bag.duration_s:.3f} s",
         f"messages  {bag.message_count}",
     ]
-    vehicle = bag_vehicle(bag)
-    lines.append(f"vehicle   {vehicle.name if vehicle is not None else f'not named: {ASSUMED} is assumed'}")
+    lines += _vehicles(bag)
     if bag.damage:
         lines.append(f"damage    {bag.damage} (trackslip recover rewrites what can be read)")
     rows = [
@@ -40,6 +39,16 @@ def describe(bag: Bag) -> str:
         for topic, info in sorted(bag.topics.items())
     ]
     return "\n".join([*map(wrapped, lines), "", table(_HEAD, rows, (False, True, True, False))])
+
+
+def _vehicles(bag: Bag) -> list[str]:
+    """One line for each machine; of those in a namespace, which it is."""
+    lines = []
+    for namespace in namespaces(bag):
+        vehicle = bag_vehicle(in_namespace(bag, namespace) if namespace else bag)
+        name = f"not named: {ASSUMED} is assumed" if vehicle is None else printable(vehicle.name)
+        lines.append(f"vehicle   {name}" + (f" (--namespace {printable(namespace)})" if namespace else ""))
+    return lines
 
 
 def _rate(count: int, duration_s: float) -> str:

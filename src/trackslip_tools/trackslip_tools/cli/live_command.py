@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     machine_options.add_namespace(parser)
     of_bag = parser.add_argument_group("over a bag")
     of_bag.add_argument("--rate", metavar="R", type=publish.rate, help="times real time (default: 1)")
+    machine_options.add_vehicle(of_bag, "the bag's")
     of_bag.add_argument("--start", metavar="S", type=float, help="seconds from the bag's first message")
 
 
@@ -53,17 +54,17 @@ def run(args: argparse.Namespace) -> int:
     if args.bag is not None:
         p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
         p.allowed(p.port)  # refused before a bag is replayed
-        with open_bag(args.bag, args.namespace) as bag, with_estimates(bag) as whole:
-            return _serve(whole, p, InputFilters(start_s=args.start or 0.0), args.rate or 1.0)
-    if args.rate is not None or args.start is not None:
-        raise InputError("--rate, --start: accepted only together with a BAG")
+        with open_bag(args.bag, args.namespace) as bag, with_estimates(bag, args.vehicle) as whole:
+            return _serve(whole, p, args)
+    if any(given is not None for given in (args.rate, args.start, args.vehicle)):
+        raise InputError("--rate, --start, --vehicle: accepted only together with a BAG")
     options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
     options += ["-r", f"__ns:=/{args.namespace.strip('/')}"] if args.namespace else []
     code: int = node_module("trackslip_tools.nodes.live", "live").live(["--ros-args", *options])
     return code
 
 
-def _serve(bag: Bag, p: LiveParameters, filters: InputFilters, rate: float) -> int:
+def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace) -> int:
     from trackslip_bags.parameters import bag_vehicle
     from trackslip_common.vehicle import load_vehicle
     from trackslip_tools.live.bag import BagFeed
@@ -71,9 +72,11 @@ def _serve(bag: Bag, p: LiveParameters, filters: InputFilters, rate: float) -> i
     from trackslip_tools.live.server import PageServer
     from trackslip_tools.live.state import PERIOD, LiveState
 
-    name = f"bag {bag.path.resolve().name}"
-    state = LiveState(f"{name} at {rate:g} × real time", bag_vehicle(bag) or load_vehicle())
-    feed = BagFeed(bag, state, rate, filters)
+    name, rate = f"bag {bag.path.resolve().name}", args.rate or 1.0
+    named = None if args.vehicle is None else load_vehicle(args.vehicle)
+    vehicle = named or bag_vehicle(bag) or load_vehicle()
+    state = LiveState(f"{name} at {rate:g} × real time", vehicle, keeps_vehicle=named is not None)
+    feed = BagFeed(bag, state, rate, InputFilters(start_s=args.start or 0.0))
     server = PageServer(files(f"Trackslip: {name}"), state.whole, p)
     server.start()
     try:
@@ -91,8 +94,8 @@ def _serve(bag: Bag, p: LiveParameters, filters: InputFilters, rate: float) -> i
 
 
 @contextmanager
-def with_estimates(bag: Bag) -> Iterator[Bag]:
-    """The bag and, where it holds none, the estimates that a replay of it gives."""
+def with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
+    """The bag and, where it holds none, the estimates that a replay of it gives, of the vehicle named."""
     if any(topic.removeprefix("/") == "odometry" for topic in bag.topics):
         yield bag
         return
@@ -102,7 +105,7 @@ def with_estimates(bag: Bag) -> Iterator[Bag]:
     from trackslip_tools.replay.run import replay
 
     show("the bag has no estimates: replaying it first", file=sys.stderr)
-    p = replay_options.parameters_of(bag, [], [])
+    p = replay_options.parameters_of(bag, [], [], vehicle)
     of_soil = replay_options.soil_parameters_of(bag, p, [], [])
     with TemporaryDirectory(prefix="trackslip_live_") as folder:
         path = Path(folder) / "estimates"

@@ -7,7 +7,7 @@ import argparse
 from trackslip_common.vehicle import ASSUMED
 
 
-def add_vehicle(parser: argparse.ArgumentParser, default: str) -> None:
+def add_vehicle(parser: argparse._ActionsContainer, default: str) -> None:
     """Declare ``--vehicle``."""
     about = f"a name of config/vehicles, or a file (default: {default}, else {ASSUMED})"
     parser.add_argument("--vehicle", metavar="NAME|FILE", help=about)

@@ -10,14 +10,14 @@ from typing import Any
 
 from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative
 from trackslip_bags.old_parameters import SOURCE_LISTS, current_names
-from trackslip_bags.parameters import bag_vehicle, stated_parameters
+from trackslip_bags.parameters import bag_vehicle, namespaces, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
 from trackslip_common.errors import InputError, show, suggestion
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
+from trackslip_common.vehicle import IS_ASSUMED, load_vehicle, names_vehicle, vehicle_layer
 from trackslip_common.vehicle import TOPIC as VEHICLE
-from trackslip_common.vehicle import load_vehicle, names_vehicle, vehicle_layer
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.parameters import (
     GNSS_POSE,
@@ -103,7 +103,8 @@ def parameters_of(
     elif of_bag is not None:
         show(f"vehicle: {p.vehicle.name}, the bag's")
     else:
-        show(f"vehicle: {p.vehicle.name} is assumed: the bag names none (--vehicle does)")
+        others = ", ".join(filter(None, namespaces(bag)))
+        show(IS_ASSUMED + (f"; it has machines in --namespace {others}" if others else ""), is_note=True)
     return p
 
 

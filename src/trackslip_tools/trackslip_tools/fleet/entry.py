@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.errors import ExitCode, InputError, collected
+from trackslip_common.vehicle import IS_ASSUMED
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.output import summary
 from trackslip_tools.replay.parts import Part, Watch
@@ -29,6 +30,13 @@ class Entry:
     distance: float | None = None  # m, driven
     summary: dict[str, Any] = field(default_factory=dict)  # as ``replay --json`` has it
     page: str = ""  # HTML, of a report
+
+    @property
+    def vehicle(self) -> str:
+        """Its name, and whether nobody named it; empty where the bag could not be read."""
+        name = self.summary.get("vehicle", "")
+        is_assumed = any(note.startswith(IS_ASSUMED) for note in self.notes)
+        return f"{name} (assumed)" if is_assumed else name
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of ``--json``."""

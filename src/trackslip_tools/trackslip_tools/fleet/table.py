@@ -77,7 +77,7 @@ def text(entries: Sequence[Entry]) -> str:
     right = [False, *(name not in _TEXTS for name in COLUMNS)]
     lines = [table(heading, rows, right)]
     lines += [wrapped(f"{name}: {entry.error}") for name, entry in _named(entries) if entry.error]
-    vehicles = Counter(entry.summary["vehicle"] for entry in entries if entry.summary)
+    vehicles = Counter(entry.vehicle for entry in entries if entry.vehicle)
     of_each = ", ".join(f"{name} ({count})" for name, count in sorted(vehicles.items()))
     return "\n".join([*lines, *([wrapped(f"vehicles: {of_each}")] if vehicles else [])])
 

@@ -37,9 +37,15 @@ _VIEW_PERIOD_S = 1.0  # between looks at what range of values the panels should 
 class LiveState:
     """Takes messages and gives frames, from any thread; times are seconds of one clock that goes forward."""
 
-    def __init__(self, source: str, vehicle: VehicleParameters, namespace: str = "") -> None:
-        """``source``: where the messages come from, in words; ``vehicle``: until a message names another."""
+    def __init__(
+        self, source: str, vehicle: VehicleParameters, namespace: str = "", keeps_vehicle: bool = False
+    ) -> None:
+        """``source``: where the messages come from, in words.
+
+        ``vehicle``: until a message names another, or for good where it is to be kept.
+        """
         self._source, self._vehicle, self._namespace = source, vehicle, namespace
+        self._keeps_vehicle = keeps_vehicle
         self._run = uuid.uuid4().hex  # tells a page that it talks to another run
         self._lock = threading.Lock()
         self._now, self._lights, self._events = Snapshot(), Lights(), Events()
@@ -115,6 +121,8 @@ class LiveState:
             return self._frame | kept
 
     def _take_vehicle(self, text: str) -> None:
+        if self._keeps_vehicle:
+            return
         try:
             self._vehicle = vehicle_of_text(text, inputs.VEHICLE)
         except InputError as error:
