@@ -63,7 +63,7 @@ class Bucket(Parameters):
 class Mass(Parameters):
     """What presses on the ground, and where."""
 
-    mass: float = parameter("mass m", unit="kg", ge=30.0, le=2e6)
+    mass: float = parameter("mass m", unit="kg", ge=1.0, le=2e6)
     yaw_inertia: float = parameter("moment of inertia I_z about the vertical", unit="kg m²", gt=0.0, le=1e9)
     track_width: float = parameter("width b of one track", unit="m", gt=0.0, le=4.0)
     centre_of_gravity: CentreOfGravity | None
@@ -100,7 +100,7 @@ class SwingDrive(Parameters):
 class UpperStructure(Parameters):
     """What swings: cab, engine and arm."""
 
-    mass: float = parameter("share of the mass that swings", unit="kg", ge=10.0, le=2e6)
+    mass: float = parameter("share of the mass that swings", unit="kg", ge=0.1, le=2e6)
     swing_axis_x: float = parameter("swing axis ahead of base_link", unit="m", ge=-10.0, le=10.0)
     swing_axis_y: float = parameter("swing axis left of base_link", unit="m", ge=-10.0, le=10.0)
     centre_x: float = parameter("its centre of gravity ahead of the axis", unit="m", ge=-10.0, le=10.0)

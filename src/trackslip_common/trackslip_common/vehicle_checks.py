@@ -8,7 +8,7 @@ W/(2 b l)              ground pressure
 2π η_V Q r/(V_m n_g)   top speed
 m_u/m                  share of the mass that swings
 
-Each may be anything from what a tracked robot of 100 kg has to what a mining shovel has, and some more.
+Each may be anything from what a tracked robot of 17 kg has to what a mining shovel has, and some more.
 """
 
 import math
