@@ -121,18 +121,20 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
 
 def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
     """(rows,) of each, SI; angles of sprockets may begin anew after each turn of what the column shows."""
-    given = topic.columns.items()
-    numbers = {name: [table.numbers[n].copy() for n in column.names] for name, column in given}
-    found = {name: _si(numbers[name], column, topic) for name, column in given}
+    found = {
+        name: _si([table.numbers[n] for n in column.names], column, topic)
+        for name, column in topic.columns.items()
+    }
     timed = stamps_ns != NO_TIME
     for side in SIDES if topic.role == "sprockets" else ():
         column = topic.columns.get(f"{side}_position")
         if column is None or not column.turn or not column.factor:
             continue
         speeds = found.get(f"{side}_velocity", np.full(len(timed), np.nan)) / column.factor
-        for angles in numbers[f"{side}_position"]:
+        turned = [table.numbers[n].copy() for n in column.names]
+        for angles in turned:
             angles[timed] = continuous(stamps_ns[timed], angles[timed], speeds[timed], column.turn)
-        found[f"{side}_position"] = _si(numbers[f"{side}_position"], column, topic)
+        found[f"{side}_position"] = _si(turned, column, topic)
     return found
 
 
