@@ -13,9 +13,10 @@
     φ̇ = p + tan θ (q sin φ + r cos φ)        θ̇ = q cos φ − r sin φ        ż = −v_x sin θ + v_y sin φ cos θ
     f_x = u̇_x + (ω × u)_x − g sin θ + b_x    f_y = u̇_y + (ω × u)_y + g sin φ cos θ + b_y
 
-An extended Kalman filter of (φ, θ, z, b_p, b_q, b_x, b_y). u̇ is differenced between two samples of the IMU:
-what rounding adds to one it takes from the next. A constant bias of an accelerometer looks like a tilt; it is
-a state, whose variance stays in that of the tilt until turns show it: the ground does not turn along.
+An extended Kalman filter of (φ, θ, z, b_p, b_q, b_x, b_y). f is a mean, and u̇ a difference, over a span of
+samples (``span``): what rounding adds to one it takes from the next. A constant bias of an accelerometer
+looks like a tilt; it is a state, whose variance stays in that of the tilt until turns show it: the ground
+does not turn along.
 
 The noise of the accelerometers finds its own size: a mean of ν² − H P Hᵀ over the last seconds, no less than
 stated; a shaken machine then goes by its gyro. What the IMU shows without gravity, or with gravity from
@@ -43,6 +44,15 @@ from trackslip_estimation.attitude.records import (
     ROLL,
     SIZE,
 )
+from trackslip_estimation.attitude.span import (
+    LONGEST,
+    SHORTEST,
+    begin_span,
+    feel,
+    mean_tilt,
+    own_acceleration,
+    turn_span,
+)
 from trackslip_estimation.attitude.start import begin_by_gravity
 from trackslip_estimation.kalman.ekf import propagate_covariance
 
@@ -51,7 +61,6 @@ FloatArray = NDArray[np.float64]
 GRAVITY_DOUBT = 1.0  # m/s², by which the mean of what is felt may differ from gravity
 UPRIGHT = 0.5 * GRAVITY  # m/s², least that its z axis shows of gravity
 _MEAN_TIME = 1.0  # s, of that mean
-_LONGEST = 0.5  # s, between samples of which one follows from the other
 _LOST = 0.3  # rad, beyond which a roll or pitch is not known any more
 _SURPRISE = 25.0  # ν²/S beyond which a sample counts for less
 _UNKNOWN_ACCELERATION = 1.0  # m/s², of a machine whose tracks nobody hears of
@@ -79,7 +88,6 @@ def use_sample(a: Any, n: Any) -> int:
         return int(a.refusal)
     imu.cos, imu.sin = math.cos(imu.turn), math.sin(imu.turn)
     dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
-    follows = 0.0 < dt <= _LONGEST
     if a.known == 1 and dt > 0.0:
         _turn(a, _rates(a), dt, n)
         if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > _LOST**2:
@@ -90,12 +98,12 @@ def use_sample(a: Any, n: Any) -> int:
             begin_by_gravity(a, n)
         rates = _rates(a)
         u = _velocity_at(imu, rates)
-        w_x, w_y, doubt = -rates[2] * u[1], rates[2] * u[0], _UNKNOWN_ACCELERATION**2
-        if follows and imu.known_velocity == 1:
-            w_x, w_y, doubt = w_x + (u[0] - a.velocity[0]) / dt, w_y + (u[1] - a.velocity[1]) / dt, 0.0
-        _level_by(a, (w_x, w_y), doubt, dt if follows else 0.0, n)
+        force = force_of(imu)
+        feel(a, (force[0] + rates[2] * u[1], force[1] - rates[2] * u[0]), u)
+        if a.span.time >= SHORTEST or a.span.samples * a.span.time == 0.0:
+            _level_by(a, own_acceleration(a, u), n)
+            begin_span(a, _velocity_at(imu, _rates(a)))
     a.rates[0], a.rates[1], a.rates[2] = _rates(a)
-    a.velocity[0], a.velocity[1] = _velocity_at(imu, _rates(a))
     a.stamp_ns, a.seen = imu.stamp_ns, 1
     set_level(a)
     return int(a.refusal)
@@ -135,7 +143,7 @@ def _follow_force(a: Any, dt: float) -> bool:
     force = force_of(a.sample)
     if a.sample.levels == 0 or a.sample.lost == 1 or not math.isfinite(force[0] + force[1] + force[2]):
         return False
-    share = 1.0 if a.seen == 0 or dt > _LONGEST else -math.expm1(-dt / _MEAN_TIME)
+    share = 1.0 if a.seen == 0 or dt > LONGEST else -math.expm1(-dt / _MEAN_TIME)
     for i in range(3):
         a.mean_force[i] += share * (force[i] - a.mean_force[i])
     return True
@@ -153,7 +161,7 @@ def _velocity_at(imu: Any, rates: tuple[float, float, float]) -> tuple[float, fl
 def _turn(a: Any, rates: tuple[float, float, float], dt: float, n: Any) -> None:
     """Roll and pitch after ``dt`` s, by the mean of the rates at both ends."""
     x, P, imu = a.mean, a.covariance, a.sample
-    known = 0.5 if dt <= _LONGEST else 0.0
+    known = 0.5 if dt <= LONGEST else 0.0
     p, q, r = (
         known * (rates[0] + a.rates[0]),
         known * (rates[1] + a.rates[1]),
@@ -184,35 +192,33 @@ def _turn(a: Any, rates: tuple[float, float, float], dt: float, n: Any) -> None:
     Q[PITCH, PITCH] += by_pitch * dt
     x[ROLL] += of_roll * dt
     x[PITCH] += of_pitch * dt
+    turn_span(a, of_roll * dt, of_pitch * dt)
     propagate_covariance(P, F, Q, PITCH + 1)
 
 
 @compiled
-def _level_by(a: Any, motion: tuple[float, float], doubt: float, dt: float, n: Any) -> None:
-    """Update with both horizontal axes.
-
-    ``motion``: what the motion itself accelerates them by, m/s²; ``doubt``: variance of that. ``dt``: s since
-    the sample before, 0 where there is none.
-    """
+def _level_by(a: Any, motion: tuple[float, float], n: Any) -> None:
+    """Update with both horizontal axes by a span that ends here; ``motion``: u̇ of it, m/s²."""
     x, force, h, imu = a.mean, force_of(a.sample), np.zeros(SIZE), a.sample
+    doubt = 0.0 if a.span.known == 1 else _UNKNOWN_ACCELERATION**2
     doubt += imu.turn_variance * (force[0] * force[0] + force[1] * force[1])
-    sin, cos = math.sin(x[PITCH]), math.cos(x[PITCH])
-    h[PITCH], h[BIAS_X], h[BIAS_Y] = -GRAVITY * cos, imu.cos, -imu.sin
+    pitch = mean_tilt(a)[1]
+    h[PITCH], h[BIAS_X], h[BIAS_Y] = -GRAVITY * math.cos(pitch), imu.cos, -imu.sin
     bias = imu.cos * x[BIAS_X] - imu.sin * x[BIAS_Y]
-    _use(a, 0, force[0] - motion[0] + GRAVITY * sin - bias, h, (doubt, dt), n)
-    sin, cos = math.sin(x[PITCH]), math.cos(x[PITCH])
-    up, aside = math.cos(x[ROLL]), math.sin(x[ROLL])
-    h[PITCH], h[BIAS_X] = -GRAVITY * aside * sin, imu.sin
-    h[ROLL], h[BIAS_Y] = GRAVITY * up * cos, imu.cos
+    _use(a, 0, a.span.force[0] - motion[0] + GRAVITY * math.sin(pitch) - bias, h, doubt, n)
+    roll, pitch = mean_tilt(a)
+    up, aside = math.cos(roll), math.sin(roll)
+    h[PITCH], h[BIAS_X] = -GRAVITY * aside * math.sin(pitch), imu.sin
+    h[ROLL], h[BIAS_Y] = GRAVITY * up * math.cos(pitch), imu.cos
     bias = imu.sin * x[BIAS_X] + imu.cos * x[BIAS_Y]
-    _use(a, 1, force[1] - motion[1] - GRAVITY * aside * cos - bias, h, (doubt, dt), n)
+    _use(a, 1, a.span.force[1] - motion[1] - GRAVITY * aside * math.cos(pitch) - bias, h, doubt, n)
 
 
 @compiled
-def _use(a: Any, axis: int, innovation: float, h: FloatArray, sample: tuple[float, float], n: Any) -> None:
+def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: Any) -> None:
     """Update with one axis, whose noise is learned of the innovation where that is no doubt of the tilt."""
-    x, P, stated = a.mean, a.covariance, a.sample.force_variance
-    doubt, dt = sample
+    x, P, dt = a.mean, a.covariance, a.span.time
+    stated = a.sample.force_variance / a.span.samples
     Ph, predicted = np.zeros(SIZE), 0.0
     for i in range(SIZE):
         for j in range(SIZE):

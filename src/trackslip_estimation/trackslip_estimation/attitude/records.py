@@ -66,6 +66,20 @@ IMU = np.dtype(  # one sample, x and y along its own axes
     align=True,
 )
 
+SPAN = np.dtype(  # see ``span``
+    [
+        ("begun", np.int64),  # 0 or 1
+        ("stamp_ns", np.int64),  # of its last sample, or of its begin
+        ("samples", np.int64),
+        ("time", np.float64),  # T, s
+        ("force", np.float64, (2,)),  # f̄ of x and y, m/s²
+        ("lag", np.float64, (2,)),  # of roll and pitch at its end against its mean, times T, rad s
+        ("velocity", np.float64, (2,)),  # u₀, m/s
+        ("known", np.int64),  # 0 or 1: whether u is, all the time
+    ],
+    align=True,
+)
+
 ATTITUDE = np.dtype(
     [
         ("known", np.int64),  # 0 or 1
@@ -76,7 +90,7 @@ ATTITUDE = np.dtype(
         ("covariance", np.float64, (SIZE, SIZE)),
         ("rates", np.float64, (3,)),  # p, q, r of that sample less their biases, rad/s
         ("mean_force", np.float64, (3,)),  # low-passed, m/s²
-        ("velocity", np.float64, (2,)),  # of the IMU's place along the tracks at that sample, m/s
+        ("span", SPAN),  # of samples whose accelerations have not told the tilt yet
         ("noise", np.float64, (2,)),  # variance of what both horizontal axes show beyond the model, (m/s²)²
         ("noise_count", np.float64, (2,)),  # samples in it
         ("oriented_ns", np.int64),  # stamp of the last orientation that was used

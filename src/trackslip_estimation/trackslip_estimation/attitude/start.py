@@ -25,7 +25,7 @@ def forget_attitude(a: Any) -> None:
     a.known = a.seen = a.stamp_ns = a.refusal = 0
     a.oriented_ns = NEVER_NS
     a.mean[:], a.covariance[:] = 0.0, 0.0
-    a.rates[:], a.mean_force[:], a.velocity[:], a.sample.force[:] = 0.0, 0.0, 0.0, np.nan
+    a.rates[:], a.mean_force[:], a.sample.force[:], a.span.begun = 0.0, 0.0, np.nan, 0
     set_level(a)
 
 
