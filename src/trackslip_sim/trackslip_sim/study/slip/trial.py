@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trackslip_estimation.kalman.linear_algebra import root
 from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.levers import to_sensor
-from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE, SIZE, SWING, SWING_RATE
 from trackslip_estimation.slip.models.model import POSE as OF_POSE
 from trackslip_estimation.slip.models.speed import ROTATION_OFFSET
 from trackslip_estimation.slip.models.turning import ASYMMETRY
@@ -33,6 +33,8 @@ from trackslip_sim.study.slip.kernels import RecordArray, Rows, draw, nearest, s
 from trackslip_sim.study.slip.parameters import DRAWN, MATCHED, SHEAR, Cell
 
 FloatArray = NDArray[np.float64]
+
+_DRAWN = 19  # numbers of a state that noise is drawn for; of what lies behind, a study has nothing
 
 
 class Setting(NamedTuple):
@@ -86,13 +88,20 @@ def _matched(setting: Setting, random: np.random.Generator) -> Trial:
     """The truth is the filter's model: a start from its covariance, noise from its Q and R."""
     rows, true_drives = setting.rows, setting.drive.true_drives
     mean, covariance = start = _start(setting, np.zeros(3))
-    n = mean.size
-    start_state = mean + root(covariance) @ random.standard_normal(n)
-    normals = random.standard_normal((len(rows.drives), n + 3))
+    start_state = mean + root(covariance) @ _normals(random, 1, 0)[0]
+    normals = _normals(random, len(rows.drives), 3)
     true_rows = Rows(rows.measurements, true_drives)
     states, values = draw(true_rows, start_state, normals, setting.linear)
     slips = slips_of(states, true_drives, setting.linear)
     return Trial(_with_values(rows, values), start, start_state, covariance, states, slips)
+
+
+def _normals(random: np.random.Generator, count: int, more: int) -> FloatArray:
+    """(count, SIZE + more), for states and what is measured of them."""
+    drawn = random.standard_normal((count, _DRAWN + more))
+    found = np.zeros((count, SIZE + more))
+    found[:, :_DRAWN], found[:, SIZE:] = drawn[:, :_DRAWN], drawn[:, _DRAWN:]
+    return found
 
 
 def _shear(setting: Setting, random: np.random.Generator) -> Trial:
