@@ -1,17 +1,29 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixes whose errors last, as those of RTK do: averaged no more than is true, and never given away."""
+"""Fixes whose errors last, as those of RTK do: averaged no more than is true, and never given away.
+
+A source's own time is a state (``own_errors``); that of what sits above is weighed (``adaptation.repeats``).
+"""
 
 import math
 
 import numpy as np
 import pytest
+from fixtures.filter_steps import Gaussian, state_of
 from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_estimation.slip.adaptation import repeats, shared_error
+from trackslip_estimation.slip.config import make_config
+from trackslip_estimation.slip.models.model import SENSOR_ERRORS, SIZE, Y
+from trackslip_estimation.slip.own_errors import LASTING, begin_erring, meet_quality, to_erring, white
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.records import UPDATE
 
 PERIOD, LASTS, SIGMA = 0.1, 10.0, 0.01  # s, s, m
+C = make_config(load_slip_parameters({"sources.box_pose.correlation_time": LASTS}))[0]
+SOURCE = 0
+PLACE, ERRORS = slice(0, Y + 1), slice(SENSOR_ERRORS, SENSOR_ERRORS + 2)
 
 
 def cap(P: float, R: float) -> float:
@@ -53,3 +65,50 @@ def test_position_is_never_much_worse_than_the_fixes_and_claims_no_less_than_is_
     rms = math.sqrt(np.mean(squares))
     assert rms < 1.6 * SIGMA
     assert 0.3 < np.mean(squares) / np.mean(claimed) < 1.2
+
+
+def made_up() -> Gaussian:
+    rng = np.random.default_rng(4)
+    root = 0.1 * rng.normal(size=(SIZE, SIZE))
+    return Gaussian(rng.normal(size=SIZE), root @ root.T)
+
+
+def test_the_place_that_a_fix_shows_and_back() -> None:
+    known, R = made_up(), np.diag((0.04, 0.09))
+    x, P = known.mean.copy(), known.covariance.copy()
+    to_erring(x, P, SOURCE, R, 1.0, C)
+    T = np.eye(SIZE)
+    T[PLACE, ERRORS] = np.diag(np.sqrt(LASTING * np.diag(R)))
+    np.testing.assert_allclose(x, T @ known.mean, atol=1e-14)
+    np.testing.assert_allclose(P, T @ known.covariance @ T.T, atol=1e-14)
+    to_erring(x, P, SOURCE, R, -1.0, C)
+    np.testing.assert_allclose(x, known.mean, atol=1e-14)
+    np.testing.assert_allclose(P, known.covariance, atol=1e-14)
+
+
+def test_what_lasts_and_what_does_not_are_the_whole_fix() -> None:
+    """Also of the fix that the estimate begins with: a second one at once adds little."""
+    R = np.array(((0.04, 0.01), (0.01, 0.09)))
+    x, P = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    P[ERRORS, ERRORS], P[PLACE, PLACE] = np.eye(2), R
+    begin_erring(x, P, SOURCE, C)
+    np.testing.assert_allclose(np.diag(P)[PLACE], np.diag(R))
+    to_erring(x, P, SOURCE, R, 1.0, C)
+    np.testing.assert_allclose(P[PLACE, PLACE], white(R, SOURCE, C), atol=1e-14)
+    np.testing.assert_allclose(P[PLACE, ERRORS], 0.0, atol=1e-14)
+
+
+def test_another_quality_has_another_error() -> None:
+    """Floating ambiguities after fixed ones: what is known of the one error tells nothing of the other."""
+    known = made_up()
+    for before, stddev, renewed in ((0.01, 0.02, False), (0.01, 0.3, True), (0.3, 0.01, True)):
+        state, update = state_of(known)[0], np.zeros(1, UPDATE)[0]
+        update["prior_mean"], update["prior_covariance"], update["renewed"] = *known, -1
+        state["fix_stddevs"][SOURCE] = before
+        meet_quality(state, update, SOURCE, stddev**2 * np.eye(2), C)
+        wanted = known.covariance.copy()
+        if renewed:
+            wanted[ERRORS], wanted[:, ERRORS], wanted[ERRORS, ERRORS] = 0.0, 0.0, np.eye(2)
+        assert update["renewed"] == (SENSOR_ERRORS if renewed else -1)
+        np.testing.assert_array_equal(state["covariance"], wanted)
+        np.testing.assert_array_equal(update["prior_covariance"], wanted)

@@ -48,5 +48,9 @@ def test_each_finds_its_bias(model: str, filter_: str) -> None:
 
 
 def test_one_more_than_the_state_has_room_for_is_refused() -> None:
-    with pytest.raises(InputError, match=r"4 gyros after the first one and odometries; accepted: at most 3"):
-        parameters(yaw_rate_sources=["a", "b", "c"], odometry_sources=["d", "e"])
+    with pytest.raises(InputError, match=r"3 gyros .*, 1 odometries, 1 pose .* twice; accepted: at most 7"):
+        parameters(
+            yaw_rate_sources=["a", "b", "c", "d"],
+            odometry_sources=["e"],
+            **{"sources.box_pose.correlation_time": 5.0, "sources.box_pose.lever_arm_z": 2.0},
+        )

@@ -67,6 +67,15 @@ def correct(
     P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ (Joseph), which stays symmetric and positive whatever the gain. P may
     be larger than x: then the rest of it stays as it is.
     """
+    return correct_keeping(x, P, innovation, (H, R), -1)
+
+
+@compiled
+def correct_keeping(
+    x: FloatArray, P: FloatArray, innovation: FloatArray, given: tuple[FloatArray, FloatArray], kept: int
+) -> tuple[float, float]:
+    """As ``correct``, by H and R (``given``); the number ``kept`` stays as it is (Schmidt); −1: none does."""
+    H, R = given
     n, m = x.size, innovation.size
     HP, S = _by_measurement(P, H), R.copy()
     for i in range(m):
@@ -76,7 +85,10 @@ def correct(
                 for j in range(m):
                     S[i, j] += h * HP[j, k]
     root_of_S = root(S)
-    _apply(x, P, innovation, (solve(root_of_S, HP), HP), (H, R))
+    K = solve(root_of_S, HP)
+    if kept >= 0:
+        K[:, kept] = 0.0
+    _apply(x, P, innovation, (K, HP), (H, R))
     return weighted_square(root_of_S, innovation), log_determinant(root_of_S)
 
 

@@ -220,14 +220,14 @@ def _set_means(a: Any, best: float, n: Any) -> None:
 
 
 @compiled
-def repeats(elapsed_ns: int, correlation_time: float) -> float:
+def repeats(elapsed_ns: int, time: float) -> float:
     """For how many fixes one counts that comes so long after the one before, if their errors last for τ_e.
 
     (1 + ρ)/(1 − ρ), ρ = exp(−Δt/τ_e): what n such fixes tell together is what n by this number would.
     """
-    if correlation_time == 0.0:
+    if time == 0.0:
         return 1.0
-    return 1.0 / math.tanh(max(elapsed_ns * 1e-9, _SHORTEST) / (2.0 * correlation_time))
+    return 1.0 / math.tanh(max(elapsed_ns * 1e-9, _SHORTEST) / (2.0 * time))
 
 
 @compiled

@@ -77,7 +77,6 @@ def forget_refused(state: Any, anchored: bool) -> None:
 def forget_fixes(state: Any, anchored: bool) -> None:
     """The place is no longer what fixes made it: none of them counts with the next as a stand or a run."""
     forget_refused(state, anchored)
-    state.lean = 0.0  # it is in P
     for k in range(len(state.runs)):
         state.stands[k].count = state.runs[k].count = 0
         state.runs[k].end = state.rolled

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from trackslip_common.clock_monitor import CLOCK_LIMITS
+from trackslip_common.vehicle import GRAVITY
 from trackslip_estimation.attitude.parameters import constants as attitude_constants
 from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANTS
 from trackslip_estimation.slip import adaptation
@@ -21,7 +22,7 @@ from trackslip_estimation.slip.models.swing import constants as swing_constants
 from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ADAPTATION, MOST_SOURCES
-from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME
+from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME, LEAN_TIME
 
 ConfigRecord = NDArray[np.void]
 
@@ -71,9 +72,12 @@ CONFIG = np.dtype(
         ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_offset", np.float64, (MOST_SOURCES,)),  # rad
-        ("correlation_times", np.float64, (MOST_SOURCES,)),  # s
+        ("repeat_times", np.float64, (MOST_SOURCES,)),  # s, for which fixes err alike by where they are
         ("standing_share", np.float64, (MOST_SOURCES,)),
         ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
+        ("lean_errors", np.int64),  # place of the two of the tilt, over its standard deviation; −1: none
+        ("lean_stddev", np.float64),  # of what lasts of it, rad
+        ("error_times", np.float64, (SIZE,)),  # s, for which one of variance 1 lasts; 0: it walks
         ("mountings", np.float64, (MOST_SOURCES, 4)),  # of odometry: from its axes to base_link's, x, y, z, w
         ("odometries", np.int64),  # how many there are
         ("odometry_number", np.int64, (MOST_SOURCES,)),  # among those
@@ -119,8 +123,8 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
 def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
     """What the chosen model says of itself."""
     model, noise = MODELS[p.model], p.noise_of(p.model)
-    c["model"], c["active"] = model.CODE, SIZE if p.swings else model.ACTIVE
-    c["swings"], c["size"] = p.swings, SIZE if p.swings else BELOW
+    c["model"], c["active"] = model.CODE, SENSOR_ERRORS if p.swings else model.ACTIVE
+    c["swings"], c["size"] = p.swings, SENSOR_ERRORS if p.swings else BELOW
     for name, dtype in CONSTANTS:
         of_model = {}
         if name in MODELS:
@@ -156,7 +160,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int])
         c["levers"][k], c["use_heading"][k] = pose.lever, pose.use_heading
         c["stamp_errors"][k] = pose.stamp_error
         c["position_floor"][k], c["heading_floor"][k] = pose.position_floor, pose.heading_floor
-        c["heading_ceiling"][k], c["correlation_times"][k] = pose.heading_ceiling, pose.correlation_time
+        c["heading_ceiling"][k] = pose.heading_ceiling
         c["standing_share"][k] = pose.standing_share
     for name, compass in p.compasses().items():
         k = numbers[name]
@@ -168,7 +172,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int])
     c["above"][above] = 1
     for name, pose in p.poses().items():
         if pose.above:
-            c["correlation_times"][numbers[name]] = max(pose.correlation_time, p.swing.repeat_time)
+            c["repeat_times"][numbers[name]] = p.swing.repeat_time
     c["swing_place"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale
@@ -191,14 +195,28 @@ def _set_odometry(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]
 
 
 def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
-    """The bias of each gyro after the first, and by how much the lengths of each odometry err."""
+    """Biases of gyros after the first, scales of odometries, what lasts of fixes and of the tilt."""
     c["own_errors"] = -1
     bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
     errors = dict.fromkeys(list(p.gyros())[1:], bias)
     errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
-    for place, (name, (variance, walk)) in enumerate(errors.items(), SENSOR_ERRORS):
+    place, c["lean_errors"] = SENSOR_ERRORS, -1
+    for name, (variance, walk) in errors.items():
         c["own_errors"][numbers[name]] = place
         c["prior_variance"][place] = c["prior_covariance"][place, place] = variance
         c["process_noise"][..., place] = walk
-        if not p.swings:
-            c["active"] = c["size"] = place + 1
+        place += 1
+    lasting = [(pose.correlation_time, numbers[name]) for name, pose in p.poses().items() if pose.lasts]
+    if p.leans:
+        lasting.append((LEAN_TIME, -1))
+    for time, number in lasting:
+        if number < 0:
+            c["lean_errors"], c["lean_stddev"] = place, p.attitude.accelerometer_bias_stddev / GRAVITY
+        else:
+            c["own_errors"][number] = place
+        for axis in (place, place + 1):
+            c["prior_variance"][axis] = c["prior_covariance"][axis, axis] = 1.0
+            c["error_times"][axis] = time
+        place += 2
+    if place > SENSOR_ERRORS:
+        c["active"] = c["size"] = place

@@ -93,9 +93,33 @@ def to_sensor(x: FloatArray, P: FloatArray, level: Any, source: int, sign: float
     above = c.above[source] == 1
     if above and sign < 0.0:
         _turn_heading(x, P, level, sign)
+    if c.lean_errors >= 0 and c.levers[source, 2] != 0.0:
+        _lean(x, P, sign * c.levers[source, 2] * c.lean_stddev, c.lean_errors)
     move_place(x, P, sensor_place(level, x[SWING] if above else 0.0, source, c), sign)
     if above and sign > 0.0:
         _turn_heading(x, P, level, sign)
+
+
+@compiled
+def other_lean(level: Any, source: int, c: Any) -> float:
+    """Variance of a sensor's place along an axis, m², as the tilt errs by more than its lasting error."""
+    more = max(level.lean_variance - c.lean_stddev**2, 0.0)
+    return float(c.levers[source, 2] ** 2 * more)
+
+
+@compiled
+def _lean(x: FloatArray, P: FloatArray, stddev: float, errors: int) -> None:
+    """A place with what it is off by ahead and to the left: ``stddev`` m times the two at ``errors``."""
+    cos, sin = np.cos(x[YAW]) * stddev, np.sin(x[YAW]) * stddev
+    east, north = cos * x[errors] - sin * x[errors + 1], sin * x[errors] + cos * x[errors + 1]
+    x[X] += east
+    x[Y] += north
+    add(P, X, YAW, -north)
+    add(P, Y, YAW, east)
+    add(P, X, errors, cos)
+    add(P, X, errors + 1, -sin)
+    add(P, Y, errors, sin)
+    add(P, Y, errors + 1, cos)
 
 
 @compiled
@@ -130,7 +154,7 @@ def move_place(x: FloatArray, P: FloatArray, place: Place, sign: float) -> None:
 def _turn_heading(x: FloatArray, P: FloatArray, level: Any, sign: float) -> None:
     """φ + σ, seen from above, for φ, or back again; in place."""
     x[YAW] = wrap(x[YAW] + sign * seen_from_above(x[SWING], level))
-    _add(P, YAW, SWING, sign)
+    add(P, YAW, SWING, sign)
 
 
 @compiled
@@ -138,14 +162,14 @@ def turn_heading(x: FloatArray, P: FloatArray, source: int, sign: float, c: Any)
     """φ + σ for φ where a compass sits above, or back again; in place."""
     if c.above[source] == 1:
         x[YAW] = wrap(x[YAW] + sign * x[SWING])
-        _add(P, YAW, SWING, sign)
+        add(P, YAW, SWING, sign)
 
 
 @compiled
 def to_gyro(x: FloatArray, P: FloatArray, sign: float) -> None:
     """The state with the yaw rate of a gyro above for that of the machine, or back again; in place."""
     x[YAW_RATE_ERROR] += sign * x[SWING_RATE]
-    _add(P, YAW_RATE_ERROR, SWING_RATE, sign)
+    add(P, YAW_RATE_ERROR, SWING_RATE, sign)
 
 
 @compiled
@@ -157,12 +181,12 @@ def widen_swing_rate(P: FloatArray, variance: float) -> None:
 
 
 @compiled
-def _add(P: FloatArray, to: int, what: int, sign: float) -> None:
-    """P, where a number of the state is replaced by its sum with (or difference from) another."""
+def add(P: FloatArray, to: int, what: int, factor: float) -> None:
+    """P, where to a number of the state another one is added, times a factor."""
     for j in range(P.shape[1]):
-        P[to, j] += sign * P[what, j]
+        P[to, j] += factor * P[what, j]
     for i in range(P.shape[0]):
-        P[i, to] += sign * P[i, what]
+        P[i, to] += factor * P[i, what]
 
 
 @compiled

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import sandwich
-from trackslip_estimation.slip.levers import compass_offset, unknown_arm
+from trackslip_estimation.slip.levers import compass_offset, other_lean, unknown_arm
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
     body_twist,
@@ -57,17 +57,10 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
     z, R = measurement.value[:rows].copy(), measurement.noise[:rows, :rows].copy()
     raise_to_floors(R, rows, source, c)
     for i in range(2):
-        R[i, i] += lean(state, source, c)
+        R[i, i] += other_lean(state.attitude.level, source, c)
         if c.above[source] == 1:
             R[i, i] += unknown_arm(state.covariance, source, c)
     return z, R
-
-
-@compiled
-def lean(state: Any, source: int, c: Any) -> float:
-    """Variance of the place of an antenna above the ground, as roll and pitch err, m²."""
-    found: float = c.levers[source, 2] ** 2 * state.attitude.level.lean_variance
-    return found
 
 
 @compiled

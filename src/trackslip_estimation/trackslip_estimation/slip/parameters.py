@@ -148,14 +148,17 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
                 f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}"
             )
 
-        odometries, own = len(self.odometries()), len(self.odometries()) + max(len(self.gyros()) - 1, 0)
+        odometries, gyros = len(self.odometries()), max(len(self.gyros()) - 1, 0)
+        lasting = sum(pose.lasts for pose in self.poses().values())
+        own = odometries + gyros + 2 * (lasting + self.leans)
         if odometries > MOST_ODOMETRIES:
             raise InputError(
                 f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"
             )
         if own > MOST_SENSOR_ERRORS:
-            accepted = f"at most {MOST_SENSOR_ERRORS} together"
-            raise InputError(f"{NODE}: {own} gyros after the first one and odometries; accepted: {accepted}")
+            parts = f"{gyros} gyros after the first one, {odometries} odometries, {lasting} pose sources with"
+            parts += f" correlation_time and {int(self.leans)} tilt of a high antenna, which count twice"
+            raise InputError(f"{NODE}: {parts}; accepted: at most {MOST_SENSOR_ERRORS} together")
 
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
@@ -226,6 +229,11 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         """Mean and variance of its angle at the start; a sensor that is still to tell it knows it better."""
         stddev = self.swing.initial_angle_stddev
         return self.swing.initial_angle, (max(stddev, math.pi) if self.angles() else stddev) ** 2
+
+    @property
+    def leans(self) -> bool:
+        """Whether a sensor of poses sits so high that what the tilt is off by shows in them."""
+        return self.tilt_source is not None and any(pose.lever_arm_z for pose in self.poses().values())
 
     @property
     def tilt_source(self) -> str | None:

@@ -168,8 +168,6 @@ def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
     fill_swing(state, estimate.swing, c)
     estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
-    for i in range(2):
-        estimate.pose_covariance[i, i] += state.lean
     if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction
         estimate.slip_covariance[2, 2] = _NO_DIRECTION
 

@@ -151,6 +151,7 @@ STATE = np.dtype(
         ("coasting", np.bool_),  # the sprockets have been silent for too long
         ("sample", SAMPLE),  # the last of the sprockets
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
+        ("fix_stddevs", np.float64, (MOST_SOURCES,)),  # of the last fix used, where its error lasts, m
         ("stands", STAND, (MOST_SOURCES,)),
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
         ("runs", RUN, (MOST_SOURCES,)),
@@ -160,7 +161,6 @@ STATE = np.dtype(
         ("driven", np.float64, (2,)),  # by left and right sprocket since the start, rad
         ("moved", np.float64, (3,)),  # ∫ of the twist as it was predicted, since the start: m, m, rad
         ("fixed_ns", np.int64),  # stamp of the last fix
-        ("lean", np.float64),  # variance of x and y beside P, as an antenna leans that stands high, m²
         ("rolled", np.float64),  # by the tracks since the start, mean of both, m
         ("aligning", np.bool_),  # the heading is not known yet
         ("refused_count", np.int64),  # since a fix was inside its gate
@@ -181,6 +181,7 @@ UPDATE = np.dtype(
         ("log_determinant", np.float64),  # ln |S|
         ("orientation", np.int64),  # ``OrientationRefusal`` of an IMU; 0: used, or not wanted
         ("follows", np.bool_),  # whether the prior follows from the state before by the model
+        ("renewed", np.int64),  # place of two errors of a sensor that are others from here on; −1: none
         ("prior_mean", np.float64, (SIZE,)),  # before the measurement, widened where it surprised
         ("prior_covariance", np.float64, (SIZE, SIZE)),
     ],

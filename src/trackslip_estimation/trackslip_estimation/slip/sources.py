@@ -75,7 +75,7 @@ class PoseSource(Mounted):
     )
 
     correlation_time: float = parameter(
-        "for which its error lasts: fixes that follow each other faster count for less; 0: each has its own",
+        "for which a part of its error lasts, which is estimated; 0: each fix has its own",
         unit="s",
         ge=0.0,
         le=600.0,
@@ -85,6 +85,11 @@ class PoseSource(Mounted):
         ge=0.0,
         lt=1.0,
     )
+
+    @property
+    def lasts(self) -> bool:
+        """Whether a part of each fix's error is that of the one before."""
+        return self.correlation_time > 0.0
 
     @property
     def lever(self) -> tuple[float, float, float]:
@@ -201,6 +206,7 @@ ODOMETRY_FIELDS = {  # by those: what is read of a message, what of it says that
     "pose": ("pose_variances", "pose_absent", Refusal.NO_POSE),
     "declared": ("", "", Refusal.NO_POSE),
 }
+LEAN_TIME = 100.0  # s, for which the tilt is off alike: most of it is the bias of accelerometers
 DRIFT_TIME = 60.0  # s in which the drift of an odometry has become another, by as much as it is
 
 

@@ -15,6 +15,7 @@ from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import reset_motion
 from trackslip_estimation.slip.observation import raise_to_floors
 from trackslip_estimation.slip.odometry import begin_odometry
+from trackslip_estimation.slip.own_errors import begin_erring
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCKETS
 from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.usable import is_gaussian
@@ -68,6 +69,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
         x[:rows], P[:rows, :rows] = measurement.value[:rows], measurement.noise[:rows, :rows]
         if source != MANUAL:
             raise_to_floors(P, rows, source, c)
+            begin_erring(x, P, source, c)
             if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
                 x[YAW] += x[SWING]
                 P[YAW, YAW] += P[SWING, SWING]
@@ -86,7 +88,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
-    state.rolled = 0.0
+    state.rolled = state.fix_stddevs[:] = 0.0
     state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
     forget_fixes(state, False)
     for k in range(MOST_SOURCES):

@@ -21,6 +21,7 @@ from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_fixes, forget_refused
 from trackslip_estimation.slip.coasting import begin_coast, doubt_start, inflate, reset_velocity
+from trackslip_estimation.slip.fixes import use_pose
 from trackslip_estimation.slip.heading import use_heading
 from trackslip_estimation.slip.levers import to_gyro
 from trackslip_estimation.slip.measurements import Outcome
@@ -51,7 +52,7 @@ from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember
 from trackslip_estimation.slip.swing import use_swing
 from trackslip_estimation.slip.tilt import rise, tilt_by
 from trackslip_estimation.slip.traction import follow_tracks
-from trackslip_estimation.slip.update import use_pose, use_rate, use_slips
+from trackslip_estimation.slip.update import use_rate, use_slips
 
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
@@ -61,7 +62,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     """The state at the measurement's stamp, with the measurement used or not."""
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
-    update.orientation = 0
+    update.orientation, update.renewed = 0, -1
     update.nis = update.gate = update.log_determinant = np.nan
     update.prior_mean[:], update.prior_covariance[:] = state.mean, state.covariance
     if measurement.kind == POSE:

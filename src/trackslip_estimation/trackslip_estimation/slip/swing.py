@@ -37,7 +37,7 @@ def use_swing(state: Any, measurement: Any, c: Any, update: Any) -> None:
     soft = c.adaptation.soft_gate * limit
     z, stated = observed(measurement, state, c)
     x, P, level = state.mean[: c.size].copy(), state.covariance.copy(), state.attitude.level
-    innovation, predicted = np.array((wrap(z[0] - x[SWING]),)), P[SWING:, SWING:][:1, :1].copy()
+    innovation, predicted = np.array((wrap(z[0] - x[SWING]),)), P[SWING:SWING_RATE, SWING:SWING_RATE].copy()
     update.dof, update.gate = 1, soft * width_of(state, measurement, c)
     factors = state.adaptation.fix_factors
     if innovation[0] ** 2 <= soft * (predicted + factors[source] * stated)[0, 0]:
@@ -76,4 +76,4 @@ def fill_swing(state: Any, swing: Any, c: Any) -> None:
     if c.swings:
         swing.known, swing.rate = 1, state.mean[SWING_RATE]
         swing.angle = wrap(state.mean[SWING])
-        swing.covariance[:] = state.covariance[SWING:, SWING:]
+        swing.covariance[:] = state.covariance[SWING : SWING_RATE + 1, SWING : SWING_RATE + 1]

@@ -18,39 +18,27 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
-from trackslip_estimation.kalman.linear_algebra import log_determinant as log_determinant_of
-from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
-from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_rate, repeats, shared_error
-from trackslip_estimation.slip.alignment import (
-    UNKNOWN_HEADING,
-    forget_refused,
-    insists,
-    keep_refused,
-    realign,
-)
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.slip.adaptation import learn_from_rate
 from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
-from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor, widen_swing_rate
+from trackslip_estimation.slip.levers import widen_swing_rate
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW, X, Y
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW
 from trackslip_estimation.slip.models.speed import YAW_RATE_ERROR
-from trackslip_estimation.slip.models.swing import may_swing, open_swing
+from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import (
     add_rounding,
     comparable_speeds,
     expected,
     jacobian,
-    lean,
     observed,
 )
 from trackslip_estimation.slip.records import HEADING, POSE, YAW_RATE
-from trackslip_estimation.slip.stands import count_fix, stands_still
-from trackslip_estimation.slip.traction import along_heading, changed_slip, goes_on, widen_slip
 
 FloatArray = NDArray[np.float64]
 
-_MOST_LEAN = 0.9  # of the variance of a fix, as far as it states more than its own noise
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 
 
@@ -162,112 +150,6 @@ def _rate_shown(state: Any, source: int, measured: tuple[float, float], c: Any) 
     if has_velocity_errors(c):
         variance += P[YAW_RATE_ERROR, YAW_RATE_ERROR]
     return (shown - state.mean[GYRO_BIAS]) / (1.0 + state.mean[GYRO_SCALE]), variance
-
-
-@inlined
-def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
-    """Update with a pose: in full inside the gate g, with less weight up to the soft gate, not at all beyond.
-
-    In between R grows until the innovation is as large as g allows. Silence widens P, never the gate; what is
-    refused moves the pose where it agrees with others that were (``alignment``).
-    """
-    source = measurement.source
-    z, stated = observed(measurement, state, c)
-    m, limit = z.size, c.gate_limits[z.size]
-    x, P = state.mean[: c.size].copy(), state.covariance.copy()
-    shift = stamp_shift(state, source, c)
-    to_sensor(x, P, state.attitude.level, source, 1.0, c)
-    to_delayed(x, P, shift, 1.0)
-    innovation, predicted = z - x[:m], P[:m, :m].copy()
-    if m > YAW:
-        innovation[YAW] = wrap(innovation[YAW])
-    update.dof, update.gate = m, c.adaptation.soft_gate * limit
-    finds_heading = state.aligning and (m <= YAW or c.above[source] == 1)
-    known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.correlation_times[source])
-    R, alone = _noise(state, source, (innovation, predicted, stated), finds_heading, c)
-    root_of_S = root(predicted + R)
-    nis = weighted_square(root_of_S, innovation)
-    refused = finds_heading or nis > update.gate
-    shown = along_heading(state, innovation), predicted, known * R
-    changed = (0.0, 0.0) if refused else changed_slip(state, source, shown, c)
-    if changed[0] != 0.0:
-        widen_slip(state, P, changed)
-        widen_slip(state, update.prior_covariance, changed)
-        predicted = P[:m, :m].copy()
-        root_of_S = root(predicted + R)
-        nis = weighted_square(root_of_S, innovation)
-    update.nis, update.log_determinant = nis, log_determinant_of(root_of_S)
-    inside = not refused and nis <= limit
-    if inside:
-        state.consistent_ns[source] = measurement.stamp_ns
-    elif may_swing(state, source, c):
-        forget_refused(state, False)  # how it swings is no way that was driven
-        if refused and not finds_heading and width_of(state, measurement, c) > 1.0:
-            open_swing(state.covariance, c)
-    else:
-        keep_refused(state, (x[X], x[Y]), (z[X], z[Y]), (R[X, X] + R[Y, Y]) / 2.0)
-        heading_fits = m <= YAW or innovation[YAW] ** 2 <= limit * (predicted + R)[YAW, YAW]
-        at_rest = heading_fits and insists(state, source, measurement.stamp_ns, c)
-        if realign(state, at_rest, heading_fits and m > YAW, c):
-            state.consistent_ns[source] = measurement.stamp_ns
-            update.follows = False
-            return
-    if refused:
-        update.outcome = _GATED
-        return
-    if nis > limit:
-        R = R + (nis / limit - 1.0) * (predicted + R)
-    share_lean(state, P, R, source, c)
-    R = min(known, shared_error(predicted, R)) * R
-    count_fix(state, source, alone, R, c)
-    correct(measurement.kind, x, P, (z, R), (0.0, 0.0), c)
-    state.runs[source].pulled += along_heading(state, innovation) - along_heading(state, z - x[:m])
-    to_delayed(x, P, shift, -1.0)
-    x[YAW] = wrap(x[YAW])
-    to_sensor(x, P, state.attitude.level, source, -1.0, c)
-    state.mean[: c.size], state.covariance[:] = x, P
-    state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
-    if inside:
-        forget_refused(state, True)
-
-
-@inlined
-def share_lean(state: Any, P: FloatArray, R: FloatArray, source: int, c: Any) -> None:
-    """All fixes of an antenna have the same lean: no number of them tells it, and none need outweigh it.
-
-    It is not in R, then, but beside P; what fixes of another lean had is in P from now on.
-    """
-    leans = lean(state, source, c)
-    was = max(state.lean - leans, 0.0)
-    for i in range(2):
-        R[i, i] -= min(leans, _MOST_LEAN * R[i, i])
-        P[i, i] += was
-    state.lean = leans
-
-
-@inlined
-def _noise(
-    state: Any,
-    source: int,
-    shown: tuple[FloatArray, FloatArray, FloatArray],
-    finds_heading: bool,
-    c: Any,
-) -> tuple[FloatArray, bool]:
-    """R of a fix, whose factor is learned from it; whether it counts alone, or as one more of its stand.
-
-    ``shown``: its innovation, the covariance of that without R, and R as stated.
-    """
-    innovation, predicted, stated = shown
-    factors, limit = state.adaptation.fix_factors, c.gate_limits[innovation.size]
-    nis = weighted_square(root(predicted + factors[source] * stated), innovation)
-    alone = not stands_still(state, source, c) or nis > limit
-    inside = nis <= c.adaptation.soft_gate * limit
-    same_side = goes_on(state.runs[source], along_heading(state, innovation))
-    if has_velocity_errors(c) and not finds_heading and inside and alone and not same_side:
-        learn_from_fix(state.adaptation, source, innovation, predicted, stated, c)
-        if c.correlation_times[source] > 0.0:  # what follows it so smoothly does not show that it is small
-            factors[source] = max(factors[source], 1.0)
-    return factors[source] * stated, alone
 
 
 @compiled

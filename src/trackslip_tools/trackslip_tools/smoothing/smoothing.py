@@ -101,6 +101,8 @@ def _smooth_back(window: Window, last: int, config: Records) -> None:
         if update.follows:
             dt = (states[k].stamp_ns - before.stamp_ns) * 1e-9
             F = linearize(filtered[0], filtered[1], states[k], dt, c)[1]
+            if update.renewed >= 0:
+                F[update.renewed : update.renewed + 2] = 0.0
             predicted = update.prior_mean[:n].copy(), update.prior_covariance[:n, :n].copy()
             x, P = step_back(filtered, predicted, (x, P), F, YAW)
             before.mean[:n], before.covariance[:n, :n] = x, P

@@ -28,7 +28,7 @@ from trackslip_estimation.kalman.linear_algebra import sandwich, wrap
 from trackslip_estimation.slip.models import free_slips, icr, slope, speed, turning
 from trackslip_estimation.slip.models.free_slips import SlipNoise
 from trackslip_estimation.slip.models.icr import IcrNoise
-from trackslip_estimation.slip.models.model import YAW, X, Y
+from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 from trackslip_estimation.slip.models.speed import FIRST, SPEED_ERROR, VELOCITY_ERRORS, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import CONSTANTS as SWING_CONSTANTS
 from trackslip_estimation.slip.models.swing import linearize_swing, move_swing
@@ -162,7 +162,15 @@ def move(x: FloatArray, drive: Any, dt: float, c: Any) -> FloatArray:
         moved[VELOCITY_ERRORS] = x[VELOCITY_ERRORS] * kept
     if c.swings:
         move_swing(x, moved, dt, drive, c)
+    for i in range(SENSOR_ERRORS, x.size):
+        moved[i] *= error_left(i, dt, c)
     return moved
+
+
+@compiled
+def error_left(i: int, dt: float, c: Any) -> float:
+    """Share of the number ``i`` of the state, an error of a sensor, that is left after dt."""
+    return math.exp(-dt / c.error_times[i]) if c.error_times[i] > 0.0 else 1.0
 
 
 @compiled
@@ -215,6 +223,10 @@ def linearize(
     if c.swings:
         move_swing(x, moved, dt, drive, c)
         linearize_swing(x, F, Q, dt, drive, c)
+    for i in range(SENSOR_ERRORS, n):
+        if c.error_times[i] > 0.0:
+            F[i, i] = error_left(i, dt, c)
+            moved[i], Q[i, i] = x[i] * F[i, i], 1.0 - F[i, i] ** 2
     return moved, F, Q
 
 

@@ -19,11 +19,10 @@ GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its 
 DOWNHILL = 12  # of the models that know how the vehicle turns
 POSE = slice(X, YAW + 1)
 BELOW = 14  # numbers of a machine that nothing swings on, and no source of which errs by itself
-SENSOR_ERRORS = BELOW  # one number of each source that has an error of its own (``config``)
-MOST_SENSOR_ERRORS = 3
-SWING = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # σ of the upper structure (``swing``), rad
-SWING_RATE = SWING + 1  # σ̇, rad/s
-SIZE = SWING_RATE + 1  # of every state record; what a model has not is zero
+SWING, SWING_RATE = BELOW, BELOW + 1  # σ of the upper structure (``swing``) and σ̇, rad, rad/s
+SENSOR_ERRORS = SWING_RATE + 1  # of sources that have errors of their own (``own_errors``)
+MOST_SENSOR_ERRORS = 7
+SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; what a model has not is zero
 
 
 class Part(NamedTuple):

@@ -19,6 +19,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.motion import Motion
 
 _STANDING = int(Motion.STANDING)
+_BUILT = 1e-4  # of the shear is missing where it counts as built up: after nine times K₀
 
 
 @compiled
@@ -33,6 +34,14 @@ def build_up(state: Any, dt: float, c: Any) -> None:
         way = c.rolling_radius * abs(speed) * dt
         missing = math.copysign(1.0, speed) - built[side]
         built[side] -= missing * math.expm1(-way / c.velocity_errors.start_shear)
+
+
+@compiled
+def starts(drive: Any, c: Any) -> bool:
+    """Whether a track that turns has hardly sheared the soil yet."""
+    left, right = lost_speeds(drive, c)
+    way = c.rolling_radius * abs(drive.speeds.left), c.rolling_radius * abs(drive.speeds.right)
+    return bool(abs(left) > _BUILT * way[0] or abs(right) > _BUILT * way[1])
 
 
 @compiled

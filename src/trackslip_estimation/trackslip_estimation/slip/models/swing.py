@@ -71,8 +71,8 @@ class SwingParameters(Parameters):
         ge=0.0,
     )
     repeat_time: float = parameter(
-        "correlation_time that fixes of what sits above have at the least: its place against the swing "
-        "axis errs alike from one to the next",
+        "for which fixes of what sits above err alike, by its place against the swing axis: those that "
+        "follow each other faster count for less",
         unit="s",
         ge=0.0,
         le=600.0,

@@ -55,7 +55,7 @@ def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEs
         else:  # what the filters are given is all true
             c["gate_limits"], c["stamp_errors"] = np.inf, 0.0
         if drive.swings:  # nor do fixes of a cab repeat an error
-            c["correlation_times"] = c["standing_share"] = 0.0
+            c["repeat_times"] = c["standing_share"] = 0.0
     rows = drive.rows._replace(measurements=drive.with_noise(cell, p.sigma_heading))
     return Setting(cell, drive, rows, config, linear, p.sigma_heading)
 
