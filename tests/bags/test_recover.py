@@ -4,6 +4,7 @@
 
 import hashlib
 import random
+import resource
 import shutil
 from pathlib import Path
 from typing import Any
@@ -162,6 +163,20 @@ def test_a_whole_bag_loses_nothing(whole: Path, tmp_path: Path, capsys: pytest.C
     assert main(["recover", str(whole), "--output", str(tmp_path / "out")]) == ExitCode.DONE
     assert capsys.readouterr().out.startswith("nothing was lost\n")
     assert contents(tmp_path / "out") == contents(whole)
+
+
+def test_what_follows_the_end_of_a_file_was_read_into_memory(damaged: Path) -> None:
+    """Gigabytes of zeros, of which a sparse file has as many as it likes."""
+    file = damaged / "bag_0.mcap"
+    with file.open("r+b") as stream:
+        stream.truncate(file.stat().st_size + 2**33)
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (2**32, before[1]))
+    try:
+        assert main(["recover", str(file)]) == ExitCode.DONE
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+    assert len(contents(damaged / "bag_0_recovered")) == COUNT
 
 
 def test_a_recorder_killed_before_its_first_chunk_leaves_an_empty_bag(tmp_path: Path) -> None:

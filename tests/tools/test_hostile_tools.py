@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags, disks and options that mean no good, given to ``trackslip``: one line, and nothing left behind."""
 
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -104,6 +105,13 @@ def test_info_into_a_full_disk_ends_with_one_line(bag: Path) -> None:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == ExitCode.BAD_INPUT
     assert done.stderr == "trackslip: cannot read or write (No space left on device)\n"
+
+
+def test_info_with_closed_output_ended_with_a_traceback(bag: Path) -> None:
+    """``>&-``: there is no stdout at all then."""
+    command = f"{shlex.quote(sys.executable)} -m trackslip_tools.cli.main info {shlex.quote(str(bag))} >&-"
+    done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (ExitCode.DONE, "")
 
 
 def test_poses_of_another_frame_are_refused_by_name(

@@ -4,6 +4,7 @@
 
 import math
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -231,3 +232,14 @@ def test_fixes_whose_errors_last_leave_the_estimate_consistent() -> None:
             ]
     assert np.mean(nees[0.0]) > 5.0
     assert 0.5 < np.mean(nees[5.0]) < 3.5  # 2 if consistent
+
+
+def test_one_wrong_heading_after_an_outage_is_refused() -> None:
+    """The gate had widened with the silence, and one heading was believed that was off by a quarter turn."""
+    truth, measurements = seen(Machine(duration=100.0))
+    kept = [m for m in measurements if not isinstance(m, HeadingFix) or not 31 * S < m.stamp_ns < 91 * S]
+    back = next(k for k, m in enumerate(kept) if isinstance(m, HeadingFix) and m.stamp_ns > 90 * S)
+    wrong = replace(kept[back], heading=math.remainder(kept[back].heading + math.pi / 2.0, math.tau))
+    poses, _, outcomes = run([*kept[:back], wrong, *kept[back + 1 :]], with_headings())
+    assert outcomes[wrong.stamp_ns] is Outcome.GATED
+    assert np.abs(errors(poses, truth)[:, 2]).max() < 0.1

@@ -115,13 +115,17 @@ def test_a_seed_far_off_is_gated_until_it_has_not_agreed_for_long(
     drive: Callable[..., Any], model: str
 ) -> None:
     given = drive([(8.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements
-    for timeout, outcome in ((3600.0, Outcome.GATED), (0.5, Outcome.ACCEPTED)):
+    for timeout, outcome in ((3600.0, Outcome.GATED), (0.1, Outcome.ACCEPTED)):
         p = load_slip_parameters(SOURCE | {"model": model, "sources.slip_seed.timeout": timeout})
         estimator = SlipEstimator(p)
         for m in given:
             estimator.process(m)
         before = estimator.estimate().outputs
-        report = estimator.process(seed_at(given[-1].stamp_ns, 0.9, 0.001))[0]
+        for k in range(10, -1, -1):  # a source that insists: one alone is not believed
+            stamp_ns = given[-1].stamp_ns - k * 100_000_000
+            report = estimator.process(seed_at(stamp_ns, 0.9, 0.001))[0]
+            if report.outcome is Outcome.ACCEPTED:
+                break
         after = estimator.estimate().outputs
         assert report.outcome is outcome
         assert report.nis > LIMIT
@@ -129,7 +133,7 @@ def test_a_seed_far_off_is_gated_until_it_has_not_agreed_for_long(
         if outcome is Outcome.GATED:
             np.testing.assert_array_equal(after.slips, before.slips)
         else:  # admitted, and its surprise widens what it measures
-            assert after.slips[:2].mean() > 0.5
+            assert after.slips[:2].mean() > 0.3
 
 
 def test_nobody_listens_unless_asked(drive: Callable[..., Any]) -> None:

@@ -129,7 +129,7 @@ class DamagedFile:
             end += _HEAD + length
             self.share_read = end / size
             yield opcode, stream.read(length)
-        self.is_cut = stream.read() != _MAGIC
+        self.is_cut = stream.read(len(_MAGIC) + 1) != _MAGIC
 
     def _inside(self, opcode: int, content: bytes) -> list[object]:
         """What a record holds that matters here; nothing where it fails its checks."""

@@ -37,7 +37,6 @@ from trackslip_estimation.slip.observation import observed
 from trackslip_estimation.slip.own_errors import lasts, meet_quality, to_erring, white
 from trackslip_estimation.slip.stands import count_fix, stands_still
 from trackslip_estimation.slip.traction import along_heading, changed_slip, goes_on, widen_slip
-from trackslip_estimation.slip.update import width_of
 
 FloatArray = NDArray[np.float64]
 
@@ -138,7 +137,8 @@ def _insists(
     m, limit = z.size, c.gate_limits[z.size]
     if may_swing(state, source, c):
         forget_refused(state, False)  # how it swings is no way that was driven
-        if refused and not state.aligning and width_of(state, measurement, c) > 1.0:
+        silent_ns = measurement.stamp_ns - state.consistent_ns[source]
+        if refused and not state.aligning and silent_ns > c.timeouts_ns[source]:
             open_swing(state.covariance, c)
         return False
     keep_refused(state, (x[X], x[Y]), (z[X], z[Y]), (whole[X, X] + whole[Y, Y]) / 2.0)

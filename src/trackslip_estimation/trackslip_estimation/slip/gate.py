@@ -5,13 +5,14 @@
     ν, S    innovation and its covariance
     d²      νᵀ S⁻¹ ν, used where d² ≤ w g
     g       χ² quantile; source and state are consistent where d² ≤ g
-    w       1 until they have not been for the source's timeout, then ``relaxation`` per further timeout
+    w       1 until they have not been for the source's timeout, then ``relaxation`` per further timeout; of a
+            silence no more than a timeout counts, and none where they agreed before
 
-So a spike stays out, and a source that insists, or comes back after an outage, is believed in the end: the
-time that takes grows with the logarithm of how far off it is. What passes only because the gate is wide says
-that the state was wrong: its covariance is widened by what the innovation shows before the update, that of
-the slips by ν νᵀ, or that of the gyro's bias by ν². A gyro is consistent at once, for now its bias explains
-what it shows. Poses have a gate of another kind, which never widens (``update.use_pose``, ``alignment``).
+So a spike stays out, even the first reading after an outage, and a source that insists is believed in the
+end: the time that takes grows with the logarithm of how far off it is. What passes only because the gate is
+wide says that the state was wrong: its covariance is widened by what the innovation shows before the update,
+that of the slips by ν νᵀ, or that of the gyro's bias by ν². A gyro is consistent at once, for now its bias
+explains what it shows. Poses have a gate of another kind, which never widens (``fixes``, ``alignment``).
 
 In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
 slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of
@@ -42,11 +43,11 @@ _ALIKE = 0.1  # of the yaw rate without slip, by which readings that agree may d
 
 
 @compiled
-def width(silent_ns: int, timeout_ns: int, relaxation: float) -> float:
+def width(refused_ns: int, timeout_ns: int, relaxation: float) -> float:
     """w."""
-    if silent_ns <= timeout_ns:
+    if refused_ns <= timeout_ns:
         return 1.0
-    widened: float = relaxation ** min(silent_ns / timeout_ns - 1.0, _WIDEST)
+    widened: float = relaxation ** min(refused_ns / timeout_ns - 1.0, _WIDEST)
     return widened
 
 

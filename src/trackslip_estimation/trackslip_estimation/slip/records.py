@@ -151,6 +151,8 @@ STATE = np.dtype(
         ("coasting", np.bool_),  # the sprockets have been silent for too long
         ("sample", SAMPLE),  # the last of the sprockets
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
+        ("refused_ns", np.int64, (MOST_SOURCES,)),  # for how long it has insisted since, its silences apart
+        ("heard_ns", np.int64, (MOST_SOURCES,)),  # stamp of its last measurement
         ("fix_stddevs", np.float64, (MOST_SOURCES,)),  # of the last fix used, where its error lasts, m
         ("stands", STAND, (MOST_SOURCES,)),
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground

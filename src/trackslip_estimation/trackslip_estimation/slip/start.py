@@ -92,5 +92,6 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
     forget_fixes(state, False)
     for k in range(MOST_SOURCES):
-        state.consistent_ns[k] = stamp_ns
+        state.consistent_ns[k] = state.heard_ns[k] = stamp_ns
+        state.refused_ns[k] = 0
         state.streaks[k].count, state.streaks[k].value = 0, 0.0

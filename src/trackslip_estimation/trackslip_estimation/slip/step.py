@@ -52,7 +52,7 @@ from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember
 from trackslip_estimation.slip.swing import use_swing
 from trackslip_estimation.slip.tilt import rise, tilt_by
 from trackslip_estimation.slip.traction import follow_tracks
-from trackslip_estimation.slip.update import use_rate, use_slips
+from trackslip_estimation.slip.update import hear, use_rate, use_slips
 
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
@@ -76,7 +76,15 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         update.follows = False
     elif measurement.kind == POSE:
         use_pose(state, measurement, c, update)
-    elif measurement.kind == YAW_RATE:
+    else:
+        hear(state, measurement, c)
+        _use(state, measurement, c, update)
+
+
+@inlined
+def _use(state: Any, measurement: Any, c: Any, update: Any) -> None:
+    """A measurement whose source may insist."""
+    if measurement.kind == YAW_RATE:
         own = c.own_errors[measurement.source]
         exchange_bias(state, update, own)
         if measurement.source == c.tilt_source:

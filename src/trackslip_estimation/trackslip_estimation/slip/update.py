@@ -132,9 +132,21 @@ def _least_surprise(
 
 @compiled
 def width_of(state: Any, measurement: Any, c: Any) -> float:
-    """How far the gate of a yaw rate, of slips or of a heading has widened."""
-    silent_ns = measurement.stamp_ns - state.consistent_ns[measurement.source]
-    return width(silent_ns, c.timeouts_ns[measurement.source], c.gate_relaxation)
+    """How far the gate of a source that insists has widened."""
+    source = measurement.source
+    return width(state.refused_ns[source], c.timeouts_ns[source], c.gate_relaxation)
+
+
+@compiled
+def hear(state: Any, measurement: Any, c: Any) -> None:
+    """A source outside its gate insists for longer by the time since its last measurement, not by silence."""
+    source = measurement.source
+    if state.consistent_ns[source] >= state.heard_ns[source]:
+        state.refused_ns[source] = 0
+    else:
+        silent_ns = measurement.stamp_ns - state.heard_ns[source]
+        state.refused_ns[source] += min(max(silent_ns, 0), c.timeouts_ns[source])
+    state.heard_ns[source] = measurement.stamp_ns
 
 
 @compiled

@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 from trackslip_common.errors import ExitCode, InputError, did_you_mean, printable
@@ -38,6 +39,7 @@ class _Version(argparse.Action):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     if argv is None:  # a process of its own
+        _open_closed_output()
         repeat_lost_interrupts()
         atexit.register(gc.freeze)  # else all that it holds is looked through before it ends: 0.3 s
     try:
@@ -58,6 +60,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         name = f" '{error.filename}'" if error.filename else ""
         print(printable(f"trackslip: cannot read or write{name} ({error.strerror})"), file=sys.stderr)
         return ExitCode.BAD_INPUT
+
+
+def _open_closed_output() -> None:
+    """Where stdout or stderr is closed (``>&-``) Python has None: what is written then goes nowhere."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 (open until the end)
+            setattr(sys, name, nowhere)
 
 
 def _give_up_output() -> None:
