@@ -100,7 +100,7 @@ def use_sample(a: Any, n: Any) -> int:
         u = _velocity_at(imu, rates)
         force = force_of(imu)
         feel(a, (force[0] + rates[2] * u[1], force[1] - rates[2] * u[0]), u)
-        if a.span.time >= SHORTEST or a.span.samples * a.span.time == 0.0:
+        if a.span.time >= SHORTEST or a.span.time == 0.0:
             _level_by(a, own_acceleration(a, u), n)
             begin_span(a, _velocity_at(imu, _rates(a)))
     a.rates[0], a.rates[1], a.rates[2] = _rates(a)
