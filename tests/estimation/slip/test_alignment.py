@@ -12,6 +12,7 @@ from fixtures.drawn_machine import Machine, drive, parameters, turned
 from trackslip_estimation.slip.alignment import rigid_motion
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix
+from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import REFUSED
 
 
@@ -66,6 +67,28 @@ def test_an_unknown_heading_is_published_wide_and_then_found() -> None:
     errors = np.angle(np.exp(1j * (poses[found:, 2] - recorded.poses[1 + found :, 2] - 2.5)))
     assert np.all(np.abs(errors) < 4.0 * deviations[found:])
     assert Outcome.GATED not in fixes[-40:]
+
+
+def test_a_heading_of_which_nobody_said_anything_was_believed() -> None:
+    """To 0.02 rad, of what is 0 unless stated: positions alone were refused until it was found."""
+    recorded = drive(Machine(duration=30.0))
+    poses, covariances, _ = run(turned(recorded.measurements, math.pi / 2.0), initial_yaw_stddev=0.0)
+    errors = np.angle(np.exp(1j * (poses[:, 2] - recorded.poses[1:, 2] - math.pi / 2.0)))
+    assert np.all(np.abs(errors) < 3.0 * np.sqrt(covariances[:, 2, 2]))
+    assert load_slip_parameters({"start": "initial_pose"}).initial_pose()[1][2, 2] == 0.02**2
+
+
+def test_the_place_was_left_to_itself_until_the_heading_was_found() -> None:
+    """It went away to any side for as long, claiming to know how far ahead it is."""
+    recorded = drive(Machine(duration=20.0))
+    poses, covariances, fixes = run(turned(recorded.measurements, math.pi), initial_yaw_stddev=0.0)
+    until = np.flatnonzero(covariances[:, 2, 2] < 1.0)[0]
+    errors = (poses + recorded.poses[1:])[:until, :2]  # half a turn
+    nees = np.einsum("ki,kij,kj->k", errors, np.linalg.inv(covariances[:until, :2, :2]), errors)
+    assert np.hypot(*errors.T).max() < 2.5  # twice what it drives in a second
+    assert np.mean(nees) < 4.0
+    assert np.max(nees) < 14.0
+    assert Outcome.GATED not in fixes
 
 
 def test_a_machine_that_slid_sideways_was_turned_to_its_course() -> None:

@@ -14,12 +14,18 @@ the start; else heading and all that was learned stay. Fixes of the newest motio
 agree, the oldest is dropped. On a slope a machine may slide and not go where it looks: where the fixes show
 its heading, they turn nothing there, and k is open.
 
+As long as no heading is known, fixes inside their gate hold the place, and each metre driven since the last of them
+doubts it; nothing of that turns the machine.
+
 A machine that stands shows no such way. There fixes that agree are believed once their source has insisted
 for some timeouts: the place moves to them.
 """
 
 import math
 from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
@@ -28,8 +34,11 @@ from trackslip_estimation.slip.models.model import DOWNHILL, FIX_DELAY, GYRO_SCA
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
 from trackslip_estimation.slip.traction import FEWEST, PATH_ERROR, agree, find_slip
 
+FloatArray = NDArray[np.float64]
+
 CAPACITY = 16  # refused fixes that are remembered
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which there is none
+_DIRECTION_DOUBT = 1.5  # of the way squared, along it: E(1 − cos φ)², any direction φ being as likely
 _SHIFT_ERROR = 0.1  # of the way between the fixes and the pose
 _SIGNIFICANT = 3.0  # standard deviations of a rotation
 _GENTLE, _STEEP = 0.05, 0.1  # sines of slopes
@@ -124,6 +133,32 @@ def rigid_motion(refused: Any, count: int, track_variance: float) -> RigidMotion
         chi2 += (e_x * e_x + e_y * e_y) / (variance + path_variance * (a_x * a_x + a_y * a_y))
     stddev = math.sqrt((variance + path_variance * spread / count) / max(spread, 1e-12))
     return RigidMotion(rotation, stddev, chi2, (p_x, p_y), (z_x, z_y), variance)
+
+
+@compiled
+def doubt_direction(state: Any, from_x: float, from_y: float) -> None:
+    """P after a step from there to a place that is known only if the heading is; across it P grows by σ_ψ."""
+    P = state.covariance
+    before = (from_x - state.anchor[0], from_y - state.anchor[1])
+    now = (state.mean[X] - state.anchor[0], state.mean[Y] - state.anchor[1])
+    for i in (X, Y):
+        for j in (X, Y):
+            P[i, j] += _DIRECTION_DOUBT * (now[i] * now[j] - before[i] * before[j])
+
+
+@compiled
+def hold_place(state: Any, gain: FloatArray, innovation: FloatArray, covariance: FloatArray) -> None:
+    """The place, and those of the refused fixes beside it, moved by a fix; (2, 2), (2,), P (2, 2) after it."""
+    x, P = state.mean, state.covariance
+    shift = gain @ innovation
+    for i in (X, Y):
+        x[i] += shift[i]
+        P[i, :] = P[:, i] = 0.0
+    P[:YAW, :YAW] = covariance
+    state.anchor[:] = x[:YAW]
+    for k in range(state.refused_count):
+        state.refused[k].predicted_x += shift[X]
+        state.refused[k].predicted_y += shift[Y]
 
 
 @compiled

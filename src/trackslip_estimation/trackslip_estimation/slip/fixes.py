@@ -22,6 +22,7 @@ from trackslip_estimation.slip.adaptation import learn_from_fix, repeats, shared
 from trackslip_estimation.slip.alignment import (
     UNKNOWN_HEADING,
     forget_refused,
+    hold_place,
     insists,
     keep_refused,
     realign,
@@ -75,6 +76,9 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     elif _insists(state, measurement, (x, P), (z, whole, R), refused, c):
         update.follows = False
         return
+    if finds_heading and _holds(state, source, innovation[:YAW], (P[:YAW, :YAW], R[:YAW, :YAW]), update, c):
+        state.consistent_ns[source] = measurement.stamp_ns
+        return
     if refused:
         update.outcome = _GATED
         return
@@ -93,6 +97,35 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
     if inside:
         forget_refused(state, True)
+
+
+@inlined
+def _holds(
+    state: Any,
+    source: int,
+    innovation: FloatArray,
+    variances: tuple[FloatArray, FloatArray],
+    update: Any,
+    c: Any,
+) -> bool:
+    """Whether a fix is inside its gate while no heading is known: it moves the place, and nothing else.
+
+    ``variances``: P and R (2, 2) of the sensor's place.
+    """
+    P, R = variances
+    root_of_S = root(P + R)
+    nis, gate = weighted_square(root_of_S, innovation), c.adaptation.soft_gate * c.gate_limits[YAW]
+    if nis > gate:
+        return False
+    update.nis, update.gate, update.dof, update.follows = nis, gate, YAW, False
+    update.log_determinant = log_determinant(root_of_S)
+    gain = np.linalg.solve(P + R, P).T
+    after = P - gain @ P
+    lever = c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
+    for i in range(YAW):
+        after[i, i] += lever
+    hold_place(state, gain, innovation, after)
+    return True
 
 
 @compiled

@@ -5,6 +5,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,11 @@ _MOUNTS = {
 }  # topics of them
 _ENCODER = "vehicle.sensors.swing_encoder.stddev"
 
+# rad, of a heading of which nothing is said: any may be, or the map begins where the machine looks along its x axis
+_YAW_STDDEVS: Mapping[str, float] = MappingProxyType(
+    {"first_fix": math.pi / math.sqrt(3.0), "initial_pose": 0.02}
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class SlipEstimatorParameters(ModelParameters, WithVehicle):
@@ -90,12 +96,13 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     start: str = parameter("what the estimate starts from", choices=("first_fix", "initial_pose"))
     initial_x: float = parameter("x at the start, with start: initial_pose", unit="m")
     initial_y: float = parameter("y at the start", unit="m")
-    initial_yaw: float = parameter("heading at the start", unit="rad")
+    initial_yaw: float = parameter("heading at the start, where the first fix shows none", unit="rad")
     initial_position_stddev: float = parameter("its standard deviation, x and y", unit="m", gt=0.0)
     initial_yaw_stddev: float = parameter(
-        "its standard deviation, heading; beyond 1 rad it is unknown, and found from the first metres driven",
+        "its standard deviation, heading; beyond 1 rad it is unknown, and found from the first metres driven. "
+        "0: as start implies, unknown with first_fix, 0.02 rad with initial_pose",
         unit="rad",
-        gt=0.0,
+        ge=0.0,
     )
     history_window: float = parameter("how late a measurement may come", unit="s", gt=0.0, le=60.0)
     max_gap: float = parameter(
@@ -278,7 +285,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     def initial_pose(self) -> tuple[FloatArray, FloatArray]:
         """(3,) x, y, heading to start from, and (3, 3) covariance."""
         waits = self.start == "first_fix" and bool(self.compasses())  # for one of these to say the heading
-        yaw_stddev = max(self.initial_yaw_stddev, math.pi) if waits else self.initial_yaw_stddev
+        yaw_stddev = math.pi if waits else self.initial_yaw_stddev or _YAW_STDDEVS[self.start]
         deviations = (self.initial_position_stddev, self.initial_position_stddev, yaw_stddev)
         pose = np.array((self.initial_x, self.initial_y, self.initial_yaw))
         return pose, np.diag(np.square(deviations))

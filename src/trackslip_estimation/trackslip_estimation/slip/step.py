@@ -19,7 +19,7 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_fixes, forget_refused
+from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, doubt_direction, forget_fixes, forget_refused
 from trackslip_estimation.slip.coasting import begin_coast, doubt_start, inflate, reset_velocity
 from trackslip_estimation.slip.fixes import use_pose
 from trackslip_estimation.slip.heading import use_heading
@@ -33,7 +33,7 @@ from trackslip_estimation.slip.models.dispatch import (
     twist,
     twist_jacobian,
 )
-from trackslip_estimation.slip.models.model import SIZE, YAW
+from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.shear import build_up
 from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import reset_motion, update_motion
@@ -117,7 +117,10 @@ def follow_sprockets(state: Any, closing: Any, stamp_ns: int, c: Any) -> None:
     if known_ns >= reached_ns:
         dt = (known_ns - reached_ns) * 1e-9
         update_motion(state.motion, state.speeds, dt, c.motion_limits, c.encoder_resolution)
+        from_x, from_y = state.mean[X], state.mean[Y]
         propagate(state, dt, c)
+        if state.aligning:
+            doubt_direction(state, from_x, from_y)
         if not state.sample.seen:
             doubt_start(state, known_ns, c)
         state.coasting, reached_ns = False, known_ns
