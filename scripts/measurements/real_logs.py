@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 
 from measurements.blocks import ROOT
 from measurements.workbench import NotMeasured, run, trackslip, write_yaml
@@ -66,6 +67,7 @@ _LOGS = (
             "… neither fixes nor gyro": "75.5:105.5 gyro",
         },
     ),
+    _Log("marmotte_boreal.csv", "{}/tracked_positions.yaml", "", {"tracked robot, heading unknown": ""}),
     _Log(
         "warthog_grass_a.csv",
         "mappings/warthog.yaml",
@@ -77,6 +79,12 @@ _LOGS = (
             "… none for 30 s, later": "313.8:343.8",
             "… neither fixes nor gyro, later": "313.8:343.8 gyro",
         },
+    ),
+    _Log(
+        "warthog_grass_a.csv",
+        "{}/warthog_positions.yaml",
+        "--start 128.8 --stop 362.9",
+        {"Warthog, heading unknown": ""},
     ),
 )
 _THINNED = "--thin reference_pose:1:0.05 --reference reference_pose"
@@ -106,10 +114,13 @@ def with_geometry_alone(folder: Path) -> list[str]:
 def _rows(folder: Path) -> Iterator[dict[str, Any]]:
     data = Path(os.environ.get("TRACKSLIP_SHARED", ROOT.parent / "shared")) / "data"
     write_yaml(folder / "tracked.yaml", _TRACKED)
+    write_yaml(folder / "tracked_positions.yaml", _of_positions(_TRACKED))
+    warthog = yaml.safe_load((ROOT / "config" / "mappings" / "warthog.yaml").read_text(encoding="utf-8"))
+    write_yaml(folder / "warthog_positions.yaml", _of_positions(warthog))
     for log in _LOGS:
         if not (data / log.file).is_file():
             raise NotMeasured(f"no {data / log.file}")
-        bag = folder / Path(log.file).stem
+        bag = folder / Path(log.mapping).stem
         run(f"import {data / log.file} --mapping {log.mapping} --output {bag}", folder)
         for case, hidden in log.cases.items():
             window, _, gyro = hidden.partition(" ")
@@ -117,6 +128,15 @@ def _rows(folder: Path) -> Iterator[dict[str, Any]]:
             options = " ".join(f"--withhold {topic}:{window}" for topic in topics) if window else ""
             replay = f"replay {bag} {log.options} {_THINNED} {options}"
             yield {"case": case, **{model: _mean(replay, model, folder) for model in _MODELS}}
+
+
+def _of_positions(mapping: dict[str, Any]) -> dict[str, Any]:
+    """A mapping whose reference has no heading."""
+    topics = {topic: {**roles} for topic, roles in mapping["topics"].items()}
+    topics["reference_pose"].pop("yaw")
+    stddev = topics["reference_pose"]["stddev"]
+    topics["reference_pose"]["stddev"] = {axis: stddev[axis] for axis in "xy"}
+    return {**mapping, "topics": topics}
 
 
 def _mean(replay: str, model: str, folder: Path) -> tuple[float, float]:

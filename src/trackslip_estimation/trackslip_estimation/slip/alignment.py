@@ -14,8 +14,8 @@ the start; else heading and all that was learned stay. Fixes of the newest motio
 agree, the oldest is dropped. On a slope a machine may slide and not go where it looks: where the fixes show
 its heading, they turn nothing there, and k is open.
 
-As long as no heading is known, fixes inside their gate hold the place, and each metre driven since the last of them
-doubts it; nothing of that turns the machine.
+As long as no heading is known, fixes inside their gate hold the place, and each metre driven since the last
+of them doubts it; nothing of that turns the machine.
 
 A machine that stands shows no such way. There fixes that agree are believed once their source has insisted
 for some timeouts: the place moves to them.
@@ -147,10 +147,9 @@ def doubt_direction(state: Any, from_x: float, from_y: float) -> None:
 
 
 @compiled
-def hold_place(state: Any, gain: FloatArray, innovation: FloatArray, covariance: FloatArray) -> None:
-    """The place, and those of the refused fixes beside it, moved by a fix; (2, 2), (2,), P (2, 2) after it."""
+def hold_place(state: Any, shift: FloatArray, covariance: FloatArray) -> None:
+    """The place, and those of the refused fixes beside it, moved by a fix: (2,), and (2, 2) after it."""
     x, P = state.mean, state.covariance
-    shift = gain @ innovation
     for i in (X, Y):
         x[i] += shift[i]
         P[i, :] = P[:, i] = 0.0

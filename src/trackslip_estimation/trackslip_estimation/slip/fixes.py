@@ -112,19 +112,17 @@ def _holds(
 
     ``variances``: P and R (2, 2) of the sensor's place.
     """
-    P, R = variances
-    root_of_S = root(P + R)
-    nis, gate = weighted_square(root_of_S, innovation), c.adaptation.soft_gate * c.gate_limits[YAW]
+    shift, after = np.zeros(YAW), variances[0].copy()
+    nis, logarithm = ekf.correct(shift, after, innovation, np.eye(YAW), variances[1].copy())
+    gate = c.adaptation.soft_gate * c.gate_limits[YAW]
     if nis > gate:
         return False
-    update.nis, update.gate, update.dof, update.follows = nis, gate, YAW, False
-    update.log_determinant = log_determinant(root_of_S)
-    gain = np.linalg.solve(P + R, P).T
-    after = P - gain @ P
+    update.nis, update.log_determinant, update.gate = nis, logarithm, gate
+    update.dof, update.follows = YAW, False
     lever = c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
     for i in range(YAW):
         after[i, i] += lever
-    hold_place(state, gain, innovation, after)
+    hold_place(state, shift, after)
     return True
 
 

@@ -51,7 +51,7 @@ _MOUNTS = {
 }  # topics of them
 _ENCODER = "vehicle.sensors.swing_encoder.stddev"
 
-# rad, of a heading of which nothing is said: any may be, or the map begins where the machine looks along its x axis
+# rad, of a heading of which nothing is said: it may be any, or the map's x axis is where the machine looks
 _YAW_STDDEVS: Mapping[str, float] = MappingProxyType(
     {"first_fix": math.pi / math.sqrt(3.0), "initial_pose": 0.02}
 )
@@ -99,7 +99,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     initial_yaw: float = parameter("heading at the start, where the first fix shows none", unit="rad")
     initial_position_stddev: float = parameter("its standard deviation, x and y", unit="m", gt=0.0)
     initial_yaw_stddev: float = parameter(
-        "its standard deviation, heading; beyond 1 rad it is unknown, and found from the first metres driven. "
+        "its standard deviation, heading; beyond 1 rad it is unknown, and found from the first metres. "
         "0: as start implies, unknown with first_fix, 0.02 rad with initial_pose",
         unit="rad",
         ge=0.0,
