@@ -49,7 +49,7 @@ def test_a_gyro_worse_than_it_states_is_found() -> None:
     assert track_error(worse) < 0.03  # and not taken for an error of the tracks
 
 
-@pytest.mark.parametrize(("noise", "least", "most"), [(0.02, 0.6, 1.6), (0.04, 2.0, 6.0)])
+@pytest.mark.parametrize(("noise", "least", "most"), [(0.02, 0.6, 1.6), (0.04, 2.0, 6.0), (0.2, 50.0, 134.5)])
 def test_fixes_worse_than_they_state_are_found(noise: float, least: float, most: float) -> None:
     factors = run(Machine(fix_noise=noise))["adaptation"]["fix_factors"]
     assert least < factors[0] < most

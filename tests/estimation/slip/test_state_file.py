@@ -266,7 +266,7 @@ def test_a_clock_that_cannot_be_right_forgets_the_ground_only(
 
 
 def test_of_another_version_it_is_not_used() -> None:
-    body = TEXT.replace("version: 1\n", "version: 99\n").rpartition("\nchecksum: ")[0]
+    body = TEXT.replace("version: 2\n", "version: 99\n").rpartition("\nchecksum: ")[0]
     with pytest.raises(InputError, match="of another version"):
         parse_state(f"{body}\nchecksum: {state_file.digest(body)}\n", OF)
 

@@ -36,8 +36,8 @@ FloatArray = NDArray[np.float64]
 TRACK_ERRORS, RATE_FACTORS, FIX_FACTORS = 6, 3, 9  # point masses of s, a and f
 _TRACK_RATIO = 3.0  # from one s to the next
 _RATE_RATIO = 4.0  # from one a to the next
-_FIX_STEP = 0.35  # of ln f
-_FIX_BELOW = 2  # point masses of f below 1
+_FIX_STEP = 0.7  # of ln f
+_FIX_BELOW = 1  # point masses of f below 1
 _FIX_PRIOR = 0.5  # standard deviation of ln f
 _HEAVY = 8.0  # degrees of freedom of Student's t
 _OF_GAUSSIAN = (1.232, 1.210, 1.192)  # by which d² of m = 1, 2, 3 counts, so that Gaussian fixes show f = 1

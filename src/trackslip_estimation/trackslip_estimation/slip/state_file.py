@@ -25,7 +25,7 @@ from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.learned import Learned, Meaning, OtherMachine, aged, from_tree, to_tree
 from trackslip_estimation.slip.learned_text import findings, lines_of
 
-_VERSION = 1
+_VERSION = 2
 _LARGEST = 1 << 18  # bytes
 _UNKNOWN_AGE = 7 * 86400.0  # s, where the clock cannot be right: the ground is forgotten, the machine not
 _EARLIEST, _OLDEST = -60.0, 10 * 365 * 86400.0  # s, ages that are believed: some clocks begin in 1970
