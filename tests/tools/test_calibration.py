@@ -49,6 +49,8 @@ class Made:
     pitch: float = -0.08
     gyro_late: float = 0.06  # s, the ground's lag in it
     pose_late: float = 0.15  # s, beyond the gyro's
+    gyro_noise: float = 0.003  # rad/s
+    heading_noise: float = 0.02  # rad
     offsets: tuple[float, float] = (1.0e5, -0.5e5)  # Pa
     legs: Sequence[tuple[float, float, float]] = DRIVE
 
@@ -74,14 +76,14 @@ def recorded(made: Made, seed: int) -> Recording:
     fixed = np.arange(0.1, t[-1], 0.24)
     seen = fixed - made.pose_late - made.gyro_late
     poses = np.column_stack([np.interp(seen, t, column) for column in (*path.T, heading)])
-    poses += rng.normal(0.0, (0.03, 0.03, 0.02), poses.shape)
+    poses += rng.normal(0.0, (0.03, 0.03, made.heading_noise), poses.shape)
     claimed = np.tile(np.square((0.05, 0.05, 0.03)), (len(fixed), 1))  # too modest, as sensors are
     pressures = 2.0e6 * speeds + made.offsets + rng.normal(0.0, 3e4, speeds.shape)
     sprockets = Series(t, angles)
     return Recording(
         f"drive {seed}",
         sprockets,
-        Series(at, turned + rng.normal(0.0, 0.003, turned.shape)),
+        Series(at, turned + rng.normal(0.0, made.gyro_noise, turned.shape)),
         Series(fixed, np.column_stack((poses, claimed))),
         Series(t, np.column_stack((pressures, commands / 3.0))),
         motions(sprockets, P.motion),
@@ -123,6 +125,14 @@ def test_intervals_hold_the_truth_as_often_as_they_say(name: str) -> None:
     assert np.median([half(f) for f in found]) < WIDEST[name]
     values = np.array([f.value for f in found], dtype=np.float64)
     assert half_of_median(found) < 4.0 * np.std(values)
+
+
+def test_noise_of_the_gyro_passed_for_its_scale() -> None:
+    """Between one heading and the next it is a part of what the gyro turned, so that it turned too far."""
+    made = Made(gyro_noise=0.05, heading_noise=0.004)
+    found = [calibrated(made, seed).findings["gyro_scale"] for seed in range(10)]
+    assert np.mean([f.value for f in found if f.value is not None]) == pytest.approx(made.scale, abs=0.015)
+    assert sum(f.interval is not None and f.interval[0] <= made.scale <= f.interval[1] for f in found) >= 8
 
 
 def half(finding: Finding) -> float:

@@ -12,6 +12,9 @@ s, b     scale about the unit's z axis, s₀ n_z, and bias                      
 
 A machine on a plane turns about the plane's normal, so n is the mounting, whatever the slope. How far it
 leans from z shrinks s by the cosine; how far the unit is turned about z no turn can show.
+
+The noise of z, and what headings are late by, make short increments of Θ larger than the turn: s would be too
+large by a per cent at 10 Hz. So it is found from their means over two seconds each, and δ from all of them.
 """
 
 import math
@@ -29,6 +32,7 @@ from trackslip_tools.calibration.regression import Fit, Increments, clustered, o
 from trackslip_tools.calibration.spans import blocks, spans, unbroken
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 LEAST_TURN = 1.0  # rad in all, below which turns determine nothing
 _LARGEST_DELAY = 1.0  # s
@@ -37,6 +41,7 @@ _DOUBTFUL = 0.3  # rad, claimed of a heading that is none
 _OUTLIER = 5.0  # robust standard deviations
 _FLOOR = 5e-4  # rad, no heading is better
 _SHORTEST = 0.5  # s, of a turn
+_MEAN_OF = 2.0  # s, of headings that together show the scale
 _ROUNDS = 5  # of Gauss and Newton, for the delay
 
 
@@ -49,26 +54,43 @@ class _Pair(NamedTuple):
     follows: NDArray[np.bool_]  # (k − 1,) whether the next heading follows from it, as the gyro turned
     gyro: Series
     angle: CubicHermiteSpline  # Θ
+    first: IntArray  # (n,) where those begin of which the mean is taken
+
+    def averaged(self) -> "_Pair":
+        """The same, for means over up to ``_MEAN_OF``."""
+        first = [0]
+        for k in range(1, len(self.t)):
+            if self.t[k] - self.t[first[-1]] >= _MEAN_OF or not self.follows[k - 1]:
+                first.append(k)
+        return self._replace(first=np.array(first))
 
     def increments(self) -> Increments:
-        """From heading to heading, of those that are ``kept``."""
+        """From mean to mean, of those that are ``kept``."""
         kept = self.kept
         joined = kept & np.concatenate(([False], kept[:-1]))
-        before, after = self.variances[:-1], self.variances[1:]
-        z, walk = np.diff(self.headings), np.diff(self.t)
-        return Increments(z[kept], before[kept], after[kept], walk[kept], joined[kept])
+        variances = self._means(self.variances) / self._counts
+        z, walk = np.diff(self._means(self.headings)), np.diff(self._means(self.t))
+        return Increments(z[kept], variances[:-1][kept], variances[1:][kept], walk[kept], joined[kept])
 
     @property
     def kept(self) -> NDArray[np.bool_]:
-        """(k − 1,) whether heading follows heading, and the gyro has no gap in between."""
-        margins = self.t[:-1] - _LARGEST_DELAY, self.t[1:] + _LARGEST_DELAY
-        return self.follows & unbroken(self.gyro.t, *margins)
+        """(n − 1,) whether heading follows heading, and the gyro has no gap in between."""
+        last = np.append(self.first[2:], len(self.t)) - 1
+        margins = self.t[self.first[:-1]] - _LARGEST_DELAY, self.t[last] + _LARGEST_DELAY
+        return self.follows[self.first[1:] - 1] & unbroken(self.gyro.t, *margins)
 
     def design(self, delay: float) -> FloatArray:
-        """(n, 3) what the gyro turned, its rate changed, and the time that went by, with those increments."""
+        """What the gyro turned, its rate changed, and the time that went by, with them; a row each."""
         at = self.t - delay
-        columns = (np.diff(self.angle(at)), np.diff(self.angle(at, 1)), np.diff(self.t))
-        return np.column_stack(columns)[self.kept]
+        columns = (self.angle(at), self.angle(at, 1), self.t)
+        return np.column_stack([np.diff(self._means(column)) for column in columns])[self.kept]
+
+    @property
+    def _counts(self) -> IntArray:
+        return np.diff(np.append(self.first, len(self.t)))
+
+    def _means(self, values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(values, self.first) / self._counts)
 
 
 def mounting(recordings: Sequence[Recording]) -> dict[str, Finding]:
@@ -104,13 +126,13 @@ def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
     turned = _turned(recordings)
     if turned < LEAST_TURN:
         return {"gyro_scale": _too_little(turned, "1"), late_of: _too_little(turned, "s")}
-    fit, delay = _fitted(pairs)
-    if fit is None:
+    (of_all, delay), (fit, _) = _fitted(pairs), _fitted([pair.averaged() for pair in pairs])
+    if of_all is None or fit is None:
         reason = "headings and gyro do not fit each other"
         return {"gyro_scale": refused(reason, "1"), late_of: refused(reason, "s")}
     basis = f"{sum(len(pair.t) for pair in pairs)} headings, {turned:.1f} rad turned"
     inverse = float(fit.values[0])
-    uncertain = fit.spread(1) / abs(inverse)
+    uncertain = of_all.spread(1) / abs(float(of_all.values[0]))
     late = found(delay, uncertain, "s", basis)
     if uncertain > _WIDEST_DELAY:
         late = refused(f"the rate of turn changes too little to find it better than ±{uncertain:.2f} s", "s")
@@ -152,7 +174,9 @@ def _pair(recording: Recording) -> _Pair | None:
     rest = np.unwrap(headings - as_turned)  # where fixes were missing for a while, whole turns may be too
     steps = np.abs(np.diff(rest) - np.median(np.diff(rest)))
     follows = steps <= _OUTLIER * max(1.4826 * float(np.median(steps)), 10.0 * _FLOOR)
-    return _Pair(t, as_turned + rest, variances, follows, gyro, angle) if follows.sum() >= 4 else None
+    if follows.sum() < 4:
+        return None
+    return _Pair(t, as_turned + rest, variances, follows, gyro, angle, np.arange(len(t)))
 
 
 def _turned(recordings: Sequence[Recording]) -> float:
