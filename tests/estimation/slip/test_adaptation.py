@@ -11,6 +11,7 @@ from fixtures.drawn_machine import Machine, drive, parameters
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Outcome, PoseFix, YawRate
 from trackslip_estimation.slip.models.model import GYRO_SCALE
+from trackslip_estimation.slip.models.turning import ASYMMETRY
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.slip.stands import repeats_stand
 
@@ -67,6 +68,15 @@ def test_fixes_of_a_stand_tell_together_what_the_common_part_leaves(share: float
     for count in (1, 2, 10, 500):
         told = sum(1.0 / repeats_stand(k, share) for k in range(1, count + 1))
         assert 1.0 / told == pytest.approx(share + (1.0 - share) / count)
+
+
+def test_a_turn_by_a_side_slope_was_learned_as_the_machines_own() -> None:
+    """To a fraction of what it is on the level, and kept for months."""
+    level, across = (
+        float(np.sqrt(run(Machine(roll=roll))["covariance"][ASYMMETRY, ASYMMETRY])) for roll in (1e-6, -0.2)
+    )
+    assert level < 0.002
+    assert 0.003 < across < 0.02
 
 
 @pytest.mark.parametrize("scale", [0.97, 1.0, 1.03])

@@ -9,8 +9,9 @@
          nothing while they counter-rotate                     m/s
     g    |D|/2 over |V| of a turn that is gentle: s is half    1
 
-κ, η and x_I learn in turns only, i₀ and ε while driving; ε is a constant of the machine. The equations are
-the same in left and right turns: outer and inner track keep their roles. A gentle turn costs less than η
+κ, η and x_I learn in turns only, i₀ and ε while driving. On level ground ε is a constant of the machine; across
+a slope the lower track carries more, and slips otherwise: there ε walks. The equations are the same in left and
+right turns: outer and inner track keep their roles. A gentle turn costs less than η
 says: on the shear truth (V − v)/(|D|/2) vanishes with D, and has half of its value at |D|/2 of 0.02 to
 0.07 V. Were it constant down to 0, the rounding of the counts, which makes D of nothing, would slow the
 machine in straight motion.
@@ -44,6 +45,7 @@ PARTS = (
     Part("loss", slice(LOSS, LOSS + 1), "1", "speed lost in a turn, η"),
     Part("asymmetry", slice(ASYMMETRY, ASYMMETRY + 1), "rad/m", "turn to the left by the metre driven, ε"),
 )
+_ACROSS = 0.04  # of ε, by the sine of the slope across: rad/m/√m
 CONSTANTS = np.dtype([("gentle_turn", np.float64)], align=True)
 
 
@@ -97,6 +99,12 @@ def couple(P: FloatArray, variance: float) -> None:
     P[LOSS, LOSS] += variance
     P[EFFICIENCY, LOSS] -= variance
     P[LOSS, EFFICIENCY] -= variance
+
+
+@compiled
+def set_slope_noise(Q: FloatArray, way: float, across: float) -> None:
+    """What ε changes by, ``way`` m along a slope whose sine is ``across``."""
+    Q[ASYMMETRY, ASYMMETRY] += _ACROSS * _ACROSS * across * across * way
 
 
 @compiled
