@@ -26,13 +26,13 @@ from soak_monitor import Monitor
 from soak_page import Sample, growths, page
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_sim.demo.graph import DemoOptions, NodeSpec, demo_nodes
-from trackslip_sim.demo.output import Results, claim
+from trackslip_sim.demo.output import LOGS, Results, claim
 from trackslip_sim.demo.processes import Processes, end_with_parent
 from trackslip_tools.cli.progress import shown
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "soak"
-RESULTS = Results("soak", ("bag*", "devices", "drive", "*.log", "soak.md", "state.yaml*"))
+RESULTS = Results("soak", ("bag*", "devices", "drive", *LOGS, "soak.md", "state.yaml*"))
 DRIVE_S, SPEED = 600, 10.0
 LONGEST_DRIVE_S = 3600.0  # of the emulator
 LIMITS = {"RSS (MB)": 10.0, "threads": 1.0, "open files": 1.0}  # growth in an hour

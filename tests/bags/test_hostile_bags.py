@@ -10,6 +10,7 @@ import pytest
 
 from trackslip_bags.importing.csv_table import Wanted, read_table
 from trackslip_bags.messages import make, serialize
+from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import recover
 from trackslip_bags.tables import read_tables
@@ -142,11 +143,20 @@ def test_a_pipe_as_a_csv_log_is_refused_and_not_waited_for(pipe: Callable[[str],
         read_table(pipe("log.csv"), Wanted((), (), ()))
 
 
+def test_metadata_of_a_gigabyte_was_parsed_for_minutes(tmp_path: Path) -> None:
+    bag = text_bag(tmp_path / "bag")
+    os.truncate(bag / METADATA, 2**30)
+    assert "more than 16 MB" in open_bag(bag).damage
+    recovery = recover(bag, tmp_path / "recovered")
+    assert (recovery.messages, recovery.stated) == (10, None)
+
+
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
         (f"a,b\n1,{'7' * 200_000}\n", "less than 128 kB"),
         (f'"{"a" * 200_000}",b\n1,2\n', "not a table"),
+        (f"a,b\n{'7' * 1_100_000}", "a line of more than 1 MB"),
     ],
 )
 def test_huge_fields_of_a_csv_log(tmp_path: Path, content: str, expected: str) -> None:

@@ -29,6 +29,19 @@ made = Object()
 del made
 """,
 }
+LATE = """
+import ctypes, sys
+from trackslip_common.start import repeat_lost_interrupts
+repeat_lost_interrupts()
+libc = ctypes.CDLL(None)
+libc.on_exit(libc.sleep, None)  # for as many seconds as the exit code has: some middleware takes as long
+class Object:
+    def __del__(self):
+        raise KeyboardInterrupt
+made = Object()
+del made
+sys.exit(1)
+"""
 PROGRAM = """
 import sys, time
 from trackslip_common.start import repeat_lost_interrupts
@@ -63,3 +76,9 @@ def test_ctrl_c_in_a_place_that_loses_it_ended_nothing(place: str) -> None:
         process.send_signal(signal.SIGINT)
         assert process.wait(30.0) == 130
         assert process.stderr.read() == ""
+
+
+def test_ctrl_c_that_was_lost_at_the_very_end_killed_by_an_alarm() -> None:
+    """Exit code 142: Python had given its handlers up, and the interrupt was yet to be raised again."""
+    done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "")

@@ -241,6 +241,13 @@ def test_broken_contract_is_refused_in_one_line(tmp_path, old, new, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_contract_larger_than_memory_was_read(tmp_path):
+    with (tmp_path / "large.dbc").open("wb") as file:
+        file.truncate(2**33)
+    with pytest.raises(InputError, match="large.dbc: more than 16 MB; accepted: a DBC"):
+        frame_set(tmp_path / "large.dbc")
+
+
 def test_missing_contract():
     with pytest.raises(InputError, match="not a usable DBC"):
         frame_set(config_file("can_driver.yaml").with_name("none.dbc"))

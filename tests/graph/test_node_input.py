@@ -4,6 +4,8 @@
 
 import re
 import signal
+import subprocess
+import sys
 
 import pytest
 from fixtures.node_arguments import ros_arguments
@@ -165,6 +167,25 @@ def test_ctrl_c_while_the_emulator_compiles(programs, observer):
     (line,) = program.stderr.splitlines()
     assert line.endswith("[emulator]: compiling, about a minute: once after an installation")
     assert seconds < BAR * SLACK
+
+
+LOST = """
+import os, signal, sys
+from trackslip_common.nodes.run import run
+def make_node():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt:  # as a compiler calls back
+        pass
+    raise RuntimeError("no compiled object yet for <Library 'slide'>")
+sys.exit(run(make_node, []))
+"""
+
+
+def test_ctrl_c_that_a_compiler_lost_was_a_failure_of_its_own():
+    """The node printed that there was no compiled object, and what arguments it accepts."""
+    done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_defaults_are_those_of_what_a_node_is_not_of_its_name(programs, observer):

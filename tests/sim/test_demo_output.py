@@ -4,11 +4,14 @@
 
 import math
 import os
+from pathlib import Path
 
 import pytest
 
 from trackslip_common.errors import InputError
-from trackslip_sim.demo.output import DEMO, Results, claim
+from trackslip_sim.demo.domain import claimed_domain
+from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
+from trackslip_sim.demo.output import DEMO, LOGS, Results, claim
 from trackslip_sim.demo.show import status
 
 
@@ -39,8 +42,33 @@ def test_an_earlier_demos_results_are_replaced_and_other_files_stay(tmp_path):
         (output / "summary.json").write_text("{}")
         (output / "slip_estimator.log").write_text("old")
     (output / "notes.txt").write_text("the user's")
+    (output / "field.log").write_text("the user's, and not of a node")
     with claim(output):
-        assert sorted(path.name for path in output.iterdir()) == sorted([DEMO.marker, "notes.txt"])
+        assert {path.name for path in output.iterdir()} == {DEMO.marker, "notes.txt", "field.log"}
+
+
+@pytest.mark.parametrize("gnss", [False, True])
+def test_each_log_of_a_demo_is_replaced_by_the_next(gnss):
+    here = Path()
+    options = DemoOptions(here, here, 1, 1.0, "sand", "thesis", "pc05", autostart=True, gnss=gnss)
+    assert {f"{node.executable}.log" for node in (*demo_nodes(options), LIVE)} <= set(LOGS)
+
+
+def test_two_demos_took_the_same_domain(monkeypatch):
+    """Their process ids were a hundred apart, and each drove the other's machine."""
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    with claimed_domain() as first:
+        monkeypatch.setattr(os, "getpid", lambda: first - 1)
+        with claimed_domain() as second:
+            assert first != second
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(first))
+        with (
+            pytest.raises(InputError, match=f"another demo runs in domain {first}; accepted"),
+            claimed_domain(),
+        ):
+            pass
+    with claimed_domain() as again:
+        assert again == first
 
 
 def test_links_are_not_followed_when_results_are_replaced(tmp_path):

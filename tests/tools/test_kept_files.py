@@ -135,6 +135,14 @@ def test_a_pipe_as_a_journal_or_a_cache_was_waited_for(tmp_path: Path, kept: str
         Journal(tmp_path / "pipe", (), ("a",)) if kept == "journal" else Cache(tmp_path / "pipe", Row)
 
 
+@pytest.mark.parametrize("kept", ["journal", "cache"])
+def test_a_journal_or_a_cache_larger_than_memory_was_read(tmp_path: Path, kept: str) -> None:
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(2**33)
+    with pytest.raises(InputError, match=f"is no {kept}"):
+        Journal(tmp_path / "large", (), ("a",)) if kept == "journal" else Cache(tmp_path / "large", Row)
+
+
 def test_a_full_disk_left_half_a_page_in_place_of_the_one_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,10 +3,30 @@
 """Records out of lines of JSON that may have been cut, edited, or written by another version."""
 
 import json
+from pathlib import Path
 from types import GenericAlias, NoneType, UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 R = TypeVar("R")
+
+_LARGEST = 2**28  # bytes of a file; ours have some hundred a line
+
+
+def read_lines(path: Path) -> list[str]:
+    """The lines of a file that begins with one of these; none where it is not there, or is empty.
+
+    Raises:
+        OSError: it cannot be read.
+        TypeError: it is a pipe, larger than any of ours, or begins with something else.
+    """
+    if not path.exists():
+        return []
+    if not path.is_file() or path.stat().st_size > _LARGEST:
+        raise TypeError("no file of ours")
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if text.strip() and not text.lstrip().startswith("{"):
+        raise TypeError("no line of ours")
+    return text.splitlines()
 
 
 def parse_line(line: str) -> dict[str, Any] | None:

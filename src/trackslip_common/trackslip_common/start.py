@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts an executable so that Ctrl-C is quiet from the first moment, while its imports are still loading."""
 
+import atexit
 import importlib
 import os
 import signal
@@ -11,6 +12,7 @@ from typing import Any, NoReturn
 from trackslip_common.errors import ExitCode
 
 _AGAIN = 0.1  # s
+_received: list[int] = []  # SIGINT, each time
 
 
 def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
@@ -34,21 +36,32 @@ def repeat_lost_interrupts() -> None:
     """Ctrl-C is not lost where a library calls back from machine code, as compilers do, or ends an object.
 
     There Python only prints that it ignored the exception: it is raised again a moment later, and what such
-    places print of objects that were half made is not shown.
+    places print of objects that were half made is not shown. Not at the end: then nobody catches it.
     """
-    shown, asked = sys.unraisablehook, False
+    shown = sys.unraisablehook
+    ends = False
 
-    def interrupt(*_: object) -> None:
-        nonlocal asked
-        asked = True
+    def interrupt(number: int, *_: object) -> None:
+        _received.append(number)
         raise KeyboardInterrupt
 
     def unraisable(lost: Any) -> None:
         if lost.exc_type is KeyboardInterrupt:
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
-        elif not asked:
+            signal.setitimer(signal.ITIMER_REAL, 0.0 if ends else _AGAIN)
+        elif not _received:
             shown(lost)
+
+    @atexit.register
+    def end() -> None:
+        nonlocal ends
+        ends = True
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     signal.signal(signal.SIGINT, interrupt)
     signal.signal(signal.SIGALRM, interrupt)
     sys.unraisablehook = unraisable
+
+
+def was_interrupted() -> bool:
+    """Whether Ctrl-C came: what fails after that fails by it, as a compiler that lost it does."""
+    return bool(_received)

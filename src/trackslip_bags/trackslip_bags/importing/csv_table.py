@@ -33,6 +33,7 @@ _BLANK = frozenset(("", "nan", "na", "n/a", "null", "none", "-nan"))
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 _BLOCK = 20_000  # rows
 _COMMENT = "#"
+_LONGEST = 1 << 20  # characters of a line
 _SHOWN = 40  # characters of a bad cell
 
 
@@ -161,7 +162,9 @@ class _Reader:
             self._notes.append(f"{self._path.name}: line {short[0]}, the last, is cut off and left out")
 
     def _lines(self) -> Iterator[str]:
-        for line in self._stream:
+        while line := self._stream.readline(_LONGEST):
+            if len(line) == _LONGEST:
+                raise InputError(f"{self._path}: a line of more than 1 MB; accepted: rows, a line each")
             if "\0" in line:
                 raise InputError(f"{self._path}: holds zero bytes; accepted: text")
             yield line
@@ -213,7 +216,7 @@ def _head(path: Path, stream: Any) -> tuple[list[str], str, int, bool]:
     comment, skipped = "", 0
     while True:
         position = stream.tell()
-        line = stream.readline(1 << 20)
+        line = stream.readline(_LONGEST)
         if not line:
             break
         if line.strip() and not line.lstrip().startswith(_COMMENT):

@@ -21,7 +21,7 @@ from trackslip_bags.recovery.salvage import DamagedFile, SalvagedTopic, is_mcap
 from trackslip_bags.sources import TopicInfo, bag_files
 from trackslip_bags.writer import BagWriter, own_schema
 from trackslip_common.errors import InputError
-from trackslip_common.yaml_text import parse_yaml
+from trackslip_common.yaml_text import LONGEST, parse_yaml
 
 _CDR = b"\0"  # how every CDR message begins
 _SHOWN = 1000  # messages between two words on how far it is
@@ -167,7 +167,8 @@ def _write(found: _Found, bag: BagWriter, recovery: Recovery) -> None:
 def _stated_count(path: Path) -> int | None:
     """How many messages the recorder wrote, by its own word."""
     try:
-        text = (path / METADATA).read_text(encoding="utf-8")
+        with (path / METADATA).open(encoding="utf-8") as file:
+            text = file.read(LONGEST + 1)
         count = parse_yaml(text, "metadata")["rosbag2_bagfile_information"]["message_count"]
     except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
         return None

@@ -84,14 +84,17 @@ def run(
         if node.callback_failures.are_hopeless:
             print(f"{node.get_name()}: nothing but failures; {node.callback_failures.last}", file=sys.stderr)
             return ExitCode.FAILED
-    except InputError as error:
-        print(error, file=sys.stderr)
-        return ExitCode.BAD_INPUT
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception as error:  # noqa: BLE001 (a defect of ours, but no traceback reaches a user)
-        print(f"failed: {cause(error)}", file=sys.stderr)
-        return ExitCode.FAILED
+        if signals.received:
+            pass  # what fails then fails by it, as a compiler that lost the exception
+        elif isinstance(error, InputError):
+            print(error, file=sys.stderr)
+            return ExitCode.BAD_INPUT
+        else:
+            print(f"failed: {cause(error)}", file=sys.stderr)
+            return ExitCode.FAILED
     finally:
         signals.break_off = False
         if node is not None:

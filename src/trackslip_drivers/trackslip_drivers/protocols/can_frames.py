@@ -30,6 +30,7 @@ ERROR_FLAG = 1 << 29  # set beside the id by the transport for error frames
 STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
 BUS = "can"  # what a rejection is counted under when the frame cannot be named
 
+_LARGEST = 16_000_000  # bytes of a DBC
 _EXTENDED = 1 << 29  # ids below are data frames with 29 bits
 _FIRST_BROADCAST = 0xF0  # of the PDU format: below it, the next byte is an address
 _MOST_SENDERS = 256
@@ -134,6 +135,8 @@ def load_frames(p: CanDriverParameters) -> FrameSet:
 def _read(dbc: Path) -> Database:
     """A DBC; frames whose signals overlap or do not fit are in it too, for who knows whether they matter."""
     try:
+        if dbc.stat().st_size > _LARGEST:
+            raise InputError(f"dbc_file {dbc}: more than {_LARGEST // 10**6} MB; accepted: a DBC")
         try:
             dbc.read_bytes().decode()
             encoding = "utf-8-sig"

@@ -31,7 +31,13 @@ class Results(NamedTuple):
         return InputError(f"{self.option}{reason}; accepted: {accepted}")
 
 
-DEMO = Results("demo", ("bag", "dev", "*.log", "summary.json", "demo.png"), "--output: ")
+# One of each node that a demo may run; a name of a user's own ends in .log, too.
+LOGS = (
+    *("emulator.log", "can_driver.log", "watson_imu.log", "sick_pls.log", "nmea_gnss.log"),
+    *("box_localizer.log", "gnss_localizer.log", "slip_estimator.log", "soil_estimator.log"),
+    *("record.log", "live.log"),
+)
+DEMO = Results("demo", ("bag", "dev", *LOGS, "summary.json", "demo.png"), "--output: ")
 
 
 def claim(output: Path, results: Results = DEMO) -> AbstractContextManager[None]:

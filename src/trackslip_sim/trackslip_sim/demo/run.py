@@ -22,6 +22,7 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import ExitCode, InputError, printable, suggestion
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters, load_vehicle
+from trackslip_sim.demo.domain import claimed_domain
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
 from trackslip_sim.demo.output import claim
 from trackslip_sim.demo.picture import draw
@@ -41,8 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     console = Console(highlight=False)
     try:
         options = _options(argv)
-        with claim(options.output):
-            return _run(options, console)
+        with claim(options.output), claimed_domain() as domain:
+            return _run(options, domain, console)
     except InputError as error:
         print(error, file=sys.stderr)
         return ExitCode.BAD_INPUT
@@ -93,7 +94,7 @@ def _duration(text: str) -> float:
     return seconds
 
 
-def _run(options: argparse.Namespace, console: Console) -> int:
+def _run(options: argparse.Namespace, domain: int, console: Console) -> int:
     output: Path = options.output
     nodes = DemoOptions(
         devices=(output / "dev").resolve(),
@@ -106,7 +107,7 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         autostart=False,
         gnss=options.gnss,
     )
-    domain = os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     console.print(
         f"Trackslip demo: {options.duration:g} s of '{options.scenario}' on {options.soil}; "

@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from trackslip_common.errors import InputError
-from trackslip_common.json_records import parse_line, record
+from trackslip_common.json_records import parse_line, read_lines, record
 
 R = TypeVar("R")
 
@@ -36,14 +36,14 @@ class Cache(Generic[R]):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.touch()
-            content = "" if path.is_fifo() else path.read_text(encoding="utf-8", errors="replace")
+            lines = read_lines(path)
         except OSError as error:
             raise InputError(f"--cache: '{path}' cannot be used ({error.strerror})") from error
-        if path.is_fifo() or (content.strip() and not content.lstrip().startswith("{")):
+        except TypeError as error:
             raise InputError(
                 f"--cache: '{path}' is no cache of a study; accepted: a new file, or such a cache"
-            )
-        for line in () if fresh else content.splitlines():
+            ) from error
+        for line in () if fresh else lines:
             self._remember(line)
 
     def get(self, key: str) -> R | None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from trackslip_common.errors import ExitCode, InputError, did_you_mean, printable
-from trackslip_common.start import repeat_lost_interrupts
+from trackslip_common.start import repeat_lost_interrupts, was_interrupted
 from trackslip_tools.cli.commands import Command, commands
 
 
@@ -60,6 +60,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         name = f" '{error.filename}'" if error.filename else ""
         print(printable(f"trackslip: cannot read or write{name} ({error.strerror})"), file=sys.stderr)
         return ExitCode.BAD_INPUT
+    except Exception:
+        if was_interrupted():
+            return ExitCode.INTERRUPTED
+        raise
 
 
 def _open_closed_output() -> None:

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from trackslip_common.errors import InputError
-from trackslip_common.json_records import parse_line, record
+from trackslip_common.json_records import parse_line, read_lines, record
 from trackslip_tools.tuning.task import Score, Task
 
 Values = tuple[float, ...]
@@ -32,22 +32,18 @@ class Journal:
         self._scores: dict[tuple[int, Values], Score] = {}
         heading = {"names": list(names), "of": _fingerprint(tasks)}
         try:
-            text = _text_of(path)
-            lines = text.splitlines()
-            known = [entry for entry in map(parse_line, lines) if entry is not None]
+            known = [entry for entry in map(parse_line, read_lines(path)) if entry is not None]
             if known and known[0] != heading:
                 raise InputError(
                     f"'{path}' is of other bags or parameters; accepted: another --output, or remove it"
                 )
-            if text.strip() and not text.lstrip().startswith("{"):
-                raise TypeError("no line of ours")
             for entry in known[1:]:
                 self._scores[_key(entry, len(heading["names"]))] = record(Score, entry["score"])
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("w" if not known else "a", encoding="utf-8")
         except OSError as error:
             raise InputError(f"journal '{path}' cannot be used ({error.strerror})") from error
-        except (KeyError, TypeError, UnicodeDecodeError) as error:
+        except (KeyError, TypeError) as error:
             raise InputError(f"'{path}' is no journal of tune; accepted: another --output") from error
         if not known:
             self._write(heading)
@@ -77,12 +73,6 @@ class Journal:
     def _write(self, entry: Mapping[str, Any]) -> None:
         self._file.write("\n" * bool(self._file.tell()) + json.dumps(entry))
         self._file.flush()
-
-
-def _text_of(path: Path) -> str:
-    if path.is_fifo():  # it would be waited for
-        raise TypeError("no file")
-    return path.read_text(encoding="utf-8") if path.exists() else ""
 
 
 def _key(entry: Mapping[str, Any], names: int) -> tuple[int, Values]:
