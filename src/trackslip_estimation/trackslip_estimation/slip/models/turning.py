@@ -9,9 +9,9 @@
          nothing while they counter-rotate                     m/s
     g    |D|/2 over |V| of a turn that is gentle: s is half    1
 
-κ, η and x_I learn in turns only, i₀ and ε while driving. On level ground ε is a constant of the machine; across
-a slope the lower track carries more, and slips otherwise: there ε walks. The equations are the same in left and
-right turns: outer and inner track keep their roles. A gentle turn costs less than η
+κ, η and x_I learn in turns only, i₀ and ε while driving. On level ground ε is a constant of the machine;
+across a slope the lower track carries more, and slips otherwise: there ε walks. The equations are the same in
+left and right turns: outer and inner track keep their roles. A gentle turn costs less than η
 says: on the shear truth (V − v)/(|D|/2) vanishes with D, and has half of its value at |D|/2 of 0.02 to
 0.07 V. Were it constant down to 0, the rounding of the counts, which makes D of nothing, would slow the
 machine in straight motion.
