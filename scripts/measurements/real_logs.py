@@ -17,37 +17,6 @@ from measurements.blocks import ROOT
 from measurements.workbench import NotMeasured, run, trackslip, write_yaml
 from trackslip_sim.study.table import table
 
-_TRACKED: dict[str, Any] = {
-    "time": {"column": "t", "unit": "s"},
-    "topics": {
-        "sprockets": {
-            "left_velocity": {"column": "left", "unit": "rad/s"},
-            "right_velocity": {"column": "right", "unit": "rad/s"},
-        },
-        "imu/data_raw": {
-            "angular_velocity_z": {"column": "gz", "unit": "rad/s"},
-            **{f"linear_acceleration_{axis}": {"column": f"a{axis}", "unit": "m/s^2"} for axis in "xyz"},
-        },
-        "reference_pose": {
-            **{axis: {"column": axis, "unit": "m"} for axis in "xy"},
-            "yaw": {"column": "yaw", "unit": "rad"},
-            "new_when_changes": "idx",
-            "time_offset": -0.25,  # s, by which the lidar poses lag
-            "stddev": {"x": 0.02, "y": 0.02, "yaw": 0.01},  # m, m, rad: assumed, the log has none
-        },
-    },
-    "vehicle": {
-        "name": "tracked_robot",
-        "kinematics": {"rolling_radius": 0.1167, "tread": 0.52, "contact_length": 0.6},
-    },
-    "parameters": {
-        "pose_sources": ["reference_pose"],
-        "sources": {"reference_pose": {"use_heading": False}},
-        "encoder_resolution": 0.0,
-        "max_sprocket_speed": 20.0,
-    },
-}
-
 
 class _Log(NamedTuple):
     file: str
@@ -59,7 +28,7 @@ class _Log(NamedTuple):
 _LOGS = (
     _Log(
         "marmotte_boreal.csv",
-        "{}/tracked.yaml",
+        "mappings/marmotte.yaml",
         "",
         {
             "tracked robot, fixes": "",
@@ -67,7 +36,7 @@ _LOGS = (
             "… neither fixes nor gyro": "75.5:105.5 gyro",
         },
     ),
-    _Log("marmotte_boreal.csv", "{}/tracked_positions.yaml", "", {"tracked robot, heading unknown": ""}),
+    _Log("marmotte_boreal.csv", "{}/marmotte_positions.yaml", "", {"tracked robot, heading unknown": ""}),
     _Log(
         "warthog_grass_a.csv",
         "mappings/warthog.yaml",
@@ -113,10 +82,9 @@ def with_geometry_alone(folder: Path) -> list[str]:
 
 def _rows(folder: Path) -> Iterator[dict[str, Any]]:
     data = Path(os.environ.get("TRACKSLIP_SHARED", ROOT.parent / "shared")) / "data"
-    write_yaml(folder / "tracked.yaml", _TRACKED)
-    write_yaml(folder / "tracked_positions.yaml", _of_positions(_TRACKED))
-    warthog = yaml.safe_load((ROOT / "config" / "mappings" / "warthog.yaml").read_text(encoding="utf-8"))
-    write_yaml(folder / "warthog_positions.yaml", _of_positions(warthog))
+    for name in ("marmotte", "warthog"):
+        mapping = yaml.safe_load((ROOT / "config" / "mappings" / f"{name}.yaml").read_text(encoding="utf-8"))
+        write_yaml(folder / f"{name}_positions.yaml", _of_positions(mapping))
     for log in _LOGS:
         if not (data / log.file).is_file():
             raise NotMeasured(f"no {data / log.file}")

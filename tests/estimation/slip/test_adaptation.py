@@ -57,6 +57,19 @@ def test_fixes_worse_than_they_state_are_found(noise: float, least: float, most:
     assert np.all(factors[1:] == 1.0)  # sources that gave none
 
 
+def test_fixes_ten_times_as_far_off_as_they_state_were_followed_everywhere() -> None:
+    """With eight times their variance at the most NEES was 28; a wrong pose still is no noise of fixes."""
+    nees = []
+    for seed in range(3):
+        recorded = drive(Machine(duration=120.0, fix_noise=0.2, fix_rate=5, track_error=0.02, seed=seed))
+        steps = SlipEstimator(parameters()).process_all(recorded.measurements)
+        late = [e for _, e in steps if e is not None][-60 * 20 :]
+        errors = np.array([e.pose[:2] for e in late]) - recorded.poses[-60 * 20 :, :2]
+        inverse = np.linalg.inv([e.pose_covariance[:2, :2] for e in late])
+        nees.append(np.mean(np.einsum("ki,kij,kj->k", errors, inverse, errors)))
+    assert 1.0 < np.mean(nees) < 4.0
+
+
 def test_gaussian_fixes_as_good_as_they_state_are_not_found_better() -> None:
     # Student's t alone takes Gaussian noise for 0.83 of its variance, and the pose is then overconfident.
     factors = [run(Machine(seed=seed))["adaptation"]["fix_factors"][0] for seed in range(8)]

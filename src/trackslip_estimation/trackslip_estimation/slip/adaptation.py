@@ -14,7 +14,8 @@ s and a are found together, by point masses over a grid of both: each yaw rate w
 likelihood, S being what it would be with them. Readings that follow each other within τ show the same error
 of the tracks and count for less. f is found by point masses of its own, by Student's t, so that an outlier
 counts little. What is used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it
-is a part of the state.
+is a part of the state. Fixes that err alike, one after the other, show no f beyond 8: a pose that is wrong
+makes them err so, and would be kept by disbelief in what corrects it.
 
 What an input errs by comes with the input: when U rises above E, the velocity errors have it at once.
 """
@@ -33,11 +34,13 @@ from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR, 
 
 FloatArray = NDArray[np.float64]
 
-TRACK_ERRORS, RATE_FACTORS, FIX_FACTORS = 6, 3, 9  # point masses of s, a and f
+TRACK_ERRORS, RATE_FACTORS, FIX_FACTORS = 6, 3, 13  # point masses of s, a and f
 _TRACK_RATIO = 3.0  # from one s to the next
 _RATE_RATIO = 4.0  # from one a to the next
-_FIX_STEP = 0.7  # of ln f
-_FIX_BELOW = 1  # point masses of f below 1
+_FIX_STEP = 0.35  # of ln f, and beyond what any fix may show twice as much
+_FIX_BELOW, _USUAL = 2, 9  # point masses of f below 1, and all that any fix may show
+_LIKENESS_MEMORY = 0.95  # 20 fixes
+_WHITE = 0.4  # likeness of fixes that may show any f
 _FIX_PRIOR = 0.5  # standard deviation of ln f
 _HEAVY = 8.0  # degrees of freedom of Student's t
 _OF_GAUSSIAN = (1.232, 1.210, 1.192)  # by which d² of m = 1, 2, 3 counts, so that Gaussian fixes show f = 1
@@ -96,7 +99,8 @@ class AdaptationParameters(Parameters):
 
 def constants(p: AdaptationParameters) -> tuple[Any, ...]:
     """The fields of ``CONSTANTS``, in their order."""
-    ln_f = _FIX_STEP * (np.arange(FIX_FACTORS) - _FIX_BELOW)
+    number = np.arange(FIX_FACTORS)
+    ln_f = _FIX_STEP * (number - _FIX_BELOW + np.maximum(number - _USUAL + 1, 0))
     return (
         np.square(p.least_track_error * _TRACK_RATIO ** np.arange(TRACK_ERRORS)),
         _RATE_RATIO ** np.arange(RATE_FACTORS),
@@ -105,6 +109,11 @@ def constants(p: AdaptationParameters) -> tuple[Any, ...]:
         -np.square(ln_f / _FIX_PRIOR) / 2.0,
         *(getattr(p, name) for name in (CONSTANTS.names or ())[5:]),
     )
+
+
+def unknown_fix_factor() -> FloatArray:
+    """(FIX_FACTORS,) weights of f before any fix."""
+    return np.where(np.arange(FIX_FACTORS) < _USUAL, 1.0 / _USUAL, 0.0)
 
 
 @compiled
@@ -117,6 +126,8 @@ def begin_adaptation(a: Any, c: Any) -> None:
         a.log_weights[i] = n.rate_prior
     a.fix_factors[:] = 1.0
     a.fix_log_weights[:] = 0.0
+    a.fix_innovations[:] = 0.0
+    a.fix_likeness[:] = 1.0
 
 
 @compiled
@@ -242,15 +253,34 @@ def shared_error(P: FloatArray, R: FloatArray) -> float:
 
 
 @compiled
+def _goes_with_last(a: Any, source: int, innovation: FloatArray) -> float:
+    """How alike innovations of a source are that follow each other: 0 if they are white, 1 at the start."""
+    last, both, squares = a.fix_innovations[source], 0.0, 0.0
+    for i in range(min(innovation.size, last.size)):
+        both += last[i] * innovation[i]
+        squares += (last[i] * last[i] + innovation[i] * innovation[i]) / 2.0
+        last[i] = innovation[i]
+    if squares > 0.0:
+        kept = _LIKENESS_MEMORY * a.fix_likeness[source]
+        a.fix_likeness[source] = kept + (1.0 - _LIKENESS_MEMORY) * both / squares
+    likeness: float = a.fix_likeness[source]
+    return likeness
+
+
+@compiled
 def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any) -> None:
     """Weighs f of a source by a fix that was predicted with P (m, m), and states R (m, m)."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
     scale = _OF_GAUSSIAN[m - 1] / _HEAVY
-    best = -math.inf
+    is_white = _goes_with_last(a, source, innovation) < _WHITE
+    if not np.any(w):  # the first one: f is not known, but as good as never beyond the usual
+        w[_USUAL:] = n.fix_prior[_USUAL:]
+    best, likelihood = -math.inf, 0.0
     for j in range(FIX_FACTORS):
-        L = root(P + n.fix_factors[j] * R)
-        nis = weighted_square(L, innovation)
-        likelihood = -(log_determinant(L) + (_HEAVY + m) * math.log(1.0 + scale * nis)) / 2.0
+        if j < _USUAL or is_white:
+            L = root(P + n.fix_factors[j] * R)
+            nis = weighted_square(L, innovation)
+            likelihood = -(log_determinant(L) + (_HEAVY + m) * math.log(1.0 + scale * nis)) / 2.0
         w[j] = n.fix_memory * w[j] + (1.0 - n.fix_memory) * n.fix_prior[j] + likelihood
         best = max(best, w[j])
     total = factor = 0.0

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.slip.adaptation import unknown_fix_factor
 from trackslip_estimation.slip.learned import Learned, Meaning, weights_of
 
 FloatArray = NDArray[np.float64]
@@ -138,7 +139,7 @@ def _noise(known: Learned, of: Meaning) -> list[Finding]:
         Finding("track_error", error, squared.stddev / (2.0 * error), squared.observed),
         _of_masses("gyro_noise_factor", n["rate_factors"], joint.sum(axis=0), before.sum(axis=0)),
     ]
-    unknown = np.full(len(n["fix_factors"]), 1.0 / len(n["fix_factors"]))
+    unknown = unknown_fix_factor()
     for source in of.stamp_errors:
         name, own = f"fix_noise_factor.{source}", known.fix_weights.get(source)
         masses_of = unknown if own is None else weights_of(own)

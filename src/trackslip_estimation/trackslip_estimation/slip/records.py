@@ -86,6 +86,8 @@ ADAPTATION = np.dtype(
         ("right_speed", np.float64),
         ("fix_factors", np.float64, (MOST_SOURCES,)),  # f, of the covariance of each source's fixes
         ("fix_log_weights", np.float64, (MOST_SOURCES, FIX_FACTORS)),
+        ("fix_innovations", np.float64, (MOST_SOURCES, 2)),  # of the last that taught f
+        ("fix_likeness", np.float64, (MOST_SOURCES,)),  # of those that follow each other
     ],
     align=True,
 )
