@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     console = Console(highlight=False)
     try:
         options = _options(argv)
-        with claim(options.output), claimed_domain() as domain:
+        with claimed_domain() as domain, claim(options.output):  # refused, it leaves what is there
             return _run(options, domain, console)
     except InputError as error:
         print(error, file=sys.stderr)
