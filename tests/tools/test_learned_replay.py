@@ -135,7 +135,11 @@ def test_a_report_shows_how_it_came(emulated_run: Run) -> None:
     assert rows["gyro bias"][3] == "°/s"
     assert rows["delay of box_pose"][1:3] == ("–", "–")
     assert "…" in rows["turning efficiency κ"][2]
+    assert not rows["track error"][2].startswith(("-", "−"))  # it has a sign for none
     panels = {panel.title: panel for panel in learned_panels([emulated_run])}
+    (curve,) = panels["track error"].curves
+    assert curve.band is not None
+    assert curve.band[0].min() >= 0.0
     (curve,) = panels["turning efficiency κ"].curves
     assert curve.band is not None
     width = curve.band[1] - curve.band[0]

@@ -31,6 +31,7 @@ class Form(NamedTuple):
     scale: float = 1.0
     zero: float = 0.0
     ways: tuple[str, str] = ("", "")  # above zero, below
+    least: float = -math.inf  # that it can be, as shown
 
     def shown(self, value: float) -> float:
         """In its unit."""
@@ -40,13 +41,13 @@ class Form(NamedTuple):
 _FORMS = {
     "gyro_scale": Form("gyro scale", "gyro reads {a} % {way} ± {s}", "%", 100.0, 1.0, ("high", "low")),
     "gyro_bias": Form("gyro bias", "gyro shows {v} °/s at rest ± {s}", "°/s", _DEGREES),
-    "gyro_noise_factor": Form("gyro noise", "gyro variance {v} times what it states ± {s}"),
+    "gyro_noise_factor": Form("gyro noise", "gyro variance {v} times what it states ± {s}", least=0.0),
     "asymmetry": Form(
         "side asymmetry ε", "turns {a} rad/m to the {way} ± {s}", "rad/m", ways=("left", "right")
     ),
     "fix_delay": Form("delay of {of}", "{of} fixes {a} s {way} ± {s}", "s", ways=("late", "early")),
-    "fix_noise_factor": Form("noise of {of}", "{of} variance {v} times what it states ± {s}"),
-    "track_error": Form("track error", "tracks err by {v} % of their speed ± {s}", "%", 100.0),
+    "fix_noise_factor": Form("noise of {of}", "{of} variance {v} times what it states ± {s}", least=0.0),
+    "track_error": Form("track error", "tracks err by {v} % of their speed ± {s}", "%", 100.0, least=0.0),
     "efficiency": Form("turning efficiency κ", "turning efficiency κ {v} ± {s}"),
     "loss": Form("speed lost in turns η", "speed lost in turns η {v} ± {s}"),
     "common_slip": Form("common slip i₀", "both tracks slip {v} % ± {s}", "%", 100.0),

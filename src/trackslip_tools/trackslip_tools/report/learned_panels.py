@@ -39,7 +39,7 @@ def _row(finding: Finding) -> Row:
         return (form.label, "–", "–", form.unit, NOT_OBSERVED)
     value, stddev = form.shown(finding.value), form.scale * finding.stddev
     digits = decimals(stddev)
-    low, high = value - SIGMAS * stddev, value + SIGMAS * stddev
+    low, high = max(value - SIGMAS * stddev, form.least), value + SIGMAS * stddev
     interval = f"{low:.{digits}f} … {high:.{digits}f}"
     return (form.label, f"{value:.{digits}f}", interval, form.unit, finding.sentence)
 
@@ -64,4 +64,5 @@ def _course(runs: Sequence[Run], run: Run, name: str) -> Curve | None:
     sigmas = np.array([form.scale * finding.stddev for _, finding in found])
     times = run.recording.seconds(np.array([stamp_ns for stamp_ns, _ in found], np.int64))
     label, colour = name_in(runs, run, "estimate"), colour_in(runs, run, BLUE)
-    return Curve(label, colour, times, values, band=within(values, sigmas))
+    low, high = within(values, sigmas)
+    return Curve(label, colour, times, values, band=(np.maximum(low, form.least), high))
