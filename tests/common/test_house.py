@@ -29,16 +29,16 @@ def test_no_function_takes_more_than_six_arguments(room: str) -> None:
 
 
 def test_predict_gate_and_update_stand_once() -> None:
-    """Only ``slip/step.py`` propagates a state, and only its ``update.py`` corrects it."""
+    """Only ``slip/step.py`` propagates a state; ``update.py`` corrects it, and ``fixes.py`` with poses."""
     callers = set()
     for file in ESTIMATION.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             called = (
                 node.func.attr if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) else ""
             )
-            if called in ("propagate_covariance", "correct"):
+            if called in ("propagate_covariance", "correct", "correct_keeping"):
                 callers.add(file.name)
-    assert callers == {"step.py", "update.py"}
+    assert callers == {"step.py", "update.py", "fixes.py"}
 
 
 def test_every_file_of_code_names_its_licence_and_who_holds_it() -> None:

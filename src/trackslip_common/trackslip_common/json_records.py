@@ -21,7 +21,7 @@ def read_lines(path: Path) -> list[str]:
     """
     if not path.exists():
         return []
-    if not path.is_file() or path.stat().st_size > _LARGEST:
+    if path.is_fifo() or path.stat().st_size > _LARGEST:
         raise TypeError("no file of ours")
     text = path.read_text(encoding="utf-8", errors="replace")
     if text.strip() and not text.lstrip().startswith("{"):

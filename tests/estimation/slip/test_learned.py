@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
+from trackslip_estimation.slip.adaptation import FIX_FACTORS
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import Learned, Meaning, aged, from_tree, meaning, to_tree
 from trackslip_estimation.slip.learned_text import NOT_OBSERVED, Finding, findings, lines_of
@@ -59,7 +60,7 @@ def known(seed: int, n: int = len(OF.places)) -> Learned:
         prior.stddev * random.uniform(0.0, 1.0, n),
         below + below.T + np.eye(n),
         -50.0 * random.random(prior.track_weights.shape),
-        {"box_pose": -50.0 * random.random(9)} if seed % 2 else {},
+        {"box_pose": -50.0 * random.random(FIX_FACTORS)} if seed % 2 else {},
     )
 
 
@@ -186,7 +187,7 @@ def test_other_gates_are_the_same_machine(learned: Learned) -> None:
         ("correlations", "none"),
         ("track_error_ln_weights", [[0.0]]),
         ("track_error_ln_weights", [[float("nan")] * 3] * 6),
-        ("fix_noise_ln_weights", {"box_pose": [10**400] * 9}),
+        ("fix_noise_ln_weights", {"box_pose": [10**400] * FIX_FACTORS}),
         ("fix_noise_ln_weights", 3),
     ],
 )
