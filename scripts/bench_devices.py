@@ -15,10 +15,11 @@ import numpy as np
 
 from trackslip_common.config_files import load_parameters, node_defaults
 from trackslip_common.parameters import from_flat
+from trackslip_common.units import GRAVITY
 from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.protocols.can_frames import load_frames
-from trackslip_drivers.protocols.watson import BINARY, BITS_PER_CHAR, COMMAND_MODE, GRAVITY, Layout
+from trackslip_drivers.protocols.watson import BINARY, BITS_PER_CHAR, COMMAND_MODE, Layout
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.transports.can_bus import CanBus

@@ -15,7 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from trackslip_common.soils import Soil, load_soils
-from trackslip_common.vehicle import Vehicle, load_vehicle
+from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.terramechanics.domain import FloatArray
 from trackslip_estimation.terramechanics.resistance import longitudinal_resistance

@@ -17,7 +17,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
-from trackslip_common.vehicle import load_vehicle, vehicle_text
+from trackslip_common.vehicle_files import load_vehicle, vehicle_text
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
 

@@ -12,7 +12,8 @@ from measurements.studies import pair
 from measurements.workbench import trackslip, write_yaml
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.soils import load_soils
-from trackslip_common.vehicle import VehicleParameters, load_vehicle, vehicle_text
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_common.vehicle_files import load_vehicle, vehicle_text
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_sim.study.table import table, words
 

@@ -11,9 +11,9 @@ import yaml
 
 from trackslip_common.config_files import config_directory
 from trackslip_common.errors import InputError
-from trackslip_common.vehicle import (
+from trackslip_common.units import GRAVITY
+from trackslip_common.vehicle_files import (
     ASSUMED,
-    GRAVITY,
     load_vehicle,
     vehicle_layer,
     vehicle_names,

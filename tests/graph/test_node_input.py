@@ -13,7 +13,7 @@ from fixtures.node_arguments import ros_arguments
 from trackslip_bags.nodes.record import RecordNode
 from trackslip_common.errors import ExitCode
 from trackslip_common.nodes.run import run
-from trackslip_common.vehicle import load_vehicle, vehicle_of_text
+from trackslip_common.vehicle_files import load_vehicle, vehicle_of_text
 from trackslip_drivers.nodes.can_driver import CanDriverNode
 from trackslip_drivers.nodes.sick_pls import SickNode
 from trackslip_drivers.nodes.watson_imu import WatsonNode

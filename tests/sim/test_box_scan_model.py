@@ -10,7 +10,7 @@ import pytest
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.machine.scan_model import TIME_INCREMENT, SiteParameters, SiteScanner
 
 

@@ -16,7 +16,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import config_file, node_parameters, parameters_text, read_yaml
 from trackslip_common.parameters import to_flat
-from trackslip_common.vehicle import load_vehicle, vehicle_text
+from trackslip_common.vehicle_files import load_vehicle, vehicle_text
 from trackslip_estimation.slip.conversions import heading_fix
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import HEADING

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trackslip_common.errors import InputError
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.scenarios.scenario import (
     Scenario,
     Segment,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trackslip_bags.reader import open_bag
-from trackslip_common.vehicle import GRAVITY
+from trackslip_common.units import GRAVITY
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.machine.placement import Placement
 from trackslip_sim.machine.sensors import MachineSensors

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from trackslip_common.errors import InputError
 from trackslip_common.soils import load_soils
-from trackslip_common.vehicle import Vehicle, load_vehicle
+from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.machine.placement import Placement
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain

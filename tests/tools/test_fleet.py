@@ -23,7 +23,7 @@ from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode, InputError, collected, show
-from trackslip_common.vehicle import IS_ASSUMED, load_vehicle, vehicle_text
+from trackslip_common.vehicle_files import IS_ASSUMED, load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.find import find_bags, is_folder

@@ -11,7 +11,7 @@ import pytest
 from fixtures import live_messages as messages
 from fixtures.browser import EVIL, WIDTHS, OpenPage, scroll_with_a_finger
 
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_tools.live.page import File, files
 from trackslip_tools.live.parameters import LiveParameters
 from trackslip_tools.live.server import PageServer

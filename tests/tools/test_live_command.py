@@ -19,7 +19,7 @@ from tornado.websocket import websocket_connect
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_tools.cli import main as cli
 from trackslip_tools.cli.live_command import with_estimates
 from trackslip_tools.live.bag import BagFeed

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from trackslip_bags.messages import make
 from trackslip_common.config_files import parameters_text
-from trackslip_common.vehicle import load_vehicle, vehicle_text
+from trackslip_common.vehicle_files import load_vehicle, vehicle_text
 from trackslip_tools.live import strips, trail
 from trackslip_tools.live.state import PERIOD, LiveState
 from trackslip_tools.live.strips import LINES, SHOWN, Strips

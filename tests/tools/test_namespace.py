@@ -12,7 +12,7 @@ from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode
-from trackslip_common.vehicle import load_vehicle, vehicle_text
+from trackslip_common.vehicle_files import load_vehicle, vehicle_text
 from trackslip_tools.cli.main import main
 
 JOINTS = serialize(make("sensor_msgs/msg/JointState"))

@@ -13,7 +13,7 @@ import pytest
 from trackslip_bags import chunks, tables
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
-from trackslip_common.vehicle import vehicle_layer
+from trackslip_common.vehicle_files import vehicle_layer
 from trackslip_estimation.slip.estimator import SlipEstimator, make_step
 from trackslip_estimation.slip.measurements import (
     Measurement,

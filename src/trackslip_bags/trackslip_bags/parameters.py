@@ -12,7 +12,8 @@ from trackslip_bags.old_parameters import current_names
 from trackslip_bags.reader import Bag, absolute
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten, from_flat
-from trackslip_common.vehicle import TOPIC, VehicleParameters, WithVehicle, names_vehicle, vehicle_of_text
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_common.vehicle_files import TOPIC, WithVehicle, names_vehicle, vehicle_of_text
 from trackslip_common.yaml_text import parse_yaml
 
 PARAMETERS_TOPIC = "slip_estimator/parameters"

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from trackslip_common.errors import InputError, did_you_mean
-from trackslip_common.vehicle import GRAVITY
 
+GRAVITY = 9.80665  # m/s², standard gravity
 _DEG = math.pi / 180.0
 _RPM = math.pi / 30.0
 _KMH = 1.0 / 3.6

@@ -8,7 +8,7 @@ from typing import Any
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import parameter
-from trackslip_common.vehicle import WithVehicle
+from trackslip_common.vehicle_files import WithVehicle
 from trackslip_common.yaml_text import parse_yaml
 
 NODE = "can_driver"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import parameter
-from trackslip_common.vehicle import WithVehicle
+from trackslip_common.vehicle_files import WithVehicle
 
 NODE = "wheel_adapter"
 MESSAGES = {

@@ -11,7 +11,7 @@ from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
 from trackslip_common.nodes.launching import Launched, declared, is_true, nodes
-from trackslip_common.vehicle import ASSUMED
+from trackslip_common.vehicle_files import ASSUMED
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
 
 _OWN = {

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, InputError, show
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.devices.nmea_device import RECEIVER_RATE
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters

@@ -8,7 +8,7 @@ from typing import Any
 
 from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import parameter
-from trackslip_common.vehicle import WithVehicle
+from trackslip_common.vehicle_files import WithVehicle
 from trackslip_sim.devices.sick_device import SickDeviceParameters
 from trackslip_sim.machine.gnss_model import GnssParameters
 from trackslip_sim.machine.scan_model import SiteParameters

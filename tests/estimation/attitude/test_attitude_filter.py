@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_common.vehicle import GRAVITY
+from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.filter import climb, use_sample
 from trackslip_estimation.attitude.parameters import constants
 from trackslip_estimation.attitude.records import ATTITUDE, BIAS_X, CONSTANTS, HEIGHT, IMU, PITCH, ROLL

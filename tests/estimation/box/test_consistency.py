@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import flat_fields, from_flat
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.scan import Scan

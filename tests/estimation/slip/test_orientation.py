@@ -21,7 +21,8 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
-from trackslip_common.vehicle import GRAVITY, vehicle_layer
+from trackslip_common.units import GRAVITY
+from trackslip_common.vehicle_files import vehicle_layer
 from trackslip_estimation.attitude.records import OrientationRefusal
 from trackslip_estimation.slip.conversions import yaw_rate
 from trackslip_estimation.slip.estimator import SlipEstimator

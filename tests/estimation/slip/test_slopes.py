@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from trackslip_common.nodes.messages import make
-from trackslip_common.vehicle import GRAVITY
+from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.conversions import fill_attitude, fill_odometry, odometry
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from trackslip_common.errors import InputError
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
-from trackslip_common.vehicle import GRAVITY, vehicle_layer
+from trackslip_common.units import GRAVITY
+from trackslip_common.vehicle_files import vehicle_layer
 from trackslip_estimation.slip.conversions import swing as swing_message
 from trackslip_estimation.slip.conversions import swing_angle
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator

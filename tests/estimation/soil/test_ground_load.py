@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_common.vehicle import GRAVITY
+from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.ground_load import (
     GROUND_LOAD,

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_common.vehicle import GRAVITY, load_vehicle
+from trackslip_common.units import GRAVITY
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.terramechanics import hydraulics, turning
 
 PC05 = load_vehicle().whole()

@@ -9,7 +9,9 @@ import pytest
 
 from trackslip_common.errors import InputError
 from trackslip_common.soils import soil
-from trackslip_common.vehicle import GRAVITY, Vehicle, load_vehicle
+from trackslip_common.units import GRAVITY
+from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.terramechanics import (
     hydraulics,
     resistance,

@@ -26,8 +26,8 @@ from trackslip_bags.reader import absolute
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
-from trackslip_common.vehicle import TOPIC as VEHICLE
-from trackslip_common.vehicle import vehicle_text
+from trackslip_common.vehicle_files import TOPIC as VEHICLE
+from trackslip_common.vehicle_files import vehicle_text
 from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 

@@ -26,7 +26,8 @@ from trackslip_bags.old_parameters import current_names
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
-from trackslip_common.vehicle import VehicleParameters, load_vehicle, vehicle_layer, vehicle_of
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_common.vehicle_files import load_vehicle, vehicle_layer, vehicle_of
 from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
 from trackslip_estimation.slip.parameters import load_slip_parameters

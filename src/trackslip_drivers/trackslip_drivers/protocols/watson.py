@@ -27,9 +27,9 @@ from enum import Enum
 from functools import cached_property
 
 from trackslip_common.errors import InputError
+from trackslip_common.units import GRAVITY
 from trackslip_drivers.records import ImuSample, Vector
 
-GRAVITY = 9.80665  # m/s² in 1 g
 TESLA_PER_MILLIGAUSS = 1e-7
 BITS_PER_CHAR = 10  # 8N1
 TERMINATOR = b"\r"

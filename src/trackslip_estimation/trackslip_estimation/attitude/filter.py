@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_common.vehicle import GRAVITY
+from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.level import set_level
 from trackslip_estimation.attitude.orientation import SWING_UNKNOWN, use_orientation
 from trackslip_estimation.attitude.records import (

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_common.vehicle import GRAVITY
+from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.filter import GRAVITY_DOUBT, UPRIGHT
 from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL, OrientationRefusal
 

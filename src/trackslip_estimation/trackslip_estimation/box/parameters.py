@@ -5,7 +5,7 @@
 from dataclasses import dataclass
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import WithVehicle
+from trackslip_common.vehicle_files import WithVehicle
 
 NODE = "box_localizer"
 DEFAULT_FILES = ("site.yaml", "box_localizer.yaml")

@@ -12,8 +12,8 @@ from trackslip_common.nodes.health import Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.outputs import PackedOutput
 from trackslip_common.nodes.run import run
-from trackslip_common.vehicle import TOPIC as VEHICLE
-from trackslip_common.vehicle import vehicle_text
+from trackslip_common.vehicle_files import TOPIC as VEHICLE
+from trackslip_common.vehicle_files import vehicle_text
 from trackslip_estimation.nodes.estimate_outputs import EstimateOutputs
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.nodes.measurement_sources import MeasurementSources

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from trackslip_common.clock_monitor import CLOCK_LIMITS
-from trackslip_common.vehicle import GRAVITY
+from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.parameters import constants as attitude_constants
 from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANTS
 from trackslip_estimation.slip import adaptation

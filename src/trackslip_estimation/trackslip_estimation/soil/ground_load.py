@@ -31,7 +31,8 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import GRAVITY, Vehicle, VehicleParameters
+from trackslip_common.units import GRAVITY
+from trackslip_common.vehicle import Vehicle, VehicleParameters
 from trackslip_estimation.slip.motion import Motion
 
 _STANDING, _STRAIGHT, _TURNING = int(Motion.STANDING), int(Motion.STRAIGHT), int(Motion.TURNING)

@@ -8,7 +8,7 @@ from typing import Any
 
 from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import from_flat, parameter, to_flat
-from trackslip_common.vehicle import WithVehicle
+from trackslip_common.vehicle_files import WithVehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
 from trackslip_estimation.soil.ground_load import LoadParameters

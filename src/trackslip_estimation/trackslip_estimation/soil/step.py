@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_common.vehicle import GRAVITY
+from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil import dynamics, pressure_watch, time_synchronizer
 from trackslip_estimation.soil.dynamics import DYNAMICS, MU_R, new_dynamics

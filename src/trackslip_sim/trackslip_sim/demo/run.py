@@ -21,7 +21,8 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import ExitCode, InputError, printable, suggestion
 from trackslip_common.soils import load_soils
-from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters, load_vehicle
+from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.demo.domain import claimed_domain
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
 from trackslip_sim.demo.output import claim

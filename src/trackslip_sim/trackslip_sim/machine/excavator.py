@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import Parameters
+from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle import UNDERCARRIAGE, UPPER, VehicleParameters
 from trackslip_drivers import can_parameters
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
-from trackslip_drivers.protocols.watson import BITS_PER_CHAR, GRAVITY, TESLA_PER_MILLIGAUSS, Layout
+from trackslip_drivers.protocols.watson import BITS_PER_CHAR, TESLA_PER_MILLIGAUSS, Layout
 from trackslip_drivers.records import ImuSample
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters

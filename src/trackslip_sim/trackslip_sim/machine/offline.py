@@ -16,8 +16,8 @@ import numpy as np
 from trackslip_bags.messages import make
 from trackslip_bags.writer import BagWriter
 from trackslip_common.tally import Tally
-from trackslip_common.vehicle import TOPIC as VEHICLE
-from trackslip_common.vehicle import vehicle_text
+from trackslip_common.vehicle_files import TOPIC as VEHICLE
+from trackslip_common.vehicle_files import vehicle_text
 from trackslip_drivers import can_parameters
 from trackslip_drivers import conversions as of_sensors
 from trackslip_drivers.can_parameters import CanDriverParameters

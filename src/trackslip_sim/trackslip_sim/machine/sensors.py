@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.vehicle import GRAVITY, UPPER, VehicleParameters
+from trackslip_common.units import GRAVITY
+from trackslip_common.vehicle import UPPER, VehicleParameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_sim.machine.placement import Placement, about_z, upper_poses
 from trackslip_sim.truth.record import Truth

@@ -14,8 +14,8 @@ from trackslip_common.nodes.failures import cause
 from trackslip_common.nodes.health import ERROR, OK, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
-from trackslip_common.vehicle import TOPIC as VEHICLE
-from trackslip_common.vehicle import vehicle_text
+from trackslip_common.vehicle_files import TOPIC as VEHICLE
+from trackslip_common.vehicle_files import vehicle_text
 from trackslip_drivers.conversions import blank_swing, fill_swing
 from trackslip_sim.machine.cables import Cables
 from trackslip_sim.machine.emulation import (

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.config_files import config_directory, read_yaml
 from trackslip_common.errors import InputError, suggestion
-from trackslip_common.vehicle import ASSUMED
+from trackslip_common.vehicle_files import ASSUMED
 from trackslip_sim.machine.faults import Fault, read_fault
 from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
 from trackslip_sim.scenarios.terrains import load_terrain

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from trackslip_common.errors import ExitCode, InputError
-from trackslip_common.vehicle import ASSUMED, load_vehicle
+from trackslip_common.vehicle_files import ASSUMED, load_vehicle
 from trackslip_estimation.slip.parameters import NODE
 from trackslip_sim.study.engine import BEGINNING, Study
 from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS

@@ -17,7 +17,7 @@ import math
 from typing import NamedTuple
 
 from trackslip_common.compiled import compiled
-from trackslip_common.vehicle import GRAVITY
+from trackslip_common.units import GRAVITY
 from trackslip_sim.truth.contact import Tracks
 from trackslip_sim.truth.record import FloatArray
 

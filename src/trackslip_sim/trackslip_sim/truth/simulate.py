@@ -12,7 +12,8 @@ from typing import Protocol
 
 from trackslip_common.errors import InputError, suggestion
 from trackslip_common.soils import load_soils
-from trackslip_common.vehicle import UpperStructure, Vehicle, load_vehicle
+from trackslip_common.vehicle import UpperStructure, Vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth.burden import Burden
 from trackslip_sim.truth.ground import Ground, build_ground

@@ -7,7 +7,7 @@ from datetime import datetime, timezone
 from trackslip_bags.parameters import bag_vehicle, namespaces
 from trackslip_bags.reader import Bag, in_namespace
 from trackslip_common.errors import printable
-from trackslip_common.vehicle import ASSUMED
+from trackslip_common.vehicle_files import ASSUMED
 from trackslip_tools.terminal_text import table, wrapped
 
 _LATEST = 253_402_300_800  # s since 1970, the end of the calendar

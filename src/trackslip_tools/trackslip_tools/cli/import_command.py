@@ -12,7 +12,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, show
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_tools.cli import machine_options
 from trackslip_tools.cli.description import describe
 from trackslip_tools.cli.progress import counted

@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace) -> int:
     from trackslip_bags.parameters import bag_vehicle
-    from trackslip_common.vehicle import load_vehicle
+    from trackslip_common.vehicle_files import load_vehicle
     from trackslip_tools.live.bag import BagFeed
     from trackslip_tools.live.page import files
     from trackslip_tools.live.server import PageServer

@@ -4,7 +4,7 @@
 
 import argparse
 
-from trackslip_common.vehicle import ASSUMED
+from trackslip_common.vehicle_files import ASSUMED
 
 
 def add_vehicle(parser: argparse._ActionsContainer, default: str) -> None:

@@ -16,8 +16,8 @@ from trackslip_common.config_files import config_file, node_defaults, node_param
 from trackslip_common.errors import InputError, show, suggestion
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
-from trackslip_common.vehicle import IS_ASSUMED, load_vehicle, names_vehicle, vehicle_layer
-from trackslip_common.vehicle import TOPIC as VEHICLE
+from trackslip_common.vehicle_files import IS_ASSUMED, load_vehicle, names_vehicle, vehicle_layer
+from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.parameters import (
     GNSS_POSE,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.errors import ExitCode, InputError, collected
-from trackslip_common.vehicle import IS_ASSUMED
+from trackslip_common.vehicle_files import IS_ASSUMED
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.output import summary
 from trackslip_tools.replay.parts import Part, Watch

@@ -15,7 +15,8 @@ import numpy as np
 
 from trackslip_common.errors import InputError, printable
 from trackslip_common.topics import DIAGNOSTICS, ODOMETRY, SOIL
-from trackslip_common.vehicle import VehicleParameters, vehicle_of_text
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_common.vehicle_files import vehicle_of_text
 from trackslip_tools.live import inputs
 from trackslip_tools.live.encoding import finite, outline
 from trackslip_tools.live.facts import facts_of

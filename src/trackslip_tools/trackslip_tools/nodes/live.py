@@ -21,7 +21,7 @@ from trackslip_common.nodes.messages import message_class
 from trackslip_common.nodes.qos import best_effort, latched
 from trackslip_common.nodes.run import run
 from trackslip_common.topics import DIAGNOSTICS
-from trackslip_common.vehicle import load_vehicle
+from trackslip_common.vehicle_files import load_vehicle
 from trackslip_tools.live import inputs
 from trackslip_tools.live.clock import shown_ms
 from trackslip_tools.live.page import files

@@ -20,8 +20,8 @@ from trackslip_common.topics import (
     TOPICS,
     TRACK_SLIP,
 )
-from trackslip_common.vehicle import TOPIC as VEHICLE
-from trackslip_common.vehicle import vehicle_text
+from trackslip_common.vehicle_files import TOPIC as VEHICLE
+from trackslip_common.vehicle_files import vehicle_text
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, make_step
 from trackslip_estimation.slip.learned import Learned, meaning, to_tree

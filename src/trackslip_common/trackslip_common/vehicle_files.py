@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Vehicles by name, from files and from text, and as parameters of a node."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, ClassVar
+
+import yaml
+
+from trackslip_common.config_files import config_directory, read_yaml
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, flatten, from_flat, to_flat
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_common.vehicle_checks import check_together
+from trackslip_common.yaml_text import parse_yaml
+
+ASSUMED = "pc05"  # where no vehicle is named
+IS_ASSUMED = f"vehicle: {ASSUMED} is assumed: the bag names none (--vehicle does)"  # what is said of it then
+TOPIC = "vehicle"  # carries the text of a vehicle, latched; also the name of the parameter that names one
+_GROUP = f"{TOPIC}."
+_NAME = "name"  # of a vehicle file: what the machine is called; else what the file is
+_BASE = "base"  # of a vehicle file: another one, whose numbers it takes where it has none of its own
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithVehicle(Parameters):
+    """Base of parameters with a vehicle: ``vehicle`` names its file, ``vehicle.<group>`` are its numbers."""
+
+    NAMED: ClassVar[frozenset[str]] = frozenset({TOPIC})
+
+    vehicle: VehicleParameters
+
+    @classmethod
+    def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+        """Values with others over them; a vehicle that is named replaces all of another.
+
+        Raises:
+            InputError: there is no such vehicle.
+        """
+        above = _with_numbers(above)
+        if f"{_GROUP}name" in above:
+            below = {name: value for name, value in below.items() if not name.startswith(_GROUP)}
+        elif f"{_GROUP}name" not in below:
+            below = {**below, **_with_numbers({TOPIC: ASSUMED})}
+        return super().overlaid(below, above)
+
+
+def names_vehicle(values: Mapping[str, Any]) -> bool:
+    """Whether these parameters name a vehicle."""
+    return TOPIC in values or f"{_GROUP}name" in values
+
+
+def vehicle_names() -> list[str]:
+    """Of the files in ``config/vehicles/``."""
+    return sorted(path.stem for path in (config_directory() / "vehicles").glob("*.yaml"))
+
+
+def load_vehicle(name: str = ASSUMED) -> VehicleParameters:
+    """A vehicle of ``config/vehicles/`` by its name, or of a file.
+
+    Raises:
+        InputError: there is no such vehicle, or a value in its file is refused.
+    """
+    path = _file(name)
+    return vehicle_of(path.stem, _numbers_of(path), str(path))
+
+
+def vehicle_of_text(text: str, where: str) -> VehicleParameters:
+    """From what the topic ``vehicle`` carries.
+
+    Raises:
+        InputError: it is no vehicle.
+    """
+    tree = parse_yaml(text, where)
+    if not isinstance(tree, Mapping):
+        raise InputError(f"{where}: expected names and values (a YAML mapping)")
+    return vehicle_of("unnamed", flatten(tree), where)
+
+
+def vehicle_of(name: str, numbers: Mapping[str, Any], where: str) -> VehicleParameters:
+    """A vehicle by dotted names; it has this name where they hold none.
+
+    Raises:
+        InputError: a name or a value is refused, or values do not go together.
+    """
+    vehicle = from_flat(VehicleParameters, {_NAME: name, **numbers}, where)
+    check_together(vehicle, where)
+    return vehicle
+
+
+def vehicle_text(vehicle: VehicleParameters) -> str:
+    """What a file of the vehicle would hold, without comments."""
+    tree: dict[str, Any] = {}
+    for name, value in to_flat(vehicle).items():
+        *groups, last = name.split(".")
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+        branch[last] = value
+    text: str = yaml.safe_dump(tree, sort_keys=False)
+    return text
+
+
+def vehicle_layer(vehicle: VehicleParameters) -> dict[str, Any]:
+    """All of its numbers as parameters of a node, by dotted name."""
+    return to_flat(vehicle, _GROUP)
+
+
+def _numbers_of(path: Path) -> dict[str, Any]:
+    """By dotted name, over those of the file that it names as its base."""
+    values = flatten(read_yaml(path))
+    base = values.pop(_BASE, None)
+    if base is None:
+        return values
+    below = flatten(read_yaml(_file(str(base))))
+    if _BASE in below:
+        raise InputError(f"{path}: {_BASE}: '{base}' has one too; accepted: a vehicle without")
+    below.pop(_NAME, None)  # a variant is a machine of its own, called so by its file or after it
+    return {**below, **values}
+
+
+def _with_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters with the numbers of the vehicle that they name, and what they say of it over them."""
+    if TOPIC not in values:
+        return dict(values)
+    rest = {name: value for name, value in values.items() if name != TOPIC}
+    name = values[TOPIC]
+    if not isinstance(name, str):
+        raise InputError(f"{TOPIC}: {name!r} is not text; accepted: {', '.join(vehicle_names())}, or a file")
+    return {**vehicle_layer(load_vehicle(name)), **rest}
+
+
+def _file(name: str) -> Path:
+    for candidate in (config_directory() / "vehicles" / f"{name}.yaml", Path(name)):
+        if candidate.is_file():
+            return candidate
+    known = vehicle_names()
+    like = get_close_matches(name, known, n=1)
+    hint = f", did you mean '{like[0]}'?" if like else f"; accepted: {', '.join(known)}, or a YAML file"
+    raise InputError(f"vehicle '{name}': no such vehicle or file{hint}")
