@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cycle of a sender as it is measured, on hosts that are busy and from senders that stall."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
-from trackslip_drivers.protocols.can_timing import CycleMeter
+from trackslip_drivers.protocols.can_timing import CycleMeter, FrameTiming, TimingEvent
 
 MS = 1_000_000
 
@@ -57,3 +59,29 @@ def test_a_sender_that_changes_its_cycle_is_followed():
     assert found[190] == 10.0 * MS
     assert found[-1] == pytest.approx(50.0 * MS)
     assert found.index(None, 200) < 225  # within a second or so
+
+
+@pytest.mark.parametrize("at_once", [2, 9, 12, 17, 40, 300])
+@pytest.mark.parametrize("nominal_ms", [0.0, 10.0])
+def test_a_burst_at_the_start_was_taken_for_the_cycle(nominal_ms, at_once):
+    """The first frames had waited on a busy host: 255 of each frame were lost ever after, and motion with them."""
+    lost = Counter()
+    timing = FrameTiming(nominal_ms * MS, 16, lambda event, number: lost.update({event: number}))
+    arrivals = np.arange(at_once + 600) * 10 * MS
+    arrivals[:at_once] = arrivals[at_once - 1] + np.arange(at_once) * 39_000 - at_once * 39_000
+    placed = [timing.add(k % 16, int(at), k) for k, at in enumerate(arrivals)]
+    assert lost == {}
+    assert [p.values for each in placed for p in each] == list(range(len(arrivals)))
+    assert timing.cycle_ns == pytest.approx(10 * MS, rel=0.001)
+
+
+def test_a_wrong_cycle_is_found_out():
+    """Thousands of frames at once look like a fast sender; a second of what does not fit ends that."""
+    lost = Counter()
+    timing = FrameTiming(0.0, 16, lambda event, number: lost.update({event: number}))
+    first = np.arange(2000) * 39_000
+    arrivals = np.concatenate((first, first[-1] + np.arange(1, 400) * 10 * MS))
+    for k, at in enumerate(arrivals):
+        timing.add(k % 16, int(at), k)
+    assert timing.cycle_ns == pytest.approx(10 * MS, rel=0.001)
+    assert lost[TimingEvent.LOST] < 110 * 256

@@ -25,6 +25,7 @@ _BURST = 0.7  # of a cycle: frames closer than that are caught up with
 _PAUSE = 2.5  # cycles: a longer one may end in a burst, of a sender that does not count
 _PROMPT = 0.5  # of a cycle: frames off by more say nothing of the cycle
 _FEW = 8  # intervals that show a cycle
+_SHORTEST_NS = 8_000_000  # that those take together: frames that had waited come at once
 _LONGEST = 4  # cycles of an interval that counts
 _BLOCK, _BLOCKS, _ENOUGH = (
     32,
@@ -65,8 +66,9 @@ class _Held(NamedTuple):
 class CycleMeter:
     """The cycle of a sender, from the times between its frames.
 
-    Until there are some blocks of frames it is the median of the first intervals. A block is as long as its
-    frames' arrivals say, whatever came late within it; one that a stall made longer is outvoted by the rest.
+    Until there are some blocks of frames it is the median of the first intervals, once their mean is about that:
+    the first frames may have waited, and come at once. A block is as long as its frames' arrivals say, whatever
+    came late within it; one that a stall made longer is outvoted by the rest.
 
     Args:
         nominal_ns: as the DBC states it; 0 where it does not.
@@ -85,22 +87,25 @@ class CycleMeter:
         self.is_nominal = False
 
     def add(self, interval_ns: int, cycles: int) -> None:
-        """An interval of some cycles; one with more than a few lost shows nothing."""
-        if interval_ns < 0 or not 1 <= cycles <= _LONGEST:
+        """An interval of some cycles; one with more than a few lost shows nothing, unless all are such."""
+        if interval_ns < 0:
             self._time_ns = self._cycles = 0
             return
-        each = interval_ns / cycles
+        is_long, each = not 1 <= cycles <= _LONGEST, interval_ns / max(cycles, 1)
         if self.cycle_ns is None:
-            self._first.append(each)
-            self.cycle_ns = self._decide(statistics.median(self._first), _ROUGHLY, len(self._first))
+            if not is_long:
+                self._first.append(each)
+                self.cycle_ns = self._by_first()
             return
-        if abs(each / self.cycle_ns - 1.0) <= _PROMPT:
+        if not is_long and abs(each / self.cycle_ns - 1.0) <= _PROMPT:
             self._strange_ns, self._strange = 0, 0
         else:
             self._strange_ns, self._strange = self._strange_ns + interval_ns, self._strange + 1
         self._time_ns, self._cycles = self._time_ns + interval_ns, self._cycles + cycles
         if self._strange_ns > _LASTING_NS and self._strange >= _FEW:
             self._restart()
+        elif is_long:
+            self._time_ns = self._cycles = 0
         elif self._cycles >= _BLOCK:
             self._blocks.append(self._time_ns / self._cycles)
             self._time_ns = self._cycles = 0
@@ -108,6 +113,12 @@ class CycleMeter:
                 middle = statistics.median(self._blocks)
                 agreeing = [block for block in self._blocks if abs(block / middle - 1.0) <= _AS_STATED]
                 self.cycle_ns = self._decide(statistics.fmean(agreeing), _AS_STATED, _FEW)
+
+    def _by_first(self) -> float | None:
+        """By the first intervals."""
+        middle, total = statistics.median(self._first), sum(self._first)
+        even = total >= _SHORTEST_NS and abs(total / len(self._first) - middle) <= _PROMPT * middle
+        return self._decide(middle, _ROUGHLY, len(self._first) if even else 0)
 
     def _decide(self, measured_ns: float, tolerance: float, count: int) -> float | None:
         """The DBC's cycle where ``count`` measured ones agree with it, or theirs once they are enough."""
