@@ -21,6 +21,7 @@ MEASUREMENTS: Mapping[str, Measurement] = MappingProxyType(
         "turned_cab": cab.turned_cab,
         "dig_study": cab.dig_study,
         "attitude": attitude.on_slopes,
+        "attitude_with_rtk": attitude.with_rtk,
         "drawn_machines": studies.drawn_machines,
         "two_machines": studies.two_machines,
         "real_logs": real_logs.with_geometry_alone,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Roll, pitch and height on the scenarios with slopes, beside a filter to which the ground is flat."""
+"""Roll, pitch and height on the scenarios with slopes, beside filters without them."""
 
 import math
 from collections.abc import Iterator
@@ -11,6 +11,7 @@ from measurements.workbench import SOILS, trackslip
 from trackslip_sim.study.table import table, words
 
 _SCENARIOS = ("hill", "ramp_up", "side_slope")
+_ALTITUDE = "slip_estimator.sources.gnss_pose.use_altitude"
 _COLUMNS = {
     "scenario": lambda row: f"`{row['scenario']}`",
     "soil": lambda row: words(row["soil"]),
@@ -26,6 +27,33 @@ _COLUMNS = {
 def on_slopes(folder: Path) -> list[str]:
     """Errors with fixes of the laser, each scenario on each soil."""
     return table(_COLUMNS, list(_rows(folder)), text_columns=2)
+
+
+_WITH_RTK = {
+    **{
+        name: _COLUMNS[name] for name in ("scenario", "soil", "position mm", "NEES", "attitude °", "height m")
+    },
+    "without altitudes: attitude °": lambda row: f"{math.degrees(row['without']['rmse']['attitude']):.2f}",
+    "height of it m": lambda row: f"{row['without']['rmse']['height']:.3f}",
+}
+
+
+def with_rtk(folder: Path) -> list[str]:
+    """Errors of the 20 t machine with RTK fixes and a heading."""
+    return table(_WITH_RTK, list(_rows_with_rtk(folder)), text_columns=2)
+
+
+def _rows_with_rtk(folder: Path) -> Iterator[dict[str, Any]]:
+    machine = "--vehicle excavator_20t"
+    for scenario in ("hill", "side_slope"):  # a ramp bends too much for its tracks
+        for soil in SOILS:
+            bag = f"{{}}/{scenario}_{soil}"
+            trackslip(f"simulate --scenario {scenario} --soil {soil} {machine} --output {bag}", folder)
+            found, without = (
+                trackslip(f"replay {bag} --params config/gnss.yaml --set {_ALTITUDE}={used}", folder)
+                for used in ("true", "false")
+            )
+            yield {**found, "scenario": scenario, "soil": soil, "without": without}
 
 
 def _rows(folder: Path) -> Iterator[dict[str, Any]]:

@@ -21,7 +21,7 @@ from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_estimation.slip.conversions import UNOBSERVED
+from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_tools.cli import import_command, info_command
 
 ROOT = Path(__file__).parents[2]

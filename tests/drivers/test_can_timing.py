@@ -64,7 +64,7 @@ def test_a_sender_that_changes_its_cycle_is_followed():
 @pytest.mark.parametrize("at_once", [2, 9, 12, 17, 40, 300])
 @pytest.mark.parametrize("nominal_ms", [0.0, 10.0])
 def test_a_burst_at_the_start_was_taken_for_the_cycle(nominal_ms, at_once):
-    """The first frames had waited on a busy host: 255 of each frame were lost ever after, and motion with them."""
+    """The first frames had waited on a busy host: each after them counted as 256, motion was refused."""
     lost = Counter()
     timing = FrameTiming(nominal_ms * MS, 16, lambda event, number: lost.update({event: number}))
     arrivals = np.arange(at_once + 600) * 10 * MS

@@ -7,8 +7,11 @@ import os
 import re
 import signal
 import socket
+import subprocess
+import sys
 import urllib.request
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from matplotlib.image import imread
@@ -108,6 +111,16 @@ def test_the_program_itself_refuses_with_one_line(programs):
     program = demo(programs, "--soil", "cheese")
     assert program.wait() == ExitCode.BAD_INPUT
     assert len(program.stderr.splitlines()) == 1
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_demo_whose_output_cannot_be_written_ended_with_a_traceback(programs, tmp_path):
+    command = [sys.executable, "-m", "trackslip_sim.demo.main", "--output", str(tmp_path / "demo")]
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == ExitCode.BAD_INPUT
+    assert done.stderr == "make demo: cannot read or write (No space left on device)\n"
+    assert programs.alive() == {}
 
 
 def answers(address):

@@ -98,11 +98,13 @@ class OrientationFields(NamedTuple):
 
 
 class PoseFields(NamedTuple):
-    """Of geometry_msgs/PoseWithCovarianceStamped, and of the pose in nav_msgs/Odometry: the planar part."""
+    """Of geometry_msgs/PoseWithCovarianceStamped, and of the pose in nav_msgs/Odometry: planar part and z."""
 
     stamp_ns: StampNs
     x: Annotated[float, At("pose.pose.position.x")]  # m
     y: Annotated[float, At("pose.pose.position.y")]
+    z: Annotated[float, At("pose.pose.position.z")]
+    z_variance: Annotated[float, At("pose.covariance", (14,))]  # m²
     qx: Annotated[float, At("pose.pose.orientation.x")]
     qy: Annotated[float, At("pose.pose.orientation.y")]
     qz: Annotated[float, At("pose.pose.orientation.z")]
@@ -157,6 +159,7 @@ class NavSatFields(NamedTuple):
     status: Annotated[int, At("status.status")]  # −1: no fix
     covariance: Annotated[FloatArray, At("position_covariance", (0, 1, 3, 4), (2, 2))]  # m², east and north
     covariance_type: Annotated[int, At("position_covariance_type")]  # 0: unknown
+    altitude_variance: Annotated[float, At("position_covariance", (8,))]  # m²
 
 
 class QuaternionFields(NamedTuple):

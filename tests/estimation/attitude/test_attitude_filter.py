@@ -20,7 +20,7 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 
 FloatArray = NDArray[np.float64]
 N = np.zeros(1, CONSTANTS)
-N[0] = constants(load_slip_parameters().attitude)
+N[0] = constants(load_slip_parameters().attitude, measures_height=False)
 TOPIC = "imu/data_raw"
 
 

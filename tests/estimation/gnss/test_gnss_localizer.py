@@ -10,11 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackslip_bags.messages import make
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import from_flat
+from trackslip_estimation.gnss.conversions import pose
 from trackslip_estimation.gnss.localizer import Datum, Fix, GnssLocalizer, Place, Reason
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
+from trackslip_estimation.slip.measurements import UNOBSERVED
 
 DATUM = {"datum_latitude": -33.889, "datum_longitude": 151.193, "datum_altitude": 60.0}
 KNOWN = np.diag((0.01**2, 0.02**2))
@@ -26,25 +29,29 @@ def localizer(**given):
     )
 
 
-def fix(latitude=-33.889, longitude=151.193, altitude=60.0, status=2, covariance=KNOWN, kind=2):
-    return Fix(17, latitude, longitude, altitude, status, np.asarray(covariance, dtype=float), kind)
+UP = 0.04**2  # m²
+
+
+def fix(latitude=-33.889, longitude=151.193, altitude=60.0, status=2, covariance=KNOWN, kind=2, up=UP):
+    return Fix(17, latitude, longitude, altitude, status, np.asarray(covariance, dtype=float), kind, up)
 
 
 @given(
     st.floats(-88.0, 88.0),
     st.floats(-180.0, 180.0),
     st.floats(-50.0, 4000.0),
-    st.tuples(st.floats(-3000.0, 3000.0), st.floats(-3000.0, 3000.0)),
+    st.tuples(st.floats(-3000.0, 3000.0), st.floats(-3000.0, 3000.0), st.floats(-300.0, 300.0)),
 )
-def test_place_is_metres_east_and_north(latitude, longitude, altitude, at):
+def test_place_is_metres_east_north_and_up(latitude, longitude, altitude, at):
     if latitude == longitude == 0.0:
         return
-    there = pymap3d.enu2geodetic(*at, 0.0, latitude, longitude, altitude)
+    there = pymap3d.enu2geodetic(*at, latitude, longitude, altitude)
     which = localizer(datum_latitude=latitude, datum_longitude=longitude, datum_altitude=altitude)
     place = which.locate(fix(*map(float, there)))
     assert isinstance(place, Place)
-    assert (place.east, place.north) == pytest.approx(at, abs=1e-5)
+    assert (place.east, place.north, place.up) == pytest.approx(at, abs=1e-5)
     np.testing.assert_array_equal(place.covariance, KNOWN)
+    assert place.up_variance == UP
 
 
 def test_unknown_altitude_is_that_of_the_datum():
@@ -52,6 +59,9 @@ def test_unknown_altitude_is_that_of_the_datum():
     assert isinstance(place, Place)
     same = localizer(**DATUM).locate(fix(-33.888, 151.194, 60.0))
     assert (place.east, place.north) == pytest.approx((same.east, same.north), abs=1e-3)
+    assert math.isnan(place.up)
+    message = pose(make, place, "gnss_pose", "map")
+    assert (message.pose.pose.position.z, message.pose.covariance[14]) == (0.0, UNOBSERVED)
 
 
 @pytest.mark.parametrize(
@@ -93,8 +103,10 @@ def test_equator_and_date_line_divide_nothing():
 @pytest.mark.parametrize("zeros", [False, True])
 def test_unknown_covariance_is_assumed_by_status(status, zeros):
     kind, covariance = (2, np.zeros((2, 2))) if zeros else (0, np.full((2, 2), 7.0))
-    place = localizer(**DATUM).locate(fix(status=status, covariance=covariance, kind=kind))
+    up = 0.0 if zeros else 7.0
+    place = localizer(**DATUM).locate(fix(status=status, covariance=covariance, kind=kind, up=up))
     assert isinstance(place, Place)
+    assert place.up_variance == pytest.approx(4.0 * place.covariance[0, 0])
     assert place.covariance[0, 0] == (3.0**2, 1.0**2, 0.3**2, 0.3**2)[status]
 
 

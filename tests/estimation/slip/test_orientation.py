@@ -23,7 +23,7 @@ from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle_files import vehicle_layer
-from trackslip_estimation.attitude.records import OrientationRefusal
+from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.slip.conversions import yaw_rate
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Report, Sprockets, YawRate
@@ -104,8 +104,8 @@ def off(estimate: Any) -> float:
     return math.degrees(float(np.hypot(*(estimate.outputs.tilt.tilt[:2] - (ROLL, PITCH)))))
 
 
-def refused(reports: list[Report]) -> list[OrientationRefusal]:
-    return [report.orientation for report in reports if report.orientation is not None]
+def refused(reports: list[Report]) -> list[AttitudeRefusal]:
+    return [report.attitude for report in reports if report.attitude is not None]
 
 
 def test_a_good_orientation_holds_against_biased_accelerometers() -> None:
@@ -134,15 +134,15 @@ def test_its_errors_do_not_average_away_within_their_time() -> None:
 @pytest.mark.parametrize(
     ("covariance", "size", "refusal"),
     [
-        (ABSENT, 1.0, OrientationRefusal.NO_ORIENTATION),
-        (ZERO, 1.0, OrientationRefusal.NO_COVARIANCE),
-        (np.full(9, math.nan), 1.0, OrientationRefusal.NO_COVARIANCE),
-        (np.eye(3).ravel() * 1e-5, 0.0, OrientationRefusal.NO_ROTATION),
-        (np.eye(3).ravel() * 1e-5, math.nan, OrientationRefusal.NO_ROTATION),
+        (ABSENT, 1.0, AttitudeRefusal.NO_ORIENTATION),
+        (ZERO, 1.0, AttitudeRefusal.NO_COVARIANCE),
+        (np.full(9, math.nan), 1.0, AttitudeRefusal.NO_COVARIANCE),
+        (np.eye(3).ravel() * 1e-5, 0.0, AttitudeRefusal.NO_ROTATION),
+        (np.eye(3).ravel() * 1e-5, math.nan, AttitudeRefusal.NO_ROTATION),
     ],
 )
 def test_what_is_no_orientation_is_refused_by_name(
-    covariance: FloatArray, size: float, refusal: OrientationRefusal
+    covariance: FloatArray, size: float, refusal: AttitudeRefusal
 ) -> None:
     """And the rest of the message counts as if none were wanted, to the last bit."""
     measurements = drive(lambda _: (covariance, size), seconds=8.0)
@@ -150,7 +150,7 @@ def test_what_is_no_orientation_is_refused_by_name(
     expected, _, plain = run(measurements)
     imus = [report for report in reports if report.source == IMU and not report.outcome.refused]
     assert len(imus) > 100
-    assert {report.orientation for report in imus[1:]} == {refusal}
+    assert {report.attitude for report in imus[1:]} == {refusal}
     assert refused(plain) == []
     np.testing.assert_array_equal(found.pose, expected.pose)
     np.testing.assert_array_equal(found.outputs.tilt.tilt, expected.outputs.tilt.tilt)
@@ -165,7 +165,7 @@ def test_one_that_contradicts_gyro_and_gravity_is_gated() -> None:
             up = Rotation.from_rotvec((0.0, 0.4, 0.0)).apply(m.up)
             measurements[k] = YawRate(**{**vars(m), "up": tuple(up.tolist())})
     found, own, reports = run(measurements, **WANTED)
-    gated = [r for r in reports if r.orientation is OrientationRefusal.ORIENTATION_GATED]
+    gated = [r for r in reports if r.attitude is AttitudeRefusal.ORIENTATION_GATED]
     assert {r.stamp_ns > 10_000 * MS for r in gated} == {True}
     assert len(gated) == 200
     assert off(found) < 1.0
@@ -209,7 +209,7 @@ def test_a_cab_that_looks_aside_turns_it_back() -> None:
         measurements.append(m)
     given_ = {**WANTED, f"{GROUP}use_acceleration": False, **vehicle_layer(CAB)}
     found, _, reports = run(measurements, **given_)
-    assert refused(reports) == [OrientationRefusal.SWING_UNKNOWN]  # before the first reading of the encoder
+    assert refused(reports) == [AttitudeRefusal.SWING_UNKNOWN]  # before the first reading of the encoder
     assert found.outputs.swing.angle == pytest.approx(1.2, abs=0.02)
     assert off(found) < 0.3
 

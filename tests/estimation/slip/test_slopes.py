@@ -16,7 +16,14 @@ from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.conversions import fill_attitude, fill_odometry, odometry
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry
-from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import (
+    HeadingFix,
+    Measurement,
+    Outcome,
+    PoseFix,
+    Sprockets,
+    YawRate,
+)
 from trackslip_estimation.slip.mounting import quaternion_of
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
@@ -159,3 +166,29 @@ def test_local_odometry_runs_along_the_ground_too() -> None:
     assert np.hypot(*tilted.pose[:2]) == pytest.approx(
         math.cos(math.radians(15.0)) * np.hypot(*last.pose[:2]), rel=0.01
     )
+
+
+def slide(seconds: float = 25.0) -> list[Measurement]:
+    """Across a slope of 15°, and when its tracks run it slides down at 1 m/s; places alone, and headings."""
+    found = list[Measurement]()
+    for m in drive(0.0, math.radians(15.0), seconds):
+        if isinstance(m, Sprockets):
+            t = m.stamp_ns * 1e-9
+            down = min(5.05 - t, 0.0) * math.cos(math.radians(15.0))
+            found.append(m)
+            if round(t * 20) % 2 == 0:
+                fix = np.array((0.0, down, 0.0)), np.diag((1e-4, 1e-4, 1e6))
+                found.append(PoseFix("box_pose", m.stamp_ns, *fix))
+                found.append(HeadingFix("heading", m.stamp_ns, 0.0, 1e-5))
+        elif isinstance(m, YawRate):
+            found.append(m)
+    return found
+
+
+def test_a_slide_turned_a_machine_whose_compass_said_no() -> None:
+    """Fixes that went sideways while its tracks ran turned it by 90°; then its headings were refused."""
+    own = estimator(heading_sources=["heading"], sources__box_pose__use_heading=False)
+    reports = [report for report, _ in own.process_all(slide())]
+    refused = [r for r in reports if r.source == "heading" and r.outcome is Outcome.GATED]
+    assert len(refused) <= 3
+    assert abs(own.estimate().pose[2]) < 0.02

@@ -19,7 +19,7 @@ from trackslip_bags.importing.samples import (
     without_heading,
     yaw_of,
 )
-from trackslip_estimation.slip.conversions import UNOBSERVED
+from trackslip_estimation.slip.measurements import UNOBSERVED
 
 _NO_FIX = 0  # quality of a GGA sentence
 _STATUS_OF_QUALITY = {0: -1, 1: 0, 2: 1, 3: 0, 4: 2, 5: 2, 9: 2}  # NavSatStatus: none, fix, SBAS, GBAS

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
-from trackslip_estimation.gnss.localizer import Datum, Reason, east_north, why_far
+from trackslip_estimation.gnss.localizer import Datum, Reason, east_north_up, why_far
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
 FloatArray = NDArray[np.float64]
@@ -94,4 +94,4 @@ class LocalFrame:
 
 def _east_north(datum: Datum, place: FloatArray) -> FloatArray:
     latitude, longitude = np.degrees(place[:, :2]).T
-    return np.column_stack(east_north(datum, latitude, longitude, place[:, 2]))
+    return np.column_stack(east_north_up(datum, latitude, longitude, place[:, 2])[:2])

@@ -28,8 +28,8 @@ from trackslip_bags.importing.mapping_topics import Geometry
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.messages import header, make
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
-from trackslip_estimation.slip.conversions import UNOBSERVED, pose_with_covariance
-from trackslip_estimation.slip.measurements import PoseFix
+from trackslip_estimation.slip.conversions import pose_with_covariance
+from trackslip_estimation.slip.measurements import UNOBSERVED, PoseFix
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -66,9 +66,9 @@ class _Held(NamedTuple):
 class CycleMeter:
     """The cycle of a sender, from the times between its frames.
 
-    Until there are some blocks of frames it is the median of the first intervals, once their mean is about that:
-    the first frames may have waited, and come at once. A block is as long as its frames' arrivals say, whatever
-    came late within it; one that a stall made longer is outvoted by the rest.
+    Until there are some blocks of frames it is the median of the first intervals, once their mean is about
+    that: the first frames may have waited, and come at once. A block is as long as its frames' arrivals say,
+    whatever came late within it; one that a stall made longer is outvoted by the rest.
 
     Args:
         nominal_ns: as the DBC states it; 0 where it does not.

@@ -242,6 +242,12 @@ def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: A
 
 
 @compiled
+def rise_of(x: FloatArray, v_x: float, v_y: float) -> float:
+    """ż, m/s, with these speeds along the ground."""
+    return float(-v_x * math.sin(x[PITCH]) + v_y * math.sin(x[ROLL]) * math.cos(x[PITCH]))
+
+
+@compiled
 def climb(a: Any, v_x: float, v_y: float, dt: float) -> None:
     """The height after ``dt`` s with these speeds along the ground."""
     if a.known == 0:
@@ -249,7 +255,9 @@ def climb(a: Any, v_x: float, v_y: float, dt: float) -> None:
     x, P = a.mean, a.covariance
     sin, cos = math.sin(x[ROLL]), math.cos(x[ROLL])
     sin_pitch, cos_pitch = math.sin(x[PITCH]), math.cos(x[PITCH])
-    x[HEIGHT] += (-v_x * sin_pitch + v_y * sin * cos_pitch) * dt
+    way = rise_of(x, v_x, v_y) * dt
+    x[HEIGHT] += way
+    a.climb.way += way
     by_roll = v_y * cos * cos_pitch * dt
     by_pitch = -(v_x * cos_pitch + v_y * sin * sin_pitch) * dt
     for j in range(SIZE):

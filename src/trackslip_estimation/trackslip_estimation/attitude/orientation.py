@@ -19,14 +19,14 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_common.message_fields import ABSENT
-from trackslip_estimation.attitude.records import PITCH, ROLL, SIZE, OrientationRefusal
+from trackslip_estimation.attitude.records import PITCH, ROLL, SIZE, AttitudeRefusal
 from trackslip_estimation.attitude.start import begin_tilt
 from trackslip_estimation.kalman.ekf import correct
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
 
-_NONE, _NO_COVARIANCE = int(OrientationRefusal.NO_ORIENTATION), int(OrientationRefusal.NO_COVARIANCE)
-_NO_ROTATION, _GATED = int(OrientationRefusal.NO_ROTATION), int(OrientationRefusal.ORIENTATION_GATED)
-SWING_UNKNOWN = int(OrientationRefusal.SWING_UNKNOWN)
+_NONE, _NO_COVARIANCE = int(AttitudeRefusal.NO_ORIENTATION), int(AttitudeRefusal.NO_COVARIANCE)
+_NO_ROTATION, _GATED = int(AttitudeRefusal.NO_ROTATION), int(AttitudeRefusal.ORIENTATION_GATED)
+SWING_UNKNOWN = int(AttitudeRefusal.SWING_UNKNOWN)
 _LARGEST = math.pi**2  # rad², variance of an angle that may be any
 _ROUNDING = 0.1  # of the norm squared of a quaternion
 _SHORTEST = 1e-3  # s between orientations

@@ -8,9 +8,19 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_estimation.attitude.records import BIAS_P, BIAS_Q, BIAS_X, BIAS_Y, CONSTANTS, PITCH, ROLL
+from trackslip_estimation.attitude.records import (
+    BIAS_P,
+    BIAS_Q,
+    BIAS_X,
+    BIAS_Y,
+    CONSTANTS,
+    HEIGHT,
+    PITCH,
+    ROLL,
+)
 
 _TILT = 1.0  # rad, before the first sample
+_HEIGHT = 1e3  # m, on a map whose fixes have altitudes, before the first of them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,10 +45,10 @@ class AttitudeParameters(Parameters):
     )
 
 
-def constants(p: AttitudeParameters) -> Any:
-    """A record of ``CONSTANTS``."""
+def constants(p: AttitudeParameters, *, measures_height: bool) -> Any:
+    """A record of ``CONSTANTS``; the height is 0 at the start unless fixes measure it."""
     found = np.zeros(1, CONSTANTS)[0]
-    found["initial"][[ROLL, PITCH]] = _TILT
+    found["initial"][[ROLL, PITCH]], found["initial"][HEIGHT] = _TILT, _HEIGHT if measures_height else 0.0
     found["initial"][[BIAS_P, BIAS_Q]] = p.initial_gyro_bias_stddev
     found["initial"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias_stddev
     found["walk"][[BIAS_P, BIAS_Q]] = p.gyro_bias**2

@@ -13,14 +13,16 @@ ROLL, PITCH, HEIGHT, BIAS_P, BIAS_Q, BIAS_X, BIAS_Y = range(7)  # rad, rad, m, r
 SIZE = 7
 
 
-class OrientationRefusal(IntEnum):
-    """Why an orientation that was wanted is not used; 0 where it is."""
+class AttitudeRefusal(IntEnum):
+    """Why an orientation or an altitude that was wanted is not used; 0 where it is."""
 
     NO_ORIENTATION = 1  # its covariance begins with −1
     NO_COVARIANCE = 2  # zeros: it is not known
     NO_ROTATION = 3  # a quaternion of another length than 1
     ORIENTATION_GATED = 4  # it lies outside the gate
     SWING_UNKNOWN = 5  # nobody knows how the IMU, on the upper structure, is turned
+    NO_ALTITUDE = 6  # it is no number, or its variance is none
+    ALTITUDE_GATED = 7  # it lies outside the gate
 
 
 LEVEL = (
@@ -80,6 +82,17 @@ SPAN = np.dtype(  # see ``span``
     align=True,
 )
 
+CLIMB = np.dtype(  # see ``slip.altitude``
+    [
+        ("way", np.float64),  # that C has climbed by the tracks since an altitude was used, m
+        ("used_ns", np.int64),  # stamp of that one
+        ("refused", np.int64),  # altitudes outside the gate since, in a row, that agree
+        ("refused_ns", np.int64),  # stamp of the first of them
+        ("apart", np.float64),  # its innovation, m
+    ],
+    align=True,
+)
+
 ATTITUDE = np.dtype(
     [
         ("known", np.int64),  # 0 or 1
@@ -94,7 +107,8 @@ ATTITUDE = np.dtype(
         ("noise", np.float64, (2,)),  # variance of what both horizontal axes show beyond the model, (m/s²)²
         ("noise_count", np.float64, (2,)),  # samples in it
         ("oriented_ns", np.int64),  # stamp of the last orientation that was used
-        ("refusal", np.int64),  # ``OrientationRefusal`` of the last one; 0: it was used, or none is wanted
+        ("refusal", np.int64),  # ``AttitudeRefusal`` of the last one; 0: it was used, or none is wanted
+        ("climb", CLIMB),
         ("level", LEVEL),
     ],
     align=True,

@@ -9,7 +9,7 @@ import numpy as np
 
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.filter import GRAVITY_DOUBT, UPRIGHT
-from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL, OrientationRefusal
+from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL, AttitudeRefusal
 
 _OFF = 0.1  # m/s², of a bias that is worth a word, where it is
 _SIGNIFICANT = 3.0  # standard deviations
@@ -55,7 +55,7 @@ def _lacking(a: Any, source: str) -> str:
 def _refused(a: Any, source: str) -> str:
     """What its last orientation lacks, where one is wanted."""
     refusal = int(a["refusal"])
-    words = OrientationRefusal(refusal).name.lower().replace("_", " ") if refusal else ""
+    words = AttitudeRefusal(refusal).name.lower().replace("_", " ") if refusal else ""
     return f"; the orientation of {source} is refused: {words}" if words else ""
 
 

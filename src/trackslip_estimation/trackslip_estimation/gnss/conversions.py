@@ -10,8 +10,8 @@ from trackslip_common.make import Make, header
 from trackslip_common.message_fields import NavSatFields
 from trackslip_common.message_reading import read
 from trackslip_estimation.gnss.localizer import Datum, Fix, Place
-from trackslip_estimation.slip.conversions import UNOBSERVED, pose_with_covariance
-from trackslip_estimation.slip.measurements import PoseFix
+from trackslip_estimation.slip.conversions import pose_with_covariance
+from trackslip_estimation.slip.measurements import UNOBSERVED, PoseFix
 
 _DIAGONAL_KNOWN = 2
 
@@ -26,7 +26,8 @@ def pose(make: Make, place: Place, topic: str, frame: str) -> Any:
     covariance = np.diag((0.0, 0.0, UNOBSERVED))
     covariance[:2, :2] = place.covariance
     at = np.array((place.east, place.north, 0.0))
-    return pose_with_covariance(make, PoseFix(topic, place.stamp_ns, at, covariance), frame)
+    fix = PoseFix(topic, place.stamp_ns, at, covariance, place.up, place.up_variance)
+    return pose_with_covariance(make, fix, frame)
 
 
 def datum(make: Make, origin: Datum, stamp_ns: int, frame: str) -> Any:

@@ -26,6 +26,7 @@ FIX = "fix"
 _UNKNOWN = 0  # covariance type
 _EARTH_RADIUS = 6.4e6  # m
 _AGREEING = 100.0  # m between fixes that agree on a datum
+_UP_SHARE = 2.0  # standard deviation of an altitude over that of the position
 
 
 class Reason(Enum):
@@ -52,6 +53,7 @@ class Fix(NamedTuple):
     status: int  # as sensor_msgs/NavSatStatus: −1 none, 0, 1, 2
     covariance: FloatArray  # (2, 2) m², east and north
     covariance_type: int  # as sensor_msgs/NavSatFix: 0 unknown
+    altitude_variance: float  # m²
 
 
 class Datum(NamedTuple):
@@ -68,7 +70,9 @@ class Place(NamedTuple):
     stamp_ns: int
     east: float  # m
     north: float  # m
-    covariance: FloatArray  # (2, 2) m²
+    up: float  # m; nan: unknown
+    covariance: FloatArray  # (2, 2) m², east and north
+    up_variance: float  # m²
 
 
 class GnssLocalizer:
@@ -111,10 +115,12 @@ class GnssLocalizer:
             self._propose(fix)
         if self.datum is None:
             return Reason.NO_DATUM
-        east, north = _offset(self.datum, fix)
+        east, north, up = map(float, east_north_up(self.datum, fix.latitude, fix.longitude, fix.altitude))
         if math.hypot(east, north) > self._p.max_distance:
             return why_far(self.datum, fix.latitude, fix.longitude)
-        return Place(fix.stamp_ns, east, north, self._covariance(fix))
+        covariance = self._covariance(fix)
+        up = math.nan if math.isnan(fix.altitude) else up
+        return Place(fix.stamp_ns, east, north, up, covariance, _up_variance(fix, covariance))
 
     def _propose(self, fix: Fix) -> None:
         """A datum from fixes that agree: one wrong fix at the start must not move the map away."""
@@ -134,6 +140,14 @@ class GnssLocalizer:
         return np.diag((stddev**2, stddev**2))
 
 
+def _up_variance(fix: Fix, covariance: FloatArray) -> float:
+    """m²; where the fix has none, that of twice the position's: satellites are above only."""
+    stated = fix.altitude_variance if fix.covariance_type != _UNKNOWN else 0.0
+    if math.isfinite(stated) and stated > 0.0:
+        return stated
+    return _UP_SHARE**2 * float(np.max(np.diag(covariance)))
+
+
 def is_covariance(covariance: FloatArray) -> bool:
     """Whether (2, 2) is finite and positive definite."""
     (a, b), (c, d) = covariance.tolist()
@@ -146,18 +160,18 @@ def why_far(datum: Datum, latitude: float, longitude: float) -> Reason:
     return Reason.HEMISPHERE if other else Reason.FAR
 
 
-def east_north(datum: Datum, latitude: Any, longitude: Any, altitude: Any) -> tuple[Any, Any]:
-    """E, N of positions (°, °, m; nan: that of the datum), numbers or arrays.
+def east_north_up(datum: Datum, latitude: Any, longitude: Any, altitude: Any) -> tuple[Any, Any, Any]:
+    """E, N, U of positions (°, °, m; nan: that of the datum), numbers or arrays.
 
-    Infinite on the far side of the earth, whose tangent plane is parallel.
+    E and N are infinite on the far side of the earth, whose tangent plane is parallel.
     """
     known = np.where(np.isnan(altitude), datum.altitude, altitude)
     east, north, up = pymap3d.geodetic2enu(latitude, longitude, known, *datum)
     near = np.asarray(up) > -_EARTH_RADIUS
-    return np.where(near, east, math.inf), np.where(near, north, math.inf)
+    return np.where(near, east, math.inf), np.where(near, north, math.inf), np.asarray(up)
 
 
 def _offset(datum: Datum, fix: Fix) -> tuple[float, float]:
     """E, N."""
-    east, north = east_north(datum, fix.latitude, fix.longitude, fix.altitude)
+    east, north, _ = east_north_up(datum, fix.latitude, fix.longitude, fix.altitude)
     return float(east), float(north)

@@ -121,8 +121,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._watch.add(report)
         if report.outcome is not Outcome.ACCEPTED:
             self.tally.add(report.source, report.outcome)
-        if report.orientation is not None:
-            self.tally.add(report.source, report.orientation)
+        if report.attitude is not None:
+            self.tally.add(report.source, report.attitude)
 
     def _publish_report(self, report: Report) -> None:
         if report.source not in self._reports:

@@ -12,7 +12,7 @@ their noise and what the tracks err by over that way, and the way is long enough
 so, with the covariance of that fit. If it turns, what had been learned while the heading was wrong is as at
 the start; else heading and all that was learned stay. Fixes of the newest motion count: where they do not
 agree, the oldest is dropped. On a slope a machine may slide and not go where it looks: where the fixes show
-its heading, they turn nothing there, and k is open.
+its heading, or a compass does, they turn nothing there, and k is open.
 
 As long as no heading is known, fixes inside their gate hold the place, and each metre driven since the last
 of them doubts it; nothing of that turns the machine.
@@ -41,7 +41,7 @@ UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which there is none
 _DIRECTION_DOUBT = 1.5  # of the way squared, along it: E(1 − cos φ)², any direction φ being as likely
 _SHIFT_ERROR = 0.1  # of the way between the fixes and the pose
 _SIGNIFICANT = 3.0  # standard deviations of a rotation
-_GENTLE, _STEEP = 0.05, 0.1  # sines of slopes
+GENTLE, _STEEP = 0.05, 0.1  # sines of slopes
 _INSISTS = 3  # timeouts without a fix inside its gate, after which fixes that agree at rest are believed
 
 
@@ -71,7 +71,7 @@ def keep_refused(
     refused.variance = variance
     refused.centre_x = fix[0] - predicted[0] + state.mean[X]
     refused.centre_y = fix[1] - predicted[1] + state.mean[Y]
-    refused.way_x, refused.way_y = state.way[0], state.way[1]
+    refused.way_x, refused.way_y, refused.stamp_ns = state.way[0], state.way[1], state.stamp_ns
     state.refused_count += 1
 
 
@@ -167,6 +167,16 @@ def insists(state: Any, source: int, stamp_ns: int, c: Any) -> bool:
 
 
 @compiled
+def compass_agrees(state: Any, stamp_ns: int, c: Any) -> bool:
+    """Whether a source of headings was inside its gate lately."""
+    for k in range(c.compass.size):
+        heard = c.compass[k] == 1 and state.heard_ns[k] >= state.consistent_ns[k]
+        if heard and stamp_ns - state.consistent_ns[k] <= c.timeouts_ns[k]:
+            return True
+    return False
+
+
+@compiled
 def realign(state: Any, at_rest: bool, heading_shown: bool, c: Any) -> bool:
     """Move the pose by what the newest refused fixes that agree show; whether they show enough.
 
@@ -199,7 +209,7 @@ def _follow(state: Any, found: RigidMotion, heading_shown: bool, c: Any) -> None
     doubt = math.sqrt(found.stddev * found.stddev + state.covariance[YAW, YAW])
     if state.aligning:
         move_pose(state, found)
-    elif abs(found.rotation) > _SIGNIFICANT * doubt and heading_shown and _is_steep(state):
+    elif abs(found.rotation) > _SIGNIFICANT * doubt and heading_shown and is_steep(state):
         _shift(state, found)
         _open_slide(state, found)
     elif abs(found.rotation) > _SIGNIFICANT * doubt:
@@ -212,7 +222,7 @@ def _follow(state: Any, found: RigidMotion, heading_shown: bool, c: Any) -> None
 
 
 @compiled
-def _is_steep(state: Any) -> bool:
+def is_steep(state: Any) -> bool:
     """Whether the ground is so steep that a machine may slide on it."""
     level = state.attitude.level
     return bool(level.tilted == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
@@ -221,7 +231,7 @@ def _is_steep(state: Any) -> bool:
 @compiled
 def _open_slide(state: Any, by: RigidMotion) -> None:
     """P with k as large as makes the way of the rotated one."""
-    across = max(abs(state.attitude.level.downhill_y), _GENTLE)
+    across = max(abs(state.attitude.level.downhill_y), GENTLE)
     state.covariance[DOWNHILL, DOWNHILL] += (math.sin(by.rotation) / across) ** 2
 
 

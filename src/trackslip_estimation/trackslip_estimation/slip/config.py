@@ -68,10 +68,13 @@ CONFIG = np.dtype(
         ("rate_scale", np.float64, (MOST_SOURCES,)),  # what a gyro shows of 1 rad/s
         ("stamp_errors", np.float64, (MOST_SOURCES,)),  # σ_t, s
         ("use_heading", np.int64, (MOST_SOURCES,)),  # 0 or 1
+        ("use_altitude", np.int64, (MOST_SOURCES,)),  # 0 or 1
+        ("altitude_times", np.float64, (MOST_SOURCES,)),  # s, for which an error of it lasts
         ("position_floor", np.float64, (MOST_SOURCES,)),  # m
         ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_offset", np.float64, (MOST_SOURCES,)),  # rad
+        ("compass", np.int64, (MOST_SOURCES,)),  # 0 or 1: whether it is a source of headings
         ("repeat_times", np.float64, (MOST_SOURCES,)),  # s, for which fixes err alike by where they are
         ("standing_share", np.float64, (MOST_SOURCES,)),
         ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
@@ -162,10 +165,11 @@ def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int])
         c["position_floor"][k], c["heading_floor"][k] = pose.position_floor, pose.heading_floor
         c["heading_ceiling"][k] = pose.heading_ceiling
         c["standing_share"][k] = pose.standing_share
+        c["use_altitude"][k], c["altitude_times"][k] = pose.use_altitude, pose.correlation_time
     for name, compass in p.compasses().items():
         k = numbers[name]
         c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
-        c["stamp_errors"][k] = compass.stamp_error
+        c["stamp_errors"][k], c["compass"][k] = compass.stamp_error, 1
     for name, angle in p.angles().items():
         c["heading_offset"][numbers[name]] = angle.offset
     above = [numbers[name] for name, source in p.mounted().items() if source.above]
@@ -176,7 +180,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int])
     c["swing_place"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale
-    c["attitude"], c["tilt_source"] = attitude_constants(p.attitude), -1
+    c["attitude"], c["tilt_source"] = attitude_constants(p.attitude, measures_height=p.measures_height), -1
     if p.tilt_source is not None:
         imu = p.gyros()[p.tilt_source]
         c["tilt_source"], c["tilt_lever"] = numbers[p.tilt_source], imu.lever

@@ -33,6 +33,7 @@ from trackslip_common.orientations import heading_of
 from trackslip_common.topics import SWING_JOINT, SWING_STDDEV_JOINT
 from trackslip_estimation.slip.estimator import Estimate, Swing, Tilt
 from trackslip_estimation.slip.measurements import (
+    UNOBSERVED,
     HeadingFix,
     OdometryPose,
     PoseFix,
@@ -56,10 +57,10 @@ class Frames(NamedTuple):
     base: str
 
 
-UNOBSERVED = 1e6  # variance of what a planar estimate does not contain
 _BLANK_36 = np.diag(np.full(6, UNOBSERVED)).ravel()
 _PLANE_IN_36 = np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel()
 _TILT_IN_36 = np.arange(36).reshape(6, 6)[np.ix_((3, 4, 2), (3, 4, 2))].ravel()  # roll, pitch, z
+_ALTITUDE_IN_36 = 14
 _RATES_IN_36 = np.array((3, 4)) * 7  # variances about x and y
 _FLAT, _NO_RATES = np.diag(np.full(3, UNOBSERVED)), np.full(2, UNOBSERVED)
 
@@ -99,9 +100,10 @@ def yaw_rate(message: Any, source: str, imu: YawRateSource) -> YawRate | Refusal
 
 
 def pose_fix(message: Any, source: str) -> PoseFix:
-    """From geometry_msgs/PoseWithCovarianceStamped, the planar part."""
+    """From geometry_msgs/PoseWithCovarianceStamped, the planar part and z."""
     m = read(PoseFields, message)
-    return PoseFix(source, m.stamp_ns, np.array((m.x, m.y, heading_of(m))), m.covariance)
+    pose = np.array((m.x, m.y, heading_of(m)))
+    return PoseFix(source, m.stamp_ns, pose, m.covariance, m.z, m.z_variance)
 
 
 def slip_fix(message: Any, source: str) -> SlipFix:
@@ -253,14 +255,13 @@ def fill_track_slip(message: Any, estimate: Estimate) -> None:
 
 def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:
     """geometry_msgs/PoseWithCovarianceStamped of a fix."""
+    pose, covariance = planar_pose_message(make, fix.pose), in_six(fix.covariance)
+    if math.isfinite(fix.altitude):
+        pose.position.z, covariance[_ALTITUDE_IN_36] = fix.altitude, fix.altitude_variance
     return make(
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         header=header(make, fix.stamp_ns, frame),
-        pose=make(
-            "geometry_msgs/msg/PoseWithCovariance",
-            pose=planar_pose_message(make, fix.pose),
-            covariance=in_six(fix.covariance),
-        ),
+        pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.attitude.records import OrientationRefusal
+from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
@@ -49,6 +49,8 @@ class Tilt:
     rate_variances: FloatArray  # (3,)
     force: FloatArray  # (3,) specific force, upward at rest, m/s²
     force_variance: float  # of each axis
+    rise: float  # of the height, m/s
+    rise_variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +207,8 @@ class SlipEstimator:
 
 def make_step(result: Any, source: str) -> Step:
     """What a record of ``RESULT`` says, or the tuple of its fields, which is faster to look at."""
-    stamp_ns, outcome, dof, nis, gate, orientation, published, estimate = result
-    refusal = OrientationRefusal(orientation) if orientation else None
+    stamp_ns, outcome, dof, nis, gate, attitude, published, estimate = result
+    refusal = AttitudeRefusal(attitude) if attitude else None
     report = Report(source, int(stamp_ns), Outcome(outcome), float(nis), float(gate), int(dof), refusal)
     return report, make_estimate(estimate) if published else None
 

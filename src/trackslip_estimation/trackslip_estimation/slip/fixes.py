@@ -21,6 +21,7 @@ from trackslip_estimation.kalman.linear_algebra import log_determinant, root, we
 from trackslip_estimation.slip.adaptation import learn_from_fix, repeats, shared_error
 from trackslip_estimation.slip.alignment import (
     UNKNOWN_HEADING,
+    compass_agrees,
     forget_refused,
     hold_place,
     insists,
@@ -36,6 +37,7 @@ from trackslip_estimation.slip.models.swing import may_swing, open_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import observed
 from trackslip_estimation.slip.own_errors import lasts, meet_quality, to_erring, white
+from trackslip_estimation.slip.slides import find_slide
 from trackslip_estimation.slip.stands import count_fix, stands_still
 from trackslip_estimation.slip.traction import along_heading, changed_slip, goes_on, widen_slip
 
@@ -175,7 +177,8 @@ def _insists(
     keep_refused(state, (x[X], x[Y]), (z[X], z[Y]), (whole[X, X] + whole[Y, Y]) / 2.0)
     heading_fits = m <= YAW or _innovation(z, x)[YAW] ** 2 <= limit * (P[YAW, YAW] + R[YAW, YAW])
     at_rest = heading_fits and insists(state, source, measurement.stamp_ns, c)
-    moved = realign(state, at_rest, heading_fits and m > YAW, c)
+    shown = heading_fits if m > YAW else compass_agrees(state, measurement.stamp_ns, c)
+    moved = (shown and find_slide(state, c)) or realign(state, at_rest, shown, c)
     if moved:
         state.consistent_ns[source] = measurement.stamp_ns
     return bool(moved)

@@ -44,14 +44,20 @@ def unknown_arm(P: FloatArray, source: int, c: Any) -> float:
 
 
 @compiled
+def swung_place(swing: float, source: int, c: Any) -> Place:
+    """x and y of its place in base_link, and their derivatives by σ."""
+    if c.above[source] == 0:
+        return c.levers[source, 0], c.levers[source, 1], 0.0, 0.0
+    cos, sin, arm = np.cos(swing), np.sin(swing), arm_of(source, c)
+    by_x, by_y = -sin * arm[0] - cos * arm[1], cos * arm[0] - sin * arm[1]
+    return c.swing_axis[0] + by_y, c.swing_axis[1] - by_x, by_x, by_y
+
+
+@compiled
 def sensor_place(level: Any, swing: float, source: int, c: Any) -> Place:
     """p and p'; ``level``: the record of ``attitude`` that says how the machine leans."""
-    x, y, z = c.levers[source]
-    by_x = by_y = 0.0
-    if c.above[source] == 1:
-        cos, sin, arm = np.cos(swing), np.sin(swing), arm_of(source, c)
-        by_x, by_y = -sin * arm[0] - cos * arm[1], cos * arm[0] - sin * arm[1]
-        x, y = c.swing_axis[0] + by_y, c.swing_axis[1] - by_x
+    z = c.levers[source, 2]
+    x, y, by_x, by_y = swung_place(swing, source, c)
     ahead = x * (1.0 + level.forward) + y * level.across + z * level.lean_x
     by_ahead = by_x * (1.0 + level.forward) + by_y * level.across
     left = y * (1.0 + level.sideways) + z * level.lean_y

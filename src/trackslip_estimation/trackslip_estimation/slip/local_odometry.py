@@ -6,6 +6,7 @@
     v_x, v_y, ω    mean of the horizontal twists at both ends of an interval Δt   m/s, m/s, rad/s
     x += (v_x cos ψ' − v_y sin ψ') Δt,  y += (v_x sin ψ' + v_y cos ψ') Δt,  ψ += ω Δt,  ψ' = ψ + ω Δt/2
     P = F P Fᵀ + T Σ Tᵀ τ Δt    Σ covariance of the twist, whose errors last τ
+    z += ż Δt,  σ_z += σ_ż Δt   height, whose errors last: those of the pitch, and of slips    m
 
 A fix that corrects the estimate shows in the twist at most. Where time goes back, or is lost for longer than
 an interval may be, the pose stays as it is.
@@ -19,7 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.estimator import Estimate
+from trackslip_estimation.attitude.records import HEIGHT
+from trackslip_estimation.slip.estimator import Estimate, Tilt
+from trackslip_estimation.slip.records import TILT
 
 Records = NDArray[np.void]
 
@@ -27,7 +30,12 @@ _LONGEST = 1.0  # s, interval that a twist is taken to last
 _CORRELATION = 1.0  # s, τ
 
 TWIST = np.dtype(
-    [("stamp_ns", np.int64), ("horizontal", np.float64, (3,)), ("twist_covariance", np.float64, (3, 3))],
+    [
+        ("stamp_ns", np.int64),
+        ("horizontal", np.float64, (3,)),
+        ("twist_covariance", np.float64, (3, 3)),
+        ("tilt", TILT),
+    ],
     align=True,
 )
 LOCAL = np.dtype(
@@ -36,6 +44,9 @@ LOCAL = np.dtype(
         ("pose", np.float64, (3,)),
         ("pose_covariance", np.float64, (3, 3)),
         ("horizontal", np.float64, (3,)),
+        ("height", np.float64),
+        ("height_stddev", np.float64),
+        ("rise", np.float64),  # ż, m/s
         ("begun", np.int64),  # 0 or 1
     ],
     align=True,
@@ -60,10 +71,26 @@ class LocalOdometry:
 
     def after(self, estimate: Estimate) -> Estimate:
         """The estimate with its pose in ``odom``."""
-        twist = np.zeros(1, TWIST)
-        twist[0] = (estimate.stamp_ns, estimate.outputs.horizontal, estimate.outputs.twist_covariance)
+        twist, outputs = np.zeros(1, TWIST), estimate.outputs
+        twist["stamp_ns"], twist["horizontal"] = estimate.stamp_ns, outputs.horizontal
+        twist["twist_covariance"] = outputs.twist_covariance
+        tilt = outputs.tilt
+        if tilt is not None:
+            twist["tilt"]["rise"], twist["tilt"]["rise_variance"] = tilt.rise, tilt.rise_variance
         local = self.advance(twist)[0]
-        return replace(estimate, pose=local["pose"], pose_covariance=local["pose_covariance"])
+        if tilt is not None:
+            outputs = replace(outputs, tilt=_at_height(tilt, local["height"], local["height_stddev"]))
+        return replace(
+            estimate, pose=local["pose"], pose_covariance=local["pose_covariance"], outputs=outputs
+        )
+
+
+def _at_height(tilt: Tilt, height: float, stddev: float) -> Tilt:
+    """With the height in ``odom``."""
+    place, covariance = tilt.tilt.copy(), tilt.covariance.copy()
+    place[HEIGHT], covariance[HEIGHT], covariance[:, HEIGHT] = height, 0.0, 0.0
+    covariance[HEIGHT, HEIGHT] = stddev**2
+    return replace(tilt, tilt=place, covariance=covariance)
 
 
 @compiled
@@ -76,10 +103,11 @@ def integrate(known: Records, twists: Records, found: Records) -> None:
         if local.begun == 1 and 0.0 < dt <= _LONGEST:
             _move(local, given, dt)
         local.begun, local.stamp_ns = 1, given.stamp_ns
-        local.horizontal[:] = given.horizontal
+        local.horizontal[:], local.rise = given.horizontal, given.tilt.rise
         found[k].begun, found[k].stamp_ns = 1, given.stamp_ns
         found[k].horizontal[:], found[k].pose[:] = local.horizontal, local.pose
         found[k].pose_covariance[:] = local.pose_covariance
+        found[k].height, found[k].height_stddev, found[k].rise = local.height, local.height_stddev, local.rise
 
 
 @compiled
@@ -94,6 +122,8 @@ def _move(local: Any, given: Any, dt: float) -> None:
     local.pose[0] += dx
     local.pose[1] += dy
     local.pose[2] += rate * dt
+    local.height += 0.5 * (local.rise + given.tilt.rise) * dt
+    local.height_stddev += math.sqrt(given.tilt.rise_variance) * dt
     P, F, T = local.pose_covariance, np.eye(3), np.eye(3)
     F[0, 2], F[1, 2] = -dy, dx
     T[0, 0], T[0, 1], T[1, 0], T[1, 1] = c, -s, s, c

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.attitude.records import OrientationRefusal
+from trackslip_estimation.attitude.records import AttitudeRefusal
 
 FloatArray = NDArray[np.float64]
 
@@ -38,6 +38,7 @@ class Sprockets:
 
 
 _NONE = float("nan")
+UNOBSERVED = 1e6  # variance of what a planar pose does not contain
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ class PoseFix:
     stamp_ns: int  # of SET_POSE, 0 stands for now
     pose: FloatArray  # (3,) x m, y m, heading rad
     covariance: FloatArray  # (3, 3)
+    altitude: float = _NONE  # of the sensor above the site's origin, m
+    altitude_variance: float = UNOBSERVED  # m²; that or more: nobody observes it
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,4 +172,4 @@ class Report:
     nis: float = float("nan")  # normalised innovation squared
     gate: float = float("nan")  # its limit
     dof: int = 0
-    orientation: OrientationRefusal | None = None  # why that of an IMU was not used, where it was wanted
+    attitude: AttitudeRefusal | None = None  # why orientation or altitude were not used, where wanted

@@ -239,6 +239,11 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         return self.swing.initial_angle, (max(stddev, math.pi) if self.angles() else stddev) ** 2
 
     @property
+    def measures_height(self) -> bool:
+        """Whether altitudes of fixes are wanted."""
+        return any(pose.use_altitude for pose in self.poses().values())
+
+    @property
     def leans(self) -> bool:
         """Whether a sensor of poses sits so high that what the tilt is off by shows in them."""
         return self.tilt_source is not None and any(pose.lever_arm_z for pose in self.poses().values())

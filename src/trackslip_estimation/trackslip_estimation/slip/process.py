@@ -56,7 +56,7 @@ def process(window: Window, arrivals: Records, results: Records, c: Any) -> int:
 @inlined
 def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
     status = window.status[0]
-    result.published, result.dof, result.orientation = False, 0, 0
+    result.published, result.dof, result.attitude = False, 0, 0
     result.nis = result.gate = np.nan
     was_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
     outcome = _check(window, measurement, c)
@@ -73,7 +73,7 @@ def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
         if status.started and outcome != _TOO_LATE and outcome != _DUPLICATE and entry > 0:
             update = window.updates[entry]
             result.nis, result.gate, result.dof = update.nis, update.gate, update.dof
-            result.orientation = update.orientation
+            result.attitude = update.attitude
     result.stamp_ns, result.outcome = measurement.stamp_ns, outcome
 
 
@@ -164,7 +164,7 @@ def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) 
 def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
     """What is published of a state, into a record of ``ESTIMATE``."""
     fill_outputs(state, c, estimate)
-    fill_tilt(state, estimate.tilt, c)
+    fill_tilt(state, estimate, c)
     fill_swing(state, estimate.swing, c)
     estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]

@@ -49,6 +49,8 @@ MEASUREMENT = np.dtype(
         ("noise", np.float64, (3, 3)),  # R, as its source states it; of odometry, variances in two rows
         ("turn", np.float64, (4,)),  # of odometry, whose value is a place: quaternion x, y, z, w
         ("frame", np.int64),  # and number of its odom frame
+        ("altitude", np.float64),  # of a pose, m
+        ("altitude_variance", np.float64),  # m²
         ("acceleration", np.float64, (3,)),  # of an IMU: specific force, m/s²; nan where it has none
         ("acceleration_variance", np.float64),  # (m/s²)²
         ("up", np.float64, (3,)),  # by its orientation, of any length about 1
@@ -134,6 +136,7 @@ REFUSED = np.dtype(  # a fix that the gate refused
         ("centre_y", np.float64),
         ("way_x", np.float64),  # of the tracks since the last fix inside its gate, had they not slipped
         ("way_y", np.float64),
+        ("stamp_ns", np.int64),
     ],
     align=True,
 )
@@ -154,7 +157,7 @@ STATE = np.dtype(
         ("sample", SAMPLE),  # the last of the sprockets
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
         ("refused_ns", np.int64, (MOST_SOURCES,)),  # for how long it has insisted since, its silences apart
-        ("heard_ns", np.int64, (MOST_SOURCES,)),  # stamp of its last measurement
+        ("heard_ns", np.int64, (MOST_SOURCES,)),  # stamp of its last measurement; of poses never
         ("fix_stddevs", np.float64, (MOST_SOURCES,)),  # of the last fix used, where its error lasts, m
         ("stands", STAND, (MOST_SOURCES,)),
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
@@ -183,7 +186,7 @@ UPDATE = np.dtype(
         ("nis", np.float64),
         ("gate", np.float64),
         ("log_determinant", np.float64),  # ln |S|
-        ("orientation", np.int64),  # ``OrientationRefusal`` of an IMU; 0: used, or not wanted
+        ("attitude", np.int64),  # ``AttitudeRefusal`` of an IMU or a fix; 0: used, or not wanted
         ("follows", np.bool_),  # whether the prior follows from the state before by the model
         ("renewed", np.int64),  # place of two errors of a sensor that are others from here on; −1: none
         ("prior_mean", np.float64, (SIZE,)),  # before the measurement, widened where it surprised
@@ -201,6 +204,8 @@ TILT = np.dtype(  # of an estimate
         ("rate_variances", np.float64, (3,)),
         ("force", np.float64, (3,)),  # specific force along the machine's axes, m/s²
         ("force_variance", np.float64),
+        ("rise", np.float64),  # ż, m/s
+        ("rise_variance", np.float64),
     ],
     align=True,
 )
@@ -239,7 +244,7 @@ RESULT = np.dtype(
         ("dof", np.int64),
         ("nis", np.float64),
         ("gate", np.float64),
-        ("orientation", np.int64),
+        ("attitude", np.int64),
         ("published", np.bool_),
         ("estimate", ESTIMATE),  # where published
     ],
@@ -268,6 +273,7 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
             record["kind"] = POSE
             record["source"] = MANUAL if m.source == SET_POSE else sources[m.source]
             record["value"], record["noise"] = m.pose, m.covariance
+            record["altitude"], record["altitude_variance"] = m.altitude, m.altitude_variance
         elif isinstance(m, SlipFix):
             record["kind"], record["source"] = SLIPS, sources[m.source]
             record["value"][:2], record["noise"][:2, :2] = m.slips, m.covariance

@@ -53,6 +53,7 @@ class PoseSource(Mounted):
     """Poses of one sensor."""
 
     use_heading: bool = parameter("whether its heading is a measurement too")
+    use_altitude: bool = parameter("whether its z, where it has a variance, measures the height too")
     lever_arm_x: float = parameter("place of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0)
     lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
     lever_arm_z: float = parameter(

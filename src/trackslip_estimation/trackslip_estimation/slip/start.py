@@ -5,6 +5,7 @@
 import math
 from typing import Any
 
+from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import inlined
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
@@ -20,6 +21,8 @@ from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCK
 from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.usable import is_gaussian
 from trackslip_estimation.slip.window import Window, drop, insert, is_at, place_of
+
+_LEAN = 0.2  # rad, standard deviation of the tilt of ground that nobody has seen
 
 _ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE), int(Outcome.WAITING)
 
@@ -75,6 +78,9 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
                 P[YAW, YAW] += P[SWING, SWING]
                 P[YAW, SWING] = P[SWING, YAW] = P[SWING, SWING]
             to_sensor(x[: c.size], P, state.attitude.level, source, -1.0, c)
+            if c.tilt_source >= 0:  # how it leans is still to come
+                for i in range(YAW):
+                    P[i, i] += (c.levers[source, 2] * _LEAN) ** 2
         if source != MANUAL and P[YAW, YAW] > UNKNOWN_HEADING**2:  # to any side, which no tangent shows
             for i in range(YAW):
                 P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
@@ -92,6 +98,6 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
     forget_fixes(state, False)
     for k in range(MOST_SOURCES):
-        state.consistent_ns[k] = state.heard_ns[k] = stamp_ns
+        state.consistent_ns[k], state.heard_ns[k] = stamp_ns, NEVER_NS
         state.refused_ns[k] = 0
         state.streaks[k].count, state.streaks[k].value = 0, 0.0

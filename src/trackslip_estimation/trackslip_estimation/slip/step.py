@@ -20,6 +20,7 @@ from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
 from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, doubt_direction, forget_fixes, forget_refused
+from trackslip_estimation.slip.altitude import use_altitude
 from trackslip_estimation.slip.coasting import begin_coast, doubt_start, inflate, reset_velocity
 from trackslip_estimation.slip.fixes import use_pose
 from trackslip_estimation.slip.heading import use_heading
@@ -62,7 +63,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     """The state at the measurement's stamp, with the measurement used or not."""
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
-    update.orientation, update.renewed = 0, -1
+    update.attitude, update.renewed = 0, -1
     update.nis = update.gate = update.log_determinant = np.nan
     update.prior_mean[:], update.prior_covariance[:] = state.mean, state.covariance
     if measurement.kind == POSE:
@@ -76,6 +77,8 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         update.follows = False
     elif measurement.kind == POSE:
         use_pose(state, measurement, c, update)
+        if update.outcome == _ACCEPTED:
+            update.attitude = use_altitude(state, measurement, c)
     else:
         hear(state, measurement, c)
         _use(state, measurement, c, update)
@@ -88,7 +91,7 @@ def _use(state: Any, measurement: Any, c: Any, update: Any) -> None:
         own = c.own_errors[measurement.source]
         exchange_bias(state, update, own)
         if measurement.source == c.tilt_source:
-            update.orientation = tilt_by(state, measurement, c)
+            update.attitude = tilt_by(state, measurement, c)
         above = c.above[measurement.source] == 1
         if above:
             to_gyro(state.mean, state.covariance, 1.0)

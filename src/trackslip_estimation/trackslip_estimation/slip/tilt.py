@@ -10,8 +10,9 @@ turned back by the swing; while that is not known, it tells nothing.
 from typing import Any
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.attitude.filter import climb, force_of, use_sample
-from trackslip_estimation.attitude.records import HEIGHT, ROLL
+from trackslip_estimation.attitude.filter import climb, force_of, rise_of, use_sample
+from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL
+from trackslip_estimation.slip.altitude import downward
 from trackslip_estimation.slip.levers import UNKNOWN_SWING, swing_lever
 from trackslip_estimation.slip.models.dispatch import body_twist, has_velocity_errors
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE
@@ -53,16 +54,16 @@ def rise(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def fill_tilt(state: Any, tilt: Any, c: Any) -> None:
-    """What is published of the attitude, into a record of ``TILT``.
+def fill_tilt(state: Any, estimate: Any, c: Any) -> None:
+    """What is published of the attitude, into the ``TILT`` of a record of ``ESTIMATE`` that has its twist.
 
-    The height errs by the share of it that the tracks slip more than is known.
+    The height errs by the share of what the tracks climbed that they slip more than is known.
     """
-    a = state.attitude
+    a, tilt = state.attitude, estimate.tilt
     tilt.known = a.known
     if a.known == 0:
         tilt.tilt[:], tilt.covariance[:], tilt.rates[:], tilt.rate_variances[:] = 0.0, 0.0, 0.0, 0.0
-        tilt.force[:], tilt.force_variance = 0.0, 0.0
+        tilt.force[:], tilt.force_variance, tilt.rise, tilt.rise_variance = 0.0, 0.0, 0.0, 0.0
         return
     force = force_of(a.sample)
     for i in range(3):
@@ -71,5 +72,9 @@ def fill_tilt(state: Any, tilt: Any, c: Any) -> None:
         for j in range(3):
             tilt.covariance[i, j] = a.covariance[ROLL + i, ROLL + j]
     if has_velocity_errors(c):
-        tilt.covariance[HEIGHT, HEIGHT] += state.covariance[COMMON_SLIP, COMMON_SLIP] * a.mean[HEIGHT] ** 2
+        tilt.covariance[HEIGHT, HEIGHT] += state.covariance[COMMON_SLIP, COMMON_SLIP] * a.climb.way**2
     tilt.force_variance = a.sample.force_variance
+    v_x, v_y, P = estimate.twist[0], estimate.twist[1], a.covariance
+    tilt.rise = rise_of(a.mean, v_x, v_y)
+    tilt.rise_variance = v_x**2 * P[PITCH, PITCH] + v_y**2 * P[ROLL, ROLL]
+    tilt.rise_variance += downward(a.level, estimate.twist_covariance)

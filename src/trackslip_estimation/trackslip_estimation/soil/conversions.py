@@ -11,7 +11,7 @@ from trackslip_common.make import Make, header
 from trackslip_common.message_fields import HydraulicsFields, OdometryFields, SlipFields, SwingEstimateFields
 from trackslip_common.message_reading import read
 from trackslip_common.orientations import heading_of, tilt_of
-from trackslip_estimation.slip.conversions import UNOBSERVED
+from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import (
     Hydraulics,

@@ -19,6 +19,7 @@ from rich.markup import escape
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import load_parameters
+from trackslip_common.console import end_of_output
 from trackslip_common.errors import ExitCode, InputError, printable, suggestion
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters
@@ -44,13 +45,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         options = _options(argv)
         with claimed_domain() as domain, claim(options.output):  # refused, it leaves what is there
-            return _run(options, domain, console)
+            code = _run(options, domain, console)
+        sys.stdout.flush()
+        return code
     except InputError as error:
         print(error, file=sys.stderr)
         return ExitCode.BAD_INPUT
     except DemoFailure as error:
         print(error, file=sys.stderr)
         return ExitCode.FAILED
+    except OSError as error:
+        return end_of_output("make demo", error)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return ExitCode.INTERRUPTED

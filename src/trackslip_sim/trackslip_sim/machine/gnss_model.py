@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a GNSS receiver on the machine finds of the truth: antenna position by quality, heading of a pair.
 
-    e     error of a position, east and north: white, and a first-order Gauss–Markov process of σ, τ   m
+    e     error of a position, east and north: white, and a first-order Gauss–Markov process of σ, τ;
+          that of the altitude is twice as large                                                       m
     q     quality as in GGA: 1 code alone, 4 carrier phase with fixed ambiguities, 5 floating
 
 Faults make it worse: floating ambiguities, code alone, no fix, and multipath, a step of the position that the
@@ -29,6 +30,7 @@ FloatArray = NDArray[np.float64]
 
 _FIXED_SPREAD = 0.5  # of the error of a fixed solution that lasts, as a share; the rest is white
 _FIXED_TIME = 5.0  # s
+_UP_SHARE = 2.0  # error of an altitude over that of the position
 _CODE_STDDEV, _CODE_TIME = 1.5, 60.0  # m, s
 _NS_PER_S = 1_000_000_000
 
@@ -52,7 +54,7 @@ class GnssParameters(Parameters):
 
 
 class _GaussMarkov:
-    """Two components of a first-order Gauss–Markov process, asked at rising times."""
+    """Components of a first-order Gauss–Markov process, asked at rising times."""
 
     def __init__(self, stddev: float, time: float) -> None:
         self._stddev, self._time = stddev, time
@@ -60,9 +62,9 @@ class _GaussMarkov:
         self._at = 0.0
 
     def at(self, t: float, normal: FloatArray) -> FloatArray:
-        """(2,) m; ``normal`` (2,) drives it."""
+        """(k,) m; ``normal`` (k,) drives it."""
         kept = 0.0 if self._value is None else math.exp(-abs(t - self._at) / self._time)
-        before = np.zeros(2) if self._value is None else self._value
+        before = np.zeros_like(normal) if self._value is None else self._value
         self._value = kept * before + math.sqrt(1.0 - kept * kept) * self._stddev * normal
         self._at = t
         return self._value
@@ -89,11 +91,8 @@ class GnssModel:
         self._placement = placement
         self._faults = faults
         self._random = np.random.default_rng(seed)
-        self._lasting = {
-            FIXED: _GaussMarkov(p.fixed_stddev * math.sqrt(_FIXED_SPREAD), _FIXED_TIME),
-            FLOAT: _GaussMarkov(p.float_stddev, p.float_time),
-            SINGLE: _GaussMarkov(_CODE_STDDEV, _CODE_TIME),
-        }
+        self._of_altitude = np.random.default_rng((seed, 1))  # its own: the other draws stay what they are
+        self._lasting, self._lasting_up = self._processes(1.0), self._processes(_UP_SHARE)
         self._stddevs = {FIXED: p.fixed_stddev, FLOAT: p.float_stddev, SINGLE: _CODE_STDDEV}
         self._held: Placement | None = None
 
@@ -117,25 +116,36 @@ class GnssModel:
             float(altitude),
             quality,
             stddev=self._stddevs[quality],
-            up_stddev=2.0 * self._stddevs[quality],
+            up_stddev=_UP_SHARE * self._stddevs[quality],
         )
         if p.heading_stddev == 0.0:
             return at
         heading = heading_of_yaw(machine.azimuth(p.heading_offset) + heading_error)
         return at._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
 
+    def _processes(self, share: float) -> dict[int, _GaussMarkov]:
+        """What lasts of the errors, by quality, times a share."""
+        p = self._p
+        return {
+            FIXED: _GaussMarkov(share * p.fixed_stddev * math.sqrt(_FIXED_SPREAD), _FIXED_TIME),
+            FLOAT: _GaussMarkov(share * p.float_stddev, p.float_time),
+            SINGLE: _GaussMarkov(share * _CODE_STDDEV, _CODE_TIME),
+        }
+
     def _error(self, stamp_ns: int, quality: int) -> tuple[float, float, float]:
         """East, north, up, m; all processes go on, whichever of them shows."""
         normal = self._random.standard_normal((len(self._lasting), 2))
         t = stamp_ns / _NS_PER_S
         errors = {q: process.at(t, n) for (q, process), n in zip(self._lasting.items(), normal, strict=True)}
+        of_up = self._of_altitude.standard_normal((len(self._lasting), 1))
+        ups = {q: process.at(t, n) for (q, process), n in zip(self._lasting_up.items(), of_up, strict=True)}
         white = self._random.standard_normal(3)
         east, north = errors.get(quality, np.zeros(2))
         spread = self._p.fixed_stddev * math.sqrt(1.0 - _FIXED_SPREAD)
         step = self._faults.at(f.GNSS, f.MULTIPATH, stamp_ns)
         if step is not None:
             east += step.value
-        up = 2.0 * self._stddevs.get(quality, 0.0) * white[2]
+        up = ups.get(quality, np.zeros(1))[0] + _UP_SHARE * spread * white[2]
         return float(east + spread * white[0]), float(north + spread * white[1]), float(up)
 
     def _machine(self, stamp_ns: int) -> Placement:

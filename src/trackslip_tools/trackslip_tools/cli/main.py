@@ -9,11 +9,11 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
-from trackslip_common.errors import ExitCode, InputError, did_you_mean, printable
+from trackslip_common.console import end_of_output
+from trackslip_common.errors import ExitCode, InputError, did_you_mean
 from trackslip_common.start import repeat_lost_interrupts, was_interrupted
 from trackslip_tools.cli.commands import Command, commands
 
@@ -52,14 +52,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
-    except BrokenPipeError:  # the reader of our output has left
-        _give_up_output()
-        return ExitCode.DONE
     except OSError as error:
-        _give_up_output()
-        name = f" '{error.filename}'" if error.filename else ""
-        print(printable(f"trackslip: cannot read or write{name} ({error.strerror})"), file=sys.stderr)
-        return ExitCode.BAD_INPUT
+        return end_of_output("trackslip", error)
     except Exception:
         if was_interrupted():
             return ExitCode.INTERRUPTED
@@ -72,12 +66,6 @@ def _open_closed_output() -> None:
         if getattr(sys, name) is None:
             nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 (open until the end)
             setattr(sys, name, nowhere)
-
-
-def _give_up_output() -> None:
-    """What stays in the buffer of stdout goes nowhere: at the end, Python would fail on it again."""
-    with suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:

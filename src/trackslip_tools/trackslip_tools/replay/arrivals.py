@@ -148,6 +148,7 @@ def _fill_yaw_rates(rows: Rows, read: Rows, imu: YawRateSource) -> None:
 
 def _fill_poses(rows: Rows, read: Rows, _: Any) -> None:
     rows["value"], rows["noise"] = poses_of(read), read["covariance"]
+    rows["altitude"], rows["altitude_variance"] = read["z"], read["z_variance"]
 
 
 def _fill_slips(rows: Rows, read: Rows, _: Any) -> None:

@@ -18,7 +18,7 @@ from trackslip_common.topics import (
     TRUE_SWING,
 )
 from trackslip_common.vehicle import Kinematics
-from trackslip_estimation.attitude.records import OrientationRefusal
+from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import ESTIMATE
@@ -113,8 +113,8 @@ class Collector:
             self.processed.given[part.sources[source]] += count
         for name, outcome, n in _refused(part, "outcome"):
             self._rejected.add(name, Outcome(outcome), n)
-        for name, refusal, n in _refused(part, "orientation"):
-            self._rejected.add(name, OrientationRefusal(refusal), n)
+        for name, refusal, n in _refused(part, "attitude"):
+            self._rejected.add(name, AttitudeRefusal(refusal), n)
         tables = {topic: part.tables[topic].rows for topic in self._scored & part.tables.keys()}
         for topic, rows in tables.items():
             self._series.add(topic, rows)

@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The height of the machine by the altitude of a fix; compiled. Arguments as in ``update``.
+
+    z, R     altitude of the sensor above the origin of the map, its variance               m, m²
+    l        place of the sensor in base_link, as the upper structure is turned             m
+    h = z_C − l_x sin θ + (l_y sin φ + l_z cos φ) cos θ
+    ż, Δt    speed at which C climbs, and time since an altitude was used                   m/s, s
+    τ, T     for which the error of a fix lasts, and a slip is off to one side              s
+
+An altitude corrects the height of the attitude filter, and with it tilt and biases: a way that leads higher
+than the pitch says shows what the pitch is off by. So does a slip that is off: the height is doubted by the
+variance of ż times Δt max(2 T, Δt), and R counts coth(Δt/2τ) times.
+
+Inside its gate an altitude is used in full, up to the soft gate with less weight. Beyond it is refused, until
+some that agree have insisted for three timeouts of their source: then the height is another one.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.attitude.level import set_level
+from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL, SIZE, AttitudeRefusal
+from trackslip_estimation.kalman.linear_algebra import sandwich
+from trackslip_estimation.slip.levers import swung_place, unknown_arm
+from trackslip_estimation.slip.measurements import UNOBSERVED
+from trackslip_estimation.slip.models.dispatch import body_jacobian
+from trackslip_estimation.slip.models.model import SWING
+
+FloatArray = NDArray[np.float64]
+
+_NONE, _GATED = int(AttitudeRefusal.NO_ALTITUDE), int(AttitudeRefusal.ALTITUDE_GATED)
+_SLIP_TIME = 10.0  # s, T
+_INSISTS = 3  # altitudes that agree, and timeouts that they last
+_SHORTEST = 1e-3  # s, of Δt
+
+
+@compiled
+def use_altitude(state: Any, measurement: Any, c: Any) -> int:
+    """The height by a fix that was used; why its altitude was not: 0 where it was, or is not wanted."""
+    source, a, variance = measurement.source, state.attitude, measurement.altitude_variance
+    if c.use_altitude[source] == 0 or a.known == 0 or variance >= UNOBSERVED:
+        return 0
+    if not (math.isfinite(measurement.altitude) and variance > 0.0):
+        return _NONE
+    dt = max((measurement.stamp_ns - a.climb.used_ns) * 1e-9, _SHORTEST)
+    expected, h = _expected(state, source, c)
+    innovation, limit = measurement.altitude - expected, c.gate_limits[1]
+    stated, R = _noise(state, measurement, dt, c)
+    doubt = _rise_variance(state, c) * dt * max(2.0 * _SLIP_TIME, dt)
+    predicted = sandwich(h, a.covariance)[0, 0] + doubt
+    nis = innovation * innovation / (predicted + R)
+    if nis > c.adaptation.soft_gate * limit:
+        if not _insists(a.climb, innovation, stated, measurement, c):
+            return _GATED
+        doubt += innovation * innovation
+    elif nis > limit:
+        R += (nis / limit - 1.0) * (predicted + R)
+    a.covariance[HEIGHT, HEIGHT] += doubt
+    _correct(a, h[0], innovation, R)
+    a.climb.way, a.climb.used_ns, a.climb.refused = 0.0, measurement.stamp_ns, 0
+    return 0
+
+
+@compiled
+def downward(level: Any, covariance: FloatArray) -> float:
+    """Variance of ż, (m/s)², by that of v_x and v_y along the ground."""
+    x, y = level.downhill_x, level.downhill_y
+    return float(x * x * covariance[0, 0] + 2.0 * x * y * covariance[0, 1] + y * y * covariance[1, 1])
+
+
+@compiled
+def _rise_variance(state: Any, c: Any) -> float:
+    """Of ż, (m/s)², by what the speeds of the tracks err by."""
+    J = body_jacobian(state.mean[: c.size], state.speeds.left, state.speeds.right, state, c)
+    return downward(state.attitude.level, sandwich(J, state.covariance))
+
+
+@compiled
+def _expected(state: Any, source: int, c: Any) -> tuple[float, FloatArray]:
+    """h, and its derivatives (1, SIZE)."""
+    x, y, _, _ = swung_place(state.mean[SWING], source, c)
+    z, mean = c.levers[source, 2], state.attitude.mean
+    sin, cos = math.sin(mean[ROLL]), math.cos(mean[ROLL])
+    sin_pitch, cos_pitch = math.sin(mean[PITCH]), math.cos(mean[PITCH])
+    H = np.zeros((1, SIZE))
+    H[0, HEIGHT] = 1.0
+    H[0, ROLL] = (y * cos - z * sin) * cos_pitch
+    H[0, PITCH] = -x * cos_pitch - (y * sin + z * cos) * sin_pitch
+    return mean[HEIGHT] - x * sin_pitch + (y * sin + z * cos) * cos_pitch, H
+
+
+@compiled
+def _noise(state: Any, measurement: Any, dt: float, c: Any) -> tuple[float, float]:
+    """R as stated, and as it counts after ``dt`` s."""
+    source, level = measurement.source, state.attitude.level
+    stated = max(measurement.altitude_variance, c.position_floor[source] ** 2)
+    stated *= state.adaptation.fix_factors[source]
+    steep = level.downhill_x**2 + level.downhill_y**2
+    stated += steep * unknown_arm(state.covariance, source, c)
+    tau = c.altitude_times[source]
+    return stated, stated / math.tanh(dt / (2.0 * tau)) if tau > 0.0 else stated
+
+
+@compiled
+def _insists(climb: Any, innovation: float, stated: float, measurement: Any, c: Any) -> bool:
+    """Whether this one, outside the gate, is the last of enough that agree."""
+    apart = innovation - climb.apart
+    if climb.refused == 0 or apart * apart > 2.0 * c.gate_limits[1] * stated:
+        climb.refused, climb.refused_ns, climb.apart = 0, measurement.stamp_ns, innovation
+    climb.refused += 1
+    lasted_ns = measurement.stamp_ns - climb.refused_ns
+    return bool(climb.refused >= _INSISTS and lasted_ns >= _INSISTS * c.timeouts_ns[measurement.source])
+
+
+@compiled
+def _correct(a: Any, h: FloatArray, innovation: float, R: float) -> None:
+    """The attitude by one number."""
+    P, Ph = a.covariance, np.zeros(SIZE)
+    for i in range(SIZE):
+        for j in range(SIZE):
+            Ph[i] += P[i, j] * h[j]
+    S = R
+    for i in range(SIZE):
+        S += h[i] * Ph[i]
+    for i in range(SIZE):
+        a.mean[i] += Ph[i] * innovation / S
+        for j in range(SIZE):
+            P[i, j] -= Ph[i] * Ph[j] / S
+    set_level(a)

@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Altitudes of fixes: they hold the height, with the antenna where it is, and are refused by name."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trackslip_bags.messages import make
+from trackslip_common.units import GRAVITY
+from trackslip_estimation.attitude.records import HEIGHT, AttitudeRefusal
+from trackslip_estimation.slip.conversions import Frames, pose_fix, pose_with_covariance
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.local_odometry import LocalOdometry
+from trackslip_estimation.slip.measurements import (
+    UNOBSERVED,
+    Measurement,
+    Outcome,
+    PoseFix,
+    Report,
+    Sprockets,
+    YawRate,
+)
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.transforms import blank_transforms, fill_transforms
+
+FloatArray = NDArray[np.float64]
+S, R, FIX = 1_000_000_000, 0.159, "box_pose"
+ROLL, PITCH = -0.05, -0.15  # rad: it climbs
+BIAS = 0.1  # m/s² of the accelerometer along x: 0.6°, which over 40 m are 0.4 m
+BEGIN = 12.0  # m, height of C at the start
+STDDEV = 0.02  # m, of altitudes
+ANTENNA = (1.2, -0.4, 2.5)
+WANTED: dict[str, Any] = {
+    "sources.box_pose.use_altitude": True,
+    **{f"sources.box_pose.lever_arm_{axis}": at for axis, at in zip("xyz", ANTENNA, strict=True)},
+}
+Shown = Callable[[float, float], tuple[float, float]]
+
+
+def as_it_is(_: float, altitude: float) -> tuple[float, float]:
+    return altitude, STDDEV**2
+
+
+def drive(shown: Shown = as_it_is, seconds: float = 100.0) -> list[Measurement]:
+    """Stands for 5 s on the slope, then climbs at 0.4 m/s; fixes at 2 Hz.
+
+    ``shown``: seconds and altitude of the antenna → what the fix has, and its variance.
+    """
+    rng, found = np.random.default_rng(5), list[Measurement]()
+    turn = Rotation.from_euler("ZYX", (0.4, PITCH, ROLL))
+    force = turn.inv().apply((0.0, 0.0, GRAVITY)) + np.array((BIAS, 0.0, 0.0))
+    for k in range(round(seconds * 20)):
+        stamp_ns, way = (k + 1) * S // 20, 0.4 * max(k * 0.05 - 5.0, 0.0)
+        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (way / R, way / R)))
+        felt = tuple((force + rng.normal(0.0, 0.05, 3)).tolist())
+        rates = rng.normal(0.0, 0.003, 3).tolist()
+        imu = YawRate(
+            "imu/data_raw", stamp_ns, rates[2], 9e-6, (rates[0], rates[1]), (9e-6, 9e-6), felt, 2.5e-3
+        )
+        found.append(imu)
+        if k % 10 == 0:
+            place = turn.apply((way, 0.0, 0.0)) + turn.apply(ANTENNA) + (0.0, 0.0, BEGIN)
+            x, y, z = (place + rng.normal(0.0, (0.01, 0.01, STDDEV))).tolist()
+            altitude, variance = shown(k * 0.05, z)
+            pose = np.array((x, y, 0.4))
+            found.append(PoseFix(FIX, stamp_ns, pose, np.diag((1e-4, 1e-4, 1e-4)), altitude, variance))
+    return found
+
+
+def run(measurements: list[Measurement], **changed: Any) -> tuple[list[Estimate], list[Report]]:
+    steps = SlipEstimator(load_slip_parameters({**WANTED, **changed})).process_all(measurements)
+    return [estimate for _, estimate in steps if estimate is not None], [report for report, _ in steps]
+
+
+def height(estimate: Estimate) -> tuple[float, float]:
+    """m, and its standard deviation."""
+    tilt = estimate.outputs.tilt
+    assert tilt is not None
+    return float(tilt.tilt[HEIGHT]), math.sqrt(tilt.covariance[HEIGHT, HEIGHT])
+
+
+def true_height(estimate: Estimate) -> float:
+    return BEGIN + 0.4 * max(estimate.stamp_ns / S - 5.05, 0.0) * math.sin(-PITCH)
+
+
+def refused(reports: list[Report]) -> list[AttitudeRefusal]:
+    return [report.attitude for report in reports if report.attitude is not None]
+
+
+def test_height_was_an_integral_whatever_the_receiver_said() -> None:
+    """It was 0 at the start, and 0.3 m too high 38 m later, with a receiver that knows it to 2 cm."""
+    estimates, reports = run(drive())
+    tilted = [e for e in estimates if e.stamp_ns > S]
+    errors = np.array([height(e)[0] - true_height(e) for e in tilted])
+    stddevs = np.array([height(e)[1] for e in tilted])
+    assert np.sqrt(np.mean(errors**2)) < 0.015
+    assert np.mean((errors / stddevs) ** 2) < 2.0
+    assert refused(reports) == []
+    without, _ = run(drive(), **{"sources.box_pose.use_altitude": False})
+    assert height(without[-1])[0] - (true_height(without[-1]) - BEGIN) == pytest.approx(0.3, abs=0.15)
+
+
+def test_a_high_antenna_on_a_slope_was_refused_at_the_start() -> None:
+    """The first fix came before gravity: the place was 0.37 m off with 1 cm claimed, and others refused."""
+    _, reports = run(drive(seconds=6.0))
+    assert {report.outcome for report in reports if report.source == FIX} == {Outcome.ACCEPTED}
+
+
+def test_altitudes_show_what_the_pitch_is_off_by() -> None:
+    def off(estimates: list[Estimate]) -> float:
+        tilt = estimates[-1].outputs.tilt
+        assert tilt is not None
+        return abs(float(tilt.tilt[1]) - PITCH)
+
+    assert off(run(drive())[0]) < 0.5 * off(run(drive(), **{"sources.box_pose.use_altitude": False})[0])
+
+
+def test_one_wrong_altitude_moves_nothing() -> None:
+    def wrong(t: float, altitude: float) -> tuple[float, float]:
+        return (altitude + 5.0 if t == 50.0 else altitude), STDDEV**2
+
+    def missing(t: float, altitude: float) -> tuple[float, float]:
+        return (math.nan, UNOBSERVED) if t == 50.0 else (altitude, STDDEV**2)
+
+    of_wrong, reports = run(drive(wrong))
+    of_missing, _ = run(drive(missing))
+    assert refused(reports) == [AttitudeRefusal.ALTITUDE_GATED]
+    for one, other in zip(of_wrong, of_missing, strict=True):
+        np.testing.assert_array_equal(one.pose, other.pose)
+        if other.outputs.tilt is not None:
+            assert height(one) == height(other)
+
+
+@pytest.mark.parametrize("step", [-2.0, 0.6])
+def test_altitudes_that_insist_are_believed(step: float) -> None:
+    """A base that was moved: refused for three timeouts, then followed."""
+    estimates, reports = run(drive(lambda t, z: (z + step if t >= 50.0 else z, STDDEV**2)))
+    assert len(refused(reports)) == 6
+    assert set(refused(reports)) == {AttitudeRefusal.ALTITUDE_GATED}
+    after = [e for e in estimates if e.stamp_ns > 54 * S]
+    assert max(abs(height(e)[0] - true_height(e) - step) for e in after) < 0.1
+
+
+def test_altitudes_that_do_not_agree_are_never_believed() -> None:
+    sign = {False: -1.0, True: 1.0}
+    wild, reports = run(
+        drive(lambda t, z: (z + sign[round(2 * t) % 2 == 0] * 3.0, STDDEV**2) if t > 50.0 else (z, STDDEV**2))
+    )
+    assert len(refused(reports)) > 80
+    assert abs(height(wild[-1])[0] - true_height(wild[-1])) < 0.5
+
+
+@pytest.mark.parametrize("variance", [0.0, -1.0, math.nan])
+def test_altitudes_without_a_variance_are_counted(variance: float) -> None:
+    estimates, reports = run(drive(lambda _, z: (z, variance), seconds=10.0))
+    assert set(refused(reports)) == {AttitudeRefusal.NO_ALTITUDE}
+    assert height(estimates[-1])[1] > 100.0
+
+
+def test_a_flat_pose_has_no_altitude() -> None:
+    """z is 0 in it, with the variance of what nobody observes."""
+    fix = PoseFix(FIX, S, np.zeros(3), np.eye(3))
+    message = pose_with_covariance(make, fix, "map")
+    found = pose_fix(message, FIX)
+    assert (found.altitude, found.altitude_variance) == (0.0, UNOBSERVED)
+    known = pose_fix(
+        pose_with_covariance(make, replace(fix, altitude=3.0, altitude_variance=4.0), "map"), FIX
+    )
+    assert (known.altitude, known.altitude_variance) == (3.0, 4.0)
+    estimates, reports = run(drive(lambda *_: (0.0, UNOBSERVED), seconds=10.0))
+    assert refused(reports) == []
+    assert height(estimates[-1])[1] > 100.0
+
+
+def test_the_first_altitude_does_not_move_odom() -> None:
+    """z of odom → base_link goes on; map → odom has the rest."""
+    estimates, _ = run(drive(seconds=30.0))
+    local, heights = LocalOdometry(), []
+    message = blank_transforms(make, Frames("map", "odom", "base_link"))
+    for estimate in estimates:
+        found = local.after(estimate)
+        fill_transforms(message, estimate, found)
+        of_odom, of_base = (t.transform.translation.z for t in message.transforms)
+        if estimate.outputs.tilt is not None:
+            assert of_odom + of_base == pytest.approx(height(estimate)[0])
+            heights.append(height(found))
+    climbed, stddevs = np.array(heights).T
+    assert np.max(np.abs(np.diff(climbed))) < 0.4 * 0.05 * math.sin(-PITCH) * 1.5 + 1e-6
+    assert abs(climbed[-1] - (true_height(estimates[-1]) - BEGIN)) < 3.0 * stddevs[-1]
