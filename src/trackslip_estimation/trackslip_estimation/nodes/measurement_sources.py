@@ -30,7 +30,7 @@ class MeasurementSources:
         self._frames = p.frames_of_sources()
         node.subscribe_packed(topic_class("sprockets"), "sprockets", self._on_sprockets)
         self._pose_set = node.advertise(topic_class(POSE_SET), POSE_SET)
-        self._listen(topic_class(SET_POSE), SET_POSE, self._on_set_pose, packed=False)
+        node.subscribe(topic_class(SET_POSE), SET_POSE, self._on_set_pose)
         self._mountings = StaticMountings(node, conversions.Frames(*p.frames).base, p.gyros())
         for source in p.gyros():
             self._listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
@@ -59,8 +59,7 @@ class MeasurementSources:
         """Subscribe to a source; what is in another frame than it may be in is refused."""
 
         def when_in_frame(message: Any) -> None:
-            frames = self._frames.get(source)
-            if frames is None or read(FrameFields, message).frame in frames:
+            if self._frames.get(source) in (None, read(FrameFields, message).frame):
                 callback(message)
             else:
                 self._node.tally.add(source, Refusal.OTHER_FRAME)

@@ -17,7 +17,6 @@ from trackslip_common.parameters import Group, checked, from_flat, parameter, to
 from trackslip_common.vehicle_files import WithVehicle
 from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
-from trackslip_estimation.slip.measurements import SET_POSE
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 from trackslip_estimation.slip.models.swing import SwingParameters
@@ -268,14 +267,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         """Of each source but the sprockets, by topic."""
         return {topic: source.timeout_ns for topic, source in self._by_topic().items()}
 
-    def frames_of_sources(self) -> dict[str, tuple[str, ...]]:
-        """By topic, the frames that messages of a source may be in; of what is not here, any.
-
-        Poses are of the map, or name no frame, unless the source's ``frame_id`` says otherwise.
-        """
-        of_the_map = (self.map_frame, "")
-        stated = {t: (source.frame_id,) for t, source in self._by_topic().items() if source.frame_id}
-        return {SET_POSE: of_the_map, **dict.fromkeys(self.poses(), of_the_map), **stated}
+    def frames_of_sources(self) -> dict[str, str]:
+        """The only frame that messages of a source may be in, by topic, of those that have one."""
+        return {topic: source.frame_id for topic, source in self._by_topic().items() if source.frame_id}
 
     def _by_topic(self) -> dict[str, Source]:
         return {topic: source for kind in KINDS for topic, source in self.of_kind(kind).items()}

@@ -28,7 +28,7 @@ class Source(Parameters):
     """What all kinds have."""
 
     timeout: float = parameter(_TIMEOUT, unit="s", ge=0.01, le=86400.0, read_only=False)
-    frame_id: str = parameter("the only frame its messages may be in; empty: any, and the map for poses")
+    frame_id: str = parameter("the only frame its messages may be in; empty: any")
 
     @property
     def timeout_ns(self) -> int:

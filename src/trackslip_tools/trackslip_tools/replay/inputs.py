@@ -189,11 +189,11 @@ class InputStream:
 
     def _in_frame(self, name: str, table: TopicTable) -> NDArray[np.bool_]:
         """(n,) which messages are in the frame that a source may send, as the live node has it."""
-        frames = self._frames.get(name)
-        if frames is None:
+        wanted = self._frames.get(name)
+        if wanted is None:
             return np.ones(len(table), np.bool_)
         numbers = table.rows(FrameFields)["frame"]
-        usable = np.array([text in frames for text in table.texts])[numbers]
+        usable = np.array([text == wanted for text in table.texts])[numbers]
         self.refused.add(name, Refusal.OTHER_FRAME, int((~usable).sum()))
         return np.asarray(usable)
 
