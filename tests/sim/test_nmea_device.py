@@ -91,6 +91,7 @@ class Chain:
                 int(s.status),
                 np.diag(s.variances[:2]),
                 int(s.covariance_type),
+                s.variances[2],
             )
         )
         if not isinstance(found, Place):

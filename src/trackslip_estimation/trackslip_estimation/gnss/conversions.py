@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Between messages and the localizer's records."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,8 @@ def pose(make: Make, place: Place, topic: str, frame: str) -> Any:
     covariance = np.diag((0.0, 0.0, UNOBSERVED))
     covariance[:2, :2] = place.covariance
     at = np.array((place.east, place.north, 0.0))
-    fix = PoseFix(topic, place.stamp_ns, at, covariance, place.up, place.up_variance)
-    return pose_with_covariance(make, fix, frame)
+    altitude = (0.0, UNOBSERVED) if math.isnan(place.up) else (place.up, place.up_variance)
+    return pose_with_covariance(make, PoseFix(topic, place.stamp_ns, at, covariance, *altitude), frame)
 
 
 def datum(make: Make, origin: Datum, stamp_ns: int, frame: str) -> Any:

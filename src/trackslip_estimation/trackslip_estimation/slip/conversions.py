@@ -256,8 +256,7 @@ def fill_track_slip(message: Any, estimate: Estimate) -> None:
 def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:
     """geometry_msgs/PoseWithCovarianceStamped of a fix."""
     pose, covariance = planar_pose_message(make, fix.pose), in_six(fix.covariance)
-    if math.isfinite(fix.altitude):
-        pose.position.z, covariance[_ALTITUDE_IN_36] = fix.altitude, fix.altitude_variance
+    pose.position.z, covariance[_ALTITUDE_IN_36] = fix.altitude, fix.altitude_variance
     return make(
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         header=header(make, fix.stamp_ns, frame),

@@ -71,7 +71,7 @@ class PoseFix:
     stamp_ns: int  # of SET_POSE, 0 stands for now
     pose: FloatArray  # (3,) x m, y m, heading rad
     covariance: FloatArray  # (3, 3)
-    altitude: float = _NONE  # of the sensor above the site's origin, m
+    altitude: float = 0.0  # of the sensor above the site's origin, m
     altitude_variance: float = UNOBSERVED  # m²; that or more: nobody observes it
 
 
