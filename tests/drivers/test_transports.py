@@ -237,6 +237,27 @@ def test_pauses_double_up_to_half_a_second(start_link, monkeypatch):
     assert link.state().errors == 7
 
 
+class SilentPort:
+    note = ""
+
+    def read(self):
+        time.sleep(0.005)
+        return ()
+
+    def close(self):
+        pass
+
+
+def test_what_came_while_a_silent_port_was_closed_was_lost(start_link, monkeypatch):
+    """The first 0.15 s of a bus that was switched on, in one start of five."""
+    pauses = []
+    link = start_link(SilentPort, silence_s=0.02)
+    monkeypatch.setattr(link._stopping, "wait", pauses.append)
+    wait_for(lambda: link.state().openings >= 5)
+    assert pauses == []
+    assert link.state().last_error == "TimeoutError: nothing received for 0.02 s"
+
+
 def test_stop_does_not_wait_for_an_opening_that_hangs():
     release = threading.Event()
     closed = []

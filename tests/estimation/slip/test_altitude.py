@@ -164,6 +164,15 @@ def test_altitudes_without_a_variance_are_counted(variance: float) -> None:
     assert height(estimates[-1])[1] > 100.0
 
 
+def test_an_unknown_height_is_said_to_be_so() -> None:
+    own = SlipEstimator(load_slip_parameters(WANTED))
+    own.process_all(drive(lambda *_: (0.0, UNOBSERVED), seconds=10.0))
+    assert "height unknown until a fix has an altitude" in own.attitude
+    own = SlipEstimator(load_slip_parameters(WANTED))
+    own.process_all(drive(seconds=10.0))
+    assert "height 12." in own.attitude
+
+
 def test_a_flat_pose_has_no_altitude() -> None:
     """z is 0 in it, with the variance of what nobody observes."""
     fix = PoseFix(FIX, S, np.zeros(3), np.eye(3))

@@ -3,7 +3,8 @@
 """The connect–read–back-off loop of every sensor, in a thread of its own.
 
 Whatever goes wrong with a sensor ends here: the port is closed, the error is counted and kept as text for
-diagnostics, and the port is opened again after a pause. The process goes on.
+diagnostics, and the port is opened again: at once where it was only silent, else after a pause. The process
+goes on.
 """
 
 import math
@@ -147,7 +148,7 @@ class Link(Generic[T]):
         """The loop; leaves only when stopped."""
         pause_s = FIRST_PAUSE_S
         while not self._stopping.is_set():
-            received = False
+            received = was_silent = False
             try:
                 port = self._open_port()
                 try:
@@ -157,11 +158,16 @@ class Link(Generic[T]):
                         received = True
                         self._heard_s = time.monotonic()
                         self._handlers.on_data(data, arrival_ns)
+                except _Silence:
+                    was_silent = True
+                    raise
                 finally:
                     self._set_port(None)
                     port.close()
             except Exception as error:  # noqa: BLE001 (whatever a library raises, the sensor is what failed)
                 self._note_error(error)
+            if was_silent:  # it was waited for already: what is sent to a closed port is lost
+                continue
             if received:  # a port that opens but never delivers is not tried more often
                 pause_s = FIRST_PAUSE_S
             self._stopping.wait(pause_s)
@@ -171,7 +177,7 @@ class Link(Generic[T]):
         """Everything that arrives until the link is stopped.
 
         Raises:
-            TimeoutError: nothing came for too long.
+            _Silence: nothing came for too long.
         """
         received_s = time.monotonic()
         while not self._stopping.is_set():
@@ -186,7 +192,7 @@ class Link(Generic[T]):
                 continue
             self._handlers.on_silence()
             if time.monotonic() - received_s > self._silence_s:
-                raise TimeoutError(f"nothing received for {self._silence_s:g} s")
+                raise _Silence(f"nothing received for {self._silence_s:g} s")
 
     def _set_port(self, port: Port[T] | None) -> None:
         with self._lock:
@@ -209,4 +215,9 @@ def _reason(error: Exception) -> str:
     for cause in (inner, error):
         if isinstance(cause, OSError) and cause.strerror:
             return " ".join(cause.strerror.split())
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+    name = "TimeoutError" if isinstance(error, _Silence) else type(error).__name__
+    return f"{name}: {' '.join(str(error).split())}"
+
+
+class _Silence(TimeoutError):
+    """Of a port that is open."""

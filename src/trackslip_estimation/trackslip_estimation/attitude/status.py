@@ -13,6 +13,7 @@ from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH,
 
 _OFF = 0.1  # m/s², of a bias that is worth a word, where it is
 _SIGNIFICANT = 3.0  # standard deviations
+_NO_HEIGHT = 100.0  # m, standard deviation of a height that nobody knows
 
 
 def attitude_text(a: Any, source: str | None) -> str:
@@ -25,7 +26,12 @@ def attitude_text(a: Any, source: str | None) -> str:
     of_roll, of_pitch, of_height = (math.sqrt(float(a["covariance"][k, k])) for k in (ROLL, PITCH, HEIGHT))
     tilt = f"roll {math.degrees(roll):.1f}° ± {math.degrees(of_roll):.1f}"
     tilt += f", pitch {math.degrees(pitch):.1f}° ± {math.degrees(of_pitch):.1f} (nose down positive)"
-    return f"{tilt}, height {height:.2f} m ± {of_height:.2f}{_tilted(a, source)}{_refused(a, source)}"
+    rises = (
+        f"{height:.2f} m ± {of_height:.2f}"
+        if of_height < _NO_HEIGHT
+        else "unknown until a fix has an altitude"
+    )
+    return f"{tilt}, height {rises}{_tilted(a, source)}{_refused(a, source)}"
 
 
 def _lacking(a: Any, source: str) -> str:

@@ -13,9 +13,7 @@ drift makes of the time that they took; k and i₀ are open by as much as the dr
 """
 
 import math
-from typing import Any
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.alignment import GENTLE, forget_fixes, is_steep
@@ -31,50 +29,64 @@ _SLOWEST = 0.05  # m/s, of tracks whose slip anything can show
 _MOST = 1.0  # standard deviation of i₀, at most
 
 
+class Drift(NamedTuple):
+    """The least-squares line through the e_k over the t_k; times are before the last fix."""
+
+    begin: float  # t of the first fix, s
+    velocity: tuple[float, float]  # d, m/s
+    end: tuple[float, float]  # e on the line at the last fix, m
+    stddev: float  # of d along one axis, m/s
+    chi2: float
+    variance: float  # of a fix along one axis, m²
+
+
 @compiled
 def find_slide(state: Any, c: Any) -> bool:
     """Whether the refused fixes show one; then the place is theirs, and nothing is turned."""
-    count, refused = state.refused_count, state.refused
+    count = state.refused_count
     if count < _FEWEST or state.aligning or not is_steep(state):
         return False
-    t, e = np.empty(count), np.empty((count, 2))
-    variance = 0.0
-    for k in range(count):
-        t[k] = (refused[k].stamp_ns - refused[count - 1].stamp_ns) * 1e-9
-        e[k, 0] = refused[k].x - refused[k].predicted_x
-        e[k, 1] = refused[k].y - refused[k].predicted_y
-        variance += refused[k].variance / count
-    middle, spread = t.mean(), 0.0
-    centre = (e[:, 0].mean(), e[:, 1].mean())
-    drift = np.zeros(2)
-    for k in range(count):
-        spread += (t[k] - middle) ** 2
-        for i in range(2):
-            drift[i] += (t[k] - middle) * (e[k, i] - centre[i])
-    if spread <= 0.0:
+    found = _drift(state.refused, count)
+    speed = math.hypot(found.velocity[0], found.velocity[1])
+    known = speed > _SIGNIFICANT * found.stddev
+    if not (known and agree(found.chi2, 2.0 * count - 4.0) and _leads_down(state, found.velocity, speed)):
         return False
-    drift /= spread
-    chi2 = 0.0
-    for k in range(count):
-        for i in range(2):
-            chi2 += (e[k, i] - centre[i] - drift[i] * (t[k] - middle)) ** 2 / variance
-    speed = math.hypot(drift[0], drift[1])
-    known = speed * speed * spread > _SIGNIFICANT**2 * variance
-    if not (known and agree(chi2, 2.0 * count - 4.0) and _leads_down(state, drift[0], drift[1], speed)):
-        return False
-    _follow(
-        state, (centre[0] - drift[0] * middle, centre[1] - drift[1] * middle), variance + (speed * t[0]) ** 2
-    )
+    _follow(state, found.end, found.variance + (speed * found.begin) ** 2)
     if has_velocity_errors(c):
-        _open(state, drift[0], drift[1], c)
+        _open(state, found.velocity, c)
     forget_fixes(state, True)
     return True
 
 
 @compiled
-def _leads_down(state: Any, east: float, north: float, speed: float) -> bool:
+def _drift(refused: Any, count: int) -> Drift:
+    """Of ``count`` refused fixes; in closed form."""
+    last_ns, middle, variance = refused[count - 1].stamp_ns, 0.0, 0.0
+    e_x = e_y = 0.0
+    for k in range(count):
+        middle += (refused[k].stamp_ns - last_ns) * 1e-9 / count
+        e_x += (refused[k].x - refused[k].predicted_x) / count
+        e_y += (refused[k].y - refused[k].predicted_y) / count
+        variance += refused[k].variance / count
+    spread = by_x = by_y = square = 0.0
+    for k in range(count):
+        t = (refused[k].stamp_ns - last_ns) * 1e-9 - middle
+        x, y = refused[k].x - refused[k].predicted_x - e_x, refused[k].y - refused[k].predicted_y - e_y
+        spread, square = spread + t * t, square + x * x + y * y
+        by_x, by_y = by_x + t * x, by_y + t * y
+    spread = max(spread, 1e-12)
+    v_x, v_y = by_x / spread, by_y / spread
+    chi2 = (square - (by_x * by_x + by_y * by_y) / spread) / variance
+    begin = (refused[0].stamp_ns - last_ns) * 1e-9
+    end = e_x - v_x * middle, e_y - v_y * middle
+    return Drift(begin, (v_x, v_y), end, math.sqrt(variance / spread), chi2, variance)
+
+
+@compiled
+def _leads_down(state: Any, drift: tuple[float, float], speed: float) -> bool:
     """Whether a drift goes downhill."""
-    level, cos, sin = state.attitude.level, math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    (east, north), level = drift, state.attitude.level
+    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     down_x, down_y = level.downhill_x, level.downhill_y
     along = (cos * down_x - sin * down_y) * east + (sin * down_x + cos * down_y) * north
     return bool(along >= _DOWNHILL * speed * math.hypot(down_x, down_y))
@@ -93,9 +105,10 @@ def _follow(state: Any, shift: tuple[float, float], variance: float) -> None:
 
 
 @compiled
-def _open(state: Any, east: float, north: float, c: Any) -> None:
+def _open(state: Any, drift: tuple[float, float], c: Any) -> None:
     """P with k and i₀ as large as would make the drift."""
-    P, cos, sin = state.covariance, math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    (east, north), P = drift, state.covariance
+    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     U = max(c.rolling_radius * abs(state.speeds.left + state.speeds.right) / 2.0, _SLOWEST)
     across = max(abs(state.attitude.level.downhill_y), GENTLE)
     P[DOWNHILL, DOWNHILL] += ((cos * north - sin * east) / (U * across)) ** 2
