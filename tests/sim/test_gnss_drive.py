@@ -112,7 +112,7 @@ def simulated(path: Path, soil: str, seed: int) -> Path:
 
 
 def test_fixes_of_a_high_antenna_counted_for_too_little(tmp_path: Path) -> None:
-    """Its lean, which all of them share, stood in the noise of each: 28.5 mm; without altitudes it is 21.2."""
+    """Its lean, which all of them share, stood in the noise of each: 28.5 mm; 21.2 without altitudes."""
     found = replayed(simulated(tmp_path / "bag", "sand", 3))
     assert found["rmse"]["filter"] < 0.02
     assert 1.0 < found["nees"] < 4.5

@@ -107,6 +107,16 @@ def test_height_was_an_integral_whatever_the_receiver_said() -> None:
     assert height(without[-1])[0] - (true_height(without[-1]) - BEGIN) == pytest.approx(0.3, abs=0.15)
 
 
+def test_the_first_altitude_may_come_while_it_climbs() -> None:
+    """Nothing was before it: the time since then made a doubt of 10¹⁵ m², of which rounding left anything."""
+    late = drive(lambda t, z: (z, STDDEV**2) if t > 20.0 else (0.0, UNOBSERVED), seconds=60.0)
+    estimates, reports = run(late)
+    found = [(*height(e), true_height(e)) for e in estimates if e.stamp_ns > 20.6 * S]
+    assert refused(reports) == []
+    assert max(stddev for _, stddev, _ in found) < 0.05
+    assert max(abs(at - truth) / stddev for at, stddev, truth in found) < 4.0
+
+
 def test_a_high_antenna_on_a_slope_was_refused_at_the_start() -> None:
     """The first fix came before gravity: the place was 0.37 m off with 1 cm claimed, and others refused."""
     _, reports = run(drive(seconds=6.0))

@@ -36,7 +36,7 @@ FloatArray = NDArray[np.float64]
 _NONE, _GATED = int(AttitudeRefusal.NO_ALTITUDE), int(AttitudeRefusal.ALTITUDE_GATED)
 _SLIP_TIME = 10.0  # s, T
 _INSISTS = 3  # altitudes that agree, and timeouts that they last
-_SHORTEST = 1e-3  # s, of Δt
+_SHORTEST, _LONGEST = 1e-3, 3600.0  # s, of Δt
 
 
 @compiled
@@ -47,7 +47,7 @@ def use_altitude(state: Any, measurement: Any, c: Any) -> int:
         return 0
     if not (math.isfinite(measurement.altitude) and variance > 0.0):
         return _NONE
-    dt = max((measurement.stamp_ns - a.climb.used_ns) * 1e-9, _SHORTEST)
+    dt = min(max((measurement.stamp_ns - a.climb.used_ns) * 1e-9, _SHORTEST), _LONGEST)
     expected, h = _expected(state, source, c)
     innovation, limit = measurement.altitude - expected, c.gate_limits[1]
     stated, R = _noise(state, measurement, dt, c)
