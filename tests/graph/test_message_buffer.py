@@ -25,10 +25,10 @@ from trackslip_estimation.slip.transforms import blank_transforms, fill_transfor
 
 STAMP_NS = 1_700_000_000_123_456_789
 RANDOM = np.random.default_rng(1)
-TILT = Tilt(*(RANDOM.normal(size=n) for n in (3, (3, 3), 3, 3, 3)), 0.25, 0.1, 1e-4)
+TILT = Tilt(*(RANDOM.normal(size=n) for n in (3, (3, 3), 3, 3, 3)), 0.25)
 SWING = Swing(0.5, -0.25, np.diag((0.01, 0.04)))
 OUTPUTS = Outputs(
-    *(RANDOM.normal(size=n) for n in (3, (3, 3), 3)), TILT, RANDOM.normal(size=3), np.eye(3), SWING
+    *(RANDOM.normal(size=n) for n in (3, (3, 3), 3)), TILT, 0.1, 1e-4, RANDOM.normal(size=3), np.eye(3), SWING
 )
 ESTIMATE = Estimate(STAMP_NS, RANDOM.normal(size=3), RANDOM.normal(size=(3, 3)), OUTPUTS, Motion.TURNING)
 LOCAL = Estimate(STAMP_NS, RANDOM.normal(size=3), RANDOM.normal(size=(3, 3)), OUTPUTS, Motion.TURNING)

@@ -165,7 +165,7 @@ class DriverNode(TrackslipNode[P]):
         state, where = link.state(), self.where()
         if not state.openings and not state.errors:
             return WARN, f"{where}: opening"
-        if not state.connected and not state.last_error.startswith(TimeoutError.__name__):  # else: silent
+        if not state.connected and not state.was_silent:
             return ERROR, f"{where}: not connected ({state.last_error}); {self.advice}"
         limit_s = _STALE_PERIODS * self.period
         if time.monotonic() - self._last_s <= limit_s:

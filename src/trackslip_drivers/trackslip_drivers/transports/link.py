@@ -49,6 +49,7 @@ class LinkState:
     openings: int  # times the port was opened; reconnections are one less
     errors: int
     last_error: str
+    was_silent: bool  # it was closed because nothing came
     last_error_s: float  # system time of it, s since 1970; 0 where there was none
     note: str
     silent_s: float  # s since something was received, or the port was opened
@@ -94,6 +95,7 @@ class Link(Generic[T]):
         self._openings = 0
         self._errors = 0
         self._last_error = ""
+        self._was_silent = False
         self._last_error_s = 0.0
         self._heard_s = time.monotonic()
         self._note = ""
@@ -139,6 +141,7 @@ class Link(Generic[T]):
                 openings=self._openings,
                 errors=self._errors,
                 last_error=self._last_error,
+                was_silent=self._was_silent,
                 last_error_s=self._last_error_s,
                 note=self._note,
                 silent_s=time.monotonic() - self._heard_s,
@@ -148,7 +151,7 @@ class Link(Generic[T]):
         """The loop; leaves only when stopped."""
         pause_s = FIRST_PAUSE_S
         while not self._stopping.is_set():
-            received = was_silent = False
+            received = False
             try:
                 port = self._open_port()
                 try:
@@ -158,15 +161,12 @@ class Link(Generic[T]):
                         received = True
                         self._heard_s = time.monotonic()
                         self._handlers.on_data(data, arrival_ns)
-                except _Silence:
-                    was_silent = True
-                    raise
                 finally:
                     self._set_port(None)
                     port.close()
             except Exception as error:  # noqa: BLE001 (whatever a library raises, the sensor is what failed)
                 self._note_error(error)
-            if was_silent:  # it was waited for already: what is sent to a closed port is lost
+            if self._was_silent:  # it was waited for already: what is sent to a closed port is lost
                 continue
             if received:  # a port that opens but never delivers is not tried more often
                 pause_s = FIRST_PAUSE_S
@@ -206,7 +206,8 @@ class Link(Generic[T]):
         with self._lock:
             self._errors += 1
             self._last_error_s = time.time()
-            self._last_error = _reason(error)
+            self._was_silent = isinstance(error, _Silence)
+            self._last_error = str(error) if self._was_silent else _reason(error)
 
 
 def _reason(error: Exception) -> str:
@@ -215,9 +216,8 @@ def _reason(error: Exception) -> str:
     for cause in (inner, error):
         if isinstance(cause, OSError) and cause.strerror:
             return " ".join(cause.strerror.split())
-    name = "TimeoutError" if isinstance(error, _Silence) else type(error).__name__
-    return f"{name}: {' '.join(str(error).split())}"
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-class _Silence(TimeoutError):
-    """Of a port that is open."""
+class _Silence(Exception):
+    """Nothing comes from a port that is open."""

@@ -54,7 +54,8 @@ from trackslip_estimation.attitude.span import (
     turn_span,
 )
 from trackslip_estimation.attitude.start import begin_by_gravity
-from trackslip_estimation.kalman.ekf import propagate_covariance
+from trackslip_estimation.kalman.ekf import correct, propagate_covariance
+from trackslip_estimation.kalman.linear_algebra import sandwich
 
 FloatArray = NDArray[np.float64]
 
@@ -217,13 +218,10 @@ def _level_by(a: Any, motion: tuple[float, float], n: Any) -> None:
 @compiled
 def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: Any) -> None:
     """Update with one axis, whose noise is learned of the innovation where that is no doubt of the tilt."""
-    x, P, dt = a.mean, a.covariance, a.span.time
+    P, dt = a.covariance, a.span.time
     stated = a.sample.force_variance / a.span.samples
-    Ph, predicted = np.zeros(SIZE), 0.0
-    for i in range(SIZE):
-        for j in range(SIZE):
-            Ph[i] += P[i, j] * h[j]
-        predicted += h[i] * Ph[i]
+    H = h.reshape((1, SIZE))
+    predicted = sandwich(H, P)[0, 0]
     noise = max(a.noise[axis], stated)
     share = noise / (predicted + noise + doubt)
     shown = min(innovation * innovation, _SURPRISE * (predicted + noise)) - predicted
@@ -232,13 +230,8 @@ def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: A
     if dt > 0.0:
         R, most = R * max(n.correlation_time / dt, 1.0), max(n.noise_time / dt, 1.0)
     a.noise_count[axis] = min(a.noise_count[axis] + share, most)
-    S = predicted + R + doubt
-    if innovation * innovation > _SURPRISE * S:
-        S = innovation * innovation / _SURPRISE
-    for i in range(SIZE):
-        x[i] += Ph[i] * innovation / S
-        for j in range(SIZE):
-            P[i, j] -= Ph[i] * Ph[j] / S
+    R = max(R + doubt, innovation * innovation / _SURPRISE - predicted)
+    correct(a.mean, P, np.array((innovation,)), H, np.array(((R,),)))
 
 
 @compiled

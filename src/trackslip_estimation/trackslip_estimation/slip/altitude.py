@@ -25,11 +25,13 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.level import set_level
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL, SIZE, AttitudeRefusal
+from trackslip_estimation.kalman.ekf import correct
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
 from trackslip_estimation.slip.models.model import SWING
+from trackslip_estimation.slip.own_errors import lasts
 
 FloatArray = NDArray[np.float64]
 
@@ -61,7 +63,8 @@ def use_altitude(state: Any, measurement: Any, c: Any) -> int:
     elif nis > limit:
         R += (nis / limit - 1.0) * (predicted + R)
     a.covariance[HEIGHT, HEIGHT] += doubt
-    _correct(a, h[0], innovation, R)
+    correct(a.mean, a.covariance, np.array((innovation,)), h, np.array(((R,),)))
+    set_level(a)
     a.climb.way, a.climb.used_ns, a.climb.refused = 0.0, measurement.stamp_ns, 0
     return 0
 
@@ -102,8 +105,9 @@ def _noise(state: Any, measurement: Any, dt: float, c: Any) -> tuple[float, floa
     stated *= state.adaptation.fix_factors[source]
     steep = level.downhill_x**2 + level.downhill_y**2
     stated += steep * unknown_arm(state.covariance, source, c)
-    tau = c.altitude_times[source]
-    return stated, stated / math.tanh(dt / (2.0 * tau)) if tau > 0.0 else stated
+    if not lasts(source, c):
+        return stated, stated
+    return stated, stated / math.tanh(dt / (2.0 * c.error_times[c.own_errors[source]]))
 
 
 @compiled
@@ -115,20 +119,3 @@ def _insists(climb: Any, innovation: float, stated: float, measurement: Any, c: 
     climb.refused += 1
     lasted_ns = measurement.stamp_ns - climb.refused_ns
     return bool(climb.refused >= _INSISTS and lasted_ns >= _INSISTS * c.timeouts_ns[measurement.source])
-
-
-@compiled
-def _correct(a: Any, h: FloatArray, innovation: float, R: float) -> None:
-    """The attitude by one number."""
-    P, Ph = a.covariance, np.zeros(SIZE)
-    for i in range(SIZE):
-        for j in range(SIZE):
-            Ph[i] += P[i, j] * h[j]
-    S = R
-    for i in range(SIZE):
-        S += h[i] * Ph[i]
-    for i in range(SIZE):
-        a.mean[i] += Ph[i] * innovation / S
-        for j in range(SIZE):
-            P[i, j] -= Ph[i] * Ph[j] / S
-    set_level(a)

@@ -69,7 +69,6 @@ CONFIG = np.dtype(
         ("stamp_errors", np.float64, (MOST_SOURCES,)),  # σ_t, s
         ("use_heading", np.int64, (MOST_SOURCES,)),  # 0 or 1
         ("use_altitude", np.int64, (MOST_SOURCES,)),  # 0 or 1
-        ("altitude_times", np.float64, (MOST_SOURCES,)),  # s, for which an error of it lasts
         ("position_floor", np.float64, (MOST_SOURCES,)),  # m
         ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
         ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
@@ -165,7 +164,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int])
         c["position_floor"][k], c["heading_floor"][k] = pose.position_floor, pose.heading_floor
         c["heading_ceiling"][k] = pose.heading_ceiling
         c["standing_share"][k] = pose.standing_share
-        c["use_altitude"][k], c["altitude_times"][k] = pose.use_altitude, pose.correlation_time
+        c["use_altitude"][k] = pose.use_altitude
     for name, compass in p.compasses().items():
         k = numbers[name]
         c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor

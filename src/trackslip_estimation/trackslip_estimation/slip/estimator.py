@@ -49,8 +49,6 @@ class Tilt:
     rate_variances: FloatArray  # (3,)
     force: FloatArray  # (3,) specific force, upward at rest, m/s²
     force_variance: float  # of each axis
-    rise: float  # of the height, m/s
-    rise_variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +68,8 @@ class Outputs:
     twist_covariance: FloatArray  # (3, 3)
     horizontal: FloatArray  # (3,) what of it is: along the heading, to its left, rate of the heading
     tilt: Tilt | None  # None: the ground counts as flat
+    rise: float  # of the height, m/s; 0 on ground that counts as flat
+    rise_variance: float
     slips: FloatArray  # (3,) left slip, right slip, slip angle rad
     slip_covariance: FloatArray  # (3, 3)
     swing: Swing | None = None  # None: nothing sits on it
@@ -216,10 +216,11 @@ def make_step(result: Any, source: str) -> Step:
 def make_estimate(record: Any) -> Estimate:
     """What a record of ``ESTIMATE``, or the tuple of its fields, says."""
     stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt, *rest = record
-    slips, slip_covariance, motion, swing = rest
+    rise, rise_variance, slips, slip_covariance, motion, swing = rest
     known, *of_tilt = tilt
     leans = Tilt(*of_tilt) if known else None
     swings, *of_swing = swing
     swung = Swing(*of_swing) if swings else None
-    outputs = Outputs(twist, twist_covariance, horizontal, leans, slips, slip_covariance, swung)
+    rises = float(rise), float(rise_variance)
+    outputs = Outputs(twist, twist_covariance, horizontal, leans, *rises, slips, slip_covariance, swung)
     return Estimate(int(stamp_ns), pose, pose_covariance, outputs, Motion(motion))

@@ -46,10 +46,15 @@ def unknown_arm(P: FloatArray, source: int, c: Any) -> float:
 @compiled
 def swung_place(swing: float, source: int, c: Any) -> Place:
     """x and y of its place in base_link, and their derivatives by σ."""
-    if c.above[source] == 0:
-        return c.levers[source, 0], c.levers[source, 1], 0.0, 0.0
-    cos, sin, arm = np.cos(swing), np.sin(swing), arm_of(source, c)
-    by_x, by_y = -sin * arm[0] - cos * arm[1], cos * arm[0] - sin * arm[1]
+    x, y = c.levers[source, 0], c.levers[source, 1]
+    return _swung(x, y, swing, c) if c.above[source] == 1 else (x, y, 0.0, 0.0)
+
+
+@compiled
+def _swung(x: float, y: float, swing: float, c: Any) -> Place:
+    """x and y in base_link of a place above, and their derivatives by σ; ``x``, ``y``: looking forward."""
+    cos, sin, ahead, left = np.cos(swing), np.sin(swing), x - c.swing_axis[0], y - c.swing_axis[1]
+    by_x, by_y = -sin * ahead - cos * left, cos * ahead - sin * left
     return c.swing_axis[0] + by_y, c.swing_axis[1] - by_x, by_x, by_y
 
 
@@ -67,12 +72,9 @@ def sensor_place(level: Any, swing: float, source: int, c: Any) -> Place:
 @compiled
 def swing_lever(imu: Any, swing_rate: float, c: Any) -> None:
     """Place and velocity of an IMU above, into its record, which has σ and what they would be below."""
-    arm_x, arm_y = imu.lever[0] - c.swing_axis[0], imu.lever[1] - c.swing_axis[1]
-    cos, sin = np.cos(imu.turn), np.sin(imu.turn)
-    x, y = cos * arm_x - sin * arm_y, sin * arm_x + cos * arm_y
-    imu.lever[0], imu.lever[1] = c.swing_axis[0] + x, c.swing_axis[1] + y
-    imu.velocity[0] -= swing_rate * y
-    imu.velocity[1] += swing_rate * x
+    imu.lever[0], imu.lever[1], by_x, by_y = _swung(imu.lever[0], imu.lever[1], imu.turn, c)
+    imu.velocity[0] += swing_rate * by_x
+    imu.velocity[1] += swing_rate * by_y
 
 
 @compiled

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.records import HEIGHT
 from trackslip_estimation.slip.estimator import Estimate, Tilt
-from trackslip_estimation.slip.records import TILT
 
 Records = NDArray[np.void]
 
@@ -34,7 +33,8 @@ TWIST = np.dtype(
         ("stamp_ns", np.int64),
         ("horizontal", np.float64, (3,)),
         ("twist_covariance", np.float64, (3, 3)),
-        ("tilt", TILT),
+        ("rise", np.float64),  # ż, m/s
+        ("rise_variance", np.float64),
     ],
     align=True,
 )
@@ -74,12 +74,11 @@ class LocalOdometry:
         twist, outputs = np.zeros(1, TWIST), estimate.outputs
         twist["stamp_ns"], twist["horizontal"] = estimate.stamp_ns, outputs.horizontal
         twist["twist_covariance"] = outputs.twist_covariance
-        tilt = outputs.tilt
-        if tilt is not None:
-            twist["tilt"]["rise"], twist["tilt"]["rise_variance"] = tilt.rise, tilt.rise_variance
+        twist["rise"], twist["rise_variance"] = outputs.rise, outputs.rise_variance
         local = self.advance(twist)[0]
-        if tilt is not None:
-            outputs = replace(outputs, tilt=_at_height(tilt, local["height"], local["height_stddev"]))
+        if outputs.tilt is not None:
+            tilt = _at_height(outputs.tilt, local["height"], local["height_stddev"])
+            outputs = replace(outputs, tilt=tilt)
         return replace(
             estimate, pose=local["pose"], pose_covariance=local["pose_covariance"], outputs=outputs
         )
@@ -103,7 +102,7 @@ def integrate(known: Records, twists: Records, found: Records) -> None:
         if local.begun == 1 and 0.0 < dt <= _LONGEST:
             _move(local, given, dt)
         local.begun, local.stamp_ns = 1, given.stamp_ns
-        local.horizontal[:], local.rise = given.horizontal, given.tilt.rise
+        local.horizontal[:], local.rise = given.horizontal, given.rise
         found[k].begun, found[k].stamp_ns = 1, given.stamp_ns
         found[k].horizontal[:], found[k].pose[:] = local.horizontal, local.pose
         found[k].pose_covariance[:] = local.pose_covariance
@@ -122,8 +121,8 @@ def _move(local: Any, given: Any, dt: float) -> None:
     local.pose[0] += dx
     local.pose[1] += dy
     local.pose[2] += rate * dt
-    local.height += 0.5 * (local.rise + given.tilt.rise) * dt
-    local.height_stddev += math.sqrt(given.tilt.rise_variance) * dt
+    local.height += 0.5 * (local.rise + given.rise) * dt
+    local.height_stddev += math.sqrt(given.rise_variance) * dt
     P, F, T = local.pose_covariance, np.eye(3), np.eye(3)
     F[0, 2], F[1, 2] = -dy, dx
     T[0, 0], T[0, 1], T[1, 0], T[1, 1] = c, -s, s, c

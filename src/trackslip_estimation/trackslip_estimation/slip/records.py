@@ -204,8 +204,6 @@ TILT = np.dtype(  # of an estimate
         ("rate_variances", np.float64, (3,)),
         ("force", np.float64, (3,)),  # specific force along the machine's axes, m/s²
         ("force_variance", np.float64),
-        ("rise", np.float64),  # ż, m/s
-        ("rise_variance", np.float64),
     ],
     align=True,
 )
@@ -229,6 +227,8 @@ ESTIMATE = np.dtype(
         ("twist_covariance", np.float64, (3, 3)),
         ("horizontal", np.float64, (3,)),  # what of the twist is: along the heading, to its left, rate of it
         ("tilt", TILT),
+        ("rise", np.float64),  # ż, m/s; 0 while nobody knows the tilt
+        ("rise_variance", np.float64),
         ("slips", np.float64, (3,)),  # left slip, right slip, slip angle rad
         ("slip_covariance", np.float64, (3, 3)),
         ("motion", np.int64),

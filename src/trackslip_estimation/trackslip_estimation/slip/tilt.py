@@ -55,7 +55,7 @@ def rise(state: Any, dt: float, c: Any) -> None:
 
 @compiled
 def fill_tilt(state: Any, estimate: Any, c: Any) -> None:
-    """What is published of the attitude, into the ``TILT`` of a record of ``ESTIMATE`` that has its twist.
+    """What is published of the attitude, into a record of ``ESTIMATE`` that has its twist.
 
     The height errs by the share of what the tracks climbed that they slip more than is known.
     """
@@ -63,7 +63,8 @@ def fill_tilt(state: Any, estimate: Any, c: Any) -> None:
     tilt.known = a.known
     if a.known == 0:
         tilt.tilt[:], tilt.covariance[:], tilt.rates[:], tilt.rate_variances[:] = 0.0, 0.0, 0.0, 0.0
-        tilt.force[:], tilt.force_variance, tilt.rise, tilt.rise_variance = 0.0, 0.0, 0.0, 0.0
+        tilt.force[:], tilt.force_variance = 0.0, 0.0
+        estimate.rise, estimate.rise_variance = 0.0, 0.0
         return
     force = force_of(a.sample)
     for i in range(3):
@@ -75,6 +76,6 @@ def fill_tilt(state: Any, estimate: Any, c: Any) -> None:
         tilt.covariance[HEIGHT, HEIGHT] += state.covariance[COMMON_SLIP, COMMON_SLIP] * a.climb.way**2
     tilt.force_variance = a.sample.force_variance
     v_x, v_y, P = estimate.twist[0], estimate.twist[1], a.covariance
-    tilt.rise = rise_of(a.mean, v_x, v_y)
-    tilt.rise_variance = v_x**2 * P[PITCH, PITCH] + v_y**2 * P[ROLL, ROLL]
-    tilt.rise_variance += downward(a.level, estimate.twist_covariance)
+    estimate.rise = rise_of(a.mean, v_x, v_y)
+    estimate.rise_variance = v_x**2 * P[PITCH, PITCH] + v_y**2 * P[ROLL, ROLL]
+    estimate.rise_variance += downward(a.level, estimate.twist_covariance)
