@@ -248,9 +248,7 @@ def climb(a: Any, v_x: float, v_y: float, dt: float) -> None:
     x, P = a.mean, a.covariance
     sin, cos = math.sin(x[ROLL]), math.cos(x[ROLL])
     sin_pitch, cos_pitch = math.sin(x[PITCH]), math.cos(x[PITCH])
-    way = rise_of(x, v_x, v_y) * dt
-    x[HEIGHT] += way
-    a.climb.way += way
+    x[HEIGHT] += rise_of(x, v_x, v_y) * dt
     by_roll = v_y * cos * cos_pitch * dt
     by_pitch = -(v_x * cos_pitch + v_y * sin * sin_pitch) * dt
     for j in range(SIZE):

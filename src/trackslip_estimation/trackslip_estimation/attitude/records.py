@@ -84,8 +84,7 @@ SPAN = np.dtype(  # see ``span``
 
 CLIMB = np.dtype(  # see ``slip.altitude``
     [
-        ("way", np.float64),  # that C has climbed by the tracks since an altitude was used, m
-        ("used_ns", np.int64),  # stamp of that one
+        ("used_ns", np.int64),  # stamp of the altitude used last
         ("refused", np.int64),  # altitudes outside the gate since, in a row, that agree
         ("refused_ns", np.int64),  # stamp of the first of them
         ("apart", np.float64),  # its innovation, m

@@ -26,7 +26,7 @@ def forget_attitude(a: Any) -> None:
     a.oriented_ns = NEVER_NS
     a.mean[:], a.covariance[:] = 0.0, 0.0
     a.rates[:], a.mean_force[:], a.sample.force[:], a.span.begun = 0.0, 0.0, np.nan, 0
-    a.climb.way, a.climb.used_ns, a.climb.refused = 0.0, NEVER_NS, 0
+    a.climb.used_ns, a.climb.refused = NEVER_NS, 0
     set_level(a)
 
 

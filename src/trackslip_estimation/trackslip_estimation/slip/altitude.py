@@ -65,7 +65,7 @@ def use_altitude(state: Any, measurement: Any, c: Any) -> int:
     a.covariance[HEIGHT, HEIGHT] += doubt
     correct(a.mean, a.covariance, np.array((innovation,)), h, np.array(((R,),)))
     set_level(a)
-    a.climb.way, a.climb.used_ns, a.climb.refused = 0.0, measurement.stamp_ns, 0
+    a.climb.used_ns, a.climb.refused = measurement.stamp_ns, 0
     return 0
 
 

@@ -164,7 +164,7 @@ def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) 
 def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
     """What is published of a state, into a record of ``ESTIMATE``."""
     fill_outputs(state, c, estimate)
-    fill_tilt(state, estimate, c)
+    fill_tilt(state, estimate)
     fill_swing(state, estimate.swing, c)
     estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]

@@ -168,6 +168,7 @@ STATE = np.dtype(
         ("driven", np.float64, (2,)),  # by left and right sprocket since the start, rad
         ("moved", np.float64, (3,)),  # ∫ of the twist as it was predicted, since the start: m, m, rad
         ("fixed_ns", np.int64),  # stamp of the last fix
+        ("down", np.float64),  # sine of the slope that the tracks drove down as k was learned
         ("rolled", np.float64),  # by the tracks since the start, mean of both, m
         ("aligning", np.bool_),  # the heading is not known yet
         ("refused_count", np.int64),  # since a fix was inside its gate

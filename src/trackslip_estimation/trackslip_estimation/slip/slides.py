@@ -20,6 +20,7 @@ from trackslip_estimation.slip.alignment import GENTLE, forget_fixes, is_steep
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import DOWNHILL, SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
+from trackslip_estimation.slip.tilt import follow_ground
 from trackslip_estimation.slip.traction import agree
 
 _FEWEST = 4  # fixes that show a line by lying on it
@@ -51,6 +52,7 @@ def find_slide(state: Any, c: Any) -> bool:
     known = speed > _SIGNIFICANT * found.stddev
     if not (known and agree(found.chi2, 2.0 * count - 4.0) and _leads_down(state, found.velocity, speed)):
         return False
+    follow_ground(state, found.end[0], found.end[1])
     _follow(state, found.end, found.variance + (speed * found.begin) ** 2)
     if has_velocity_errors(c):
         _open(state, found.velocity, c)

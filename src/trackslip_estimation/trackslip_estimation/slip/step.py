@@ -36,6 +36,7 @@ from trackslip_estimation.slip.models.dispatch import (
 )
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.shear import build_up
+from trackslip_estimation.slip.models.slope import meet_direction
 from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import reset_motion, update_motion
 from trackslip_estimation.slip.odometry import follow_motion, use_odometry
@@ -51,7 +52,7 @@ from trackslip_estimation.slip.records import (
 )
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
 from trackslip_estimation.slip.swing import use_swing
-from trackslip_estimation.slip.tilt import rise, tilt_by
+from trackslip_estimation.slip.tilt import follow_ground, rise, tilt_by
 from trackslip_estimation.slip.traction import follow_tracks
 from trackslip_estimation.slip.update import hear, use_rate, use_slips
 
@@ -77,11 +78,21 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         update.follows = False
     elif measurement.kind == POSE:
         use_pose(state, measurement, c, update)
+        _follow_ground(state, update)
         if update.outcome == _ACCEPTED:
             update.attitude = use_altitude(state, measurement, c)
     else:
         hear(state, measurement, c)
         _use(state, measurement, c, update)
+        _follow_ground(state, update)
+
+
+@inlined
+def _follow_ground(state: Any, update: Any) -> None:
+    """The height, where the place was corrected; one that was found anew is no way."""
+    if update.follows and update.outcome == _ACCEPTED:
+        before = update.prior_mean
+        follow_ground(state, state.mean[X] - before[X], state.mean[Y] - before[Y])
 
 
 @inlined
@@ -163,6 +174,7 @@ def propagate(state: Any, dt: float, c: Any) -> None:
     rise(state, dt, c)
     if has_velocity_errors(c):
         pass_time(state, dt, c)
+        meet_direction(state, c)
     moved, F, Q = linearize(x, P, state, dt, c)
     if has_velocity_errors(c):
         build_up(state, dt, c)

@@ -5,8 +5,12 @@
 One IMU of the gyros tells the attitude (``config.tilt_source``); its samples pass in the order of stamps with
 all other measurements, so that the attitude too is a function of their set. One on the upper structure is
 turned back by the swing; while that is not known, it tells nothing.
+
+The height follows the ground along the estimated way: the tracks', and what measurements correct of it. So
+slips that nobody expected are climbed, or slid down, too.
 """
 
+import math
 from typing import Any
 
 from trackslip_common.compiled import compiled
@@ -14,9 +18,8 @@ from trackslip_estimation.attitude.filter import climb, force_of, rise_of, use_s
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL
 from trackslip_estimation.slip.altitude import downward
 from trackslip_estimation.slip.levers import UNKNOWN_SWING, swing_lever
-from trackslip_estimation.slip.models.dispatch import body_twist, has_velocity_errors
-from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE
-from trackslip_estimation.slip.models.speed import COMMON_SLIP
+from trackslip_estimation.slip.models.dispatch import body_twist
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE, YAW, X, Y
 
 
 @compiled
@@ -54,10 +57,33 @@ def rise(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def fill_tilt(state: Any, estimate: Any, c: Any) -> None:
+def follow_ground(state: Any, east: float, north: float) -> None:
+    """The height, where a measurement has moved the place by so much: it has shown a way along the ground."""
+    level = state.attitude.level
+    if level.tilted == 0 or (east == 0.0 and north == 0.0):
+        return
+    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    left = (cos * north - sin * east) / (1.0 + level.sideways)
+    ahead = (cos * east + sin * north - left * level.across) / (1.0 + level.forward)
+    climb(state.attitude, ahead, left, 1.0)
+
+
+@compiled
+def _of_place(state: Any) -> float:
+    """Variance of the height, m², by what the place errs by on the slope."""
+    level, P = state.attitude.level, state.covariance
+    ahead = level.downhill_x / (1.0 + level.forward)
+    left = level.downhill_y / ((1.0 + level.forward) * (1.0 + level.sideways))
+    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    east, north = cos * ahead - sin * left, sin * ahead + cos * left
+    return float(east * east * P[X, X] + 2.0 * east * north * P[X, Y] + north * north * P[Y, Y])
+
+
+@compiled
+def fill_tilt(state: Any, estimate: Any) -> None:
     """What is published of the attitude, into a record of ``ESTIMATE`` that has its twist.
 
-    The height errs by the share of what the tracks climbed that they slip more than is known.
+    The height errs by the slope times what the place errs by.
     """
     a, tilt = state.attitude, estimate.tilt
     tilt.known = a.known
@@ -72,8 +98,7 @@ def fill_tilt(state: Any, estimate: Any, c: Any) -> None:
         tilt.rate_variances[i], tilt.force[i] = a.sample.rate_variances[i], force[i]
         for j in range(3):
             tilt.covariance[i, j] = a.covariance[ROLL + i, ROLL + j]
-    if has_velocity_errors(c):
-        tilt.covariance[HEIGHT, HEIGHT] += state.covariance[COMMON_SLIP, COMMON_SLIP] * a.climb.way**2
+    tilt.covariance[HEIGHT, HEIGHT] += _of_place(state)
     tilt.force_variance = a.sample.force_variance
     v_x, v_y, P = estimate.twist[0], estimate.twist[1], a.covariance
     estimate.rise = rise_of(a.mean, v_x, v_y)

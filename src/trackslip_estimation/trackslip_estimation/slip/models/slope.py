@@ -16,11 +16,13 @@ far from its strength the shear is alike in both directions, and so is k; it gro
 near. In a turn all of the shear is mobilised, and slides whichever way is downhill: by how much hardly
 depends on the soil (both factors are measured on the shear truth at 15°, on sand, sandy loam and dry
 clay; ± 0.5). How the machine turns changes with its direction on the slope, too: κ, η and x_I walk
-there. Horizontal is
+there. Near the strength the tracks spin uphill and roll downhill: what k and i₀ say in one direction holds
+in another the less, the larger k is (``meet_direction``). Horizontal is
 
     v_x cos θ + v_y sin φ sin θ,  v_y cos φ        and        ψ̇ = (q sin φ + r cos φ)/cos θ
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -28,7 +30,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.model import DOWNHILL, YAW
-from trackslip_estimation.slip.models.speed import FIRST, ROTATION_OFFSET, SECOND
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, ROTATION_OFFSET, SECOND
 
 FloatArray = NDArray[np.float64]
 Twist = tuple[float, float, float]
@@ -36,6 +38,8 @@ Twist = tuple[float, float, float]
 _GENTLE = 0.05  # sine of a slope that shows k half
 _GENTLE_TURN = 0.1  # |D| over U of a turn that counts half
 _AHEAD, _ASIDE = 1.0, 0.35  # of T
+_TURNED = 0.1  # change of what the tracks drive down, as a sine, that makes k another one
+_OTHER = 0.5  # of k, by which it then is, by the sine of the slope
 _WALKS = 0.5, 0.75, 0.25  # of κ, η and x_I in turns, by the sine of the slope: 1/√s, 1/√s, m/√s
 
 
@@ -90,6 +94,23 @@ def horizontal_jacobian(J: FloatArray, level: Any) -> None:
         J[0, k] = J[0, k] * (1.0 + level.forward) + J[1, k] * level.across
         J[1, k] *= 1.0 + level.sideways
         J[2, k] *= 1.0 + level.turn
+
+
+@compiled
+def meet_direction(state: Any, c: Any) -> None:
+    """Where the tracks drive down what they drove up, or aside, k and i₀ are others: the softer, the more."""
+    V, level = state.speeds.left + state.speeds.right, state.attitude.level
+    if V == 0.0 or level.tilted == 0:
+        return
+    down = math.copysign(level.downhill_x, V * level.downhill_x)
+    changed = abs(down - state.down)
+    if changed < _TURNED:
+        return
+    steep = math.sqrt(level.downhill_x**2 + level.downhill_y**2 + _GENTLE**2)
+    k, P = state.mean[DOWNHILL], state.covariance
+    P[DOWNHILL, DOWNHILL] += (_OTHER * k * changed / steep) ** 2
+    P[COMMON_SLIP, COMMON_SLIP] += (_OTHER * min((k * changed) ** 2, 1.0)) ** 2
+    state.down = down
 
 
 @compiled
