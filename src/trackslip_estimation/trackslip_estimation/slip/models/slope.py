@@ -16,7 +16,7 @@ far from its strength the shear is alike in both directions, and so is k; it gro
 near. In a turn all of the shear is mobilised, and slides whichever way is downhill: by how much hardly
 depends on the soil (both factors are measured on the shear truth at 15°, on sand, sandy loam and dry
 clay; ± 0.5). How the machine turns changes with its direction on the slope, too: κ, η and x_I walk
-there. Near the strength the tracks spin uphill and roll downhill: what k and i₀ say in one direction holds
+there. Near the strength the tracks spin uphill and roll downhill: what k says in one direction holds
 in another the less, the larger k is (``meet_direction``). Horizontal is
 
     v_x cos θ + v_y sin φ sin θ,  v_y cos φ        and        ψ̇ = (q sin φ + r cos φ)/cos θ
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.model import DOWNHILL, YAW
-from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, ROTATION_OFFSET, SECOND
+from trackslip_estimation.slip.models.speed import FIRST, ROTATION_OFFSET, SECOND
 
 FloatArray = NDArray[np.float64]
 Twist = tuple[float, float, float]
@@ -98,7 +98,7 @@ def horizontal_jacobian(J: FloatArray, level: Any) -> None:
 
 @compiled
 def meet_direction(state: Any, c: Any) -> None:
-    """Where the tracks drive down what they drove up, or aside, k and i₀ are others: the softer, the more."""
+    """Where the tracks drive down what they drove up, or aside, k is another one: the softer, the more."""
     V, level = state.speeds.left + state.speeds.right, state.attitude.level
     if V == 0.0 or level.tilted == 0:
         return
@@ -107,9 +107,7 @@ def meet_direction(state: Any, c: Any) -> None:
     if changed < _TURNED:
         return
     steep = math.sqrt(level.downhill_x**2 + level.downhill_y**2 + _GENTLE**2)
-    k, P = state.mean[DOWNHILL], state.covariance
-    P[DOWNHILL, DOWNHILL] += (_OTHER * k * changed / steep) ** 2
-    P[COMMON_SLIP, COMMON_SLIP] += (_OTHER * min((k * changed) ** 2, 1.0)) ** 2
+    state.covariance[DOWNHILL, DOWNHILL] += (_OTHER * state.mean[DOWNHILL] * changed / steep) ** 2
     state.down = down
 
 
