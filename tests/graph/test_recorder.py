@@ -278,18 +278,19 @@ def test_a_bag_is_split_by_time_and_read_as_one(programs, observer):
 
 @pytest.mark.parametrize("kind", [Imu, QuaternionStamped])
 def test_headings_are_recorded_by_the_type_that_is_published(programs, observer, kind):
-    running = programs.node("record", output="bag")
+    recorder = Recorder(programs, observer)
     observer.wait_for_ends("/heading", "record")
     publisher = observer.node.create_publisher(kind, "heading", publisher_qos("heading"))
     name = f"/{kind.__name__}"
     observer.wait(lambda: publisher.get_subscription_count() > 0, f"the recorder on headings as {name}")
+    recorder.wait_for("heading")  # a reader that has not found its writer yet acknowledges, and takes nothing
     for k in range(5):
         message = kind()
         message.header.stamp.sec = 1 + k
         publisher.publish(message)
     assert publisher.wait_for_all_acked(Duration(seconds=10))
-    assert running.end()[0] == 0
-    with open_bag(programs.folder / "bag") as bag:
+    assert recorder.program.end()[0] == 0
+    with open_bag(recorder.path) as bag:
         assert bag.topics["/heading"].type_name.endswith(name)
         stamps = [bag.deserialize(m.raw, m.type_name).header.stamp.sec for m in bag.messages(["/heading"])]
     assert stamps == [1, 2, 3, 4, 5]
