@@ -170,6 +170,7 @@ STATE = np.dtype(
         ("fixed_ns", np.int64),  # stamp of the last fix
         ("down", np.float64),  # sine of the slope that the tracks drove down as k was learned
         ("rolled", np.float64),  # by the tracks since the start, mean of both, m
+        ("ran", np.float64),  # the same, forward or not
         ("aligning", np.bool_),  # the heading is not known yet
         ("refused_count", np.int64),  # since a fix was inside its gate
         ("refused", REFUSED, (CAPACITY,)),

@@ -94,7 +94,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
-    state.rolled = state.fix_stddevs[:] = 0.0
+    state.rolled = state.ran = state.down = state.fix_stddevs[:] = 0.0
     state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
     forget_fixes(state, False)
     for k in range(MOST_SOURCES):

@@ -56,7 +56,7 @@ from trackslip_estimation.slip.tilt import follow_ground, rise, tilt_by
 from trackslip_estimation.slip.traction import follow_tracks
 from trackslip_estimation.slip.update import hear, use_rate, use_slips
 
-_ON_THE_WAY = 0.1  # m that the tracks have rolled since the start
+_UNDER_WAY = 0.1  # m that the tracks have run since the start
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
 
@@ -91,7 +91,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
 @inlined
 def _follow_ground(state: Any, update: Any) -> None:
     """The height, where the place was corrected; one where it began, or that was found anew, is no way."""
-    if update.follows and update.outcome == _ACCEPTED and abs(state.rolled) > _ON_THE_WAY:
+    if update.follows and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
         before = update.prior_mean
         follow_ground(state, state.mean[X] - before[X], state.mean[Y] - before[Y])
 
@@ -175,7 +175,7 @@ def propagate(state: Any, dt: float, c: Any) -> None:
     rise(state, dt, c)
     if has_velocity_errors(c):
         pass_time(state, dt, c)
-        meet_direction(state, c)
+        meet_direction(state)
     moved, F, Q = linearize(x, P, state, dt, c)
     if has_velocity_errors(c):
         build_up(state, dt, c)

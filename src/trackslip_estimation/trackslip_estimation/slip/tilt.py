@@ -59,23 +59,28 @@ def rise(state: Any, dt: float, c: Any) -> None:
 @compiled
 def follow_ground(state: Any, east: float, north: float) -> None:
     """The height, where a measurement has moved the place by so much: it has shown a way along the ground."""
+    if state.attitude.level.tilted == 1 and (east != 0.0 or north != 0.0):
+        ahead, left = _along_ground(state, east, north)
+        climb(state.attitude, ahead, left, 1.0)
+
+
+@compiled
+def _along_ground(state: Any, east: float, north: float) -> tuple[float, float]:
+    """What is so long on the map, along the machine's axes on the ground: ahead and to its left."""
     level = state.attitude.level
-    if level.tilted == 0 or (east == 0.0 and north == 0.0):
-        return
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     left = (cos * north - sin * east) / (1.0 + level.sideways)
-    ahead = (cos * east + sin * north - left * level.across) / (1.0 + level.forward)
-    climb(state.attitude, ahead, left, 1.0)
+    return (cos * east + sin * north - left * level.across) / (1.0 + level.forward), left
 
 
 @compiled
 def _of_place(state: Any) -> float:
     """Variance of the height, m², by what the place errs by on the slope."""
-    level, P = state.attitude.level, state.covariance
-    ahead = level.downhill_x / (1.0 + level.forward)
-    left = level.downhill_y / ((1.0 + level.forward) * (1.0 + level.sideways))
-    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
-    east, north = cos * ahead - sin * left, sin * ahead + cos * left
+    tilt, P = state.attitude.mean, state.covariance
+    ahead, left = _along_ground(state, 1.0, 0.0)
+    east = rise_of(tilt, ahead, left)
+    ahead, left = _along_ground(state, 0.0, 1.0)
+    north = rise_of(tilt, ahead, left)
     return float(east * east * P[X, X] + 2.0 * east * north * P[X, Y] + north * north * P[Y, Y])
 
 

@@ -65,6 +65,7 @@ def agree(chi2: float, dof: float) -> bool:
 @compiled
 def follow_tracks(state: Any, dt: float, c: Any) -> None:
     """What the tracks go in ``dt`` s."""
+    state.ran += c.rolling_radius * (abs(state.speeds.left) + abs(state.speeds.right)) / 2.0 * dt
     gone = c.rolling_radius * (state.speeds.left + state.speeds.right) / 2.0 * dt
     if gone != 0.0:
         state.rolled += gone

@@ -97,7 +97,7 @@ def horizontal_jacobian(J: FloatArray, level: Any) -> None:
 
 
 @compiled
-def meet_direction(state: Any, c: Any) -> None:
+def meet_direction(state: Any) -> None:
     """Where the tracks drive down what they drove up, or aside, k is another one: the softer, the more."""
     V, level = state.speeds.left + state.speeds.right, state.attitude.level
     if V == 0.0 or level.tilted == 0:
