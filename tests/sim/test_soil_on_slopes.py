@@ -26,6 +26,14 @@ def test_soil_is_the_same_on_a_slope(terrain: str) -> None:
     assert result.probability > 0.8
 
 
+def test_a_track_that_hardly_turned_threw_the_strength_away() -> None:
+    """The last turn downhill drags one track: F_max was 32 % off, and no longer identifiable."""
+    result = run(Trial("sand", 0.01, 1, scenario="field_trial", terrain="slope_down_15"))
+    assert result.limit == pytest.approx(1.0, abs=0.05)
+    low, high = result.limit_interval
+    assert low < 1.0 < high < 1.3
+
+
 def test_ignored_the_slope_is_taken_for_resistance() -> None:
     """What the estimator does without an attitude."""
     result = run(trial("slope_15"), load_setting(slip={"use_attitude": False}))

@@ -38,6 +38,7 @@ from trackslip_estimation.slip.models.speed import (
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.observation import expected, jacobian
 from trackslip_estimation.slip.records import YAW_RATE
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
 FloatArray = NDArray[np.float64]
 
@@ -125,6 +126,22 @@ def test_slips_of_a_track_that_stands_are_the_common_slip(model: str) -> None:
     found = outputs_of(CONFIGS[model], Gaussian(x, np.eye(SIZE)), Speeds(0.0, 0.0, 0.0, differenced=False))
     np.testing.assert_array_equal(found["slips"], (0.07, 0.07, 0.0))
     np.testing.assert_array_equal(found["slip_covariance"], np.diag((1.0, 1.0, 0.0)) + SHARED)
+
+
+@both
+def test_a_track_that_stands_was_said_to_roll_with_the_machine(model: str) -> None:
+    """Its slip was the common one whatever dragged it: to the soil estimator that is a track that drives."""
+    config, P = CONFIGS[model], np.diag(np.arange(1.0, SIZE + 1.0)) * 1e-3
+    x = np.zeros(SIZE)
+    x[FIRST], x[SECOND], x[COMMON_SLIP], x[SPEED_ERROR] = 0.5, 0.1, 0.3, 0.1
+    stands = Speeds(0.0, 2.0, 0.0, differenced=False)
+    found = outputs_of(config, Gaussian(x, P), stands)
+    (v, _, rate), slips = found["twist"], found["slips"]
+    frame = v - rate * TREAD / 2.0
+    assert abs(frame) > 0.03
+    assert abs(frame / (1.0 - slips[0])) < load_soil_parameters().stall.least_speed
+    S = differences(lambda at: outputs_of(config, Gaussian(at, P), stands)["slips"].copy(), x)
+    np.testing.assert_allclose(found["slip_covariance"], S @ P @ S.T, rtol=1e-5, atol=1e-8)
 
 
 @both

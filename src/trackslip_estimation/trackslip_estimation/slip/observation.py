@@ -121,7 +121,7 @@ def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
         H: FloatArray = (1.0 + x[GYRO_SCALE]) * J[2:]
         H[0, GYRO_BIAS], H[0, GYRO_SCALE] = 1.0, twist(x, left, right, c)[2]
         return H
-    return slips_jacobian(twist(x, left, right, c), J, left, right, c)[:2].copy()
+    return slips_jacobian(x, twist(x, left, right, c), J, (left, right), c)[:2].copy()
 
 
 @compiled
@@ -159,7 +159,7 @@ def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
     twist_ = (found[0], found[1], found[2])
     J = body_jacobian(x, left, right, state, c)
     twist_covariance = sandwich(J, P)
-    slip_covariance = sandwich(slips_jacobian(twist_, J, left, right, c), P)
+    slip_covariance = sandwich(slips_jacobian(x, twist_, J, (left, right), c), P)
     if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
         e = rounding(interval, c.encoder_resolution)
         by_left = (_outputs(state, left + e, right, c) - _outputs(state, left - e, right, c)) / 2.0

@@ -118,12 +118,12 @@ def slips(x: FloatArray, twist_: tuple[float, float, float], left: float, right:
 
 @compiled
 def slips_jacobian(
-    twist_: tuple[float, float, float], J: FloatArray, left: float, right: float, c: Any
+    x: FloatArray, twist_: tuple[float, float, float], J: FloatArray, speeds: tuple[float, float], c: Any
 ) -> FloatArray:
     """(3, n) derivative of ``slips`` by the state, where that of the twist is J."""
     if c.model == _FREE_SLIPS:
         return free_slips.slips_jacobian(J.shape[1])
-    return speed.slips_jacobian(twist_, J, left, right, c)
+    return speed.slips_jacobian(x, twist_, J, speeds, c)
 
 
 @compiled

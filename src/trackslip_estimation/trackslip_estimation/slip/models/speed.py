@@ -82,6 +82,7 @@ CONSTANTS = np.dtype(
 )
 _DELAY_WALK = 0.1  # 1/√s: the machine answers its tracks late, and that is not always the same
 _SLOWEST = 0.02  # m/s of track or vehicle, below which slip and slip angle say nothing
+_CREEP = _SLOWEST / 2.0  # m/s, of a track below that
 _SILENT, _STANDING, _TURNING = int(Motion.UNKNOWN), int(Motion.STANDING), int(Motion.TURNING)
 
 
@@ -254,16 +255,21 @@ def add_track_error(Q: FloatArray, heading: float, dt: float, drive: Any, c: Any
 
 @compiled
 def slips(x: FloatArray, twist_: tuple[float, float, float], left: float, right: float, c: Any) -> FloatArray:
-    """(3,) i_L, i_R, α from the twist and the sprockets; where a track stands, the common slip."""
+    """(3,) i_L, i_R, α from the twist and the sprockets.
+
+    Of a track that stands all that is known is that it turns slowly: it skids where the machine drags it
+    along faster than it may creep, else it has the common slip.
+    """
     v_x, v_y, rate = twist_
     found = np.zeros(3)
     for side in range(2):
         track = c.rolling_radius * (left if side == 0 else right)
         sign = -1.0 if side == 0 else 1.0
+        frame = v_x + sign * rate * c.tread / 2.0
         if abs(track) < _SLOWEST:
-            found[side] = x[COMMON_SLIP]
+            found[side] = min(x[COMMON_SLIP], 1.0 - abs(frame) / _CREEP)
         else:
-            found[side] = 1.0 - (v_x + sign * rate * c.tread / 2.0) / track
+            found[side] = 1.0 - frame / track
     if abs(v_x) >= _SLOWEST:
         found[2] = math.atan(v_y / v_x)
     return found
@@ -271,17 +277,20 @@ def slips(x: FloatArray, twist_: tuple[float, float, float], left: float, right:
 
 @compiled
 def slips_jacobian(
-    twist_: tuple[float, float, float], J: FloatArray, left: float, right: float, c: Any
+    x: FloatArray, twist_: tuple[float, float, float], J: FloatArray, speeds: tuple[float, float], c: Any
 ) -> FloatArray:
-    """(3, n) derivative of ``slips``, by that of the twist, J (3, n)."""
-    v_x, v_y, _ = twist_
+    """(3, n) derivative of ``slips`` at the sprockets' ``speeds``, by that of the twist, J (3, n)."""
+    v_x, v_y, rate = twist_
     S = np.zeros(J.shape)
     for side in range(2):
-        track = c.rolling_radius * (left if side == 0 else right)
+        track = c.rolling_radius * speeds[side]
         sign = -1.0 if side == 0 else 1.0
-        if abs(track) < _SLOWEST:
+        frame = v_x + sign * rate * c.tread / 2.0
+        if abs(track) < _SLOWEST and x[COMMON_SLIP] <= 1.0 - abs(frame) / _CREEP:
             S[side, COMMON_SLIP] = 1.0
         else:
+            if abs(track) < _SLOWEST:
+                track = math.copysign(_CREEP, frame)
             S[side] = -(J[0] + sign * c.tread / 2.0 * J[2]) / track
     if abs(v_x) >= _SLOWEST:
         S[2] = (v_x * J[1] - v_y * J[0]) / (v_x * v_x + v_y * v_y)
