@@ -85,3 +85,15 @@ def test_a_wrong_cycle_is_found_out():
         timing.add(k % 16, int(at), k)
     assert timing.cycle_ns == pytest.approx(10 * MS, rel=0.001)
     assert lost[TimingEvent.LOST] < 110 * 256
+
+
+def test_a_late_frame_after_a_gap_made_the_gap_a_stall():
+    """76 frames lost, the next one 6 ms late: 64 of them, whole turns of its counter, were not counted."""
+    events = Counter()
+    timing = FrameTiming(10.0 * MS, 16, lambda event, times: events.update({event: times}))
+    placed = []
+    for number in (*range(100), *range(176, 200)):
+        late_ms = 6 if number == 176 else 0
+        placed += timing.add(number % 16, (10 * number + late_ms) * MS, number)
+    assert events[TimingEvent.LOST] == 76
+    assert [one.stamp_ns // MS - 10 * one.values for one in placed] == [0] * 100 + [6] + [0] * 23

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_drivers.stamping import HostTime, InOrder, PeriodicStamps
+from trackslip_drivers.stamping import HostTime, InOrder, Look, PeriodicStamps
 from trackslip_drivers.transports.host_clock import HostClock
 
 MS = 1_000_000
@@ -101,7 +101,9 @@ class Clocks:
             self.steady_ns += PERIOD
             self.offset_ns += round(slew * PERIOD)
             self.time.look(self.steady_ns + self.offset_ns, self.steady_ns)
-            arrival = self.time.steady(self.steady_ns + self.offset_ns - MS, self.steady_ns)
+            arrival = self.time.steady(
+                self.steady_ns + self.offset_ns - MS, (self.steady_ns - PERIOD, self.steady_ns)
+            )
             assert arrival == self.steady_ns - MS
             self.stamps.append(self.order.next(self.time.stamp(arrival)))
 
@@ -142,7 +144,40 @@ def test_arrival_from_before_a_jump_is_now():
         stale_ns = clocks.steady_ns + clocks.offset_ns - MS
         clocks.offset_ns += jump
         clocks.time.look(clocks.steady_ns + clocks.offset_ns, clocks.steady_ns)
-        assert clocks.time.steady(stale_ns, clocks.steady_ns) == clocks.steady_ns
+        between_ns = clocks.steady_ns - 5 * PERIOD, clocks.steady_ns
+        assert clocks.time.steady(stale_ns, between_ns) == clocks.steady_ns
+
+
+def test_an_arrival_over_a_second_ago_was_now():
+    """Nothing says that a reader is always run within a second; it is true since the port was empty."""
+    clocks = Clocks()
+    clocks.run(10.0)
+    arrived_ns, between_ns = clocks.steady_ns - 5 * S, (clocks.steady_ns - 6 * S, clocks.steady_ns)
+    assert clocks.time.steady(arrived_ns + clocks.offset_ns, between_ns) == arrived_ns
+
+
+def test_an_adapters_clock_that_drifts_was_believed_up_to_a_second():
+    clocks = Clocks()
+    clocks.run(1.0)
+    drifted_ns = clocks.steady_ns + clocks.offset_ns - 900 * MS
+    between_ns = clocks.steady_ns - PERIOD, clocks.steady_ns
+    assert clocks.time.steady(drifted_ns, between_ns) == clocks.steady_ns
+
+
+def test_a_reader_that_was_held_up_knows_until_the_port_is_empty():
+    look = Look(0)
+    for step_ns in (10 * S, 10 * S + 90 * MS):  # as long as opening takes; a wait in vain
+        look.step(step_ns)
+    look.found_nothing()
+    assert look.emptied_ns == 10 * S + 90 * MS
+    assert not look.held_up
+    for found_ns in (12 * S, 12 * S + MS):
+        look.step(found_ns)
+        assert look.emptied_ns == 10 * S + 90 * MS
+        assert look.waited(found_ns - MS, found_ns)  # it seems to be new
+        assert not look.waited(found_ns - S, found_ns)  # it brought its time along
+    look.found_nothing()
+    assert not look.waited(12 * S, 12 * S + MS)
 
 
 def test_order_is_kept_by_the_least_possible():
@@ -151,15 +186,15 @@ def test_order_is_kept_by_the_least_possible():
 
 
 def test_host_clock_sees_the_host_set_back(monkeypatch):
-    clock = HostClock()
     import time
 
+    clock, before_ns = HostClock(), time.monotonic_ns()
     real = time.time_ns
-    steady, jumped = zip(*(clock.arrival(real()) for _ in range(3)), strict=True)
+    steady, jumped = zip(*(clock.arrival(real(), before_ns) for _ in range(3)), strict=True)
     assert not any(jumped)
     before = clock.stamp(steady[-1])
     monkeypatch.setattr(time, "time_ns", lambda: real() - 60 * S)
-    steady, jumped = zip(*(clock.arrival(time.time_ns()) for _ in range(20)), strict=True)
+    steady, jumped = zip(*(clock.arrival(time.time_ns(), before_ns) for _ in range(20)), strict=True)
     assert sum(jumped) == 1
     after = clock.stamp(steady[-1])
     assert 0 < after - before < 20 * S
@@ -183,4 +218,4 @@ def test_interrupted_look_at_the_clocks_stamped_as_early_as_the_last_one(monkeyp
     arrived_ns = now["steady"] = now["steady"] + silence_ms * MS
     host_ns = time.time_ns()
     now["busy"] = 3 * MS
-    assert clock.arrival(host_ns) == (arrived_ns, False)
+    assert clock.arrival(host_ns, 5 * S) == (arrived_ns, False)

@@ -27,8 +27,6 @@ _SAME_READING_NS = 500_000_000  # between what is told of one reading: half of t
 
 _JUMP_NS = 20_000_000  # a change of the host's clock that no slewing makes
 _SLEWING = 1e-3  # of the time between looks; ntpd and chronyd stay below
-_OLDEST_NS = 1_000_000_000  # an arrival further back is from before a jump
-
 _HELD_NS = 400_000_000  # between two looks at a port that take no longer than 0.1 s
 _PROMPT_NS = 20_000_000  # by which a read may come late and still be prompt
 
@@ -38,7 +36,7 @@ class StampEvent(Enum):
 
     MOVED = "stamp moved to stay in order"
     CLOCK_JUMPED = "jumped"
-    WAITED = "bytes that waited while the host was held up"
+    WAITED = "waited while the host was held up"
 
 
 class PeriodicStamps:
@@ -154,6 +152,41 @@ class Backlog:
         return self._waits
 
 
+class Look:
+    """When a port was last found empty, and whether its reader was held up since.
+
+    What is read has come after the one; after the other it may have waited for long. Every step of reading is
+    told, so that it shows wherever the time was lost.
+
+    Args:
+        opening_ns: steady time before the port was opened.
+
+    Attributes:
+        emptied_ns: nothing was there at that steady time.
+        held_up: nothing tells how long what is read now has waited, but a stamp that it brought along.
+    """
+
+    def __init__(self, opening_ns: int) -> None:
+        self.emptied_ns = opening_ns
+        self.held_up = False
+        self._step_ns: int | None = None
+
+    def step(self, now_ns: int) -> None:
+        """The port is about to be read, or has been."""
+        if self._step_ns is not None:
+            self.held_up |= now_ns - self._step_ns >= _HELD_NS
+        self._step_ns = now_ns
+
+    def found_nothing(self) -> None:
+        """There was nothing: since the last step, at least."""
+        if self._step_ns is not None:
+            self.emptied_ns, self.held_up = self._step_ns, False
+
+    def waited(self, arrived_ns: int, now_ns: int) -> bool:
+        """Whether what seems to have arrived at a steady time shortly before ``now_ns`` may have waited."""
+        return self.held_up and now_ns - arrived_ns < _PROMPT_NS
+
+
 @dataclass
 class HostTime:
     """The host's clock against the steady one. It may be set while we run.
@@ -178,10 +211,15 @@ class HostTime:
             self.lead_ns = max(0, self.lead_ns - change_ns)
         return jumped
 
-    def steady(self, host_ns: int, now_ns: int) -> int:
-        """Steady time of an arrival, stamped by the host's clock shortly before ``now_ns`` (steady)."""
+    def steady(self, host_ns: int, between_ns: tuple[int, int]) -> int:
+        """Steady time of an arrival, stamped by the host's clock between two steady times.
+
+        One from before the first of them was stamped by a clock that has since been set, or by another one:
+        it is as late as can be.
+        """
+        earliest_ns, now_ns = between_ns
         steady_ns = min(host_ns - self.offset_ns, now_ns)
-        return steady_ns if now_ns - steady_ns < _OLDEST_NS else now_ns
+        return steady_ns if steady_ns > earliest_ns - _JUMP_NS else now_ns
 
     def stamp(self, steady_ns: int) -> int:
         """What to write into a message."""

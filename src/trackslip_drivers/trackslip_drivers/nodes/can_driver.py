@@ -13,9 +13,10 @@ from trackslip_drivers import conversions
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
-from trackslip_drivers.protocols.can_frames import ERROR_FLAG, load_frames
+from trackslip_drivers.protocols.can_frames import BUS, ERROR_FLAG, load_frames
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan, Sample
 from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
+from trackslip_drivers.stamping import StampEvent
 from trackslip_drivers.transports.can_bus import CanBus, CanFrame
 
 _FRAME_ID = "base_link"
@@ -70,8 +71,12 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
             self._bus_state = bus_state(*data) or self._bus_state
         elif self._bus_state is BusState.OFF:
             self._bus_state = BusState.ACTIVE  # it was restarted, without an error frame
+        arrived_ns = self.arrived(arrival_ns)
+        if self.waited(arrived_ns):
+            self.tally.add(BUS, StampEvent.WAITED)
+            return
         sample: Any
-        for sample in self._can.receive(*data, self.arrived(arrival_ns)):
+        for sample in self._can.receive(*data, arrived_ns):
             output, fill = self._outputs[type(sample)]
             fill(output.message, self.stamped(sample))
             output.publish()

@@ -105,10 +105,16 @@ class DriverNode(TrackslipNode[P]):
 
     def arrived(self, host_ns: int) -> int:
         """Steady time of what a port has just received; notes whether somebody set the host's clock."""
-        steady_ns, has_jumped = self._host.arrival(host_ns)
+        assert self._link is not None
+        steady_ns, has_jumped = self._host.arrival(host_ns, self._link.look.emptied_ns)
         if has_jumped:
             self.tally.add(_HOST_CLOCK, StampEvent.CLOCK_JUMPED)
         return steady_ns
+
+    def waited(self, steady_ns: int) -> bool:
+        """Whether what seems to have arrived just then may have waited for a host that was held up."""
+        assert self._link is not None
+        return self._link.look.waited(steady_ns, time.monotonic_ns())
 
     def stamped(self, sample: S) -> S:
         """The sample as it is published: on the host's clock, later than the one before it."""

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from trackslip_drivers.stamping import PeriodicStamps
 
 _TURN_SHARE = 0.75  # of a turn of the counter: a silence longer than it expects may hide one more
-_BURST = 0.7  # of a cycle: frames closer than that are caught up with
+_BURST = 0.25  # of a cycle: frames closer than that are caught up with; one that is late comes not so near
 _PAUSE = 2.5  # cycles: a longer one may end in a burst, of a sender that does not count
 _PROMPT = 0.5  # of a cycle: frames off by more say nothing of the cycle
 _FEW = 8  # intervals that show a cycle

@@ -23,10 +23,10 @@ class HostClock:
         """How far stamps are ahead of the host's clock, since that was set back."""
         return self._time.lead_ns
 
-    def arrival(self, host_ns: int) -> tuple[int, bool]:
-        """Steady time of an arrival just now, and whether the host's clock has jumped since the last one.
+    def arrival(self, host_ns: int, emptied_ns: int) -> tuple[int, bool]:
+        """Steady time of an arrival, and whether the host's clock has jumped since the last one.
 
-        An interrupted look at the clocks tells nothing of them; the arrival was before its end all the same.
+        It came after ``emptied_ns`` (steady), when nothing was there. An interrupted look at the clocks tells nothing of them; the arrival was before its end all the same.
         """
         has_jumped = False
         with self._lock:
@@ -34,7 +34,7 @@ class HostClock:
             if after_ns - before_ns <= _TOGETHER_NS and before_ns >= self._time.looked_ns:
                 has_jumped = self._time.look(now_ns, before_ns)
                 after_ns = before_ns
-            return self._time.steady(host_ns, after_ns), has_jumped
+            return self._time.steady(host_ns, (emptied_ns, after_ns)), has_jumped
 
     def stamp(self, steady_ns: int) -> int:
         """Time on the host's clock, as it goes into a message."""

@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
+from trackslip_drivers.stamping import Look
+
 T = TypeVar("T")
 
 READ_TIMEOUT_S = 0.1  # longest wait of a port: how soon ``stop`` is noticed
@@ -77,6 +79,9 @@ class Link(Generic[T]):
         handlers: what to call.
         silence_s: a port that stays silent for longer is closed and opened again, as a line that hangs
             half-open reports no error; infinite to wait for ever.
+
+    Attributes:
+        look: how long what is handed on may have waited in the port; for the link's own thread.
     """
 
     def __init__(
@@ -89,6 +94,7 @@ class Link(Generic[T]):
         self._open_port = open_port
         self._handlers = handlers
         self._silence_s = silence_s
+        self.look = Look(time.monotonic_ns())
         self._lock = threading.Lock()  # guards what follows
         self._port: Port[T] | None = None
         self._changed_s = time.monotonic()
@@ -153,6 +159,7 @@ class Link(Generic[T]):
         while not self._stopping.is_set():
             received = False
             try:
+                self.look = Look(time.monotonic_ns())
                 port = self._open_port()
                 try:
                     self._set_port(port)
@@ -182,11 +189,15 @@ class Link(Generic[T]):
         received_s = time.monotonic()
         while not self._stopping.is_set():
             is_silent = True
+            self.look.step(time.monotonic_ns())
             for arrival in port.read():
+                self.look.step(time.monotonic_ns())
                 is_silent = False
                 yield arrival
                 if self._stopping.is_set():
                     return
+                self.look.step(time.monotonic_ns())
+            self.look.found_nothing()
             if not is_silent:
                 received_s = time.monotonic()
                 continue

@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Frames that wait for a driver which is not run keep the times at which they came, or are dropped."""
+
+import itertools
+import math
+import time
+
+import pytest
+import rclpy
+from fixtures.excavator_bus import CYCLE_NS, FRAMES
+from fixtures.node_arguments import ros_arguments
+from rclpy.signals import SignalHandlerOptions
+
+from trackslip_drivers.nodes.can_driver import CanDriverNode
+from trackslip_drivers.records import HydraulicsSample, SprocketSample
+from trackslip_drivers.stamping import StampEvent
+from trackslip_drivers.transports.can_bus import CanBus
+from trackslip_sim.devices.can_device import CanDevice
+
+MS = 1_000_000
+GROUP = "239.74.163.2"
+SPEED = 2.0  # rad/s
+HELD_CYCLES, ALL_CYCLES = (100, 260), 400
+PATIENCE_S = 20.0
+
+
+class HeldDriver(CanDriverNode):
+    """The driver, not run while ``held``; what it would publish is in ``samples``."""
+
+    def __init__(self):
+        self.samples, self.held = [], False
+        super().__init__()
+
+    def receive(self, data, arrival_ns):
+        while self.held:
+            time.sleep(0.001)
+        super().receive(data, arrival_ns)
+
+    def stamped(self, sample):
+        sample = super().stamped(sample)
+        if type(sample) is SprocketSample:
+            self.samples.append(sample)
+        return sample
+
+
+@pytest.fixture
+def driver(domain, udp_port):
+    options = {"can_interface": "udp_multicast", "can_channel": GROUP, "can_port": udp_port}
+    rclpy.init(
+        args=ros_arguments(**options), domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
+    )
+    node = HeldDriver()
+    node.start()
+    yield node
+    node.end()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def wait(condition):
+    give_up = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < give_up, "waited in vain"
+        time.sleep(0.01)
+
+
+def drive(driver, udp_port):
+    """Send the frames of a steady drive; system times of each cycle, and of when it had been sent."""
+    wait(lambda: driver._link is not None and driver._link.state().connected)
+    bus, began_ns = CanBus("udp_multicast", GROUP, {"port": udp_port}), time.time_ns()
+
+    def sprockets(stamp_ns):
+        angle = (stamp_ns - began_ns) * 1e-9 * SPEED
+        return SprocketSample(stamp_ns, angle, angle, SPEED, SPEED)
+
+    def hydraulics(stamp_ns):
+        return HydraulicsSample(stamp_ns, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    device, cycles = CanDevice(FRAMES, sprockets, hydraulics, began_ns), []
+    for number in range(ALL_CYCLES):
+        due_ns = began_ns + number * CYCLE_NS
+        time.sleep(max(due_ns - time.time_ns(), 0) * 1e-9)
+        driver.held = HELD_CYCLES[0] <= number < HELD_CYCLES[1]
+        for frame in device.step(due_ns):
+            bus.write(frame)
+        cycles.append((due_ns, time.time_ns()))
+    bus.close()
+    wait(lambda: driver.samples and driver.samples[-1].stamp_ns > cycles[-10][0])
+    return cycles
+
+
+def test_frames_that_had_waited_for_over_a_second_were_stamped_when_they_were_read(driver, udp_port):
+    """The socket holds less than a second of them; what is lost then is a gap, over which nobody knows."""
+    cycles = drive(driver, udp_port)
+    samples = driver.samples
+    assert sum(cycles[HELD_CYCLES[0]][0] < sample.stamp_ns < cycles[HELD_CYCLES[1]][0] for sample in samples) > 50
+    assert all(sample.left_velocity == pytest.approx(SPEED, abs=0.1) for sample in samples)
+    zero, first = samples[0].left_position, (samples[0].stamp_ns - cycles[0][0]) // CYCLE_NS
+    for sample in itertools.takewhile(lambda sample: not math.isnan(sample.left_position), samples):
+        number = first + round((sample.left_position - zero) / SPEED * 1e9 / CYCLE_NS)
+        assert cycles[number][0] - MS < sample.stamp_ns < cycles[number][1] + MS
+
+
+def test_frames_without_a_time_of_their_own_that_had_waited_were_believed_to_be_new(
+    driver, udp_port, monkeypatch
+):
+    """An adapter that gives none: nothing tells how long they waited."""
+    monkeypatch.setattr("trackslip_drivers.transports.can_bus._stamp_ns", lambda _: time.time_ns())
+    cycles = drive(driver, udp_port)
+    assert driver.tally.total["can", StampEvent.WAITED.value] > 50
+    held_ns, free_ns = (cycles[number][0] for number in HELD_CYCLES)
+    stamps = [sample.stamp_ns for sample in driver.samples]
+    assert any(stamp > free_ns + 500 * MS for stamp in stamps)
+    assert not [stamp for stamp in stamps if held_ns + 20 * MS < stamp < free_ns]
+    assert all(sample.left_velocity == pytest.approx(SPEED, abs=0.1) for sample in driver.samples)
