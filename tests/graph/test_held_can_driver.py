@@ -94,7 +94,8 @@ def test_frames_that_had_waited_for_over_a_second_were_stamped_when_they_were_re
     """The socket holds less than a second of them; what is lost then is a gap, over which nobody knows."""
     cycles = drive(driver, udp_port)
     samples = driver.samples
-    assert sum(cycles[HELD_CYCLES[0]][0] < sample.stamp_ns < cycles[HELD_CYCLES[1]][0] for sample in samples) > 50
+    held_ns, free_ns = (cycles[number][0] for number in HELD_CYCLES)
+    assert sum(held_ns < sample.stamp_ns < free_ns for sample in samples) > 50
     assert all(sample.left_velocity == pytest.approx(SPEED, abs=0.1) for sample in samples)
     zero, first = samples[0].left_position, (samples[0].stamp_ns - cycles[0][0]) // CYCLE_NS
     for sample in itertools.takewhile(lambda sample: not math.isnan(sample.left_position), samples):

@@ -26,7 +26,8 @@ class HostClock:
     def arrival(self, host_ns: int, emptied_ns: int) -> tuple[int, bool]:
         """Steady time of an arrival, and whether the host's clock has jumped since the last one.
 
-        It came after ``emptied_ns`` (steady), when nothing was there. An interrupted look at the clocks tells nothing of them; the arrival was before its end all the same.
+        It came after ``emptied_ns`` (steady), when nothing was there. An interrupted look at the clocks tells
+        nothing of them; the arrival was before its end all the same.
         """
         has_jumped = False
         with self._lock:
