@@ -74,23 +74,24 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--runs", type=int, default=RUNS, help="inputs per byte parser (%(default)s)")
+    parser.add_argument("--runs", type=int, help=f"inputs per byte parser ({RUNS}; with --target, no end)")
     parser.add_argument("--target", choices=TARGETS, help="this one alone, in this process")
     arguments, options = parser.parse_known_args()  # the others are libFuzzer's, or inputs, with --target
     if options and not arguments.target:
         parser.error(f"unknown: {' '.join(options)}")
-    if arguments.runs < 1:
-        print(f"fuzz: RUNS: {arguments.runs} is out of range; accepted: 1 or more", file=sys.stderr)
+    runs = RUNS if arguments.runs is None else arguments.runs
+    if runs < 1:
+        print(f"fuzz: RUNS: {runs} is out of range; accepted: 1 or more", file=sys.stderr)
         return 2
     if not atheris_is_there():
         version = f"{sys.version_info.major}.{sys.version_info.minor}"
         print(f"fuzz: no wheel of atheris for Python {version} here (see {REQUIREMENTS})", file=sys.stderr)
         return 2
     if arguments.target:
-        fuzz(arguments.target, options)
+        fuzz(arguments.target, options if arguments.runs is None else [f"-runs={runs}", *options])
         return 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        clean = list(pool.map(lambda target: report(target, arguments.runs), TARGETS))
+        clean = list(pool.map(lambda target: report(target, runs), TARGETS))
     return 0 if all(clean) else 1
 
 
