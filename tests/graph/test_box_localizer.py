@@ -4,11 +4,16 @@
 
 import itertools
 import math
+import os
+from array import array
 from pathlib import Path
 
 import pytest
+import rclpy
 
+from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import topic_class
+from trackslip_common.nodes.qos import publisher_qos
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
@@ -70,3 +75,46 @@ def test_scan_of_impossible_geometry_is_counted_and_the_node_goes_on(programs, o
     observer.wait(lambda: values().get("scan: malformed") == str(len(bad)), "all to be counted")
     assert program.end()[0] == 0
     assert "failed" not in program.stderr
+
+
+def test_scans_of_ten_megabytes_are_refused_and_their_publisher_is_named(programs, observer):
+    """By what is in the scans and who sends them; the node neither ends nor grows with each."""
+    healths, honest = observer.healths(), observer.publisher("scan")
+    program = programs.node("box_localizer")
+    observer.wait_for_ends("scan", "observer", "box_localizer")
+    observer.wait(lambda: observer.state("box_localizer") == "active", "the localizer")
+    rogue = rclpy.create_node("rogue", context=observer.node.context)
+    scans = rogue.create_publisher(topic_class("scan"), "scan", publisher_qos("scan"))
+    huge = topic_class("scan")(angle_min=-1.0, angle_increment=1e-6, range_max=80.0)
+    huge.ranges = array("f", bytes(10_000_000))
+
+    def last(name):
+        return next((health for health in reversed(healths) if health.name == name), None)
+
+    def refused():
+        values = {pair.key: pair.value for pair in last("box_localizer").values} if healths else {}
+        return int(values.get("scan: malformed", 0))
+
+    def publish_until(count):
+        def is_refused():
+            huge.header.stamp.sec += 1
+            scans.publish(huge)
+            return refused() >= count
+
+        observer.wait(is_refused, f"{count} to be refused")
+        return resident_bytes(program.process.pid)
+
+    few, many = publish_until(3), publish_until(15)
+    assert many - few < 20_000_000
+    observer.wait(lambda: last("box_localizer: inputs") is not None, "its inputs")
+    inputs = last("box_localizer: inputs")
+    assert (inputs.level, inputs.message) == (ERROR, "several publishers of scan")
+    assert "/rogue" in {pair.key: pair.value for pair in inputs.values}["publishers of scan"]
+    assert program.end()[0] == 0
+    assert honest is not None
+    rogue.destroy_node()
+
+
+def resident_bytes(pid):
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
