@@ -97,3 +97,15 @@ def test_a_late_frame_after_a_gap_made_the_gap_a_stall():
         placed += timing.add(number % 16, (10 * number + late_ms) * MS, number)
     assert events[TimingEvent.LOST] == 76
     assert [one.stamp_ns // MS - 10 * one.values for one in placed] == [0] * 100 + [6] + [0] * 23
+
+
+def test_loss_and_stall_together_were_taken_for_a_stall():
+    """64 frames and some are lost, and then the sender is late by some cycles, and catches up."""
+    lost = Counter()
+    timing = FrameTiming(10.0 * MS, 16, lambda event, times: lost.update({event: times}))
+    placed = []
+    for number in (*range(100), *range(176, 220)):
+        late = 1825.0 + 0.2 * (number - 176) if 176 <= number < 183 else 0.0
+        placed += timing.add(number % 16, round(max(10.0 * number, late) * MS), number)
+    assert lost == {TimingEvent.LOST: 76}
+    assert max(abs(one.stamp_ns // MS - 10 * one.values) for one in placed if one.values > 183) == 0

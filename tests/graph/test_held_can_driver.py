@@ -22,6 +22,7 @@ MS = 1_000_000
 GROUP = "239.74.163.2"
 SPEED = 2.0  # rad/s
 HELD_CYCLES, ALL_CYCLES = (100, 260), 400
+FEW = 20  # samples, by which the cycle is known also where the first frames came late
 PATIENCE_S = 20.0
 
 
@@ -96,7 +97,7 @@ def test_frames_that_had_waited_for_over_a_second_were_stamped_when_they_were_re
     samples = driver.samples
     held_ns, free_ns = (cycles[number][0] for number in HELD_CYCLES)
     assert sum(held_ns < sample.stamp_ns < free_ns for sample in samples) > 50
-    assert all(sample.left_velocity == pytest.approx(SPEED, abs=0.1) for sample in samples)
+    assert [s for s in samples[FEW:] if s.left_velocity != pytest.approx(SPEED, abs=0.1)] == []
     zero, first = samples[0].left_position, (samples[0].stamp_ns - cycles[0][0]) // CYCLE_NS
     for sample in itertools.takewhile(lambda sample: not math.isnan(sample.left_position), samples):
         number = first + round((sample.left_position - zero) / SPEED * 1e9 / CYCLE_NS)
@@ -114,4 +115,4 @@ def test_frames_without_a_time_of_their_own_that_had_waited_were_believed_to_be_
     stamps = [sample.stamp_ns for sample in driver.samples]
     assert any(stamp > free_ns + 500 * MS for stamp in stamps)
     assert not [stamp for stamp in stamps if held_ns + 20 * MS < stamp < free_ns]
-    assert all(sample.left_velocity == pytest.approx(SPEED, abs=0.1) for sample in driver.samples)
+    assert [s for s in driver.samples[FEW:] if s.left_velocity != pytest.approx(SPEED, abs=0.1)] == []

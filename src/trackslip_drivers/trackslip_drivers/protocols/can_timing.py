@@ -3,15 +3,17 @@
 """When the frames of one sender were sent: its real cycle, what was lost, and what only came late.
 
 A counter says how many cycles passed, but for whole turns of it. Where the silence before a frame may hide
-such a turn, the sender may as well have stalled, and be about to catch up: the frame is held back until the
-next one comes. If that is at once, nothing was lost. Without a counter nothing tells the frames of a burst
-after a silence from one another: the last of them stands for all.
+such turns, the sender may as well have stalled, and be about to catch up: frames are held back until two of
+them have come in their own time. The one that is least late by its count then shows the turns that were lost:
+of a sender that only stalled, none. Without a counter nothing tells the frames of a burst after a silence
+from one another: the last of them stands for all.
 
 The cycle is measured: a DBC's own is believed only where the frames come like that. The time that has passed
 for the sender is cycles counted times the cycle, so that the jitter of arrivals does not enter; without a
 counter it is that between stamps.
 """
 
+import math
 import statistics
 from collections import deque
 from collections.abc import Callable
@@ -21,7 +23,7 @@ from typing import Any, NamedTuple
 from trackslip_drivers.stamping import PeriodicStamps
 
 _TURN_SHARE = 0.75  # of a turn of the counter: a silence longer than it expects may hide one more
-_BURST = 0.25  # of a cycle: frames closer than that are caught up with; one that is late comes not so near
+_MOST_HELD = 1000  # frames; more come at once only from a sender without end
 _PAUSE = 2.5  # cycles: a longer one may end in a burst, of a sender that does not count
 _PROMPT = 0.5  # of a cycle: frames off by more say nothing of the cycle
 _FEW = 8  # intervals that show a cycle
@@ -56,10 +58,8 @@ class Placed(NamedTuple):
 
 
 class _Held(NamedTuple):
-    number: int | None  # the sender's counter
+    number: int  # the sender's counter; 0 where there is none
     arrival_ns: int
-    cycles: int  # at least
-    turns: int  # of the counter, if it did not stall
     values: Any
 
 
@@ -147,7 +147,8 @@ class FrameTiming:
         self._accepted_ns: int | None = None  # arrival of the last frame accepted
         self._seen_ns = 0  # and seen
         self._stamp_ns = 0  # of the last one placed
-        self._held: _Held | None = None
+        self._held: list[_Held] = []
+        self._before = _Held(0, 0, None)  # what those held come after
         self._filter: PeriodicStamps | None = None
         self._filter_ns = 0.0
 
@@ -158,7 +159,8 @@ class FrameTiming:
 
     def resume(self) -> None:
         """The frames before are continued by time alone."""
-        self._held = self._count = self._filter = None
+        self._held = []
+        self._count = self._filter = None
 
     def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Placed]:
         """A frame that passed all checks; returns those whose times are known now."""
@@ -166,32 +168,59 @@ class FrameTiming:
 
     def _counted(self, count: int | None, arrival_ns: int, values: Any) -> list[Placed]:
         assert count is not None
-        if self._accepted_ns is None or (self._count is None and self._held is None):
-            return [self._accept(_Held(count, arrival_ns, 0, 0, values), 0)]
-        placed = []
-        held = self._held
-        if held is not None:
-            self._held = None
-            cycle_ns = self._meter.cycle_ns or 0.0
-            is_burst = arrival_ns - held.arrival_ns < _BURST * cycle_ns and held.cycles > 0
-            placed.append(
-                self._accept(held, held.cycles if is_burst else held.cycles + held.turns * self._modulus)
-            )
-        assert self._count is not None
+        frame, placed = _Held(count, arrival_ns, values), []
+        if self._held:
+            if not self._turns(self._excess(frame, self._held[-1])):
+                self._held.append(frame)
+                return self._settle() if self._has_caught_up() else []
+            placed = self._settle()
+        if self._accepted_ns is None or self._count is None:
+            return [self._accept(frame, 0)]
         cycles = (count - self._count) % self._modulus
         # A sender stuck at one count keeps being seen, so its silence never grows to a turn.
-        since_ns = self._seen_ns if cycles == 0 else self._accepted_ns
+        self._before = _Held(self._count, self._seen_ns if cycles == 0 else self._accepted_ns, None)
         self._seen_ns = arrival_ns
-        turns = 0
-        if self._meter.cycle_ns:
-            excess = (arrival_ns - since_ns) / self._meter.cycle_ns - cycles
-            turns = max(0, int(excess / self._modulus + (1.0 - _TURN_SHARE)))
-        if turns:
-            self._held = _Held(count, arrival_ns, cycles, turns, values)
+        if self._turns(self._excess(frame, self._before)):
+            self._held = [frame]
         elif cycles:
-            placed.append(self._accept(_Held(count, arrival_ns, cycles, 0, values), cycles))
+            placed.append(self._accept(frame, cycles))
         else:
             self._tell(TimingEvent.ALIVE_REPEATED, 1)
+        return placed
+
+    def _excess(self, frame: _Held, before: _Held) -> float:
+        """By how many cycles a frame comes later than the counts have it, if no turn of them passed."""
+        if not self._meter.cycle_ns:
+            return 0.0
+        cycles = (frame.number - before.number) % self._modulus
+        return (frame.arrival_ns - before.arrival_ns) / self._meter.cycle_ns - cycles
+
+    def _turns(self, excess: float) -> int:
+        """Of the counter, in so many cycles."""
+        return max(0, int(excess / self._modulus + (1.0 - _TURN_SHARE)))
+
+    def _has_caught_up(self) -> bool:
+        """Whether the last two of the frames held came in their own time."""
+        times = [frame.arrival_ns for frame in self._held[-3:]]
+        apart = _PROMPT * (self._meter.cycle_ns or 0.0)
+        is_prompt = len(times) == 3 and min(times[2] - times[1], times[1] - times[0]) >= apart
+        return is_prompt or len(self._held) >= _MOST_HELD
+
+    def _settle(self) -> list[Placed]:
+        """Place the frames held, after as many turns as the least late of them shows."""
+        frames, self._held = self._held, []
+        steps, late, least, before = [], 0.0, math.inf, self._before
+        for frame in frames:
+            steps.append((frame.number - before.number) % self._modulus)
+            late += self._excess(frame, before)
+            least, before = min(least, late), frame
+        turns, placed = self._turns(least), []
+        for frame, step in zip(frames, steps, strict=True):
+            if step or turns:
+                placed.append(self._accept(frame, step + turns * self._modulus))
+            else:
+                self._tell(TimingEvent.ALIVE_REPEATED, 1)
+            turns = 0
         return placed
 
     def _accept(self, frame: _Held, cycles: int) -> Placed:
@@ -210,23 +239,23 @@ class FrameTiming:
         return Placed(stamp_ns, max(elapsed_ns, 0), frame.values)
 
     def _timed(self, arrival_ns: int, values: Any) -> list[Placed]:
-        frame = _Held(None, arrival_ns, 0, 0, values)
+        frame = _Held(0, arrival_ns, values)
         if self._accepted_ns is None:
             self._seen_ns = arrival_ns
             return [self._accept(frame, 0)]
         since_ns = arrival_ns - self._seen_ns
         self._seen_ns = arrival_ns
         self._meter.add(since_ns, 1)
-        cycle_ns, held = self._meter.cycle_ns, self._held
+        cycle_ns = self._meter.cycle_ns
         if cycle_ns and 0 <= since_ns < _PROMPT * cycle_ns:
             self._tell(TimingEvent.BURST, 1)
-            if held is not None:
-                self._held = frame
+            if self._held:
+                self._held = [frame]
             return []
-        self._held = None
-        placed = [] if held is None else [self._accept_timed(held)]
+        placed = [self._accept_timed(held) for held in self._held]
+        self._held = []
         if cycle_ns and since_ns > _PAUSE * cycle_ns:
-            self._held = frame
+            self._held = [frame]
             return placed
         return [*placed, self._accept_timed(frame)]
 
