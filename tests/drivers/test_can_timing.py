@@ -109,3 +109,12 @@ def test_loss_and_stall_together_were_taken_for_a_stall():
         placed += timing.add(number % 16, round(max(10.0 * number, late) * MS), number)
     assert lost == {TimingEvent.LOST: 76}
     assert max(abs(one.stamp_ns // MS - 10 * one.values) for one in placed if one.values > 183) == 0
+
+
+def test_a_sender_that_comes_back_faster_is_not_held_back():
+    """Frames less than half a cycle apart are no burst for ever: they make up the silence, and go on."""
+    timing = FrameTiming(10.0 * MS, 16, lambda *_: None)
+    found = [timing.add(number % 16, 10 * number * MS, number) for number in range(100)]
+    found += [timing.add(number % 16, (1500 + 4 * (number - 100)) * MS, number) for number in range(100, 500)]
+    assert sum(map(len, found)) == 500
+    assert max(len(each) for each in found) < 100

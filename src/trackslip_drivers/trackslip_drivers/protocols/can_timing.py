@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from trackslip_drivers.stamping import PeriodicStamps
 
 _TURN_SHARE = 0.75  # of a turn of the counter: a silence longer than it expects may hide one more
-_MOST_HELD = 1000  # frames; more come at once only from a sender without end
+_MOST_HELD = 300  # frames; more come at once only from a sender that has another cycle now
 _PAUSE = 2.5  # cycles: a longer one may end in a burst, of a sender that does not count
 _PROMPT = 0.5  # of a cycle: frames off by more say nothing of the cycle
 _FEW = 8  # intervals that show a cycle
@@ -149,6 +149,7 @@ class FrameTiming:
         self._stamp_ns = 0  # of the last one placed
         self._held: list[_Held] = []
         self._before = _Held(0, 0, None)  # what those held come after
+        self._late = self._least = 0.0  # the last of them and the least late one, cycles
         self._filter: PeriodicStamps | None = None
         self._filter_ns = 0.0
 
@@ -171,7 +172,7 @@ class FrameTiming:
         frame, placed = _Held(count, arrival_ns, values), []
         if self._held:
             if not self._turns(self._excess(frame, self._held[-1])):
-                self._held.append(frame)
+                self._hold(frame, self._held[-1])
                 return self._settle() if self._has_caught_up() else []
             placed = self._settle()
         if self._accepted_ns is None or self._count is None:
@@ -181,7 +182,8 @@ class FrameTiming:
         self._before = _Held(self._count, self._seen_ns if cycles == 0 else self._accepted_ns, None)
         self._seen_ns = arrival_ns
         if self._turns(self._excess(frame, self._before)):
-            self._held = [frame]
+            self._late, self._least = 0.0, math.inf
+            self._hold(frame, self._before)
         elif cycles:
             placed.append(self._accept(frame, cycles))
         else:
@@ -199,23 +201,25 @@ class FrameTiming:
         """Of the counter, in so many cycles."""
         return max(0, int(excess / self._modulus + (1.0 - _TURN_SHARE)))
 
+    def _hold(self, frame: _Held, before: _Held) -> None:
+        self._held.append(frame)
+        self._late += self._excess(frame, before)
+        self._least = min(self._least, self._late)
+
     def _has_caught_up(self) -> bool:
-        """Whether the last two of the frames held came in their own time."""
+        """Whether nothing was lost, or the last two of the frames held came in their own time."""
         times = [frame.arrival_ns for frame in self._held[-3:]]
         apart = _PROMPT * (self._meter.cycle_ns or 0.0)
         is_prompt = len(times) == 3 and min(times[2] - times[1], times[1] - times[0]) >= apart
-        return is_prompt or len(self._held) >= _MOST_HELD
+        return is_prompt or not self._turns(self._least) or len(self._held) >= _MOST_HELD
 
     def _settle(self) -> list[Placed]:
         """Place the frames held, after as many turns as the least late of them shows."""
         frames, self._held = self._held, []
-        steps, late, least, before = [], 0.0, math.inf, self._before
+        turns, placed, before = self._turns(self._least), [], self._before
         for frame in frames:
-            steps.append((frame.number - before.number) % self._modulus)
-            late += self._excess(frame, before)
-            least, before = min(least, late), frame
-        turns, placed = self._turns(least), []
-        for frame, step in zip(frames, steps, strict=True):
+            step = (frame.number - before.number) % self._modulus
+            before = frame
             if step or turns:
                 placed.append(self._accept(frame, step + turns * self._modulus))
             else:
