@@ -92,6 +92,14 @@ def forget_fixes(state: Any, anchored: bool) -> None:
 
 
 @compiled
+def lose_heading(state: Any) -> None:
+    """From here on no heading is known, if that which was is no longer one."""
+    if not state.aligning and state.covariance[YAW, YAW] > UNKNOWN_HEADING**2:
+        state.aligning = True
+        forget_fixes(state, False)
+
+
+@compiled
 def thin(state: Any) -> None:
     """Forget every second refused fix: as long as no heading is known, the way from the start counts."""
     for k in range(CAPACITY // 2):

@@ -6,7 +6,8 @@
     τ       how long an unknown speed lasts                 s
     x, P    mean and covariance of the state
 
-The pose is held where it was and its uncertainty grows as that of a random walk, by v̂ √(2 τ t). Where
+Before, the sprockets' last speeds are taken to go on, and have errors of v̂ √(t/τ) and ω̂ √(t/τ) more. Then
+the pose is held where it was and its uncertainty grows as that of a random walk, by v̂ √(2 τ t). Where
 velocity errors are states, all of speed and yaw rate is an error now. They are forgotten after each step, so
 that a gyro that still works carries the heading on; over the first step the yaw rate may have changed by ω̂
 √(t/τ).
@@ -22,10 +23,8 @@ from typing import Any
 from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.model import LASTS, SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR
-
-LASTS = 1.0  # s, τ
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.coasting import LASTS
 from trackslip_estimation.slip.models import speed
 from trackslip_estimation.slip.models.dispatch import body_twist, has_velocity_errors
-from trackslip_estimation.slip.models.model import YAW, X, Y
+from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
 from trackslip_estimation.slip.motion import rounding
 
 FloatArray = NDArray[np.float64]

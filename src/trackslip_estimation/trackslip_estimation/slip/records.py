@@ -155,6 +155,7 @@ STATE = np.dtype(
         ("shear", np.float64, (2,)),  # of the left and right track, see ``models.shear``
         ("coasting", np.bool_),  # the sprockets have been silent for too long
         ("sample", SAMPLE),  # the last of the sprockets
+        ("unheard", np.float64),  # s since it, in the middle of a step in which its speeds are taken to go on
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
         ("refused_ns", np.int64, (MOST_SOURCES,)),  # for how long it has insisted since, its silences apart
         ("heard_ns", np.int64, (MOST_SOURCES,)),  # stamp of its last measurement; of poses never

@@ -5,8 +5,9 @@
 An interval lies between two samples. Where it is longer than the timeout, its first part (as long as the
 timeout) is taken to go on as the interval before; the rest is *silence*: how fast the sprockets turned in it
 is unknown, whatever the positions at its ends say (a driver that was restarted counts from elsewhere). Beyond
-the newest sample it is the same. Between a start and the first sample, where that comes within the timeout,
-the speeds are those that it shows, and may have been others (``coasting.doubt_start``).
+the newest sample it is the same. The longer speeds are taken to go on, the more they may have changed, up to
+what silence leaves of them (``coasting``). Between a start and the first sample, where that comes within the
+timeout, the speeds are those that it shows, and may have been others (``coasting.doubt_start``).
 
 Speeds come from the difference of positions where there are positions and they do not jump; else they are the
 measured ones of the sample that closes the interval.
@@ -31,6 +32,7 @@ def set_speeds(state: Any, closing: Any, stamp_ns: int, c: Any) -> int:
     That is ``stamp_ns``, or an earlier one beyond which there is silence.
     """
     sample, speeds = state.sample, state.speeds
+    state.unheard = 0.0
     closed = closing.kind == SPROCKETS
     if not sample.seen:  # its stamp is that of the start
         in_time = closed and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
@@ -40,7 +42,9 @@ def set_speeds(state: Any, closing: Any, stamp_ns: int, c: Any) -> int:
     if not sample.known:
         return int(sample.stamp_ns)
     _copy(sample.speeds, speeds)
-    return int(min(stamp_ns, sample.stamp_ns + c.sprocket_timeout_ns))
+    known_ns = int(min(stamp_ns, sample.stamp_ns + c.sprocket_timeout_ns))
+    state.unheard = max((state.stamp_ns + known_ns) / 2.0 - sample.stamp_ns, 0.0) * 1e-9
+    return known_ns
 
 
 @compiled

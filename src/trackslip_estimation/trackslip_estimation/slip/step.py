@@ -19,7 +19,13 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, doubt_direction, forget_fixes, forget_refused
+from trackslip_estimation.slip.alignment import (
+    UNKNOWN_HEADING,
+    doubt_direction,
+    forget_fixes,
+    forget_refused,
+    lose_heading,
+)
 from trackslip_estimation.slip.altitude import use_altitude
 from trackslip_estimation.slip.coasting import begin_coast, doubt_start, inflate, reset_velocity
 from trackslip_estimation.slip.fixes import use_pose
@@ -163,6 +169,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
     propagate(state, dt, c)
     inflate(state, dt, c)
     reset_velocity(state, c)
+    lose_heading(state)
     state.coasting = True
 
 

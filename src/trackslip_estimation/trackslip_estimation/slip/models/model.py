@@ -23,6 +23,7 @@ SWING, SWING_RATE = BELOW, BELOW + 1  # σ of the upper structure (``swing``) an
 SENSOR_ERRORS = SWING_RATE + 1  # of sources that have errors of their own (``own_errors``)
 MOST_SENSOR_ERRORS = 7
 SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; what a model has not is zero
+LASTS = 1.0  # s, for which a speed lasts that nothing shows
 
 
 class Part(NamedTuple):

@@ -43,6 +43,7 @@ from trackslip_estimation.slip.models.model import (
     FIX_DELAY,
     GYRO_BIAS,
     GYRO_SCALE,
+    LASTS,
     SIZE,
     Part,
     Prior,
@@ -222,7 +223,11 @@ def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[f
     of_speed += (steady**2 + changing**2) * yielding + e.standing**2
     of_speed += c.adaptation.forward**2 * of_tracks / 4.0
     of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
-    return of_speed, of_rate / (c.tread * c.tread)
+    goes_on = drive.unheard / LASTS
+    return (
+        of_speed + goes_on * c.speed_limit**2,
+        of_rate / (c.tread * c.tread) + goes_on * c.yaw_rate_limit**2,
+    )
 
 
 @compiled
