@@ -45,7 +45,7 @@ COMMANDS: dict[str, tuple[Sequence[str], float]] = {
 }
 PLAN = """\
 objective: likelihood
-evaluations: 1000  # still at work when the interruption comes
+evaluations: 10000  # still at work when the interruption comes
 seed: 0
 parameters:
   turning.loss: {low: 0.001, high: 0.1, scale: log}

@@ -45,6 +45,25 @@ def test_a_rigid_motion_is_found_exactly() -> None:
     assert at == pytest.approx((10.0, -3.0))
 
 
+@pytest.mark.parametrize("share", [0.25, 1.0])
+def test_a_way_that_fixes_hardly_show_was_taken_for_a_heading(share: float) -> None:
+    """Found by random outages: a machine starts later than its tracks, and noise turned it."""
+    random, angle = np.random.default_rng(2), 0.7
+    turn = np.array(((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))))
+    driven = np.zeros((12, 2))
+    driven[9:, 0] = 0.02, 0.04, 0.06
+    shares = []
+    for _ in range(400):
+        fixes = share * driven @ turn.T + random.normal(0.0, 0.006, (12, 2))
+        refused = np.zeros(12, REFUSED)
+        refused["predicted_x"], refused["predicted_y"] = driven.T
+        refused["x"], refused["y"] = fixes.T
+        refused["variance"] = 0.006**2
+        found = rigid_motion(refused, 12, 0.0)
+        shares.append(np.angle(np.exp(1j * (found.rotation - angle))) / found.stddev)
+    assert 0.4 < np.mean(np.square(shares)) < 1.3
+
+
 @pytest.mark.parametrize("angle", [math.pi / 2.0, math.pi, -2.0])
 def test_a_wrong_heading_is_found_within_ten_metres(angle: float) -> None:
     recorded = drive(Machine(duration=60.0))

@@ -140,6 +140,7 @@ def rigid_motion(refused: Any, count: int, track_variance: float) -> RigidMotion
         e_y = refused[k].y - z_y - (sin * a_x + cos * a_y)
         chi2 += (e_x * e_x + e_y * e_y) / (variance + path_variance * (a_x * a_x + a_y * a_y))
     stddev = math.sqrt((variance + path_variance * spread / count) / max(spread, 1e-12))
+    stddev *= max(spread / max(math.hypot(along, across), 1e-12), 1.0)  # more, where it hardly goes
     return RigidMotion(rotation, stddev, chi2, (p_x, p_y), (z_x, z_y), variance)
 
 
