@@ -24,7 +24,7 @@ from trackslip_drivers.can_parameters import NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_binding import Binder
 from trackslip_drivers.protocols.can_codec import CHECKSUMS, Codec, Protection, Value
 from trackslip_drivers.protocols.can_roles import read_roles
-from trackslip_drivers.protocols.can_timing import FrameTiming, TimingEvent
+from trackslip_drivers.protocols.can_timing import CountedFrames, FrameTiming, TimingEvent, UncountedFrames
 
 ERROR_FLAG = 1 << 29  # set beside the id by the transport for error frames
 STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
@@ -222,10 +222,15 @@ class FrameDecoder:
                 self._timings.clear()  # of a bus full of nonsense
             tally = self._tally
 
-            def count(event: TimingEvent, times: int) -> None:
+            def tell(event: TimingEvent, times: int) -> None:
                 tally.add(codec.name, event, times)
 
-            timing = self._timings[arbitration_id] = FrameTiming(codec.nominal_ns, codec.modulus, count)
+            nominal_ns, modulus = codec.nominal_ns, codec.modulus
+            if modulus:
+                timing = CountedFrames(nominal_ns, modulus, tell)
+            else:
+                timing = UncountedFrames(nominal_ns, tell)
+            self._timings[arbitration_id] = timing
         return timing
 
     def _reject(self, source: str, reason: Rejection) -> Rejection:
