@@ -93,7 +93,7 @@ def forget_fixes(state: Any, anchored: bool) -> None:
 
 @compiled
 def lose_heading(state: Any) -> None:
-    """From here on no heading is known, if that which was is no longer one."""
+    """Begin to align where the heading has become too uncertain to be one."""
     if not state.aligning and state.covariance[YAW, YAW] > UNKNOWN_HEADING**2:
         state.aligning = True
         forget_fixes(state, False)

@@ -210,7 +210,10 @@ def error_growth(dt: float, motion: int, c: Any) -> tuple[float, float, float]:
 
 @compiled
 def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[float, float]:
-    """Of m_v, (m/s)², and of m_ω, (rad/s)²; expected, as far as i₀ is known."""
+    """Of m_v, (m/s)², and of m_ω, (rad/s)²; expected, as far as i₀ is known.
+
+    Speeds that are only taken to go on may have changed since (``coasting``).
+    """
     e, speeds, motion = c.velocity_errors, drive.speeds, drive.motion
     if motion.motion == _TURNING:
         steady = e.turning * c.rolling_radius * (speeds.right - speeds.left)
