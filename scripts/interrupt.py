@@ -39,13 +39,13 @@ COMMANDS: dict[str, tuple[Sequence[str], float]] = {
             "--output",
             "out/interrupt/tuned",
         ),
-        15.0,
+        4.0,
     ),
     "study": ((TRACKSLIP, "study", "--soil", "sand", "--filter", "ekf", "--seeds", "20"), 15.0),
 }
 PLAN = """\
 objective: likelihood
-evaluations: 10000  # still at work when the interruption comes
+evaluations: 1000
 seed: 0
 parameters:
   turning.loss: {low: 0.001, high: 0.1, scale: log}

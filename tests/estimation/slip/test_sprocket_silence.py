@@ -157,12 +157,13 @@ def test_a_heading_lost_in_silence_was_corrected_the_wrong_way(
     way by a tangent, to 170 standard deviations, for good. And a machine that stopped as its sprockets fell
     silent seemed to slip, for their last speeds were taken to go on without a doubt.
     """
-    speed = turn / 3.0 * 0.81 / 0.16
+    kinematics = load_slip_parameters().vehicle.kinematics
+    speed = turn / 3.0 * kinematics.tread / kinematics.rolling_radius / 2.0  # of each sprocket, 3 s long
     for seed in range(4):
         driven = drive(
             [
                 (5.0, 2.0, 2.0, 0.0, 0.0, 0.0),
-                (3.0, -speed / 2.0, speed / 2.0, 0.0, 0.0, 0.0),
+                (3.0, -speed, speed, 0.0, 0.0, 0.0),
                 (4.0, 0.0, 0.0, 0.0, 0.0, 0.0),
                 (8.0, 2.0, 2.0, 0.0, 0.0, 0.0),
             ],

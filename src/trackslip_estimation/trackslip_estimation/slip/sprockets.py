@@ -43,7 +43,7 @@ def set_speeds(state: Any, closing: Any, stamp_ns: int, c: Any) -> int:
         return int(sample.stamp_ns)
     _copy(sample.speeds, speeds)
     known_ns = int(min(stamp_ns, sample.stamp_ns + c.sprocket_timeout_ns))
-    state.unheard = max((state.stamp_ns + known_ns) / 2.0 - sample.stamp_ns, 0.0) * 1e-9
+    state.unheard = ((state.stamp_ns - sample.stamp_ns) + (known_ns - sample.stamp_ns)) / 2.0 * 1e-9
     return known_ns
 
 
