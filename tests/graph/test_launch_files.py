@@ -46,6 +46,18 @@ def test_the_graph_is_closed_unless_its_environment_says_otherwise(
     assert launched(file)[1][RANGE] == "SUBNET"
 
 
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+@pytest.mark.parametrize("fast_dds", ["FASTRTPS", "FASTDDS"])
+def test_fast_dds_gets_our_profile_unless_it_has_one(
+    file: Path, fast_dds: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    variable = f"{fast_dds}_DEFAULT_PROFILES_FILE"
+    monkeypatch.delenv(variable, raising=False)
+    assert "<udpv4/>" in Path(launched(file)[1][variable]).read_text(encoding="utf-8")
+    monkeypatch.setenv(variable, "/etc/own.xml")
+    assert launched(file)[1][variable] == "/etc/own.xml"
+
+
 def test_switches_choose_the_nodes() -> None:
     laser = {"box_localizer", "slip_estimator", "soil_estimator", "record"}
     assert names(NAVIGATION) == laser

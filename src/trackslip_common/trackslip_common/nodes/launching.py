@@ -26,6 +26,10 @@ _COMMON = {
     "live": ("false", "serve the live page, at http://127.0.0.1:5006/ unless params_file says otherwise"),
 }
 _RANGE, _PEERS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("ROS_STATIC_PEERS", "")
+_PROFILES = {  # of Fast DDS 2 and 3, each by a variable of its own
+    "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps.xml",
+    "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds.xml",
+}
 _OF_SWITCH = {
     "sick_pls": "laser",
     "box_localizer": "laser",
@@ -60,7 +64,10 @@ def declared(**own: tuple[str, str]) -> list[DeclareLaunchArgument | SetEnvironm
 
 
 def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
-    """This computer alone hears the graph, and the peers that are named; what is set already stays."""
+    """This computer alone hears the graph, and the peers that are named; what is set already stays.
+
+    Fast DDS gets our profile, which tells why.
+    """
     about = "addresses of further computers, such as an operator's laptop, parted by ;"
     set_range, set_peers = (
         EnvironmentVariable(name, default_value=default) for name, default in (_RANGE, _PEERS)
@@ -69,6 +76,10 @@ def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
         DeclareLaunchArgument("peers", default_value=set_peers, description=about),
         SetEnvironmentVariable(_RANGE[0], set_range),
         SetEnvironmentVariable(_PEERS[0], LaunchConfiguration("peers")),
+        *(
+            SetEnvironmentVariable(name, EnvironmentVariable(name, default_value=str(config_file(file))))
+            for name, file in _PROFILES.items()
+        ),
     ]
 
 
