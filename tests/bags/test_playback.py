@@ -73,10 +73,22 @@ def test_nothing_comes_and_no_time_passes_in_a_pause() -> None:
 
 def test_what_is_not_taken_stays_due() -> None:
     playback = Playback(three, rate=1.0)
-    playback.bag_ns += 10 * S
-    first = next(playback.due(0.0))
-    assert first.raw == b"0"
-    assert taken(playback, 0.0) == ["1", "3"]
+    assert taken(playback, 0.0) == ["0"]
+    first = next(playback.due(10.0))
+    assert first.raw == b"1"
+    assert taken(playback, 10.0) == ["3"]
+
+
+def test_the_clock_ran_ahead_of_messages_that_were_still_to_be_played() -> None:
+    """A player that stood still for 3 s at four times the speed told a time 12 s ahead, beyond the end."""
+    playback = Playback(three, rate=4.0)
+    assert taken(playback, 0.0) == ["0"]
+    messages = playback.due(3.0)
+    assert playback.bag_ns == BEGIN_NS
+    next(messages)
+    assert playback.bag_ns == BEGIN_NS + 3 * S
+    assert [message.raw for message in messages] == [b"3"]
+    assert playback.bag_ns == BEGIN_NS + 3 * S
 
 
 def test_a_loop_begins_again_with_its_time() -> None:

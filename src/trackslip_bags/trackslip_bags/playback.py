@@ -72,7 +72,7 @@ class Playback:
     ) -> None:
         self.paused = paused
         self.counts: Counter[str] = Counter()  # messages played, by topic
-        self.bag_ns = 0  # log time that is reached
+        self._due_ns = self._played_ns = 0  # log times: what has come by now, and of the last one played
         self._begin = messages
         self._rate = rate
         self._loop = loop
@@ -86,13 +86,19 @@ class Playback:
         """Whether all was played."""
         return self._next is None
 
+    @property
+    def bag_ns(self) -> int:
+        """Log time that is reached: never beyond what is still to be played, nor the end."""
+        return self._played_ns if self._next is None else min(self._due_ns, self._next.log_time_ns)
+
     def due(self, now_s: float) -> Iterator[Played]:
         """Let the time pass until now; the messages whose turn has come. Those not taken stay due."""
         if self._now_s is not None and not self.paused:
-            self.bag_ns += round((now_s - self._now_s) * self._rate * 1e9)
+            self._due_ns += round((now_s - self._now_s) * self._rate * 1e9)
         self._now_s = now_s
-        while self._next is not None and self._next.log_time_ns <= self.bag_ns and not self.paused:
+        while self._next is not None and self._next.log_time_ns <= self._due_ns and not self.paused:
             message, self._next = self._next, next(self._messages, None)
+            self._played_ns = message.log_time_ns
             self.counts[message.topic] += 1
             if self._next is None and self._loop:
                 self._rewind()
@@ -102,7 +108,7 @@ class Playback:
         self._messages = self._begin()
         self._next = next(self._messages, None)
         if self._next is not None:
-            self.bag_ns = self._next.log_time_ns
+            self._due_ns = self._next.log_time_ns
 
 
 def _published(name: str, filters: InputFilters) -> str:
