@@ -7,11 +7,13 @@ import os
 from pathlib import Path
 
 import pytest
+from fixtures.patience import wait_for
 
 from trackslip_common.errors import InputError
 from trackslip_sim.demo.domain import claimed_domain
-from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
+from trackslip_sim.demo.graph import LIVE, DemoOptions, NodeSpec, demo_nodes
 from trackslip_sim.demo.output import DEMO, LOGS, Results, claim
+from trackslip_sim.demo.processes import Processes
 from trackslip_sim.demo.show import status
 
 
@@ -117,3 +119,17 @@ def test_lines_of_the_drive_were_cut_off_at_80_columns(known):
     text = status(3599.9, pose, (-1.0, 1.0, -math.pi / 2.0), rates)
     assert max(map(len, text.splitlines())) <= 80
     assert all(topic in text for topic in rates)
+
+
+def test_a_node_that_had_to_be_killed_was_not_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("trackslip_sim.demo.processes._GRACE", 0.1)
+    deaf = tmp_path / "lib" / "some" / "deaf"
+    deaf.parent.mkdir(parents=True)
+    deaf.write_text("#!/bin/sh\ntrap '' INT\necho up\nsleep 600 & wait\n")
+    deaf.chmod(0o755)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    processes = Processes(tmp_path, os.environ)
+    processes.start(NodeSpec("some", "deaf"))
+    wait_for(lambda: processes.log("deaf") == "up")
+    processes.stop()
+    assert capsys.readouterr().err == "deaf did not end within 0.1 s of being asked, and was killed\n"

@@ -7,6 +7,7 @@ import ctypes
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from trackslip_common.errors import InputError
 from trackslip_sim.demo.graph import NodeSpec
 
 _PR_SET_PDEATHSIG = 1
-_GRACE = 2.0  # s between asking and insisting
+_GRACE = 10.0  # s between asking and insisting: a recorder that is killed leaves a bag without its end
 _POLL = 0.02  # s
 
 
@@ -84,10 +85,13 @@ class Processes:
         give_up = time.monotonic() + _GRACE
         while time.monotonic() < give_up and any(process.poll() is None for process in chosen.values()):
             time.sleep(_POLL)
+        killed = [name for name, process in chosen.items() if process.poll() is None]
+        for name in killed:
+            _signal(chosen[name], signal.SIGKILL)
         for process in chosen.values():
-            if process.poll() is None:
-                _signal(process, signal.SIGKILL)
             process.wait()
+        for name in killed:
+            print(f"{name} did not end within {_GRACE:g} s of being asked, and was killed", file=sys.stderr)
 
 
 def executable(package: str, name: str) -> Path:

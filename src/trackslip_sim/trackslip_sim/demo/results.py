@@ -23,7 +23,7 @@ from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.parts import Part, Watch
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.scoring import Score, moving_slips, score, slip_rmse
+from trackslip_tools.replay.scoring import Score, moving_slips, path_of_series, score, slip_rmse
 from trackslip_tools.replay.series import Series, SeriesCollector
 
 FloatArray = NDArray[np.float64]
@@ -129,9 +129,11 @@ def evaluate(
     series = result.series | collector.series()
     if result.live is None or any(name not in series for name in (TRUE_ODOMETRY, TRUE_SLIP, TRACK_SLIP)):
         return None
-    truth = _path(series[TRUE_ODOMETRY].since(drive_start_ns))
-    live = _path(series[ODOMETRY].since(drive_start_ns))
-    slips, true_slips = (series[name].since(drive_start_ns) for name in (TRACK_SLIP, TRUE_SLIP))
+    driven = {name: each.since(drive_start_ns) for name, each in series.items()}
+    odometry, slips, true_slips = (driven[name] for name in (ODOMETRY, TRACK_SLIP, TRUE_SLIP))
+    if not (len(odometry) and len(slips)):
+        return None
+    truth, live = path_of_series(driven[TRUE_ODOMETRY]), path_of_series(odometry)
     encoders = result.paths["dead_reckoning"]
     of_filter, of_encoders = score(live, truth), score(encoders, truth)
     moving = moving_slips(series[TRUE_ODOMETRY], true_slips, p.vehicle.kinematics.tread)
@@ -148,7 +150,7 @@ def evaluate(
         result.live,
         truth,
         {"dead_reckoning": encoders, "filter": live},
-        series[ODOMETRY].since(drive_start_ns),
+        odometry,
         slips,
         true_slips,
         None if result.soil is None else soil_result(result.soil, drive_start_ns),
@@ -165,9 +167,3 @@ def _counts(bag: Bag, emitted: Mapping[str, int], received: Mapping[str, int]) -
         for topic in SENSOR_TOPICS
         if emitted.get(topic)
     }
-
-
-def _path(series: Series) -> Path:
-    poses = series.columns("x", "y", "heading")
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    return Path(series.stamps_ns, poses)

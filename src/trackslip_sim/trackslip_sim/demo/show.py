@@ -10,6 +10,7 @@ from rich.table import Table
 
 from trackslip_sim.demo.results import DemoResult
 from trackslip_sim.demo.soil_results import SoilResult
+from trackslip_tools.replay.scoring import Score
 
 _MARGIN = " " * 9  # as wide as the time
 
@@ -44,13 +45,13 @@ def report(console: Console, result: DemoResult) -> None:
         ("estimate (EKF)", result.filter, result.slip_rmse),
     )
     for name, found, slip in rows:
-        errors.add_row(name, f"{found.position:.4f}", f"{found.heading:.4f}", f"{slip:.4f}")
+        errors.add_row(name, f"{found.position:.4f}", _heading(found), f"{slip:.4f}")
     console.print(errors)
     if result.of_bag is not None:
-        position, heading = result.of_bag.position, result.of_bag.heading or 0.0
+        heading = _heading(result.of_bag, " rad")
         console.print(
             f"trackslip replay scores the whole bag, {result.before_s:.1f} s of standing before the drive "
-            f"included: position {position:.4f} m, heading {heading:.4f} rad"
+            f"included: position {result.of_bag.position:.4f} m, heading {heading}"
         )
     if result.soil is not None:
         console.print(_soil_table(result.soil))
@@ -64,6 +65,10 @@ def report(console: Console, result: DemoResult) -> None:
     console.print(str(result.live))
     if result.soil is not None:
         console.print(str(result.soil.live))
+
+
+def _heading(errors: Score, unit: str = "") -> str:
+    return "unknown" if errors.heading is None else f"{errors.heading:.4f}{unit}"
 
 
 def _soil_table(result: SoilResult) -> Table:

@@ -38,7 +38,7 @@ from trackslip_tools.replay.inputs import InputStream, Logged
 from trackslip_tools.replay.no_estimate import Processed
 from trackslip_tools.replay.parts import Known, Part
 from trackslip_tools.replay.reckoning import Reckoning
-from trackslip_tools.replay.scoring import Score, in_order, path_of, reference_path
+from trackslip_tools.replay.scoring import Score, in_order, path_of, path_of_series
 from trackslip_tools.replay.series import Series, SeriesCollector, reduced
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.swing import SwingErrors
@@ -161,7 +161,7 @@ class Collector:
     def _score(self, found: Replay, reference: str) -> None:
         """Paths beside the filter's, and the errors of all against the reference."""
         first_ns = next((r.first_ns for r in self._reckonings.values()), None)
-        found.paths["reference"] = reference_path(found.series[reference], first_ns or 0)
+        found.paths["reference"] = path_of_series(found.series[reference].since(first_ns or 0))
         found.scores["filter"] = self._errors.score
         found.nees, found.nees_position = self._errors.nees, self._errors.nees_position
         for name, reckoning in self._reckonings.items():

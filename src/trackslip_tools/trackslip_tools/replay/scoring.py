@@ -48,13 +48,12 @@ def path_of(estimates: Rows) -> Path:
     return Path(estimates["stamp_ns"].copy(), poses)
 
 
-def reference_path(series: Series, from_ns: int) -> Path:
-    """The reference from the first sprocket sample on, its heading continuous where it has one."""
-    covered = series.since(from_ns)
-    poses = covered.columns("x", "y", "heading")
+def path_of_series(series: Series) -> Path:
+    """The poses of messages as a path, its heading continuous where there is one."""
+    poses = series.columns("x", "y", "heading")
     known = np.isfinite(poses[:, 2])
     poses[known, 2] = np.unwrap(poses[known, 2])
-    return Path(covered.stamps_ns.copy(), poses)
+    return Path(series.stamps_ns.copy(), poses)
 
 
 def score(path: Path, reference: Path) -> Score | None:

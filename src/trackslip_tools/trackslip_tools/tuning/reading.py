@@ -7,7 +7,7 @@ from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.run import own_reference
-from trackslip_tools.replay.scoring import reference_path
+from trackslip_tools.replay.scoring import path_of_series
 from trackslip_tools.replay.settled import read_settled
 from trackslip_tools.tuning.task import Task, make_task
 
@@ -32,4 +32,4 @@ def read_task(
     series = found.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")
-    return make_task(str(bag.path), measurements, p, None if series is None else reference_path(series, 0))
+    return make_task(str(bag.path), measurements, p, None if series is None else path_of_series(series))
