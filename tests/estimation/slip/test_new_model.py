@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from fixtures.patience import PATIENCE
 
 import trackslip_estimation
 from trackslip_estimation.slip.models import dispatch
@@ -174,7 +175,7 @@ def test_a_new_model_is_one_file_and_its_lines_in_the_dispatch(tmp_path: Path) -
         env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": path},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE,
         check=False,
     )
     assert done.returncode == 0, done.stderr

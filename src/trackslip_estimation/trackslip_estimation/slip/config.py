@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from trackslip_common.clock_monitor import CLOCK_LIMITS
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.parameters import constants as attitude_constants
 from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANTS
+from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.coasting import motion_limits
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
@@ -152,7 +152,7 @@ def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
 def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     """Sources are numbered as ``timeouts_ns`` names them."""
     tail = 1.0 - p.gate_probability
-    c["gate_limits"] = [np.inf, *(float(chdtri(dof, tail)) for dof in (1, 2, 3))]
+    c["gate_limits"] = [np.inf, *(chi_square.limit(dof, tail) for dof in (1, 2, 3))]
     c["gate_relaxation"], c["gate_confirmations"] = p.gate_relaxation, p.gate_confirmations
     c["rate_scale"] = c["timeouts_ns"] = 1
     for name, timeout_ns in p.timeouts_ns().items():

@@ -8,13 +8,10 @@ d²    normalised innovation squared, χ² with n degrees of freedom if all is c
 from collections import defaultdict, deque
 from collections.abc import Mapping
 
-import numpy as np
-from scipy.special import chdtri  # scipy.stats takes 0.4 s to load
-
+from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip.measurements import Outcome, Report
 
 _WINDOW_NS = 10_000_000_000
-_TAILS = np.array((0.975, 0.025))  # probabilities beyond the low and the high bound
 
 
 class SourceWatch:
@@ -59,7 +56,7 @@ class SourceWatch:
                 reports.popleft()
             if reports:
                 dof, n = sum(r.dof for r in reports), len(reports)
-                low, high = chdtri(dof, _TAILS) / n
+                low, high = (bound / n for bound in chi_square.interval(dof))
                 mean = sum(r.nis for r in reports) / n
                 found[source] = f"{mean:.2f} ({low:.2f} to {high:.2f} if consistent), n {n}"
         return found

@@ -1,0 +1,36 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of innovations, against scipy."""
+
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import chdtri
+
+from trackslip_estimation.kalman import chi_square
+
+
+@given(st.sampled_from((1, 2, 3)), st.floats(1e-12, 1.0 - 1e-6))
+def test_a_limit_is_scipy_s(dof, tail):
+    assert chi_square.limit(dof, tail) == pytest.approx(chdtri(dof, tail), rel=1e-6)
+
+
+@pytest.mark.parametrize("tail", [0.05, 0.01, 0.001, 1e-4])
+@pytest.mark.parametrize("dof", [1, 2, 3])
+def test_the_limit_of_a_gate_is_scipy_s_to_the_last_digits(dof, tail):
+    assert chi_square.limit(dof, tail) == pytest.approx(chdtri(dof, tail), rel=1e-13)
+
+
+@given(st.integers(1, 100_000))
+def test_an_interval_is_close_to_scipy_s(dof):
+    assert chi_square.interval(dof) == pytest.approx(chdtri(dof, (0.975, 0.025)), abs=0.1)
+
+
+def test_an_estimator_starts_without_scipy_s_special_functions():
+    loaded = "import sys, trackslip_estimation.slip.estimator, trackslip_estimation.soil.soil_estimator; "
+    loaded += "import trackslip_estimation.slip.source_watch; print('scipy.special' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
+    assert found.stdout == "False\n"
