@@ -8,6 +8,7 @@ because something came, it publishes then; all else is paced by a thread.
 """
 
 import json
+import signal
 import sys
 import threading
 import time
@@ -66,10 +67,12 @@ def write_topics(path: Path, nodes: dict[str, Ends], bag_path: Path) -> None:
 
 
 def run(path: Path, name: str) -> None:
-    """Until interrupted."""
+    """Until interrupted: by a flag, as an exception could come where rclpy has to drop it."""
+    ended: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: ended.append(number))
     known = json.loads(path.read_text(encoding="utf-8"))
     own, topics = known["nodes"][name], known["topics"]
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is Python's, wherever it comes
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name)
     outputs = {topic: _output(node, topic, topics[topic]) for topic in own["publishes"] if topic in topics}
     for topic, is_reliable in own["takes"].items():
@@ -83,7 +86,7 @@ def run(path: Path, name: str) -> None:
             threading.Thread(target=_repeat, args=(publish, period), daemon=True).start()
     executor = Executor()
     executor.add_node(node)
-    while True:
+    while not ended:
         executor.spin_until_future_complete(Future(), _SPIN)
 
 
@@ -110,7 +113,5 @@ def _repeat(publish: Callable[[], None], period: float) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        run(Path(sys.argv[1]), sys.argv[2])
-    except KeyboardInterrupt:
-        sys.exit(130)
+    run(Path(sys.argv[1]), sys.argv[2])
+    sys.exit(130)

@@ -17,6 +17,7 @@ from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprocke
 pytest_plugins = [
     "fixtures.browser",
     "fixtures.full_disk",
+    "fixtures.real_time",
     "fixtures.recorded",
     "fixtures.tf2_messages",
     "fixtures.thesis",

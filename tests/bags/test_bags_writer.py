@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from fixtures.patience import PATIENCE
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
@@ -177,7 +178,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 def test_a_killed_recorder_loses_less_than_a_chunk(tmp_path: Path) -> None:
     count = 437
     script = KILLED.format(path=sys.path, bag=str(tmp_path / "bag"), count=count)
-    killed = subprocess.run([sys.executable, "-c", script], check=False, timeout=60)
+    killed = subprocess.run([sys.executable, "-c", script], check=False, timeout=PATIENCE)
     assert killed.returncode < 0
     assert not (tmp_path / "bag" / "metadata.yaml").exists()
     with open_bag(tmp_path / "bag") as bag:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from fixtures.patience import PATIENCE
 
 from trackslip_common.errors import ExitCode
 
@@ -17,14 +18,14 @@ CALLBACK = ctypes.CFUNCTYPE(None)
 @CALLBACK
 def callback():
     print("here", flush=True)
-    time.sleep(60.0)
+    time.sleep(600.0)
 callback()
 """,
     "the_end_of_an_object": """
 class Object:
     def __del__(self):
         print("here", flush=True)
-        time.sleep(60.0)
+        time.sleep(600.0)
 made = Object()
 del made
 """,
@@ -48,7 +49,7 @@ from trackslip_common.start import repeat_lost_interrupts
 repeat_lost_interrupts()
 try:
 {body}
-    time.sleep(60.0)
+    time.sleep(600.0)
 except KeyboardInterrupt:
     sys.exit(130)
 """
@@ -74,7 +75,7 @@ def test_ctrl_c_in_a_place_that_loses_it_ended_nothing(place: str) -> None:
         assert process.stderr is not None
         assert process.stdout.readline() == "here\n"
         process.send_signal(signal.SIGINT)
-        assert process.wait(30.0) == 130
+        assert process.wait(PATIENCE) == 130
         assert process.stderr.read() == ""
 
 

@@ -3,6 +3,7 @@
 """Processes, and a ROS node to watch them with, in a domain of their own; all waits are on conditions."""
 
 import fcntl
+import math
 import os
 import signal
 import socket
@@ -20,6 +21,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from fixtures.node_arguments import ros_arguments
+from fixtures.patience import PATIENCE
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.context import Context
@@ -47,7 +49,6 @@ TRANSITIONS = {
     "deactivate": Transition.TRANSITION_DEACTIVATE,
     "cleanup": Transition.TRANSITION_CLEANUP,
 }
-DEADLINE = 60.0  # s, for what takes one or two on an idle machine
 _POLL = 0.005  # s
 _MARK = "TRACKSLIP_TEST"  # variable in the environment of all that a test starts, directly or not
 _DOMAINS = range(1, 102)
@@ -100,7 +101,7 @@ class Program:
     def stderr(self) -> str:
         return self._err.read_text(encoding="utf-8")
 
-    def wait(self, deadline: float = DEADLINE) -> int:
+    def wait(self, deadline: float = PATIENCE) -> int:
         """Exit code."""
         self.asked = True
         return self.process.wait(deadline)
@@ -114,7 +115,7 @@ class Program:
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
         """Wait while it runs."""
-        give_up = time.monotonic() + DEADLINE
+        give_up = time.monotonic() + PATIENCE
         while not condition():
             ended = (
                 f"ended with {self.process.returncode}: {self.stderr}"
@@ -183,7 +184,7 @@ class Programs:
 
     def kill_all(self) -> None:
         """Whatever is left."""
-        give_up = time.monotonic() + DEADLINE
+        give_up = time.monotonic() + PATIENCE
         while (left := self.alive()) and time.monotonic() < give_up:
             for pid in left:
                 try:
@@ -211,7 +212,7 @@ class Observer:
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def wait(self, condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> None:
+    def wait(self, condition: Callable[[], Any], what: str, deadline: float = PATIENCE) -> None:
         """Handle messages until the condition holds; all programs must run meanwhile."""
         give_up = time.monotonic() + deadline
         while not condition():
@@ -262,8 +263,9 @@ class Observer:
         self.wait(found, f"the recorder to find {', '.join(topics)}")
 
     def state(self, node: str) -> str:
-        """Label of a node's lifecycle state."""
-        label: str = self._ask(GetState, f"{node}/get_state", GetState.Request()).current_state.label
+        """Label of a node's lifecycle state; asked again, as a killed one may get the question."""
+        answer = self._ask(GetState, f"{node}/get_state", GetState.Request(), patience=_ANSWER)
+        label: str = answer.current_state.label
         return label
 
     def change(self, node: str, transition: str) -> bool:
@@ -271,13 +273,21 @@ class Observer:
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
         return bool(self._ask(ChangeState, f"{node}/change_state", request).success)
 
-    def _ask(self, service: Any, name: str, request: Any) -> Any:
+    def _ask(self, service: Any, name: str, request: Any, patience: float = math.inf) -> Any:
         client = self.node.create_client(service, name)
+        questions: list[Any] = []
+        due = 0.0
+
+        def is_answered() -> bool:
+            nonlocal due
+            if client.service_is_ready() and time.monotonic() >= due:
+                questions.append(client.call_async(request))
+                due = time.monotonic() + patience
+            return any(question.done() for question in questions)
+
         try:
-            self.wait(client.service_is_ready, f"service {name}")
-            answer = client.call_async(request)
-            self.wait(answer.done, f"an answer of {name}")
-            return answer.result()
+            self.wait(is_answered, f"an answer of {name}")
+            return next(question.result() for question in questions if question.done())
         finally:
             self.node.destroy_client(client)
 

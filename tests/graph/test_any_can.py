@@ -35,7 +35,7 @@ def machine(udp_port):
     bus.close()
 
 
-def test_a_machine_never_seen(programs, observer, machine):
+def test_a_machine_never_seen(real_time, programs, observer, machine):
     dbc, roles = unseen_bus.write(programs.folder)
     topics = {name: observer.subscribe(name) for name in ("sprockets", "hydraulics", "swing")}
     healths = observer.healths()
@@ -52,10 +52,13 @@ def test_a_machine_never_seen(programs, observer, machine):
     for message in topics["swing"]:
         assert list(message.name) == ["swing"]
         assert abs(message.position[0]) <= math.pi
-    mine = [status for status in healths if status.name == "can_driver"]
-    values = {pair.key: pair.value for pair in mine[-1].values}
-    assert float(values["rate (Hz)"]) == pytest.approx(50.0, rel=0.3)
-    assert int(values["frames without a role"]) > 10
+
+    def reported(key):
+        reports = [status.values for status in healths if status.name == "can_driver"][-1:]
+        return next((float(pair.value) for values in reports for pair in values if pair.key == key), 0.0)
+
+    observer.wait(lambda: reported("rate (Hz)") == pytest.approx(50.0, rel=0.3), "the rate of the sprockets")
+    assert reported("frames without a role") > 10
 
 
 def test_a_pressure_in_no_unit_ends_the_node_with_one_line(programs, observer):

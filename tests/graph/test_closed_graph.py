@@ -7,6 +7,7 @@ import sys
 from typing import Any
 
 import pytest
+from fixtures.patience import PATIENCE
 
 # A cable between this namespace and another one, in which a stranger looks for the nodes of two domains.
 HOSTS = """
@@ -61,7 +62,7 @@ RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 def test_a_stranger_on_the_network(programs: Any, node: str, stranger: str, expected: str) -> None:
     if subprocess.run(["unshare", "-rn", "true"], capture_output=True, check=False).returncode:
         pytest.skip("no network namespaces here")
-    code = STRANGER.format(seconds=60.0 if expected.startswith("seen") else 8.0)
+    code = STRANGER.format(seconds=PATIENCE if expected.startswith("seen") else 8.0)
     command = [
         "unshare",
         "-rn",
@@ -77,5 +78,7 @@ def test_a_stranger_on_the_network(programs: Any, node: str, stranger: str, expe
     environment = {**programs.environment, "NODE": node, "STRANGER": stranger, "SECOND_DOMAIN": second}
     for name in (RANGE, PEERS):
         environment.pop(name, None)
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=120)
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, check=False, timeout=2 * PATIENCE
+    )
     assert done.stdout.strip() == expected, done.stderr

@@ -7,6 +7,7 @@ import time
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from fixtures.patience import PATIENCE
 
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
@@ -17,7 +18,7 @@ pytestmark = pytest.mark.xdist_group("graph")
 
 def missing_of_sprockets(monitor, until):
     """What of the topic is missing, once ``until`` holds of it."""
-    give_up = time.monotonic() + 30.0
+    give_up = time.monotonic() + PATIENCE
     while True:
         monitor.spin_for(0.05)
         found = {end for end in monitor.missing_ends({"can_driver", "slip_estimator"}) if "sprockets" in end}

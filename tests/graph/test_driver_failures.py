@@ -10,13 +10,12 @@ from enum import Enum
 
 import pytest
 import rclpy
+from fixtures.patience import wait_for
 from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.nodes.health import ERROR
 from trackslip_common.parameters import Parameters
 from trackslip_drivers.nodes.driver import DriverNode
-
-PATIENCE_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -76,9 +75,7 @@ def driver(domain: int) -> Iterator[FragileDriver]:
 def test_exception_while_data_are_decoded_is_reported_and_the_driver_goes_on(driver):
     for data in (b"1", b"bad", b"2"):
         driver.port.items.put(data)
-    give_up = time.monotonic() + PATIENCE_S
-    while len(driver.received) < 2 and time.monotonic() < give_up:
-        time.sleep(0.01)
+    wait_for(lambda: len(driver.received) >= 2)
     assert driver.received == [b"1", b"2"]
     assert driver.begun == 2  # at the opening, and so that nothing half decoded is left
     assert driver._link.state().openings == 1

@@ -40,7 +40,7 @@ def device():
 
 
 @pytest.fixture
-def bench(programs, device, udp_port):
+def bench(real_time, programs, device, udp_port):
     """By the driver's name: its device, its parameters, its topics."""
     serial = str(programs.folder / "tty")
     can = {"can_interface": "udp_multicast", "can_channel": MULTICAST, "can_port": udp_port}

@@ -111,7 +111,7 @@ def resident(pid):
 
 
 @pytest.fixture
-def rig(programs, observer, udp_port):
+def rig(real_time, programs, observer, udp_port):
     return Rig(programs, observer, udp_port)
 
 

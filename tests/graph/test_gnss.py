@@ -37,7 +37,7 @@ def machine(programs, observer, udp_port):
     return programs.node("gnss_localizer", **{f"datum_{name}": value for name, value in ORIGIN.items()})
 
 
-def test_antenna_is_on_the_map_and_the_heading_is_the_machine_s(machine, observer):
+def test_antenna_is_on_the_map_and_the_heading_is_the_machine_s(real_time, machine, observer):
     fixes, poses, headings, truth, datum = map(
         observer.subscribe, ("fix", "gnss_pose", "heading", "truth/odometry", "gnss_localizer/datum")
     )

@@ -10,6 +10,7 @@ import pytest
 import rclpy
 from fixtures.excavator_bus import CYCLE_NS, FRAMES
 from fixtures.node_arguments import ros_arguments
+from fixtures.patience import wait_for
 from rclpy.signals import SignalHandlerOptions
 
 from trackslip_drivers.nodes.can_driver import CanDriverNode
@@ -23,7 +24,6 @@ GROUP = "239.74.163.2"
 SPEED = 2.0  # rad/s
 HELD_CYCLES, ALL_CYCLES = (100, 260), 400
 FEW = 20  # samples, by which the cycle is known also where the first frames came late
-PATIENCE_S = 20.0
 
 
 class HeldDriver(CanDriverNode):
@@ -46,7 +46,7 @@ class HeldDriver(CanDriverNode):
 
 
 @pytest.fixture
-def driver(domain, udp_port):
+def driver(real_time, domain, udp_port):
     options = {"can_interface": "udp_multicast", "can_channel": GROUP, "can_port": udp_port}
     rclpy.init(
         args=ros_arguments(**options), domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
@@ -59,16 +59,9 @@ def driver(domain, udp_port):
     rclpy.try_shutdown()
 
 
-def wait(condition):
-    give_up = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < give_up, "waited in vain"
-        time.sleep(0.01)
-
-
 def drive(driver, udp_port):
     """Send the frames of a steady drive; system times of each cycle, and of when it had been sent."""
-    wait(lambda: driver._link is not None and driver._link.state().connected)
+    wait_for(lambda: driver._link is not None and driver._link.state().connected)
     bus, began_ns = CanBus("udp_multicast", GROUP, {"port": udp_port}), time.time_ns()
 
     def sprockets(stamp_ns):
@@ -87,7 +80,7 @@ def drive(driver, udp_port):
             bus.write(frame)
         cycles.append((due_ns, time.time_ns()))
     bus.close()
-    wait(lambda: driver.samples and driver.samples[-1].stamp_ns > cycles[-10][0])
+    wait_for(lambda: driver.samples and driver.samples[-1].stamp_ns > cycles[-10][0])
     return cycles
 
 

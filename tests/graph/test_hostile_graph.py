@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publishers that mean no good: a second one of an input, and messages of another frame, are named."""
 
-import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import rclpy
+from fixtures.patience import wait_for
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -18,8 +18,6 @@ from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.qos import publisher_qos
 from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
-
-DEADLINE = 30.0  # s
 
 
 @pytest.fixture
@@ -41,28 +39,21 @@ def other(estimator: SlipEstimatorNode) -> Iterator[Node]:
     node.destroy_node()
 
 
-def wait(condition: Any) -> None:
-    give_up = time.monotonic() + DEADLINE
-    while not condition():
-        assert time.monotonic() < give_up
-        time.sleep(0.02)
-
-
 def test_a_second_publisher_of_an_input_is_an_error(estimator: SlipEstimatorNode, other: Node) -> None:
     def publisher(topic: str) -> Any:
         return other.create_publisher(topic_class(topic), topic, publisher_qos(topic))
 
     kept = [publisher(topic) for topic in ("sprockets", "slip_estimator/set_pose", "slip_estimator/set_pose")]
-    wait(lambda: estimator.count_publishers("slip_estimator/set_pose") == 2)
-    wait(lambda: estimator.count_publishers("sprockets") == 1)
+    wait_for(lambda: estimator.count_publishers("slip_estimator/set_pose") == 2)
+    wait_for(lambda: estimator.count_publishers("sprockets") == 1)
     assert estimator.inputs.health() == []
     second = publisher("sprockets")
-    wait(estimator.inputs.health)
+    wait_for(estimator.inputs.health)
     (health,) = estimator.inputs.health()
     assert (health.level, health.message) == (ERROR, "several publishers of sprockets")
     assert health.values == {"sprockets": 2, "publishers of sprockets": "/other, /other"}
     other.destroy_publisher(second)
-    wait(lambda: not estimator.inputs.health())
+    wait_for(lambda: not estimator.inputs.health())
     assert len(kept) == 3
 
 
@@ -81,7 +72,7 @@ def test_a_flood_of_messages_is_dropped_and_its_publisher_named(
 ) -> None:
     """At 10 kHz the executor had no time for timers: no diagnostics for 6 s, and a queue that grew."""
     publisher = other.create_publisher(topic_class("box_pose"), "box_pose", publisher_qos("box_pose"))
-    wait(lambda: estimator.count_publishers("box_pose") == 1)
+    wait_for(lambda: estimator.count_publishers("box_pose") == 1)
     (listening,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")
     pose = serialize_message(make("geometry_msgs/msg/PoseWithCovarianceStamped"))
     sent = 2 * round(BURST)

@@ -7,6 +7,7 @@ import json
 import re
 
 import pytest
+from fixtures.patience import PATIENCE
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from std_msgs.msg import String
 from tornado.websocket import websocket_connect
@@ -24,7 +25,7 @@ def fixes(port):
         page = await websocket_connect(f"ws://127.0.0.1:{port}/stream")
         return json.loads(await page.read_message() or "{}")
 
-    return asyncio.run(asyncio.wait_for(whole(), 30.0))["fixes"]
+    return asyncio.run(asyncio.wait_for(whole(), PATIENCE))["fixes"]
 
 
 @pytest.mark.parametrize("source", ["reference_pose", "rtk/pose"])

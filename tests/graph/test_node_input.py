@@ -22,6 +22,7 @@ from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 from trackslip_sim.nodes.emulator import EmulatorNode
 
+FEW = 4  # kernels that are compiled before a Ctrl-C arrives, of some dozens
 NODES = {
     "can_driver": CanDriverNode,
     "watson_imu": WatsonNode,
@@ -50,8 +51,6 @@ REFUSED = {
     "emulator": {"lead_in": -1.0, "seed": "one", "soil": "cheese", "scenario": "moon", "mode": "magic"},
 }
 QUICK = {"emulator": {"scenario": "straight", "lead_in": 0.5}}  # what else a node needs to come up soon
-BAR = 3.0  # s from Ctrl-C to the end
-SLACK = 2.0  # on a busy machine
 
 
 def is_one_line(stdout, stderr, *words):
@@ -139,11 +138,10 @@ def test_running_node_ends_quietly(programs, observer, node, number):
     healths = observer.healths()
     program = programs.node(node, **given)
     observer.wait(lambda: [status for status in healths if status.name == node], f"diagnostics of {node}")
-    code, seconds = program.end(number)
+    code, _ = program.end(number)
     logged = re.compile(rf"\[(INFO|WARN|ERROR)\] \[[\d.]+\] \[{node}\]: ")  # its states, as they change
     assert [line for line in program.stderr.splitlines() if not logged.match(line)] == []
     assert code == 0
-    assert seconds < BAR * SLACK
     assert programs.alive() == {}
     assert not (programs.folder / "dev" / "watson").is_symlink()
 
@@ -153,20 +151,19 @@ def test_running_node_ends_quietly(programs, observer, node, number):
 def test_ctrl_c_while_a_node_starts(programs, node, moment):
     program = programs.node(node, autostart=True)
     program.until(lambda: program.has_loaded(moment), f"{node} to load {moment}")
-    code, seconds = program.end()
+    code, _ = program.end()
     assert (code, program.stderr) == (0, "")
-    assert seconds < BAR * SLACK
 
 
 def test_ctrl_c_while_the_emulator_compiles(programs, observer):
     programs.environment["NUMBA_CACHE_DIR"] = str(programs.folder / "empty")
     program = programs.node("emulator", device_directory=str(programs.folder / "dev"))
     program.until(lambda: program.stderr.endswith("\n"), "its first line")
-    code, seconds = program.end()
+    code, _ = program.end()
     assert code == 0
     (line,) = program.stderr.splitlines()
     assert line.endswith("[emulator]: compiling, about a minute: once after an installation")
-    assert seconds < BAR * SLACK
+    assert len(list((programs.folder / "empty").rglob("*.nbc"))) < FEW
 
 
 LOST = """

@@ -5,7 +5,6 @@
 import copy
 import os
 import subprocess
-import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple
 import pytest
 import rclpy
 from fixtures import unseen_bus
+from fixtures.patience import wait_for
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -41,7 +41,6 @@ CONFIGURED = (
 )
 OF_PEOPLE = {"observer", "operator"}
 OPTIONAL = {"/tf_static"} | (set() if find_spec("tf2_msgs") else {"/tf"})  # where an IMU asks for it
-DEADLINE = 30.0  # s
 
 
 class Rights(NamedTuple):
@@ -124,9 +123,7 @@ def rights_in_use(graph: Node, name: str) -> Rights:
 def test_the_policy_is_what_the_nodes_do(graph: Node) -> None:
     policy = read_policy()
     names = set(policy) - OF_PEOPLE
-    give_up = time.monotonic() + DEADLINE
-    while not names <= set(graph.get_node_names()) and time.monotonic() < give_up:
-        time.sleep(0.05)
+    wait_for(lambda: names <= set(graph.get_node_names()))
     assert set(graph.get_node_names()) == names
     for name in sorted(names):
         for allowed, used, what in zip(policy[name], rights_in_use(graph, name), Rights._fields, strict=True):

@@ -94,7 +94,7 @@ def inputs():
     return list(soil_inputs(truth, p.vehicle.whole(), load_slip_parameters().motion, Sensing()))
 
 
-def test_the_node_gives_what_the_estimator_gives(programs, observer, inputs):
+def test_the_node_gives_what_the_estimator_gives(real_time, programs, observer, inputs):
     machine = Machine(programs, observer)
     machine.feed(inputs)
     estimator = SoilEstimator(load_soil_parameters())
@@ -110,7 +110,7 @@ def test_the_node_gives_what_the_estimator_gives(programs, observer, inputs):
     machine.until_it_says(DiagnosticStatus.OK, "running")
 
 
-def test_the_node_loads_the_tracks_by_where_the_cab_looks(programs, observer, inputs):
+def test_the_node_loads_the_tracks_by_where_the_cab_looks(real_time, programs, observer, inputs):
     """The same resistances as the estimator that gets the swing, and others than without it."""
     machine = Machine(programs, observer, (*INPUTS, records.SWING), vehicle="pc05_cab")
     angles = (records.Swing(i.stamp_ns, 1.5, 0.01) for i in inputs if isinstance(i, records.Odometry))

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """When a node writes its state file: once a minute of the steady clock while it is active, and at the end."""
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from unittest.mock import Mock
 
 import pytest
 from fixtures.drawn_machine import Machine, drive, parameters
+from fixtures.patience import wait_for
 from rclpy.clock import ClockType
 
 from trackslip_estimation.nodes.state_keeper import StateKeeper
@@ -48,9 +48,7 @@ def test_it_is_written_once_a_minute(driven: tuple[Any, StateKeeper, Path]) -> N
     assert (period, clock.clock_type) == (60.0, ClockType.STEADY_TIME)
     assert not file.exists()
     save()  # by a thread of its own
-    give_up = time.monotonic() + 60.0
-    while not file.exists() and time.monotonic() < give_up:
-        time.sleep(0.005)
+    wait_for(file.exists)
     assert "checksum" in file.read_text(encoding="utf-8")
 
 

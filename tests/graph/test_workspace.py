@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.patience import PATIENCE
 
 ROOT = Path(__file__).resolve().parents[2]
 INSTALL = ROOT / "ros2_ws" / "install"
@@ -92,7 +93,9 @@ made_by_setup = pytest.mark.skipif(Path(sys.prefix) != ROOT / ".venv", reason="n
 
 def from_nothing(*command: str, **environment: str) -> str:
     """Output of a command started in an otherwise empty environment; nothing may be on stderr."""
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, cwd=ROOT)
+    result = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT
+    )
     assert (result.returncode, result.stderr) == (0, "")
     return result.stdout
 

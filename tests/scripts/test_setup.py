@@ -7,11 +7,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from fixtures.patience import PATIENCE, wait_for
 
 import setup_commands
 import setup_environment
@@ -61,14 +60,6 @@ def test_failed_command_shows_the_end_of_its_output(capsys: pytest.CaptureFixtur
     assert "this went wrong" in capsys.readouterr().err
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    """Until it holds."""
-    give_up = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
-
-
 def runs(pid: Path) -> bool:
     """Whether the process whose number a file holds is there, and not merely its exit code."""
     try:
@@ -80,7 +71,7 @@ def runs(pid: Path) -> bool:
 
 def test_failed_command_ends_those_beside_it(tmp_path: Path) -> None:
     pid = tmp_path / "pid"
-    sleeps = ["sh", "-c", f"echo $$ > {pid}; exec sleep 60"]
+    sleeps = ["sh", "-c", f"echo $$ > {pid}; exec sleep 600"]
     fails = ["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"]
     with pytest.raises(SetupError):
         run_all({"sleeps": Command(sleeps), "fails": Command(fails)})
@@ -95,13 +86,13 @@ sys.path.insert(0, {str(Path(setup_commands.__file__).parent)!r})
 import pathlib, setup_commands
 setup_commands.note_interrupts()
 setup_commands.LOG = pathlib.Path({str(tmp_path / "setup.log")!r})
-setup_commands.run(["sh", "-c", "sleep 60 & cd {tmp_path}; echo $! > new; mv new pid; wait"])
+setup_commands.run(["sh", "-c", "sleep 600 & cd {tmp_path}; echo $! > new; mv new pid; wait"])
 """
     process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
     pid = tmp_path / "pid"
     wait_for(lambda: pid.is_file() and runs(pid))
     process.send_signal(signal.SIGTERM)
-    process.wait(30.0)
+    process.wait(PATIENCE)
     wait_for(lambda: not runs(pid))
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fixtures.patience import PATIENCE
 from fixtures.pieces import end, refused, square, wait
 
 from trackslip_bags.messages import make, serialize
@@ -250,6 +251,6 @@ def test_ctrl_c_of_a_terminal_leaves_no_process_and_no_traceback(fleet: Path) ->
     while len(children.read_text().split()) < 2:  # the first worker, and what tracks its resources
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
-    _, error = process.communicate(timeout=30.0)
+    _, error = process.communicate(timeout=PATIENCE)
     assert "Traceback" not in error
     assert process.returncode == ExitCode.INTERRUPTED

@@ -97,7 +97,8 @@ def test_three_pages_follow_the_machine_at_the_same_time(opened: Any, complaints
         assert trail > 1
         page.locator("#strip-0").scroll_into_view_if_needed()
         page.wait_for_function(ROWS, arg=15)
-    assert all(page.locator("#link").inner_text() == "live" for page in shown)
+    for page in shown:
+        page.wait_for_selector("#link >> text=live")
     assert [page.locator('[data-fact="position"]').inner_text() for page in shown] != places
     assert shown[0].locator('.gauge[data-line="0"] .number').inner_text() == "20.0 ± 2.0 %"
     assert complaints == []

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fixtures.patience import PATIENCE
 from tornado.websocket import websocket_connect
 
 from trackslip_bags.input_filters import InputFilters
@@ -26,7 +27,6 @@ from trackslip_tools.live.bag import BagFeed
 from trackslip_tools.live.state import LiveState
 
 BAG = Path(__file__).parents[2] / "bags" / "spot_turn_sand"
-DEADLINE = 120.0  # s, of what may have to compile first
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def serving() -> Iterator[tuple[Any, str]]:
 
 def test_the_command_serves_until_it_is_interrupted(serving: tuple[Any, str]) -> None:
     program, address = serving
-    with urllib.request.urlopen(address, timeout=DEADLINE) as answer:
+    with urllib.request.urlopen(address, timeout=PATIENCE) as answer:
         assert "live.js" in answer.read().decode()
     port = int(address.rsplit(":", 1)[1].strip("/"))
 
@@ -123,9 +123,9 @@ def test_the_command_serves_until_it_is_interrupted(serving: tuple[Any, str]) ->
         page = await websocket_connect(f"ws://127.0.0.1:{port}/stream")
         return json.loads(await page.read_message() or "")
 
-    assert "spot_turn_sand" in asyncio.run(asyncio.wait_for(first(), DEADLINE))["source"]
+    assert "spot_turn_sand" in asyncio.run(asyncio.wait_for(first(), PATIENCE))["source"]
     program.send_signal(signal.SIGINT)
-    assert program.wait(DEADLINE) == ExitCode.INTERRUPTED
+    assert program.wait(PATIENCE) == ExitCode.INTERRUPTED
     assert "Traceback" not in program.stderr.read()
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0

@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import pytest
+from fixtures.patience import PATIENCE
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
@@ -20,7 +21,6 @@ from trackslip_tools.live.server import MOST_PAGES, PageServer
 
 FILES = {"": File("text/html; charset=utf-8", b"<p>page</p>"), "live.js": File("text/javascript", b"1")}
 LOCAL = LiveParameters(host="127.0.0.1", port=0, origins=())
-DEADLINE = 20.0  # s
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def server(whole: dict[str, Any]) -> Iterator[PageServer]:
 def ask(
     server: PageServer, method: str, path: str, host: str = "", body: bytes = b""
 ) -> tuple[int, str, bytes]:
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=DEADLINE)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE)
     connection.request(method, path, body=body or None, headers={"Host": host or f"127.0.0.1:{server.port}"})
     answer = connection.getresponse()
     content = (answer.status, answer.getheader("Content-Security-Policy") or "", answer.read())
@@ -48,7 +48,7 @@ def ask(
 
 
 def talk(conversation: Callable[[], Awaitable[None]]) -> None:
-    asyncio.run(asyncio.wait_for(conversation(), DEADLINE))
+    asyncio.run(asyncio.wait_for(conversation(), PATIENCE))
 
 
 async def connected(server: PageServer, **headers: str) -> WebSocketClientConnection:
@@ -120,7 +120,7 @@ def test_a_page_that_does_not_read_costs_nothing_and_later_gets_all_anew(
         for number in range(1, 101):
             whole["number"] = number
             server.push({"number": number, "ballast": ballast})
-        deadline = time.monotonic() + DEADLINE
+        deadline = time.monotonic() + PATIENCE
         received = []
         while not received or received[-1].get("number") != 100:
             assert time.monotonic() < deadline

@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which machines are told to keep no real time: those whose host stalls, not those that are busy."""
+
+import itertools
+from types import SimpleNamespace
+
+import pytest
+from fixtures import real_time
+
+
+@pytest.fixture
+def watch_of(monkeypatch):
+    """A watch whose sleeps are late by what is given, again and again, for a second."""
+    now_s = 0.0
+
+    def made(late_s):
+        nonlocal now_s
+        late = itertools.cycle(late_s)
+
+        def sleep(duration_s):
+            nonlocal now_s
+            now_s += duration_s + next(late)
+
+        monkeypatch.setattr("time.monotonic", lambda: now_s)
+        monkeypatch.setattr("time.sleep", sleep)
+        watch = real_time.Watch()
+        while watch.turn() < 1.0:
+            pass
+        monkeypatch.undo()
+        return watch
+
+    return made
+
+
+@pytest.mark.parametrize(
+    ("late_s", "stalls"),
+    [((0.0,), False), ((0.0, 0.0, 0.03), False), ((*[0.0] * 20, 0.2), True), ((*[0.0] * 150, 0.32), True)],
+)
+def test_a_machine_that_stands_still_is_told_from_a_busy_one(watch_of, late_s, stalls):
+    assert bool(watch_of(late_s).complaint()) == stalls
+
+
+@pytest.mark.parametrize(
+    ("late_s", "when", "failed", "outcome"),
+    [
+        (0.4, "call", True, "skipped"),
+        (0.4, "call", False, "passed"),
+        (0.0, "call", True, "failed"),
+        (0.4, "setup", True, "skipped"),
+        (0.4, "teardown", True, "failed"),
+    ],
+)
+def test_only_a_failure_of_a_test_on_a_stalled_machine_is_left_out(watch_of, late_s, when, failed, outcome):
+    stash = {real_time._WATCH: watch_of((late_s,))}
+    item = SimpleNamespace(stash=stash, location=("test_it.py", 7, "test_it"))
+    call = SimpleNamespace(excinfo=SimpleNamespace(exconly=lambda: "AssertionError: 49 Hz"), when=when)
+    report = SimpleNamespace(outcome="failed" if failed else "passed", failed=failed, longrepr=None)
+    hook = real_time.pytest_runtest_makereport(item, call)
+    next(hook)
+    with pytest.raises(StopIteration) as stop:
+        hook.send(report)
+    assert stop.value.value.outcome == outcome
+    assert ("49 Hz" in str(report.longrepr)) == (outcome == "skipped")
+
+
+def test_a_test_that_does_not_ask_for_real_time_fails_anywhere():
+    item = SimpleNamespace(stash={}, location=("test_it.py", 7, "test_it"))
+    hook = real_time.pytest_runtest_makereport(item, SimpleNamespace(excinfo=None, when="call"))
+    next(hook)
+    with pytest.raises(StopIteration) as stop:
+        hook.send(SimpleNamespace(outcome="failed", failed=True))
+    assert stop.value.value.outcome == "failed"
