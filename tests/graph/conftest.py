@@ -206,6 +206,7 @@ class Observer:
         self.node = rclpy.create_node("observer", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._publishers: dict[str, list[Any]] = {}  # by full topic name
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -239,16 +240,24 @@ class Observer:
     def publisher(self, topic: str, as_topic: str | None = None) -> Any:
         """A publisher of a project topic, or of another one of the same kind."""
         kind = as_topic or topic
-        return self.node.create_publisher(topic_class(kind), topic, publisher_qos(kind))
+        publisher = self.node.create_publisher(topic_class(kind), topic, publisher_qos(kind))
+        self._publishers.setdefault(publisher.topic_name, []).append(publisher)
+        return publisher
 
     def wait_for_ends(self, topic: str, *nodes: str) -> None:
-        """Until these nodes publish the topic or subscribe to it."""
+        """Until these nodes publish the topic or subscribe to it, and publishers of this node send to all.
+
+        The graph knows a subscriber before a publisher has matched it, and what is sent until then is lost.
+        """
         name = self.node.resolve_topic_name(topic)
 
         def all_there() -> bool:
-            infos = self.node.get_publishers_info_by_topic(name)
-            infos += self.node.get_subscriptions_info_by_topic(name)
-            return set(nodes) <= {info.node_name for info in infos}
+            subscribers = self.node.get_subscriptions_info_by_topic(name)
+            ends = [*self.node.get_publishers_info_by_topic(name), *subscribers]
+            matched = [publisher.get_subscription_count() for publisher in self._publishers.get(name, [])]
+            return set(nodes) <= {end.node_name for end in ends} and all(
+                count >= len(subscribers) for count in matched
+            )
 
         self.wait(all_there, f"{nodes} on {topic}")
 

@@ -144,9 +144,6 @@ class Line:
             observer.wait_for_ends(topic, "record", "box_localizer" if topic == "scan" else "slip_estimator")
         observer.wait_for_ends("measurement_reports", "slip_estimator", "record")
         observer.wait_for_ends("box_pose", "box_localizer", "slip_estimator", "record")
-        for topic, publisher in self._publishers.items():
-            ends = 1 if topic == "scan" else 2 - (topic == "gnss")
-            observer.wait(lambda p=publisher, n=ends: p.get_subscription_count() > n - 1, f"ends of {topic}")
         for node in ("record", "slip_estimator", "box_localizer"):
             observer.wait(lambda name=node: observer.state(name) == "active", f"{node} to be active")
         outputs = ("box_pose", "odometry", "track_slip", "measurement_reports")

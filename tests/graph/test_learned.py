@@ -54,6 +54,8 @@ class Graph:
 
     def begin(self, bag, **changes):
         self.healths.clear()  # what the recorder of the run before had found says nothing of this one
+        for topic, publisher in self.topics.items():  # nor do the ends that it and its estimator had
+            self.observer.wait(lambda p=publisher: p.get_subscription_count() == 0, f"no ends of {topic}")
         self.recorder = self.programs.node("record", output=bag)
         self.estimator = self.programs.node("slip_estimator", **{**PARAMETERS, **changes})
         for topic in self.topics:

@@ -27,6 +27,7 @@ pytestmark = pytest.mark.xdist_group("graph")
 LONGEST_LOSS = 1.0  # s
 LONGEST_STEP = 0.01  # s between two looks at the clock; longer ones are the host's, which stood still
 PERIOD = 0.002  # s
+MORE_THAN_A_BUFFER = 900  # messages: more than a kernel's 208 kB, less than a publisher keeps
 QUICK = 3  # kills in make test, of twenty
 MOMENTS = np.random.default_rng(7).uniform(0.1, 4.0, 20).round(2).tolist()  # s after the first message
 
@@ -172,6 +173,20 @@ def test_killed_at_any_moment(programs, observer, number, moment):
     lost = ran - sent[len(numbers)] if len(numbers) < len(sent) else 0.0
     print(f"\nkilled after {moment:.2f} s: {len(numbers)} of {len(sent)}, {lost:.3f} s lost")
     assert lost <= LONGEST_LOSS
+
+
+def test_what_a_lost_message_held_back_ended_with_the_recorder(programs, observer):
+    """What comes after a lost one waits until it is sent again, and the end did not wait for that."""
+    recorder = Recorder(programs, observer)
+    publisher = observer.publisher("sprockets")
+    observer.wait_for_ends("sprockets", "record")
+    recorder.wait_for("sprockets")
+    recorder.program.process.send_signal(signal.SIGSTOP)
+    for number in range(MORE_THAN_A_BUFFER):
+        publisher.publish(numbered(number))
+    recorder.program.process.send_signal(signal.SIGCONT)
+    assert recorder.program.end(signal.SIGINT)[0] == 0
+    assert is_strictly_readable(recorder.path) == list(range(MORE_THAN_A_BUFFER))
 
 
 def told_and_written(programs, observer, recorder, seconds):

@@ -20,7 +20,8 @@ from trackslip_common.nodes.run import run
 
 _SAVE_PERIOD = 0.5  # s
 _SHORT_MINUTES = 60.0  # until the disk is full: time for somebody to come
-_LONGEST_DRAIN = 1.0  # s
+_REPAIR = 0.4  # s until what was lost on the way is there, twice the period of heartbeats in config/fast*.xml
+_LONGEST_DRAIN = 1.5  # s
 _IDLE_SPINS = 4  # without a message: a timer may take one of them
 
 
@@ -57,13 +58,16 @@ class RecordNode(TrackslipNode[RecordParameters]):
         self._recording = None
 
     def drain(self, spin_once: Callable[[], None]) -> None:
-        """What was received is written, also what came just before the end."""
-        give_up_s = time.monotonic() + _LONGEST_DRAIN
-        idle = 0
-        while self._recording is not None and idle < _IDLE_SPINS and time.monotonic() < give_up_s:
+        """What was sent before the end is written, also what waits for a lost message to be sent again."""
+        began_s = time.monotonic()
+        idle, lasted_s = 0, 0.0
+        while self._recording is not None and (idle < _IDLE_SPINS or lasted_s < _REPAIR):
             before = sum(self._recording.bag.counts.values())
             spin_once()
             idle = idle + 1 if sum(self._recording.bag.counts.values()) == before else 0
+            lasted_s = time.monotonic() - began_s
+            if lasted_s > _LONGEST_DRAIN:
+                break
 
     def health(self) -> list[Health]:
         """Counts per topic; an error if anything was lost: the bag stays incomplete."""
