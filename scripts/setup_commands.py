@@ -51,11 +51,12 @@ def check_interrupts() -> None:
 
 
 class Command(NamedTuple):
-    """What to run, in which environment (None: this process's) and where."""
+    """What to run, in which environment (None: this process's), where, and with which niceness."""
 
     arguments: list[str]
     environment: dict[str, str] | None = None
     directory: Path = ROOT
+    niceness: int = 0
 
 
 class Job:
@@ -78,6 +79,8 @@ class Job:
                 stderr=log,
                 start_new_session=not asks_here,
             )
+        if command.niceness:
+            os.setpriority(os.PRIO_PROCESS, self.process.pid, command.niceness)  # what it starts inherits it
 
     def finish(self) -> None:
         """Waits for the end.

@@ -49,6 +49,7 @@ from setup_environment import (
     write_local_setup,
 )
 
+_LATER = 10  # niceness of what has time
 WHEELS = ("jazzy", "kilted")  # the first is the default
 CHECKS_STAMP = VENV / "trackslip_checks.json"
 WORKSPACE_STAMP = WORKSPACE / "install" / ".trackslip.json"
@@ -240,7 +241,8 @@ def build_workspace(ros: str) -> None:
     """Builds all packages; Python packages anew, so that no link to a removed file stays.
 
     Beside that compiles what estimators and simulator call, straight from their sources: each of the two
-    takes one processor, longer than the build does, and no kernel is in both.
+    takes one processor, and no kernel is in both. Those of the slip estimator take the longest by far, and go
+    first where processors are few.
     """
     if ros != SYSTEM:
         write_local_setup(ros)
@@ -257,7 +259,7 @@ def build_workspace(ros: str) -> None:
             {
                 "kernels of the slip estimator": Command([python, "-m", *replay], environment),
                 "kernels of soil estimator and simulator": Command(
-                    [python, "-m", "trackslip_sim.demo.warm_up", "soil", "box"], environment
+                    [python, "-m", "trackslip_sim.demo.warm_up", "soil", "box"], environment, niceness=_LATER
                 ),
                 "packages": colcon_build(ros, python),
             }
@@ -270,7 +272,7 @@ def colcon_build(ros: str, python: str) -> Command:
     colcon += ["--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"]
     arguments, environment = build_command(ros, colcon)
     # Given, or colcon has make wait for a load below the number of processors.
-    return Command(arguments, environment | {"MAKEFLAGS": f"-j{os.cpu_count()}"}, WORKSPACE)
+    return Command(arguments, environment | {"MAKEFLAGS": f"-j{os.cpu_count()}"}, WORKSPACE, _LATER)
 
 
 if __name__ == "__main__":

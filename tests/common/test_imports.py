@@ -23,6 +23,7 @@ ROSDEP_KEYS = {
     "bokeh": "python3-bokeh-pip",
     "can": "python3-can",
     "jinja2": "python3-jinja2",
+    "llvmlite": "python3-numba",  # is built on it
     "matplotlib": "python3-matplotlib",
     "msgpack": "python3-msgpack",
     "numba": "python3-numba",

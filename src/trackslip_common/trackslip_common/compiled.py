@@ -18,7 +18,11 @@ from typing import Any, TypeVar, cast
 
 os.environ.setdefault("NUMBA_OPT", "1")  # compiles in 60 % of the time, and what it makes is as fast here
 
+import llvmlite.binding
 import numba
+
+# Loops go over a dozen elements; unrolled for any number of passes they are a third of all code, not faster.
+llvmlite.binding.set_option("trackslip", "--unroll-runtime=false")
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -36,7 +40,7 @@ def compiled(function: F) -> F:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = _cache_directory(file, function.__module__)
     try:
-        return cast(F, numba.njit(cache=True, nogil=True)(function))
+        return cast(F, numba.njit(cache=True, nogil=True, no_cfunc_wrapper=True)(function))
     finally:
         numba.config.CACHE_DIR = before
 

@@ -23,6 +23,7 @@ from rclpy.task import Future
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.failures import cause
+from trackslip_common.start import collect_garbage_seldom
 
 try:
     from rclpy.experimental import EventsExecutor as Executor  # half the load and latency of the other
@@ -33,7 +34,6 @@ __all__ = ["Executor", "run"]
 
 _POLL = 0.1  # s, the longest that a signal waits to be seen
 _DRAIN_POLL = 0.02  # s
-_GARBAGE = 50_000  # objects made, less those freed, until garbage is looked for; at 700, that is every second
 _SECURITY = (
     "with ROS_SECURITY_ENABLE, a keystore with an enclave of this node, and a middleware with security"
     " (docs/security.md)"
@@ -69,6 +69,7 @@ def run(
     ``interrupted`` is that of SIGINT: a node's regular end, unless it had something to finish.
     ``niceness`` is for a node that nobody steers by: where cores are few it lets the others go first.
     """
+    collect_garbage_seldom()  # with Python's threshold a node that works looks for it every second
     os.nice(niceness)  # before the middleware starts its threads, which inherit it
     signals = _StopSignals()
     node: TrackslipNode[Any] | None = None
@@ -124,10 +125,9 @@ def _spin_for(node: TrackslipNode[Any], executor: Any, seconds: float) -> None:
 
 
 def _settle(node: TrackslipNode[Any]) -> None:
-    """Once all is made: the priority asked for, and no garbage collection of what stays."""
+    """Once all is made: the priority asked for, and no search for garbage in what stays."""
     if not _request_priority(node.common.realtime_priority):
         node.get_logger().info("no right to real-time scheduling: on a busy host it waits its turn")
-    gc.set_threshold(_GARBAGE)
     gc.freeze()  # what the imports made stays: to look through it for garbage would take tens of ms
 
 

@@ -161,7 +161,7 @@ def _velocity_at(imu: Any, rates: tuple[float, float, float]) -> tuple[float, fl
 @compiled
 def _turn(a: Any, rates: tuple[float, float, float], dt: float, n: Any) -> None:
     """Roll and pitch after ``dt`` s, by the mean of the rates at both ends."""
-    x, P, imu = a.mean, a.covariance, a.sample
+    x, P, imu = a.mean[:], a.covariance[:], a.sample
     known = 0.5 if dt <= LONGEST else 0.0
     p, q, r = (
         known * (rates[0] + a.rates[0]),
@@ -218,7 +218,7 @@ def _level_by(a: Any, motion: tuple[float, float], n: Any) -> None:
 @compiled
 def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: Any) -> None:
     """Update with one axis, whose noise is learned of the innovation where that is no doubt of the tilt."""
-    P, dt = a.covariance, a.span.time
+    P, dt = a.covariance[:], a.span.time
     stated = a.sample.force_variance / a.span.samples
     H = h.reshape((1, SIZE))
     predicted = sandwich(H, P)[0, 0]
@@ -231,7 +231,7 @@ def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: A
         R, most = R * max(n.correlation_time / dt, 1.0), max(n.noise_time / dt, 1.0)
     a.noise_count[axis] = min(a.noise_count[axis] + share, most)
     R = max(R + doubt, innovation * innovation / _SURPRISE - predicted)
-    correct(a.mean, P, np.array((innovation,)), H, np.array(((R,),)))
+    correct(a.mean[:], P, np.array((innovation,)), H, np.array(((R,),)))
 
 
 @compiled

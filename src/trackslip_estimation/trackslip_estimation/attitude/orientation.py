@@ -35,7 +35,7 @@ _SHORTEST = 1e-3  # s between orientations
 @compiled
 def use_orientation(a: Any, n: Any) -> int:
     """Update with that of the new sample, or begin with it; why it was not used, 0 where it was."""
-    imu, x, P = a.sample, a.mean, a.covariance
+    imu, x, P = a.sample, a.mean[:], a.covariance[:]
     of_x, of_y = imu.up_variances
     if of_x == ABSENT:
         return _NONE

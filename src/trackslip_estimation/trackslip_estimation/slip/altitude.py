@@ -54,7 +54,7 @@ def use_altitude(state: Any, measurement: Any, c: Any) -> int:
     innovation, limit = measurement.altitude - expected, c.gate_limits[1]
     stated, R = _noise(state, measurement, dt, c)
     doubt = _rise_variance(state, c) * dt * max(2.0 * _SLIP_TIME, dt)
-    predicted = sandwich(h, a.covariance)[0, 0] + doubt
+    predicted = sandwich(h, a.covariance[:])[0, 0] + doubt
     nis = innovation * innovation / (predicted + R)
     if nis > c.adaptation.soft_gate * limit:
         if not _insists(a.climb, innovation, stated, measurement, c):
@@ -63,7 +63,7 @@ def use_altitude(state: Any, measurement: Any, c: Any) -> int:
     elif nis > limit:
         R += (nis / limit - 1.0) * (predicted + R)
     a.covariance[HEIGHT, HEIGHT] += doubt
-    correct(a.mean, a.covariance, np.array((innovation,)), h, np.array(((R,),)))
+    correct(a.mean[:], a.covariance[:], np.array((innovation,)), h, np.array(((R,),)))
     set_level(a)
     a.climb.used_ns, a.climb.refused = measurement.stamp_ns, 0
     return 0
@@ -80,7 +80,7 @@ def downward(level: Any, covariance: FloatArray) -> float:
 def _rise_variance(state: Any, c: Any) -> float:
     """Of ż, (m/s)², by what the speeds of the tracks err by."""
     J = body_jacobian(state.mean[: c.size], state.speeds.left, state.speeds.right, state, c)
-    return downward(state.attitude.level, sandwich(J, state.covariance))
+    return downward(state.attitude.level, sandwich(J, state.covariance[:]))
 
 
 @compiled

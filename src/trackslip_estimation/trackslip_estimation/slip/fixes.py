@@ -150,7 +150,7 @@ def _follow_traction(
     changed = changed_slip(state, source, (along_heading(state, nu), predicted, R), c)
     if changed[0] != 0.0:
         widen_slip(state, P, changed)
-        widen_slip(state, update.prior_covariance, changed)
+        widen_slip(state, update.prior_covariance[:], changed)
 
 
 @inlined

@@ -216,7 +216,7 @@ def to_delayed(x: FloatArray, P: FloatArray, shift: tuple[float, float, float], 
 def stamp_shift(state: Any, source: int, c: Any) -> tuple[float, float, float]:
     """How the pose of a source's sensor changes in its σ_t; nothing while nobody knows how fast it does."""
     seconds = 0.0 if state.coasting else c.stamp_errors[source]
-    v_x, v_y, rate = horizontal_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
+    v_x, v_y, rate = horizontal_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
     place = sensor_place(state.attitude.level, state.mean[SWING], source, c)
     v_x -= rate * place[1]
     v_y += rate * place[0]

@@ -153,7 +153,7 @@ def _outputs(state: Any, left: float, right: float, c: Any) -> FloatArray:
 @compiled
 def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
     """Twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
-    x, P = state.mean[: c.size], state.covariance
+    x, P = state.mean[: c.size], state.covariance[:]
     left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
     found = _outputs(state, left, right, c)
     twist_ = (found[0], found[1], found[2])

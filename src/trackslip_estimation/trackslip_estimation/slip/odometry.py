@@ -128,7 +128,7 @@ def _use(
         own = factors[source] * stated[0, 0] + of_errors * max(2.0 * c.velocity_errors.time / T, 1.0)
         _weigh_slip(state, before, (innovation[0], c.rolling_radius * (left + right) / 2.0, T), (H, own), c)
         update.prior_covariance[:] = state.covariance
-    predicted = sandwich(H, state.covariance) + D
+    predicted = sandwich(H, state.covariance[:]) + D
     update.dof, update.gate = 3, limit * width_of(state, measurement, c)
     shown = innovation, predicted, stated
     surprise = _least_surprise(state, source, shown, (left, right, T), update.gate, c)
@@ -146,7 +146,7 @@ def _use(
     elif update.nis > limit:
         R = R + (update.nis / limit - 1.0) * S
     C = shared_with_pose(state, before.stamp_ns, T, open_)
-    correct_shared(state.mean, state.covariance, (innovation, R + D), H, C, c.own_errors[source])
+    correct_shared(state.mean[:], state.covariance[:], (innovation, R + D), H, C, c.own_errors[source])
     state.mean[YAW] = wrap(state.mean[YAW])
     state.consistent_ns[source] = measurement.stamp_ns
 
@@ -191,7 +191,7 @@ def _weigh_slip(
     is another one in each increment.
     """
     (innovation, track, T), (H, own) = shown, expected
-    x, P = state.mean, state.covariance
+    x, P = state.mean[:], state.covariance[:]
     if abs(track) < max(_SLOWEST, abs(innovation)):  # no ground does that
         return
     slow = H[:1].copy()
@@ -224,7 +224,7 @@ def _expected(
     (left, right, T), (source, share) = drive, of
     own, h = c.own_errors[source], (state.moved - before.moved) / T
     scale = 1.0 + (state.mean[own] if own >= 0 else 0.0)
-    H = body_jacobian(state.mean, left, right, state, c)
+    H = body_jacobian(state.mean[:], left, right, state, c)
     for i in range(3):
         if has_velocity_errors(c):
             H[i, SPEED_ERROR] *= share[0]

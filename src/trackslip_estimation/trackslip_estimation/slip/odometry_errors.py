@@ -31,7 +31,7 @@ def unseen_errors(
         return (0.0, 1.0), D
     if not has_velocity_errors(c):
         return (0.0, 0.0), D
-    variances = speed.error_variances(state.mean, state.covariance, state, c)
+    variances = speed.error_variances(state.mean[:], state.covariance[:], state, c)
     kept, mean = speed.persistence(T, state.motion.motion, c)
     of_mean, of_both, of_end = speed.error_growth(T, state.motion.motion, c)
     ahead, D[0] = _split(before.errors[0], variances[0], (kept, mean), (of_mean, of_both, of_end))
@@ -75,7 +75,7 @@ def add_count_rounding(state: Any, drive: tuple[float, float, float], c: Any, D:
     if not state.speeds.differenced or c.encoder_resolution == 0.0:
         return
     left, right, T = drive
-    e, x = rounding(T, c.encoder_resolution), state.mean
+    e, x = rounding(T, c.encoder_resolution), state.mean[:]
     for on_left, on_right in ((e, 0.0), (0.0, e)):
         more = np.array(body_twist(x, left + on_left, right + on_right, state, c))
         less = np.array(body_twist(x, left - on_left, right - on_right, state, c))

@@ -104,4 +104,4 @@ def begin_erring(x: FloatArray, P: FloatArray, source: int, c: Any) -> None:
     """x and P at the start, of which the place is that of a fix: what lasts of its error is in both."""
     R = P[: Y + 1, : Y + 1].copy()
     P[: Y + 1, : Y + 1] = white(R, source, c)
-    to_erring(x, P, source, R, -1.0, c)
+    to_erring(x[:], P[:], source, R, -1.0, c)

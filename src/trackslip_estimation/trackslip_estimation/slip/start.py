@@ -58,7 +58,7 @@ def begin(window: Window, measurement: Any, c: Any) -> int:
 @inlined
 def _set_start(state: Any, measurement: Any, c: Any) -> None:
     """The state at the start; a heading that a fix does not have is that of the parameters."""
-    x, P, stamp_ns = state.mean, state.covariance, measurement.stamp_ns
+    x, P, stamp_ns = state.mean[:], state.covariance[:], measurement.stamp_ns
     forget_attitude(state.attitude)
     x[:] = c.prior_mean
     P[:] = c.prior_covariance

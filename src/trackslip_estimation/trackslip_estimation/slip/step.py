@@ -112,12 +112,12 @@ def _use(state: Any, measurement: Any, c: Any, update: Any) -> None:
             update.attitude = tilt_by(state, measurement, c)
         above = c.above[measurement.source] == 1
         if above:
-            to_gyro(state.mean, state.covariance, 1.0)
-            to_gyro(update.prior_mean, update.prior_covariance, 1.0)
+            to_gyro(state.mean[:], state.covariance[:], 1.0)
+            to_gyro(update.prior_mean[:], update.prior_covariance[:], 1.0)
         use_rate(state, measurement, c, update)
         if above:
-            to_gyro(state.mean, state.covariance, -1.0)
-            to_gyro(update.prior_mean, update.prior_covariance, -1.0)
+            to_gyro(state.mean[:], state.covariance[:], -1.0)
+            to_gyro(update.prior_mean[:], update.prior_covariance[:], -1.0)
         exchange_bias(state, update, own)
     elif measurement.kind == HEADING:
         use_heading(state, measurement, c, update)
@@ -158,8 +158,8 @@ def coast(state: Any, dt: float, c: Any) -> None:
     dt = min(dt, c.max_gap)
     if not state.coasting:
         left, right = state.speeds.left, state.speeds.right
-        rate = twist(state.mean, left, right, c)[2]
-        variance = sandwich(twist_jacobian(state.mean, left, right, c), state.covariance)[2, 2]
+        rate = twist(state.mean[:], left, right, c)[2]
+        variance = sandwich(twist_jacobian(state.mean[:], left, right, c), state.covariance[:])[2, 2]
         begin_coast(state, (rate, variance), dt, c)
     stand_still(state.speeds)
     lose_track(state.adaptation)
@@ -176,7 +176,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
 @compiled
 def propagate(state: Any, dt: float, c: Any) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
-    x, P = state.mean[: c.size], state.covariance
+    x, P = state.mean[: c.size], state.covariance[:]
     follow_motion(state, dt, c)
     follow_tracks(state, dt, c)
     rise(state, dt, c)

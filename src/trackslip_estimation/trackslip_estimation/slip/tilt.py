@@ -36,7 +36,7 @@ def tilt_by(state: Any, measurement: Any, c: Any) -> int:
     imu.force_variance, imu.lever[:] = measurement.acceleration_variance, c.tilt_lever
     imu.up[:], imu.up_variances[:] = measurement.up, measurement.up_variances
     imu.levels, imu.oriented = c.tilt_acceleration, c.tilt_orientation
-    v_x, v_y, rate = body_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
+    v_x, v_y, rate = body_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
     imu.velocity[0], imu.velocity[1] = v_x, v_y
     imu.turn, imu.turn_variance, imu.lost = 0.0, 0.0, 0
     if c.above[source] == 1:
@@ -52,7 +52,7 @@ def tilt_by(state: Any, measurement: Any, c: Any) -> int:
 def rise(state: Any, dt: float, c: Any) -> None:
     """The height ``dt`` s later, with the state's speeds."""
     if state.attitude.known == 1 and dt > 0.0:
-        v_x, v_y, _ = body_twist(state.mean, state.speeds.left, state.speeds.right, state, c)
+        v_x, v_y, _ = body_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
         climb(state.attitude, v_x, v_y, dt)
 
 
@@ -108,4 +108,4 @@ def fill_tilt(state: Any, estimate: Any) -> None:
     v_x, v_y, P = estimate.twist[0], estimate.twist[1], a.covariance
     estimate.rise = rise_of(a.mean, v_x, v_y)
     estimate.rise_variance = v_x**2 * P[PITCH, PITCH] + v_y**2 * P[ROLL, ROLL]
-    estimate.rise_variance += downward(a.level, estimate.twist_covariance)
+    estimate.rise_variance += downward(a.level, estimate.twist_covariance[:])

@@ -50,14 +50,14 @@ def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
     left, right, _ = comparable_speeds(kind, state, c)
     limit, update.dof = c.gate_limits[z.size], z.size
     update.gate = limit * width_of(state, measurement, c)
-    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), update.prior_covariance
+    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), update.prior_covariance[:]
     add_rounding(kind, x, R, state, c)
     update.nis, update.log_determinant = correct(kind, x, P, (z, R), (left, right), c)
     if update.nis > update.gate:
         update.outcome = _GATED
         return
     if update.nis > limit:
-        widen(kind, z, state.mean, prior_P, (left, right), c)
+        widen(kind, z, state.mean[:], prior_P, (left, right), c)
         x[:], P[:] = state.mean[: c.size], prior_P
         correct(kind, x, P, (z, R), (left, right), c)
     else:
@@ -79,7 +79,7 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     left, right, _ = comparable_speeds(kind, state, c)
     limit, update.dof = c.gate_limits[1], 1
     update.gate = limit * width_of(state, measurement, c)
-    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), update.prior_covariance
+    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), update.prior_covariance[:]
     add_rounding(kind, x, R, state, c)
     nis, log_determinant = correct(kind, x, P, (z, R), (left, right), c)
     rate, variance = _rate_shown(state, source, (z[0], R[0, 0]), c)
@@ -88,7 +88,7 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     if possible and has_velocity_errors(c) and not state.coasting:
         surprise = _least_surprise(state, (z[0], stated, np.exp(log_determinant)), (left, right), c)
     streak = state.streaks[source]
-    if (nis > limit or streak.count > 0) and other_ground(rate, state.mean, streak, (left, right), c):
+    if (nis > limit or streak.count > 0) and other_ground(rate, state.mean[:], streak, (left, right), c):
         streak.count = 0
         forget_ground(prior_P, c)
         x[:], P[:] = state.mean[: c.size], prior_P
@@ -107,7 +107,7 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
         if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
             widen_swing_rate(prior_P, c.swing.fastest**2)
         else:
-            widen(kind, z, state.mean, prior_P, (left, right), c)
+            widen(kind, z, state.mean[:], prior_P, (left, right), c)
         again = True
     if again:
         x[:], P[:] = state.mean[: c.size], prior_P
@@ -125,7 +125,7 @@ def _least_surprise(
     ``shown``: the rate, rad/s, its variance as stated, and that of its innovation.
     """
     rate, stated, S = shown
-    innovation = rate - expected(YAW_RATE, state.mean, 1, speeds, c)[0]
+    innovation = rate - expected(YAW_RATE, state.mean[:], 1, speeds, c)[0]
     parts = state.adaptation.exposure * (1.0 + state.mean[GYRO_SCALE]) ** 2, stated
     return learn_from_rate(state.adaptation, innovation, S, parts, state.motion.motion == _STANDING, c)
 

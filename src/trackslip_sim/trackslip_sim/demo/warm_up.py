@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from trackslip_common.start import collect_garbage_seldom
 from trackslip_estimation.box.fit import Rectangle, ray_cast
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log, run_whole
@@ -34,6 +35,7 @@ _ROLLING = 4.0  # s of the slalom, half of them straight on
 
 def main(families: Sequence[str]) -> None:
     """Run the kernels of these families, or of all, and print the processor time that each took."""
+    collect_garbage_seldom()
     for name in families or FAMILIES:
         begin = time.process_time()
         FAMILIES[name]()

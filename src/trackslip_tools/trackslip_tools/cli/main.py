@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 
 from trackslip_common.console import end_of_output
 from trackslip_common.errors import ExitCode, InputError, did_you_mean
-from trackslip_common.start import repeat_lost_interrupts, was_interrupted
+from trackslip_common.start import collect_garbage_seldom, repeat_lost_interrupts, was_interrupted
 from trackslip_tools.cli.commands import Command, commands
 
 
@@ -41,6 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:  # a process of its own
         _open_closed_output()
         repeat_lost_interrupts()
+        collect_garbage_seldom()
         atexit.register(gc.freeze)  # else all that it holds is looked through before it ends: 0.3 s
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
