@@ -219,8 +219,16 @@ def pip_install(ros: str, files: list[str]) -> None:
     command += [f"--requirement={name}" for name in files]
     command += [f"--constraint={name}" for name in constraints(ros)]
     run(command, bare_environment(keep_ros=ros == SYSTEM))
-    # Not what the libraries test themselves with; some files of the wheels are no valid Python.
-    succeeds([python, "-m", "compileall", "-qq", "-j", "0", "-x", r"/tests?/", str(SITE)])
+    compile_modules(str(SITE))
+
+
+def compile_modules(*folders: str) -> None:
+    """To bytecode, on all processors: some environments keep Python from doing so when it imports them.
+
+    Not what libraries test themselves with; some files of the wheels are no valid Python.
+    """
+    python = str(VENV / "bin" / "python")
+    succeeds([python, "-m", "compileall", "-qq", "-j", "0", "-x", r"/tests?/", *folders])
 
 
 def keep_numpy() -> None:
@@ -250,11 +258,12 @@ def build_workspace(ros: str) -> None:
         for made in ("build", "install"):
             shutil.rmtree(WORKSPACE / made / package.parent.name, ignore_errors=True)
     python = str(VENV / "bin" / "python")
-    sources = os.pathsep.join(str(path.parent) for path in sorted(ROOT.glob("src/*/setup.py")))
-    environment = bare_environment() | {"PYTHONPATH": sources}
+    sources = [str(path.parent) for path in sorted(ROOT.glob("src/*/setup.py"))]
+    environment = bare_environment() | {"PYTHONPATH": os.pathsep.join(sources)}
     replay = ["trackslip_tools.cli.main", "replay", "bags/slalom_sand"]
     replay += ["--stop", "3", "--vehicle", "warthog"]  # which has no hydraulics: nothing of the soil
     with Step("ros2_ws built, kernels compiled"):
+        compile_modules(*sources)
         run_all(
             {
                 "kernels of the slip estimator": Command([python, "-m", *replay], environment),
