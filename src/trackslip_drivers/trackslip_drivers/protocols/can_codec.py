@@ -50,10 +50,6 @@ class Field(NamedTuple):
             return number * self.scale + self.offset if math.isfinite(number) else math.nan
         return float((raw - 2 * (raw & self.sign)) * self.scale + self.offset)
 
-    def accepts(self, value: float) -> bool:
-        """Whether it lies in the signal's range."""
-        return self.low <= value <= self.high
-
     def bits(self, length: int) -> int:
         """Its bits in a payload that is read as a little-endian number."""
         order = "big" if self.big else "little"
@@ -130,7 +126,8 @@ class Codec:
         self.length = message.length
         self.nominal_ns = (message.cycle_time or 0) * 1_000_000  # of the DBC; 0 where it has none
         self.fields = {name: field_of(message, name) for name in (*scaled, *raw)}
-        self._raw = frozenset(raw)
+        whole = frozenset(name for name in raw if not self.fields[name].floating)
+        self._wanted = [(name, field, name in whole) for name, field in self.fields.items()]
         self._unused_bits = ~_used_bits(message) if protection.unused_bits_zero else 0
         self._counter = field_of(message, protection.counter) if protection.counter else None
         self.modulus = 0 if self._counter is None else _modulus(self._counter)
@@ -138,9 +135,8 @@ class Codec:
         if self._checksum is not None:
             self._compute = CHECKSUMS[protection.checksum_type][1]
             self._cleared = (1 << 8 * self.length) - 1 & ~self._checksum.bits(self.length)
-            self._covered = [
-                k for k, byte in enumerate(self._cleared.to_bytes(self.length, "little")) if byte
-            ]
+            bare = [k for k, byte in enumerate(self._cleared.to_bytes(self.length, "little")) if not byte]
+            self._bare = slice(bare[0], bare[-1] + 1) if bare else slice(self.length, self.length)
 
     def checks(self, frame_id: int, little: int, big: int) -> bool:
         """Whether the checksum is right, or there is none; the payload is read in both byte orders."""
@@ -153,11 +149,12 @@ class Codec:
         if self._checksum is None:
             return data
         little = int.from_bytes(data, "little") & self._cleared
-        return self._put(little, self._checksum, self._checksum_of(frame_id, little))
+        little |= self._placed(self._checksum, self._checksum_of(frame_id, little))
+        return little.to_bytes(self.length, "little")
 
     def _checksum_of(self, frame_id: int, little: int) -> int:
         cleared = (little & self._cleared).to_bytes(self.length, "little")
-        return self._compute(frame_id, bytes([cleared[k] for k in self._covered]))
+        return self._compute(frame_id, cleared[: self._bare.start] + cleared[self._bare.stop :])
 
     def has_unused_bits(self, little: int) -> bool:
         """Whether bits are set that belong to no signal, where they must not."""
@@ -170,14 +167,13 @@ class Codec:
     def unpack(self, little: int, big: int) -> dict[str, Value] | None:
         """The values of the signals that are in the payload; None where one lies outside its range."""
         values: dict[str, Value] = {}
-        for name, field in self.fields.items():
-            if not field.is_in(little, big):
+        for name, field, is_whole in self._wanted:
+            if field.selector is not None and not field.is_in(little, big):
                 continue
-            raw = field.raw(little, big)
+            raw = (big if field.big else little) >> field.shift & field.mask
             value = field.value(raw)
-            if not field.accepts(value):
+            if not field.low <= value <= field.high:
                 return None
-            is_whole = name in self._raw and not field.floating
             values[name] = raw - 2 * (raw & field.sign) if is_whole else value
         return values
 
@@ -188,22 +184,22 @@ class Codec:
             EncodeError: a value lies outside the range that the DBC gives.
         """
         little = 0
-        for name, field in self.fields.items():
+        for name, field, _ in self._wanted:
             value = values[name]
-            if not field.accepts(value):
+            if not field.low <= value <= field.high:
                 raise EncodeError(f"{name}: {value!r}; accepted: {field.low:g} to {field.high:g}")
-            raw = round((value - field.offset) / field.scale) & field.mask
-            little = int.from_bytes(self._put(little, field, raw), "little")
+            little |= self._placed(field, round((value - field.offset) / field.scale) & field.mask)
         if self._counter is not None:
-            little = int.from_bytes(self._put(little, self._counter, count % self.modulus), "little")
-        return self.sealed(frame_id, little.to_bytes(self.length, "little"))
+            little |= self._placed(self._counter, count % self.modulus)
+        if self._checksum is not None:
+            little |= self._placed(self._checksum, self._checksum_of(frame_id, little))
+        return little.to_bytes(self.length, "little")
 
-    def _put(self, little: int, field: Field, raw: int) -> bytes:
-        """The payload with these bits set, which were clear."""
-        data = little.to_bytes(self.length, "little")
+    def _placed(self, field: Field, raw: int) -> int:
+        """These bits where the field has them in a payload that is read as a little-endian number."""
         if not field.big:
-            return (little | raw << field.shift).to_bytes(self.length, "little")
-        return (int.from_bytes(data, "big") | raw << field.shift).to_bytes(self.length, "big")
+            return raw << field.shift
+        return int.from_bytes((raw << field.shift).to_bytes(self.length, "big"), "little")
 
 
 def _modulus(counter: Field) -> int:
@@ -231,13 +227,13 @@ def _crc_table(polynomial: int, width: int) -> tuple[int, ...]:
     return tuple(table)
 
 
-_CRC_12 = _crc_table(0xD31, 12)
+_CRC_12 = tuple(low << 8 ^ top for top in _crc_table(0xD31, 12) for low in range(16))  # of each remainder
 _CRC_8 = _crc_table(0x1D, 8)
 
 
 def _remainder_12(data: bytes, crc: int = 0) -> int:
     for byte in data:
-        crc = crc << 8 & 0xFFF ^ _CRC_12[crc >> 4 ^ byte]
+        crc = _CRC_12[crc ^ byte << 4]
     return crc
 
 

@@ -83,11 +83,11 @@ class CycleMeter:
                 self.cycle_ns = self._by_first()
             return
         is_prompt = not is_long and abs(each / self.cycle_ns - 1.0) <= PROMPT
-        if is_prompt:
-            self._early, self._late = _Intervals(), _Intervals()
-        else:
+        if not is_prompt:
             is_early = each < self.cycle_ns and not is_long
             (self._early if is_early else self._late).add(interval_ns, counted)
+        elif self._early.count or self._late.count:
+            self._early, self._late = _Intervals(), _Intervals()
         self._time_ns, self._cycles = self._time_ns + interval_ns, self._cycles + cycles
         if not is_prompt and self._is_another():
             self._restart()

@@ -84,9 +84,10 @@ class FrameSet:
             protection = given.protections.get(name, Protection())
             _check_protection(f"roles_file {roles}: frame '{name}'", message, protection)
             self.codecs[name] = self._codec(message, protection)
-        self._by_id = {_flagged_id(message): name for name, message in self.by_name.items()}
+        self._ids = {name: _flagged_id(message) for name, message in self.by_name.items()}
+        self._by_id = {identifier: self.codecs[name] for name, identifier in self._ids.items()}
         self._by_group = {
-            _group(message.frame_id): name
+            _group(message.frame_id): self.codecs[name]
             for name, message in self.by_name.items()
             if message.protocol == "j1939" and message.is_extended_frame
         }
@@ -108,10 +109,10 @@ class FrameSet:
 
     def find(self, arbitration_id: int) -> Codec | None:
         """The frame of an id as the transport gives it; None for those without a role."""
-        name = self._by_id.get(arbitration_id)
-        if name is None and self._by_group and arbitration_id < _EXTENDED:
-            name = self._by_group.get(_group(arbitration_id))
-        return None if name is None else self.codecs[name]
+        codec = self._by_id.get(arbitration_id)
+        if codec is None and self._by_group and arbitration_id < _EXTENDED:
+            codec = self._by_group.get(_group(arbitration_id))
+        return codec
 
     def encode(self, name: str, values: Mapping[str, float], count: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame; values in the DBC's units.
@@ -119,7 +120,7 @@ class FrameSet:
         Raises:
             EncodeError: a value lies outside the range that the DBC gives.
         """
-        frame_id = _flagged_id(self.by_name[name])
+        frame_id = self._ids[name]
         return frame_id, self.codecs[name].pack(frame_id, values, count)
 
 
@@ -196,9 +197,10 @@ class FrameDecoder:
         values = codec.unpack(little, big)
         if values is None:
             return self._reject(codec.name, Rejection.OUT_OF_RANGE)
-        placed = self._timing(arbitration_id, codec).add(codec.count(little, big), stamp_ns, values)
+        timing = self._timings.get(arbitration_id) or self._new_timing(arbitration_id, codec)
+        placed = timing.add(codec.count(little, big), stamp_ns, values)
         source = arbitration_id & 0xFF if arbitration_id < _EXTENDED else 0
-        return tuple(Frame(codec.name, source, *one) for one in placed)
+        return tuple([Frame(codec.name, source, *one) for one in placed])
 
     def resume(self) -> None:
         """The bus was opened anew: what came before is continued by time alone."""
@@ -215,22 +217,20 @@ class FrameDecoder:
         ]
         return max(cycles, default=0.0)
 
-    def _timing(self, arbitration_id: int, codec: Codec) -> FrameTiming:
-        timing = self._timings.get(arbitration_id)
-        if timing is None:
-            if len(self._timings) >= _MOST_SENDERS:
-                self._timings.clear()  # of a bus full of nonsense
-            tally = self._tally
+    def _new_timing(self, arbitration_id: int, codec: Codec) -> FrameTiming:
+        if len(self._timings) >= _MOST_SENDERS:
+            self._timings.clear()  # of a bus full of nonsense
+        tally = self._tally
 
-            def tell(event: TimingEvent, times: int) -> None:
-                tally.add(codec.name, event, times)
+        def tell(event: TimingEvent, times: int) -> None:
+            tally.add(codec.name, event, times)
 
-            nominal_ns, modulus = codec.nominal_ns, codec.modulus
-            if modulus:
-                timing = CountedFrames(nominal_ns, modulus, tell)
-            else:
-                timing = UncountedFrames(nominal_ns, tell)
-            self._timings[arbitration_id] = timing
+        timing: FrameTiming
+        if codec.modulus:
+            timing = CountedFrames(codec.nominal_ns, codec.modulus, tell)
+        else:
+            timing = UncountedFrames(codec.nominal_ns, tell)
+        self._timings[arbitration_id] = timing
         return timing
 
     def _reject(self, source: str, reason: Rejection) -> Rejection:

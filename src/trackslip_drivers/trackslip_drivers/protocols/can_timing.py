@@ -142,7 +142,8 @@ class CountedFrames(FrameTiming):
         assert count is not None
         frame, placed = _Frame(arrival_ns, values, count), []
         if self._held:
-            step = self._step(frame, self._held[-1].frame)
+            last = self._held[-1].frame
+            step = _Step(frame, *self._since(frame, last.number, last.arrival_ns))
             if not self._turns(step.late):
                 self._held.append(step)
                 return self._settle() if self._has_caught_up() else []
@@ -151,21 +152,20 @@ class CountedFrames(FrameTiming):
             return [self._accept(frame, 0)]
         # A sender stuck at one count keeps being seen, so its silence never grows to a turn.
         since_ns = self._seen_ns if count == self._count else self._accepted_ns
-        step = self._step(frame, _Frame(since_ns, None, self._count))
+        cycles, late = self._since(frame, self._count, since_ns)
         self._seen_ns = arrival_ns
-        if self._turns(step.late):
-            self._held = [step]
-        elif step.cycles:
-            placed.append(self._accept(frame, step.cycles))
+        if self._turns(late):
+            self._held = [_Step(frame, cycles, late)]
+        elif cycles:
+            placed.append(self._accept(frame, cycles))
         else:
             self._tell(TimingEvent.ALIVE_REPEATED, 1)
         return placed
 
-    def _step(self, frame: _Frame, before: _Frame) -> _Step:
-        cycles = (frame.number - before.number) % self._modulus
-        if not self._meter.cycle_ns:
-            return _Step(frame, cycles, 0.0)
-        return _Step(frame, cycles, (frame.arrival_ns - before.arrival_ns) / self._meter.cycle_ns - cycles)
+    def _since(self, frame: _Frame, count: int, arrival_ns: int) -> tuple[int, float]:
+        """Cycles since another frame, by the counter, and how many later the frame came; see ``_Step``."""
+        cycles, cycle_ns = (frame.number - count) % self._modulus, self._meter.cycle_ns
+        return cycles, (frame.arrival_ns - arrival_ns) / cycle_ns - cycles if cycle_ns else 0.0
 
     def _turns(self, late: float) -> int:
         """Of the counter, in so many cycles."""

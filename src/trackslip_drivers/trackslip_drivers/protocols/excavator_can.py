@@ -12,6 +12,7 @@ sprocket that was read before is carried on to it by its velocity.
 import math
 from abc import ABC, abstractmethod
 from collections import defaultdict
+from dataclasses import dataclass
 from enum import Enum
 
 from trackslip_common.tally import Tally
@@ -29,6 +30,7 @@ Sample = SprocketSample | HydraulicsSample | SwingSample
 _NS_PER_S = 1_000_000_000
 _SPOOLS = tuple(f"{side}_spool" for side in SIDES)
 _PRESSURES = tuple(f"{side}_pressure" for side in SIDES)
+_LEVELS = (*_PRESSURES, *_SPOOLS, SUPPLY)
 
 
 class PairingRejection(Enum):
@@ -74,11 +76,26 @@ class ExcavatorCan:
         if isinstance(frames, Rejection):
             return []
         found = [output.receive(frame) for frame in frames for output in self._by_frame[frame.name]]
-        return [sample._replace(stamp_ns=sample.stamp_ns + self._offset_ns) for sample in found if sample]
+        samples = [sample for sample in found if sample]
+        if self._offset_ns:
+            samples = [one._replace(stamp_ns=one.stamp_ns + self._offset_ns) for one in samples]
+        return samples
 
     def resume(self) -> None:
         """The bus was opened anew: positions go on, by the time that passed."""
         self.decoder.resume()
+
+
+@dataclass(slots=True, eq=False)
+class _Reading:
+    """The newest value of a signal."""
+
+    place: Place
+    leads: bool
+    value: Value = math.nan
+    stamp_ns: int | None = None  # None: it has not come yet
+    elapsed_ns: int = 0  # of its senders, since the value in hand
+    is_fresh: bool = False  # whether it has come since the sample before
 
 
 class _Output(ABC):
@@ -92,56 +109,67 @@ class _Output(ABC):
         self.tally = tally
         self._timeout_ns = round(p.pairing_timeout * _NS_PER_S)
         bindings = frames.bindings
-        self.parts = {r: bindings.scaled[r] for r in (*self.leading, *self.others) if r in bindings.scaled}
+        scaled = {r: bindings.scaled[r] for r in (*self.leading, *self.others) if r in bindings.scaled}
         self.turned = {r: bindings.turned[r] for r in self.leading if r in bindings.turned}
-        self.places = {role: [part.place for part in parts] for role, parts in self.parts.items()}
-        self.places |= {role: [turned.place] for role, turned in self.turned.items()}
-        self._leading = {place for role in self.leading for place in self.places.get(role, ())}
-        self._others = {place for role in self.others for place in self.places.get(role, ())}
-        self.leading_frames = {place.frame for place in self._leading}
-        self._by_frame: defaultdict[str, list[Place]] = defaultdict(list)
-        for place in (*self._leading, *self._others):
-            self._by_frame[place.frame].append(place)
+        places = {role: [part.place for part in parts] for role, parts in scaled.items()}
+        places |= {role: [turned.place] for role, turned in self.turned.items()}
+        self.readings = {
+            role: [_Reading(place, role in self.leading) for place in of_role]
+            for role, of_role in places.items()
+        }
+        self._parts = {role: tuple(zip(self.readings[role], scaled[role], strict=True)) for role in scaled}
+        every = [reading for readings in self.readings.values() for reading in readings]
+        self._leading = [reading for reading in every if reading.leads]
+        self._others = [reading for reading in every if not reading.leads]
+        self._missing = len(self._leading)  # how many of them have not come since the sample before
+        self.leading_frames = {reading.place.frame for reading in self._leading}
+        self._by_frame: defaultdict[str, list[_Reading]] = defaultdict(list)
+        for reading in every:
+            self._by_frame[reading.place.frame].append(reading)
         self.frames = self._by_frame.keys()
-        self._elapsed_ns: defaultdict[Place, int] = defaultdict(int)  # since the value in hand
-        self._fresh: set[Place] = set()
-        self.values: dict[Place, Value] = {}
-        self.stamps_ns: dict[Place, int] = {}
 
     def receive(self, frame: Frame) -> Sample | None:
         """Take what is in the frame; the sample, if it completes one."""
+        name, source, stamp_ns, elapsed_ns, values = frame
         has_come = False
-        for place in self._by_frame[frame.name]:
-            if place.source not in (-1, frame.source):
+        for reading in self._by_frame[name]:
+            _, signal, sender = reading.place
+            if sender not in (-1, source):
                 continue
-            self._elapsed_ns[place] += frame.elapsed_ns
-            value = frame.values.get(place.signal)
+            reading.elapsed_ns += elapsed_ns
+            value = values.get(signal)
             if value is None:
                 continue  # the multiplexer has others
-            self.values[place], self.stamps_ns[place] = value, frame.stamp_ns
-            self.take(place, value, self._elapsed_ns.pop(place))
-            if place in self._leading:
+            reading.value, reading.stamp_ns = value, stamp_ns
+            self.take(reading)
+            reading.elapsed_ns = 0
+            if reading.leads:
                 has_come = True
-                self._fresh.add(place)
-        if not has_come or len(self._fresh) < len(self._leading):
-            return None
-        self._fresh.clear()
-        stamp_ns = max(self.stamps_ns[place] for place in self._leading)
-        if self._others and any(self._is_old(place, stamp_ns) for place in self._others):
+                self._missing -= not reading.is_fresh
+                reading.is_fresh = True
+        return self._completed() if has_come and not self._missing else None
+
+    def _completed(self) -> Sample | None:
+        """The sample of the leading values, which are all there."""
+        for reading in self._leading:
+            reading.is_fresh = False
+        self._missing = len(self._leading)
+        stamp_ns = max([reading.stamp_ns or 0 for reading in self._leading])
+        if any(self._is_old(reading, stamp_ns) for reading in self._others):
             self.tally.add(self.kind.__name__, PairingRejection.TOO_OLD)
             return None
         return self.make(stamp_ns)
 
-    def _is_old(self, place: Place, stamp_ns: int) -> bool:
-        return place not in self.stamps_ns or abs(stamp_ns - self.stamps_ns[place]) > self._timeout_ns
+    def _is_old(self, reading: _Reading, stamp_ns: int) -> bool:
+        return reading.stamp_ns is None or abs(stamp_ns - reading.stamp_ns) > self._timeout_ns
 
     def si(self, role: str) -> float:
         """The value of a role; nan where there is none of it."""
-        parts = self.parts.get(role, ())
-        return sum((part.si(self.values[part.place]) for part in parts), 0.0) if parts else math.nan
+        parts = self._parts.get(role)
+        return sum([part.si(reading.value) for reading, part in parts], 0.0) if parts else math.nan
 
-    def take(self, place: Place, value: Value, elapsed_ns: int) -> None:  # noqa: B027 (nothing, as a rule)
-        """A new value, so long after the one before."""
+    def take(self, reading: _Reading) -> None:  # noqa: B027 (nothing, as a rule)
+        """There is a new value."""
 
     @abstractmethod
     def make(self, stamp_ns: int) -> Sample | None:
@@ -153,15 +181,17 @@ class _Turning(_Output):
 
     def __init__(self, p: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
         super().__init__(p, frames, tally)
-        self._encoders = {turned.place: (role, _encoder(turned, p)) for role, turned in self.turned.items()}
+        self._encoders = {
+            self.readings[role][0]: (role, _encoder(turned, p)) for role, turned in self.turned.items()
+        }
         self.motions: dict[str, Motion | EncoderEvent] = {}  # by role
 
-    def take(self, place: Place, value: Value, elapsed_ns: int) -> None:
+    def take(self, reading: _Reading) -> None:
         """One reading of an encoder."""
-        if place not in self._encoders:
+        if reading not in self._encoders:
             return
-        role, encoder = self._encoders[place]
-        motion = self.motions[role] = encoder.update(value, elapsed_ns)
+        role, encoder = self._encoders[reading]
+        motion = self.motions[role] = encoder.update(reading.value, reading.elapsed_ns)
         event = motion
         if isinstance(event, Motion):
             if not math.isnan(event.position):
@@ -180,16 +210,20 @@ class _Sprockets(_Turning):
     kind = SprocketSample
     leading = tuple(f"{side}_{what}" for side in SIDES for what in MOTIONS)
 
+    def __init__(self, p: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
+        super().__init__(p, frames, tally)
+        self._sides = sorted(self.readings)  # left before right
+
     def make(self, stamp_ns: int) -> SprocketSample | None:
         """Both sprockets, or None while either has no motion."""
         sides = []
-        for role, (place, *_) in self.places.items():
+        for role in self._sides:
             motion = self.motions[role] if role in self.turned else Motion(math.nan, self.si(role))
             if isinstance(motion, EncoderEvent):
                 return None
-            later = (stamp_ns - self.stamps_ns[place]) / _NS_PER_S
-            sides.append((role, motion.position + motion.velocity * later, motion.velocity))
-        (_, left, left_velocity), (_, right, right_velocity) = sorted(sides)
+            later = (stamp_ns - (self.readings[role][0].stamp_ns or 0)) / _NS_PER_S
+            sides.append((motion.position + motion.velocity * later, motion.velocity))
+        (left, left_velocity), (right, right_velocity) = sides
         if math.isnan(left) or math.isnan(right):
             left = right = math.nan
         return SprocketSample(stamp_ns, left, right, left_velocity, right_velocity)
@@ -206,7 +240,7 @@ class _Hydraulics(_Output):
 
     def make(self, stamp_ns: int) -> HydraulicsSample:
         """Pressures and what goes with them."""
-        return HydraulicsSample(stamp_ns, *map(self.si, (*_PRESSURES, *_SPOOLS, SUPPLY)))
+        return HydraulicsSample(stamp_ns, *map(self.si, _LEVELS))
 
 
 class _Swing(_Turning):
@@ -218,5 +252,5 @@ class _Swing(_Turning):
         motion, turned = self.motions[SWING], self.turned[SWING]
         if isinstance(motion, EncoderEvent):
             return None
-        angle = (self.values[turned.place] - turned.zero_steps) * turned.rad_per_step
+        angle = (self.readings[SWING][0].value - turned.zero_steps) * turned.rad_per_step
         return SwingSample(stamp_ns, math.remainder(angle, 2.0 * math.pi), motion.velocity)
