@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 from trackslip_estimation.box.clusters import beams_on
-from trackslip_estimation.box.fit import (
-    Rectangle,
-    likely_starts,
-    most_likely,
-    posterior,
-    ray_cast,
-    residuals,
-    seen_through,
-)
+from trackslip_estimation.box.fit import likely_starts, most_likely, posterior, seen_through
+from trackslip_estimation.box.measurement_model import Rectangle, ray_cast, residuals
 
 BOX = Rectangle(0.7, 0.6)
 ANGLES = -np.pi / 2.0 + np.pi / 360.0 * np.arange(361)

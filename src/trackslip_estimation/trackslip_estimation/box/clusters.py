@@ -14,6 +14,7 @@ that passes by; where a nearer object hides the end, that interval is as wide as
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,16 @@ class Beams:
     def points(self) -> FloatArray:
         """(N, 2) in the laser frame, m."""
         return _points(self.ranges, self.angles)
+
+    @cached_property
+    def directions(self) -> FloatArray:
+        """As ``directions``."""
+        return directions(self.angles)
+
+
+def directions(angles: FloatArray) -> FloatArray:
+    """(3, N): the angles, their cosines and sines."""
+    return np.stack((angles, np.cos(angles), np.sin(angles)))
 
 
 def clusters(

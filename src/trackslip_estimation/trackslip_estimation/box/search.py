@@ -17,8 +17,9 @@ from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Box
 from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.clusters import Beams, beams_on, clusters, rejoined
-from trackslip_estimation.box.fit import Optimum, Rectangle, likely_starts, most_likely, seen_through
+from trackslip_estimation.box.fit import Optimum, likely_starts, most_likely, seen_through
 from trackslip_estimation.box.frames import Frames
+from trackslip_estimation.box.measurement_model import Rectangle
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.quarters import QUARTER_TURN, sides_are_known
 from trackslip_estimation.box.track import Expectation

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from trackslip_common.start import collect_garbage_seldom
-from trackslip_estimation.box.fit import Rectangle, ray_cast
+from trackslip_estimation.box.measurement_model import Rectangle, ray_cast
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log, run_whole
 from trackslip_estimation.slip.measurements import Sprockets

@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the laser would measure of a rectangle, and how far from that its beams are.
+
+    q = (x, y, ψ)  centre and heading of the rectangle     m, m, rad
+    a, b           half sides along and across the heading m
+    ρ_i(q)         range of beam i on the rectangle        m
+    θ_R(q), θ_L(q) angles of its outline, right and left   rad
+    σ              noise of one range, rounding included   m
+    s              standard deviation of an end            rad
+
+The measurement model is the ray cast itself: of the sides that face the laser a beam meets the last entered,
+so ρ_i is the larger of the distances to their lines. The ends are measurements beside the ranges: the last
+beam on the box hits and the next one passes, so θ_L is uniform between their angles (s = width/√12).
+
+The sums over beams are left to numpy: what is compiled fills rows, in which each number is of one beam.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.box.clusters import Beams, directions
+
+FloatArray = NDArray[np.float64]
+
+HUBER = 2.5  # standard deviations up to which a residual counts in full
+STEP = 1e-6  # m and rad, of the numerical derivatives
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Sides of the box: along and across its heading, m."""
+
+    length: float
+    width: float
+
+    @property
+    def diagonal(self) -> float:
+        """Longest extent, m."""
+        return float(np.hypot(self.length, self.width))
+
+    @cached_property
+    def half(self) -> FloatArray:
+        """(2,) a and b."""
+        return np.array((self.length / 2.0, self.width / 2.0))
+
+
+class Target(NamedTuple):
+    """What a rectangle is fitted to: its own size, and the beams on it."""
+
+    half: FloatArray  # (2,) a and b
+    directions: FloatArray  # (3, N) of the beams: angles, their cosines and sines
+    ranges: FloatArray  # (N,)
+    range_stddev: float  # σ
+    ends: tuple[float, float]  # middles of the intervals of the right and the left end
+    end_stddevs: tuple[float, float]  # s of each
+
+
+def target(box: Rectangle, beams: Beams, range_stddev: float) -> Target:
+    """Of a box's beams."""
+    (right, right_end), (left, left_end) = beams.right, beams.left
+    return Target(
+        box.half,
+        beams.directions,
+        beams.ranges,
+        range_stddev,
+        ((right + right_end) / 2.0, (left + left_end) / 2.0),
+        ((right_end - right) / math.sqrt(12.0), (left_end - left) / math.sqrt(12.0)),
+    )
+
+
+def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What the laser would see of rectangles at ``poses`` (M, 3).
+
+    Returns:
+        ranges (M, N), m, for beams at ``angles`` (N,); a beam that passes by gets the range of the corner
+        nearest to it, so that ranges stay continuous in the pose. Outline (M, 2): right and left angle, rad.
+    """
+    return cast(poses, box.half, directions(angles))
+
+
+def residuals(poses: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:
+    """Normalised residuals (M, N + 2): one per beam, then the right and the left end."""
+    return _residuals(poses, target(box, beams, range_stddev))
+
+
+@compiled
+def costs(poses: FloatArray, beams: Target) -> FloatArray:
+    """(M, N + 2) of each residual: its square, growing linearly beyond HUBER."""
+    values = _residuals(poses, beams)
+    for m in range(values.shape[0]):
+        for n in range(values.shape[1]):
+            values[m, n] = _huber(values[m, n])
+    return values
+
+
+@compiled
+def range_costs(poses: FloatArray, beams: Target) -> tuple[FloatArray, FloatArray]:
+    """The same of the ranges alone (M, N), and the outline (M, 2), rad."""
+    ranges, outline = cast(poses, beams.half, beams.directions)
+    for m in range(ranges.shape[0]):
+        for n in range(ranges.shape[1]):
+            ranges[m, n] = _huber((ranges[m, n] - beams.ranges[n]) / beams.range_stddev)
+    return ranges, outline
+
+
+@compiled
+def linearised(pose: FloatArray, beams: Target) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residuals (N + 2,) at a pose, their derivatives (3, N + 2), and these with Huber's weights."""
+    poses = np.empty((7, 3))
+    poses[:] = pose
+    for axis in range(3):
+        poses[1 + axis, axis] += STEP
+        poses[4 + axis, axis] -= STEP
+    values = _residuals(poses, beams)
+    count = values.shape[1]
+    slopes, weighted = np.empty((3, count)), np.empty((3, count))
+    for n in range(count):
+        weight = min(1.0, HUBER / max(abs(values[0, n]), HUBER))
+        for axis in range(3):
+            slopes[axis, n] = (values[1 + axis, n] - values[4 + axis, n]) / (2.0 * STEP)
+            weighted[axis, n] = slopes[axis, n] * weight
+    return values[0], slopes, weighted
+
+
+@compiled
+def _residuals(poses: FloatArray, beams: Target) -> FloatArray:
+    """As ``residuals``."""
+    ranges, outline = cast(poses, beams.half, beams.directions)
+    count = ranges.shape[1]
+    values = np.empty((ranges.shape[0], count + 2))
+    for m in range(ranges.shape[0]):
+        for n in range(count):
+            values[m, n] = (ranges[m, n] - beams.ranges[n]) / beams.range_stddev
+        for end in range(2):
+            values[m, count + end] = (outline[m, end] - beams.ends[end]) / beams.end_stddevs[end]
+    return values
+
+
+@compiled
+def _huber(residual: float) -> float:
+    size = abs(residual)
+    return size * size if size <= HUBER else 2.0 * HUBER * size - HUBER**2
+
+
+@compiled
+def cast(poses: FloatArray, half: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """As ``ray_cast``; ``half`` and ``directions`` as in ``Target``."""
+    ranges, outline = np.empty((len(poses), directions.shape[1])), np.empty((len(poses), 2))
+    for m in range(len(poses)):
+        x, y = poses[m, 0], poses[m, 1]
+        cos, sin = math.cos(poses[m, 2]), math.sin(poses[m, 2])
+        bearing, right, left = math.atan2(y, x), math.inf, -math.inf
+        for along in (half[0], -half[0]):
+            for across in (half[1], -half[1]):
+                corner_x, corner_y = x + cos * along - sin * across, y + sin * along + cos * across
+                angle = math.atan2(x * corner_y - y * corner_x, x * corner_x + y * corner_y)
+                right, left = min(right, angle), max(left, angle)
+        right, left = bearing + right, bearing + left
+        outline[m, 0], outline[m, 1] = right, left
+        ahead, beside = -(cos * x + sin * y), sin * x - cos * y  # of the laser, in the frame of the box
+        for n in range(directions.shape[1]):
+            angle, u, v = directions[0, n], directions[1, n], directions[2, n]
+            if not right <= angle <= left:
+                angle = min(max(angle, right), left)
+                u, v = math.cos(angle), math.sin(angle)
+            along = _distance(ahead, half[0], u * cos + v * sin)
+            across = _distance(beside, half[1], v * cos - u * sin)
+            ranges[m, n] = max(along, across, 0.0)
+    return ranges, outline
+
+
+@compiled
+def _distance(laser: float, half: float, direction: float) -> float:
+    """Along a beam to the line of the side that faces the laser; −∞ where neither of the two sides does."""
+    if abs(laser) <= half or direction == 0.0:
+        return -math.inf
+    return (math.copysign(half, laser) - laser) / direction
