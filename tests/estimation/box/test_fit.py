@@ -7,7 +7,15 @@ import pytest
 
 from trackslip_estimation.box.clusters import beams_on
 from trackslip_estimation.box.fit import likely_starts, most_likely, posterior, seen_through
-from trackslip_estimation.box.measurement_model import Rectangle, ray_cast, residuals
+from trackslip_estimation.box.measurement_model import (
+    Rectangle,
+    costs,
+    pairwise_sum,
+    ray_cast,
+    residuals,
+    target,
+    total_cost,
+)
 
 BOX = Rectangle(0.7, 0.6)
 ANGLES = -np.pi / 2.0 + np.pi / 360.0 * np.arange(361)
@@ -56,6 +64,15 @@ def test_residuals_vanish_at_the_truth_but_for_the_ends():
     values = residuals(pose[np.newaxis], BOX, beams_of(seen(pose)), 0.01)[0]
     assert values[:-2] == pytest.approx(0.0, abs=1e-9)
     assert np.all(np.abs(values[-2:]) <= np.sqrt(3.0))
+
+
+def test_a_cost_is_the_sum_that_numpy_makes_of_its_parts():
+    pose = np.array([[1.2, 0.1, 0.4]])
+    beams = beams_of(seen(pose[0]))
+    sought = target(BOX, beams, 0.01)
+    assert total_cost(pose[0], sought) == costs(pose, sought).sum()
+    values = np.random.default_rng(1).lognormal(size=700)
+    assert all(pairwise_sum(values[:count]) == values[:count].sum() for count in range(len(values)))
 
 
 @pytest.mark.parametrize("heading", [0.5, 0.9, -0.6, 2.3])

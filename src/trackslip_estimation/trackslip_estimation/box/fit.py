@@ -20,16 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr, ndtri
 
+from trackslip_common.compiled import compiled
 from trackslip_estimation.box.clusters import Beams
 from trackslip_estimation.box.measurement_model import (
     Rectangle,
     Target,
     cast,
     costs,
-    linearised,
+    normal_equations,
     range_costs,
     ray_cast,
     target,
+    total_cost,
 )
 
 FloatArray = NDArray[np.float64]
@@ -89,34 +91,31 @@ def most_likely(
     start: FloatArray, box: Rectangle, beams: Beams, range_stddev: float, steps: int = 20
 ) -> Optimum:
     """At most so many steps of damped Gauss–Newton from a pose (3,) near the box."""
-    sought = target(box, beams, range_stddev)
-    pose, damping = start, 1e-3
-    cost, (information, gradient) = _cost(pose, sought), _normal_equations(pose, sought)
+    pose, information, cost = _descend(start, target(box, beams, range_stddev), steps)
+    return Optimum(pose, information + FAINT * np.eye(3), cost, len(beams.ranges) + 2 - 3)
+
+
+@compiled
+def _descend(start: FloatArray, beams: Target, steps: int) -> tuple[FloatArray, FloatArray, float]:
+    """As ``most_likely``: a pose (3,), its information (3, 3) and cost."""
+    pose, damping, cost = start, 1e-3, total_cost(start, beams)
+    information, gradient = normal_equations(pose, beams)
     for _ in range(steps):
         damped = information.copy()
-        damped.flat[::4] = information.diagonal() + damping * information.diagonal() + FAINT
+        for axis in range(3):
+            damped[axis, axis] += damping * information[axis, axis]
+            damped[axis, axis] += FAINT
         trial = pose + np.linalg.solve(damped, -gradient)
-        trial_cost = _cost(trial, sought)
+        trial_cost = total_cost(trial, beams)
         if not trial_cost < cost:
             damping *= 10.0
             continue
         gain, pose, cost = cost - trial_cost, trial, trial_cost
-        information, gradient = _normal_equations(pose, sought)
+        information, gradient = normal_equations(pose, beams)
         damping *= 0.1
         if gain < 1e-4:
             break
-    return Optimum(pose, information + FAINT * np.eye(3), cost, len(beams.ranges) + 2 - 3)
-
-
-def _cost(pose: FloatArray, sought: Target) -> float:
-    """Of all residuals."""
-    return float(costs(pose[np.newaxis], sought)[0].sum())
-
-
-def _normal_equations(pose: FloatArray, sought: Target) -> tuple[FloatArray, FloatArray]:
-    """Information (3, 3) and gradient (3,) of the cost."""
-    values, slopes, weighted = linearised(pose, sought)
-    return weighted @ slopes.T, weighted @ values
+    return pose, information, cost
 
 
 def posterior(

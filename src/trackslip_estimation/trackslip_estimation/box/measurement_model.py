@@ -13,7 +13,8 @@ The measurement model is the ray cast itself: of the sides that face the laser a
 so ρ_i is the larger of the distances to their lines. The ends are measurements beside the ranges: the last
 beam on the box hits and the next one passes, so θ_L is uniform between their angles (s = width/√12).
 
-The sums over beams are left to numpy: what is compiled fills rows, in which each number is of one beam.
+Sums over beams are rounded as numpy rounds them, so that a fit is the same to the last bit wherever its sums
+are taken.
 """
 
 import math
@@ -111,8 +112,14 @@ def range_costs(poses: FloatArray, beams: Target) -> tuple[FloatArray, FloatArra
 
 
 @compiled
-def linearised(pose: FloatArray, beams: Target) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residuals (N + 2,) at a pose, their derivatives (3, N + 2), and these with Huber's weights."""
+def total_cost(pose: FloatArray, beams: Target) -> float:
+    """The sum of all ``costs`` of one pose (3,)."""
+    return pairwise_sum(costs(pose.reshape((1, 3)), beams)[0])
+
+
+@compiled
+def normal_equations(pose: FloatArray, beams: Target) -> tuple[FloatArray, FloatArray]:
+    """Information (3, 3) and gradient (3,) of the cost at a pose (3,)."""
     poses = np.empty((7, 3))
     poses[:] = pose
     for axis in range(3):
@@ -126,7 +133,7 @@ def linearised(pose: FloatArray, beams: Target) -> tuple[FloatArray, FloatArray,
         for axis in range(3):
             slopes[axis, n] = (values[1 + axis, n] - values[4 + axis, n]) / (2.0 * STEP)
             weighted[axis, n] = slopes[axis, n] * weight
-    return values[0], slopes, weighted
+    return np.dot(weighted, slopes.T), np.dot(weighted, values[0])
 
 
 @compiled
@@ -182,3 +189,22 @@ def _distance(laser: float, half: float, direction: float) -> float:
     if abs(laser) <= half or direction == 0.0:
         return -math.inf
     return (math.copysign(half, laser) - laser) / direction
+
+
+@compiled
+def pairwise_sum(values: FloatArray) -> float:
+    """As ``numpy.sum`` of (K,): eight sums side by side, and halves of what is longer than 128."""
+    count = len(values)
+    if count > 128:
+        half = count // 2 - count // 2 % 8
+        return pairwise_sum(values[:half]) + pairwise_sum(values[half:])
+    whole = count - count % 8
+    total = 0.0
+    if whole:
+        sums = values[:8].copy()
+        for n in range(8, whole):
+            sums[n % 8] += values[n]
+        total = ((sums[0] + sums[1]) + (sums[2] + sums[3])) + ((sums[4] + sums[5]) + (sums[6] + sums[7]))
+    for n in range(whole, count):
+        total += values[n]
+    return total

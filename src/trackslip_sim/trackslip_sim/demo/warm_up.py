@@ -14,6 +14,8 @@ from types import MappingProxyType
 import numpy as np
 
 from trackslip_common.start import collect_garbage_seldom
+from trackslip_estimation.box.clusters import beams_on
+from trackslip_estimation.box.fit import likely_starts, most_likely, posterior
 from trackslip_estimation.box.measurement_model import Rectangle, ray_cast
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log, run_whole
@@ -49,7 +51,11 @@ def _truth() -> None:
 
 
 def _box() -> None:
-    ray_cast(np.array([[5.0, 0.0, 0.0]]), Rectangle(1.0, 1.0), np.zeros(1))
+    box, stddev, angles = Rectangle(1.0, 1.0), 0.01, np.linspace(-0.1, 0.1, 5)
+    (ranges,), _ = ray_cast(np.array([[5.0, 0.0, 0.0]]), box, angles)
+    beams = beams_on(np.arange(5), ranges, angles, box.diagonal, 3.0 * stddev)
+    start = likely_starts(np.zeros(1), box, beams, stddev)[0]
+    posterior(most_likely(start, box, beams, stddev), 0.0, box, beams, stddev)
 
 
 def _slip() -> None:
