@@ -64,7 +64,7 @@ INSTRUMENTED = [
     "trackslip_tools.replay",
 ]
 NOT_INSTRUMENTED = [
-    "trackslip_drivers.protocols.sick_crc",  # one loop: half of all time, no branch to learn
+    "trackslip_drivers.protocols.sick_crc",  # no branch to learn
     "trackslip_drivers.protocols.sick_scan",  # atheris 3.0 leaks arrays that it sees compared
 ]
 

@@ -2,13 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """SICK telegrams: every byte vector known, the search for telegrams in garbage, and their times."""
 
+from random import Random
+
 import pytest
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import sick_commands as commands
+from trackslip_drivers.protocols.sick_crc import sick_crc
 from trackslip_drivers.protocols.sick_telegram import (
     FROM_SENSOR,
     MAX_PAYLOAD,
+    MAX_TELEGRAM,
     SILENCE_NS,
     TO_SENSOR,
     Control,
@@ -83,6 +87,17 @@ def test_known_telegrams_encode_and_decode(wire: bytes, payload: bytes, address:
 def test_payloads_of_no_telegram_are_refused(payload: bytes) -> None:
     with pytest.raises(ValueError, match="payload of"):
         frame(payload, TO_SENSOR)
+
+
+def test_the_checksum_is_that_of_the_manuals_register() -> None:
+    random = Random(4)
+    for count in (1, 2, 3, 7, 8, 9, 728, MAX_TELEGRAM - 2):
+        data = random.randbytes(count)
+        crc = previous = 0
+        for byte in data:
+            crc = (crc << 1 & 0xFFFF) ^ (0x8005 if crc & 0x8000 else 0) ^ byte ^ previous << 8
+            previous = byte
+        assert sick_crc(data) == crc
 
 
 def test_controls_stand_between_telegrams() -> None:
