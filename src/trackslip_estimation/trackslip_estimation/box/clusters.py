@@ -13,14 +13,17 @@ between objects. The outline of an object ends somewhere between its last beam a
 that passes by; where a nearer object hides the end, that interval is as wide as the hiding object.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -63,13 +66,20 @@ def clusters(
     valid = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
     if valid.size == 0:
         return []
-    points = _points(ranges[valid], angles[valid])
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    nearer = np.minimum(ranges[valid][:-1], ranges[valid][1:])
-    allowed = nearer * np.diff(angles[valid]) / np.sin(grazing_angle) + 3.0 * np.sqrt(2.0) * range_stddev
-    empty_before = np.cumsum(np.isposinf(ranges))[valid]
-    gaps = (steps > allowed) | (np.diff(empty_before) > 0)
-    return list(np.split(valid, np.flatnonzero(gaps) + 1))
+    reached, at = ranges[valid], angles[valid]
+    x, y = reached * np.cos(at), reached * np.sin(at)
+    steps = np.sqrt((x[1:] - x[:-1]) ** 2 + (y[1:] - y[:-1]) ** 2)
+    nearer = np.minimum(reached[:-1], reached[1:])
+    noise = 3.0 * math.sqrt(2.0) * range_stddev
+    allowed = nearer * (at[1:] - at[:-1]) / math.sin(grazing_angle) + noise
+    empty_before = np.cumsum(ranges == math.inf)[valid]
+    return cut(valid, (steps > allowed) | (empty_before[1:] > empty_before[:-1]))
+
+
+def cut(indices: IndexArray, gaps: BoolArray) -> list[IndexArray]:
+    """The parts of (N,) indices between which there are ``gaps`` (N − 1,)."""
+    ends = [0, *(np.flatnonzero(gaps) + 1).tolist(), len(indices)]
+    return [indices[begin:end] for begin, end in pairwise(ends)]
 
 
 def rejoined(
@@ -77,12 +87,13 @@ def rejoined(
 ) -> list[IndexArray]:
     """Objects that a nearer one cuts in two: pairs of parts with only nearer parts between them."""
     joined: list[IndexArray] = []
+    farthest = [float(ranges[part].max()) for part in parts]
     for second, part in enumerate(parts):
         for first in range(second - 2, -1, -1):
-            ends = np.array([parts[first][0], part[-1]])
             edge = min(ranges[parts[first][-1]], ranges[part[0]])
-            if not all(ranges[between].max() < edge for between in parts[first + 1 : second]):
+            if not max(farthest[first + 1 : second]) < edge:
                 break
+            ends = np.array([parts[first][0], part[-1]])
             right, left = _points(ranges[ends], angles[ends])
             if np.linalg.norm(left - right) <= extent:
                 joined.append(np.concatenate([parts[first], part]))

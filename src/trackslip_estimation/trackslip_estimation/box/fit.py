@@ -67,17 +67,26 @@ def starts(headings: FloatArray, box: Rectangle, beams: Beams) -> FloatArray:
 
     Of the outline's ends the one that is hidden, or out of sight, says little and counts little.
     """
-    ends, widths = np.mean((beams.right, beams.left), axis=1), np.ptp((beams.right, beams.left), axis=1)
-    share = widths**-2.0 / (widths**-2.0).sum()
+    intervals = np.array((beams.right, beams.left))
+    ends, weights = intervals.sum(axis=1) / 2.0, (intervals[:, 1] - intervals[:, 0]) ** -2.0
+    share = weights / weights.sum()
     middle = float(share @ ends)
     distance = np.full(headings.shape, float(beams.ranges.mean()) + 0.25 * (box.length + box.width))
     bearing = np.full(headings.shape, middle)
     for _ in range(2):
-        poses = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing), headings])
+        poses = _poses(distance, bearing, headings)
         ranges, outline = cast(poses, box.half, beams.directions)
         distance = distance + (beams.ranges - ranges).mean(axis=1)
         bearing = bearing + middle - outline @ share
-    return np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing), headings])
+    return _poses(distance, bearing, headings)
+
+
+def _poses(distance: FloatArray, bearing: FloatArray, headings: FloatArray) -> FloatArray:
+    """(M, 3) from polar places."""
+    poses = np.empty((len(headings), 3))
+    poses[:, 0], poses[:, 1] = distance * np.cos(bearing), distance * np.sin(bearing)
+    poses[:, 2] = headings
+    return poses
 
 
 def likely_starts(headings: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Box
 from trackslip_estimation.box.background import Background
-from trackslip_estimation.box.clusters import Beams, beams_on, clusters, rejoined
+from trackslip_estimation.box.clusters import Beams, beams_on, clusters, cut, rejoined
 from trackslip_estimation.box.fit import Optimum, likely_starts, most_likely, seen_through
 from trackslip_estimation.box.frames import Frames
 from trackslip_estimation.box.measurement_model import Rectangle
@@ -81,7 +81,7 @@ class BoxSearch:
         parts = [
             part
             for cluster in clusters(ranges, angles, self.range_stddev, self._parameters.grazing_angle)
-            for part in np.split(cluster, np.flatnonzero(np.diff(known[cluster])) + 1)
+            for part in cut(cluster, known[cluster][1:] != known[cluster][:-1])
         ]
         near = self._near(ranges, angles, expected)
         found: list[Candidate] = []
@@ -106,9 +106,9 @@ class BoxSearch:
         self, beams: Beams, expected: Expectation, ranges: FloatArray, angles: FloatArray
     ) -> Candidate | Reason:
         """Whether one object is the box."""
-        points = beams.points()
         if len(beams.ranges) < self._parameters.minimum_beams:
             return Reason.FEW_BEAMS
+        points = beams.points()
         if np.linalg.norm(points[-1] - points[0]) > self.box.diagonal + 3.0 * self.range_stddev:
             return Reason.SIZE
         if beams.ranges.min() < 0.5 * self.box.diagonal:  # then the laser could be within the box fitted
