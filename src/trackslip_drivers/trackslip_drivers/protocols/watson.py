@@ -94,9 +94,14 @@ class Channel:
 
     def field(self, value: float) -> str:
         """The value as the unit prints it, limited to what fits."""
-        limited = min(max(value, -self.largest), self.largest)
+        largest = self.largest
+        return format(min(max(value, -largest), largest), self._printed)
+
+    @cached_property
+    def _printed(self) -> str:
+        """How ``format`` prints it."""
         sign = "+" if self.format.startswith("+") else ""
-        return f"{limited:{sign}0{len(self.format)}.{self.decimals}f}"
+        return f"{sign}0{len(self.format)}.{self.decimals}f"
 
     def matches(self, field: str) -> bool:
         """Whether the field has a digit wherever the format has one, and nothing else."""
@@ -145,7 +150,7 @@ class Reading:
 
 def encode_line(label: str, values: Mapping[str, float], layout: Layout) -> bytes:
     """A decimal line; channels not given are zero, values beyond what a field holds are limited."""
-    fields = (channel.field(values.get(channel.name, 0.0)) for channel in layout.channels)
+    fields = [channel.field(values.get(channel.name, 0.0)) for channel in layout.channels]
     return " ".join([label, *fields]).encode("ascii") + TERMINATOR
 
 
@@ -161,7 +166,7 @@ def encode_frame(values: Mapping[str, float], layout: Layout) -> bytes:
 
 def decode_line(line: bytes, layout: Layout) -> Reading | Rejection:
     """One line without its CR."""
-    label, *fields = (token.decode("latin-1") for token in line.split() or [b""])
+    label, *fields = b" ".join(line.split()).decode("latin-1").split(" ")
     if len(label) != 1 or label.upper() not in _LABELS:
         return Rejection.TEXT
     if len(fields) != len(layout.channels):

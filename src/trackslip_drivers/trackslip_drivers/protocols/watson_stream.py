@@ -92,7 +92,7 @@ class WatsonStream:
 
     def _decode(self, line: bytes) -> Reading | Rejection:
         """By the format that the bytes show."""
-        marked = sum(byte >= _BIT_7 for byte in line)
-        if marked == 0:
+        if line.isascii():
             return decode_line(line, self._layout)
-        return decode_frame(line, self._layout) if marked == len(line) else Rejection.GARBLED
+        is_marked = min(line) >= _BIT_7
+        return decode_frame(line, self._layout) if is_marked else Rejection.GARBLED

@@ -39,12 +39,8 @@ class CanDevice:
         self.stamps: deque[int] = deque(maxlen=_STAMPS_KEPT)
         self._frames = frames
         self._limits = {
-            signal.name: (
-                -math.inf if signal.minimum is None else signal.minimum,
-                math.inf if signal.maximum is None else signal.maximum,
-            )
+            name: [(signal, field.low, field.high) for signal, field in frames.codecs[name].fields.items()]
             for name in (SPOOLS, PRESSURES)
-            for signal in frames.by_name[name].signals
         }
         encoder = frames.roles["left_position"]
         self._counts_per_rad = encoder.counts_per_turn * encoder.ratio / (2.0 * math.pi)
@@ -68,7 +64,7 @@ class CanDevice:
         """(arbitration id, payload) of every frame due by now and not yet sent."""
         sent: list[tuple[int, bytes]] = []
         while self._next_ns <= now_ns:
-            for name, values in self._readings(self._next_ns).items():
+            for name, values in self._readings(self._next_ns):
                 sent.append(self._frames.encode(name, values, self._alive_counter))
                 self.frames_emitted[name] += 1
             self.stamps.append(self._next_ns)
@@ -76,31 +72,20 @@ class CanDevice:
             self._next_ns += self._cycle_ns
         return sent
 
-    def _readings(self, stamp_ns: int) -> dict[str, Mapping[str, float]]:
+    def _readings(self, stamp_ns: int) -> tuple[tuple[str, Mapping[str, float]], ...]:
         """Signals of the three frames, in the order sent."""
         sprockets, hydraulics = self._sprockets(stamp_ns), self._hydraulics(stamp_ns)
-        return {
-            ENCODERS: {
-                "left_count": self._count(sprockets.left_position),
-                "right_count": self._count(sprockets.right_position),
-            },
-            SPOOLS: self._saturated(
-                {"left_spool": hydraulics.left_spool, "right_spool": hydraulics.right_spool}
-            ),
-            PRESSURES: self._saturated(
-                {
-                    "left_pressure": hydraulics.left_pressure,
-                    "right_pressure": hydraulics.right_pressure,
-                    "supply_pressure": hydraulics.supply_pressure,
-                }
-            ),
+        counts = {
+            "left_count": self._count(sprockets.left_position),
+            "right_count": self._count(sprockets.right_position),
         }
+        levels = hydraulics._asdict()
+        return (ENCODERS, counts), *((name, self._saturated(name, levels)) for name in (SPOOLS, PRESSURES))
 
     def _count(self, position: float) -> int:
         """Raw count of an encoder whose sprocket stands at ``position``, rad."""
         return math.floor(position * self._counts_per_rad) % self._counts
 
-    def _saturated(self, values: Mapping[str, float]) -> Mapping[str, float]:
-        """Values limited to the ranges of the DBC."""
-        limits = self._limits
-        return {name: min(max(value, limits[name][0]), limits[name][1]) for name, value in values.items()}
+    def _saturated(self, frame: str, levels: Mapping[str, float]) -> Mapping[str, float]:
+        """The signals of a frame, limited to the ranges of the DBC."""
+        return {name: min(max(levels[name], low), high) for name, low, high in self._limits[frame]}

@@ -85,6 +85,7 @@ class Mounting(NamedTuple):
 
 
 BELOW = Mounting()
+_UP = np.array((0.0, 0.0, GRAVITY))
 
 
 def mounting_of(vehicle: VehicleParameters) -> Mounting:
@@ -185,7 +186,7 @@ class MachineSensors:
         at, noise = self._at(stamp_ns), self._noise
         driving = 0.0 <= self.time(stamp_ns) <= self._window.duration
         to_sensor = self.placement(stamp_ns).rotation().T
-        acceleration = to_sensor @ (0.0, 0.0, GRAVITY)
+        acceleration = to_sensor @ _UP
         rates = np.zeros(3)
         if driving:
             acceleration += (at.a_x, at.a_y, at.a_z)
@@ -202,7 +203,7 @@ class MachineSensors:
         acceleration += noise.acceleration_stddev * self._normal()
         rates += (noise.gyro_bias_x, noise.gyro_bias_y, noise.gyro_bias)
         rates += noise.gyro_stddev * self._normal()
-        field = to_sensor @ (0.0, noise.field_horizontal, -noise.field_down)
+        field = to_sensor @ np.array((0.0, noise.field_horizontal, -noise.field_down))
         field += noise.field_stddev * self._normal()
         return ImuSample(stamp_ns, _vector(acceleration), _vector(rates), _vector(field), over_range=False)
 
@@ -216,7 +217,7 @@ class MachineSensors:
             if k < 0 or k == len(times) - 1:
                 row = table[max(k, 0)]
             else:
-                row = (table[k + 1] - table[k]) / (times[k + 1] - times[k]) * (t - times[k]) + table[k]
+                row = self._slopes[k] * (t - times[k]) + table[k]
             self._looked_ns, self._found = stamp_ns, Measurable._make(row.tolist())
         return self._found
 
@@ -230,6 +231,7 @@ class MachineSensors:
         named = [getattr(truth, name) for name in Measurable._fields[:-3]]
         self._times: list[float] = truth.t.tolist()
         self._table: FloatArray = np.column_stack([*named, accelerations(truth)])
+        self._slopes = np.diff(self._table, axis=0) / np.diff(truth.t)[:, np.newaxis]
         self._looked_ns = None
 
     def _normal(self) -> FloatArray:
