@@ -147,11 +147,11 @@ class SprocketEncoder:
 
     def _slope(self) -> float:
         """Of the least-squares line through the window, steps/ns."""
-        n = len(self._history)
+        n, now, newest = len(self._history), self._now, self._unwrapped
         x_sum = xx_sum = 0
         y_sum = xy_sum = 0.0  # from the newest reading: exact for whole steps
         for time, unwrapped in self._history:
-            x, y = time - self._now, unwrapped - self._unwrapped
+            x, y = time - now, unwrapped - newest
             x_sum += x
             y_sum += y
             xx_sum += x * x

@@ -155,18 +155,21 @@ class _Output(ABC):
             reading.is_fresh = False
         self._missing = len(self._leading)
         stamp_ns = max([reading.stamp_ns or 0 for reading in self._leading])
-        if any(self._is_old(reading, stamp_ns) for reading in self._others):
-            self.tally.add(self.kind.__name__, PairingRejection.TOO_OLD)
-            return None
+        for reading in self._others:
+            if reading.stamp_ns is None or abs(stamp_ns - reading.stamp_ns) > self._timeout_ns:
+                self.tally.add(self.kind.__name__, PairingRejection.TOO_OLD)
+                return None
         return self.make(stamp_ns)
-
-    def _is_old(self, reading: _Reading, stamp_ns: int) -> bool:
-        return reading.stamp_ns is None or abs(stamp_ns - reading.stamp_ns) > self._timeout_ns
 
     def si(self, role: str) -> float:
         """The value of a role; nan where there is none of it."""
         parts = self._parts.get(role)
-        return sum([part.si(reading.value) for reading, part in parts], 0.0) if parts else math.nan
+        if not parts:
+            return math.nan
+        total = 0.0
+        for reading, part in parts:
+            total += part.si(reading.value)
+        return total
 
     def take(self, reading: _Reading) -> None:  # noqa: B027 (nothing, as a rule)
         """There is a new value."""

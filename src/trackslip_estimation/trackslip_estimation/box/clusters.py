@@ -93,9 +93,8 @@ def rejoined(
             edge = min(ranges[parts[first][-1]], ranges[part[0]])
             if not max(farthest[first + 1 : second]) < edge:
                 break
-            ends = np.array([parts[first][0], part[-1]])
-            right, left = _points(ranges[ends], angles[ends])
-            if np.linalg.norm(left - right) <= extent:
+            right, left = parts[first][0], part[-1]
+            if _apart(ranges[right], ranges[left], angles[left] - angles[right]) <= extent:
                 joined.append(np.concatenate([parts[first], part]))
     return joined
 
@@ -126,6 +125,11 @@ def beams_on(
         right=(lower, float(angles[first])),
         left=(float(angles[last]), upper),
     )
+
+
+def _apart(one: float, other: float, between: float) -> float:
+    """Of two places, from their ranges and the angle between them."""
+    return math.sqrt((one - other) ** 2 + one * other * (2.0 * math.sin(0.5 * between)) ** 2)
 
 
 def _points(ranges: FloatArray, angles: FloatArray) -> FloatArray:

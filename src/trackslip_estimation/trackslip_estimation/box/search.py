@@ -16,7 +16,7 @@ from scipy.special import chdtri
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Box
 from trackslip_estimation.box.background import Background
-from trackslip_estimation.box.clusters import Beams, beams_on, clusters, cut, rejoined
+from trackslip_estimation.box.clusters import Beams, IndexArray, beams_on, clusters, cut, rejoined
 from trackslip_estimation.box.fit import Optimum, likely_starts, most_likely, seen_through
 from trackslip_estimation.box.frames import Frames
 from trackslip_estimation.box.measurement_model import Rectangle
@@ -89,8 +89,7 @@ class BoxSearch:
         for indices in rejoined(parts, ranges, angles, reach) + parts:
             if not near[indices].any() or any(np.isin(indices, other.beams.indices).any() for other in found):
                 continue
-            beams = beams_on(indices, ranges, angles, self.box.diagonal, 3.0 * self.range_stddev)
-            outcome = self._evaluate(beams, expected, ranges, angles)
+            outcome = self._evaluate(indices, expected, ranges, angles)
             if isinstance(outcome, Candidate) and known[indices].mean() > 0.5:
                 outcome = Reason.BACKGROUND
             if isinstance(outcome, Candidate):
@@ -103,11 +102,12 @@ class BoxSearch:
         return max(reasons, key=list(Reason).index)
 
     def _evaluate(
-        self, beams: Beams, expected: Expectation, ranges: FloatArray, angles: FloatArray
+        self, indices: IndexArray, expected: Expectation, ranges: FloatArray, angles: FloatArray
     ) -> Candidate | Reason:
         """Whether one object is the box."""
-        if len(beams.ranges) < self._parameters.minimum_beams:
+        if len(indices) < self._parameters.minimum_beams:
             return Reason.FEW_BEAMS
+        beams = beams_on(indices, ranges, angles, self.box.diagonal, 3.0 * self.range_stddev)
         points = beams.points()
         if np.linalg.norm(points[-1] - points[0]) > self.box.diagonal + 3.0 * self.range_stddev:
             return Reason.SIZE

@@ -20,16 +20,20 @@ class TruthWindow:
 
     def __init__(self, pieces: Iterable[Truth], duration: float) -> None:
         self._pieces = iter(pieces)
-        self.truth = next(self._pieces)
         self.duration = duration
+        self._begin(next(self._pieces))
 
     def advance(self, t: float) -> bool:
         """Go on to time ``t``, s; whether there is a new stretch."""
         advanced = False
-        while t > self.truth.t[max(-_AHEAD, -len(self.truth))]:
+        while t > self._until:
             piece = next(self._pieces, None)
             if piece is None:
                 break
-            self.truth = joined([self.truth.since(t - KEPT), piece])
+            self._begin(joined([self.truth.since(t - KEPT), piece]))
             advanced = True
         return advanced
+
+    def _begin(self, truth: Truth) -> None:
+        self.truth = truth
+        self._until = float(truth.t[max(-_AHEAD, -len(truth))])
