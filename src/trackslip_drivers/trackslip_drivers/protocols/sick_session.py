@@ -18,9 +18,9 @@ what that requests, at least every 20 ms. No bytes are received only where a rea
 import math
 from collections import deque
 from collections.abc import Generator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import sick_commands as commands
@@ -86,8 +86,7 @@ class SessionFault(Enum):
     RESTARTED = "scanner restarted"
 
 
-@dataclass(frozen=True)
-class Action:
+class Action(NamedTuple):
     """What the port must do now: first change its rate, where one is given, then write."""
 
     baud: int | None

@@ -114,9 +114,10 @@ class EmulatedExcavator:
         if now_ns >= self.end_ns:
             lines = self._watson_line, self._gnss_line
             return min(line.next_read_ns(now_ns, tick_ns) for line in lines)
-        devices = [device.next_ns(now_ns, tick_ns) for device in (self.watson, self.sick, self.gnss)]
-        of_samples = [] if self.inertial is None else [self.inertial.next_ns]
-        return min(self.can.next_ns, *of_samples, *devices)
+        next_ns = self.can.next_ns if self.inertial is None else min(self.can.next_ns, self.inertial.next_ns)
+        for device in (self.watson, self.sick, self.gnss):
+            next_ns = min(next_ns, device.next_ns(now_ns, tick_ns))
+        return next_ns
 
     def step_can(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Frames due by now."""
