@@ -36,6 +36,9 @@ class _Intervals:
         self.cycles += cycles
         self.time_ns += interval_ns
 
+    def halved(self) -> "_Intervals":
+        return _Intervals(self.count, self.cycles / 2.0, self.time_ns / 2.0)
+
     def filled_by(self, cycle_ns: float) -> float:
         """How much of their time so many cycles take."""
         return self.cycles * cycle_ns / max(self.time_ns, 1)
@@ -76,7 +79,9 @@ class CycleMeter:
         is_long, each = not 1 <= cycles <= _LONGEST, interval_ns / max(cycles, 1)
         counted = 1 if is_long else cycles
         if interval_ns < _SILENCE_NS:
-            self._watch(interval_ns, counted)
+            self._recent.add(interval_ns, counted)
+            if self._recent.time_ns > _RECENT_NS:
+                self._recent = self._recent.halved()
         if self.cycle_ns is None:
             if not is_long:
                 self._first.append(each)
@@ -100,12 +105,6 @@ class CycleMeter:
             if len(self._blocks) >= _ENOUGH:
                 agreeing = [block for block in self._blocks if abs(block - middle) <= _AS_STATED * middle]
                 self.cycle_ns = self._decide(statistics.fmean(agreeing), _AS_STATED, _FEW)
-
-    def _watch(self, interval_ns: int, cycles: int) -> None:
-        recent = self._recent
-        recent.add(interval_ns, cycles)
-        if recent.time_ns > _RECENT_NS:
-            recent.time_ns, recent.cycles = recent.time_ns / 2.0, recent.cycles / 2.0
 
     def _is_another(self) -> bool:
         """Whether frames have not fitted the cycle for so long that it is another one.

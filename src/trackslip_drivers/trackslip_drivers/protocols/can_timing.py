@@ -92,15 +92,15 @@ class FrameTiming(ABC):
     def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Placed]:
         """A frame that passed all checks; returns those whose times are known now."""
 
-    def _place(self, frame: _Frame, cycles: int | None) -> Placed:
+    def _place(self, arrival_ns: int, values: Any, cycles: int | None) -> Placed:
         """``cycles``: since the frame before; 0 if unknown, None of a sender that does not count."""
         cycle_ns = self._meter.cycle_ns
-        stamp_ns = self._stamp(frame.arrival_ns, cycles)
+        stamp_ns = self._stamp(arrival_ns, cycles)
         elapsed_ns = round(cycles * cycle_ns) if cycles and cycle_ns else stamp_ns - self._stamp_ns
         if self._accepted_ns is None:
             elapsed_ns = 0
-        self._accepted_ns, self._stamp_ns = frame.arrival_ns, stamp_ns
-        return Placed(stamp_ns, max(elapsed_ns, 0), frame.values)
+        self._accepted_ns, self._stamp_ns = arrival_ns, stamp_ns
+        return Placed(stamp_ns, max(elapsed_ns, 0), values)
 
     def _stamp(self, arrival_ns: int, cycles: int | None) -> int:
         """The arrival without its jitter."""
@@ -140,32 +140,32 @@ class CountedFrames(FrameTiming):
     def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Placed]:
         """As in ``FrameTiming``."""
         assert count is not None
-        frame, placed = _Frame(arrival_ns, values, count), []
+        placed = []
         if self._held:
             last = self._held[-1].frame
-            step = _Step(frame, *self._since(frame, last.number, last.arrival_ns))
-            if not self._turns(step.late):
-                self._held.append(step)
+            cycles, late = self._since(last.number, last.arrival_ns, count, arrival_ns)
+            if not self._turns(late):
+                self._held.append(_Step(_Frame(arrival_ns, values, count), cycles, late))
                 return self._settle() if self._has_caught_up() else []
             placed = self._settle()
         if self._accepted_ns is None or self._count is None:
-            return [self._accept(frame, 0)]
+            return [self._accept(arrival_ns, values, count, 0)]
         # A sender stuck at one count keeps being seen, so its silence never grows to a turn.
         since_ns = self._seen_ns if count == self._count else self._accepted_ns
-        cycles, late = self._since(frame, self._count, since_ns)
+        cycles, late = self._since(self._count, since_ns, count, arrival_ns)
         self._seen_ns = arrival_ns
         if self._turns(late):
-            self._held = [_Step(frame, cycles, late)]
+            self._held = [_Step(_Frame(arrival_ns, values, count), cycles, late)]
         elif cycles:
-            placed.append(self._accept(frame, cycles))
+            placed.append(self._accept(arrival_ns, values, count, cycles))
         else:
             self._tell(TimingEvent.ALIVE_REPEATED, 1)
         return placed
 
-    def _since(self, frame: _Frame, count: int, arrival_ns: int) -> tuple[int, float]:
-        """Cycles since another frame, by the counter, and how many later the frame came; see ``_Step``."""
-        cycles, cycle_ns = (frame.number - count) % self._modulus, self._meter.cycle_ns
-        return cycles, (frame.arrival_ns - arrival_ns) / cycle_ns - cycles if cycle_ns else 0.0
+    def _since(self, before: int, before_ns: int, count: int, arrival_ns: int) -> tuple[int, float]:
+        """Cycles from one frame to another by their counts, and how many later that came; see ``_Step``."""
+        cycles, cycle_ns = (count - before) % self._modulus, self._meter.cycle_ns
+        return cycles, (arrival_ns - before_ns) / cycle_ns - cycles if cycle_ns else 0.0
 
     def _turns(self, late: float) -> int:
         """Of the counter, in so many cycles."""
@@ -187,21 +187,21 @@ class CountedFrames(FrameTiming):
         turns, placed = self._turns_lost(), []
         for step in self._held:
             if step.cycles or turns:
-                placed.append(self._accept(step.frame, step.cycles + turns * self._modulus))
+                placed.append(self._accept(*step.frame, step.cycles + turns * self._modulus))
             else:
                 self._tell(TimingEvent.ALIVE_REPEATED, 1)
             turns = 0
         self._held = []
         return placed
 
-    def _accept(self, frame: _Frame, cycles: int) -> Placed:
+    def _accept(self, arrival_ns: int, values: Any, count: int, cycles: int) -> Placed:
         """A frame ``cycles`` after the one before; 0 if unknown."""
         if cycles > 1:
             self._tell(TimingEvent.LOST, cycles - 1)
         if cycles and self._accepted_ns is not None:
-            self._meter.add(frame.arrival_ns - self._accepted_ns, cycles)
-        self._count, self._seen_ns = frame.number, frame.arrival_ns
-        return self._place(frame, cycles)
+            self._meter.add(arrival_ns - self._accepted_ns, cycles)
+        self._count, self._seen_ns = count, arrival_ns
+        return self._place(arrival_ns, values, cycles)
 
 
 class UncountedFrames(FrameTiming):
@@ -223,7 +223,7 @@ class UncountedFrames(FrameTiming):
         frame = _Frame(arrival_ns, values)
         since_ns, self._seen_ns = arrival_ns - self._seen_ns, arrival_ns
         if self._accepted_ns is None:
-            return [self._place(frame, None)]
+            return [self._place(arrival_ns, values, None)]
         self._meter.add(since_ns, 1)
         cycle_ns = self._meter.cycle_ns
         if cycle_ns and 0 <= since_ns < PROMPT * cycle_ns:
@@ -231,6 +231,6 @@ class UncountedFrames(FrameTiming):
             if self._held:
                 self._held = frame
             return []
-        placed = [] if self._held is None else [self._place(self._held, None)]
+        placed = [] if self._held is None else [self._place(self._held.arrival_ns, self._held.values, None)]
         self._held = frame if cycle_ns and since_ns > _PAUSE * cycle_ns else None
-        return placed if self._held else [*placed, self._place(frame, None)]
+        return placed if self._held else [*placed, self._place(arrival_ns, values, None)]
