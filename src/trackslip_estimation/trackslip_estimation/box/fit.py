@@ -114,7 +114,7 @@ def _descend(start: FloatArray, beams: Target, steps: int) -> tuple[FloatArray, 
         for axis in range(3):
             damped[axis, axis] += damping * information[axis, axis]
             damped[axis, axis] += FAINT
-        trial = pose + np.linalg.solve(damped, -gradient)
+        trial = pose - np.linalg.solve(damped, gradient)
         trial_cost = total_cost(trial, beams)
         if not trial_cost < cost:
             damping *= 10.0

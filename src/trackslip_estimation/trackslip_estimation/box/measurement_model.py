@@ -121,8 +121,9 @@ def total_cost(pose: FloatArray, beams: Target) -> float:
 def normal_equations(pose: FloatArray, beams: Target) -> tuple[FloatArray, FloatArray]:
     """Information (3, 3) and gradient (3,) of the cost at a pose (3,)."""
     poses = np.empty((7, 3))
-    poses[:] = pose
     for axis in range(3):
+        for m in range(7):
+            poses[m, axis] = pose[axis]
         poses[1 + axis, axis] += STEP
         poses[4 + axis, axis] -= STEP
     values = _residuals(poses, beams)
