@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rectangle's measurement model and its fit."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -123,3 +126,30 @@ def test_covariance_is_symmetric_and_positive_definite_and_repeatable():
         assert np.array_equal(first, again)
         assert covariance == pytest.approx(covariance.T)
         assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
+
+
+COMPILED_BEFORE = """
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from trackslip_estimation.box import fit, measurement_model
+from trackslip_estimation.box.clusters import beams_on
+
+def signatures():
+    found = {**vars(fit), **vars(measurement_model)}
+    return {name: list(f.signatures) for name, f in found.items() if isinstance(f, Dispatcher)}
+
+fit.compile_fit()
+before = signatures()
+assert all(before[name] for name in ("_descend", "range_costs")), before
+box, angles = fit.Rectangle(0.7, 0.6), np.linspace(-1.57, 1.57, 361)
+ranges, outline = fit.ray_cast(np.array([[4.0, 1.0, 0.5]]), box, angles)
+on = np.flatnonzero((outline[0, 0] <= angles) & (angles <= outline[0, 1]))
+beams = beams_on(on, ranges[0], angles, box.diagonal, 0.05)
+start = fit.likely_starts(np.linspace(0.0, 1.0, 13), box, beams, 0.01)[0]
+fit.posterior(fit.most_likely(start, box, beams, 0.01), 0.5, box, beams, 0.01)
+assert signatures() == before
+"""
+
+
+def test_the_first_scan_waits_for_no_compiler():
+    subprocess.run([sys.executable, "-c", COMPILED_BEFORE], check=True)

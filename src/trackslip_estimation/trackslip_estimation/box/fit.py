@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr, ndtri
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.box.clusters import Beams
+from trackslip_estimation.box.clusters import Beams, beams_on
 from trackslip_estimation.box.measurement_model import (
     Rectangle,
     Target,
@@ -185,6 +185,15 @@ def _log_likelihood(poses: FloatArray, box: Rectangle, beams: Beams, range_stdde
     inside = log_ndtr((outline - intervals[:, 0]) / soft) + log_ndtr((intervals[:, 1] - outline) / soft)
     total: FloatArray = inside.sum(axis=1) - 0.5 * squares.sum(axis=1)
     return total
+
+
+def compile_fit() -> None:
+    """All of it, by the fit of a box in front of the laser; where that was done before it takes a moment."""
+    box, stddev, angles = Rectangle(1.0, 1.0), 0.01, np.linspace(-0.1, 0.1, 5)
+    (ranges,), _ = ray_cast(np.array([[5.0, 0.0, 0.0]]), box, angles)
+    beams = beams_on(np.arange(5), ranges, angles, box.diagonal, 3.0 * stddev)
+    start = likely_starts(np.zeros(1), box, beams, stddev)[0]
+    posterior(most_likely(start, box, beams, stddev), 0.0, box, beams, stddev)
 
 
 @cache

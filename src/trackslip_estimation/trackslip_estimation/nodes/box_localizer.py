@@ -12,6 +12,7 @@ from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
+from trackslip_estimation.box.fit import compile_fit
 from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_estimation.box.scan import Scan
@@ -27,7 +28,8 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         super().__init__(NODE, BoxNodeParameters, *DEFAULT_FILES)
 
     def configure(self) -> None:
-        """Make the localizer."""
+        """Make the localizer, and compile what the first scan would wait for."""
+        compile_fit()
         self._file = TrackFile(self.settings.track_file)
         self._localizer = BoxLocalizer(self.settings, self.settings.vehicle.box, self._file.read())
         self._fixes = 0

@@ -11,12 +11,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
-import numpy as np
-
 from trackslip_common.start import collect_garbage_seldom
-from trackslip_estimation.box.clusters import beams_on
-from trackslip_estimation.box.fit import likely_starts, most_likely, posterior
-from trackslip_estimation.box.measurement_model import Rectangle, ray_cast
+from trackslip_estimation.box.fit import compile_fit
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log, run_whole
 from trackslip_estimation.slip.measurements import Sprockets
@@ -50,14 +46,6 @@ def _truth() -> None:
         simulate(scenario, mode=mode)
 
 
-def _box() -> None:
-    box, stddev, angles = Rectangle(1.0, 1.0), 0.01, np.linspace(-0.1, 0.1, 5)
-    (ranges,), _ = ray_cast(np.array([[5.0, 0.0, 0.0]]), box, angles)
-    beams = beams_on(np.arange(5), ranges, angles, box.diagonal, 3.0 * stddev)
-    start = likely_starts(np.zeros(1), box, beams, stddev)[0]
-    posterior(most_likely(start, box, beams, stddev), 0.0, box, beams, stddev)
-
-
 def _slip() -> None:
     p = load_slip_parameters({"start": "initial_pose"})
     estimator = SlipEstimator(p)
@@ -85,7 +73,7 @@ def _soil() -> None:
 
 
 FAMILIES: Mapping[str, Callable[[], None]] = MappingProxyType(
-    {"slip": _slip, "truth": _truth, "box": _box, "soil": _soil, "study": _study}
+    {"slip": _slip, "truth": _truth, "box": compile_fit, "soil": _soil, "study": _study}
 )
 
 if __name__ == "__main__":
