@@ -248,9 +248,9 @@ def correct_cmake_files() -> None:
 def build_workspace(ros: str) -> None:
     """Builds all packages; Python packages anew, so that no link to a removed file stays.
 
-    Beside that compiles what estimators and simulator call, straight from their sources: each of the two
-    takes one processor, and no kernel is in both. Those of the slip estimator take the longest by far, and go
-    first where processors are few.
+    Beside that compiles what estimators and simulator call, straight from their sources: each of the two takes
+    one processor. The kernels of the slip estimator take the longest by far: they go first where processors
+    are few, and the other command starts with what they come to last.
     """
     if ros != SYSTEM:
         write_local_setup(ros)
@@ -267,8 +267,10 @@ def build_workspace(ros: str) -> None:
         run_all(
             {
                 "kernels of the slip estimator": Command([python, "-m", *replay], environment),
-                "kernels of soil estimator and simulator": Command(
-                    [python, "-m", "trackslip_sim.demo.warm_up", "soil", "box"], environment, niceness=_LATER
+                "kernels of soil estimator, simulator, box": Command(
+                    [python, "-m", "trackslip_sim.demo.warm_up", "last", "soil", "box"],
+                    environment,
+                    niceness=_LATER,
                 ),
                 "packages": colcon_build(ros, python),
             }
