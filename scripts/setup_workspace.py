@@ -248,9 +248,9 @@ def correct_cmake_files() -> None:
 def build_workspace(ros: str) -> None:
     """Builds all packages; Python packages anew, so that no link to a removed file stays.
 
-    Beside that compiles what estimators and simulator call, straight from their sources: each of the two takes
-    one processor. The kernels of the slip estimator take the longest by far: they go first where processors
-    are few, and the other command starts with what they come to last.
+    Beside that compiles what estimators and simulator call, straight from their sources, one processor for
+    each. The kernels of the slip estimator take the longest by far: they go first where processors are few,
+    and the other command starts with what they come to last.
     """
     if ros != SYSTEM:
         write_local_setup(ros)
