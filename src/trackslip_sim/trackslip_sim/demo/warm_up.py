@@ -3,7 +3,8 @@
 """Compiles kernels, so that no first run has to: ``python -m trackslip_sim.demo.warm_up [FAMILY…]``.
 
 What is compiled already is only loaded. ``make setup`` asks for what the demo needs, beside a short replay,
-which compiles the rest of the slip estimator; the studies and the thesis' own truth compile theirs when first run.
+which compiles the rest of the slip estimator; the studies and the thesis' own truth compile theirs when first
+run.
 """
 
 import sys
