@@ -258,12 +258,12 @@ def build_workspace(ros: str) -> None:
         for made in ("build", "install"):
             shutil.rmtree(WORKSPACE / made / package.parent.name, ignore_errors=True)
     python = str(VENV / "bin" / "python")
-    sources = [str(path.parent) for path in sorted(ROOT.glob("src/*/setup.py"))]
-    environment = bare_environment() | {"PYTHONPATH": os.pathsep.join(sources)}
+    sources = [path.parent for path in sorted(ROOT.glob("src/*/setup.py"))]
+    environment = bare_environment() | {"PYTHONPATH": os.pathsep.join(map(str, sources))}
     replay = ["trackslip_tools.cli.main", "replay", "bags/slalom_sand"]
     replay += ["--stop", "3", "--vehicle", "warthog"]  # which has no hydraulics: nothing of the soil
     with Step("ros2_ws built, kernels compiled"):
-        compile_modules(*sources)
+        compile_modules(*(str(source / source.name) for source in sources))
         run_all(
             {
                 "kernels of the slip estimator": Command([python, "-m", *replay], environment),
