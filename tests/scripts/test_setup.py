@@ -15,7 +15,7 @@ from fixtures.patience import PATIENCE, wait_for
 import setup_commands
 import setup_environment
 import setup_workspace
-from setup_commands import Command, SetupError, read_stamp, run, run_all, write_file
+from setup_commands import Command, SetupError, beside, read_stamp, run, write_file
 
 
 @pytest.fixture(autouse=True)
@@ -56,7 +56,7 @@ def test_write_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
 
 def test_failed_command_shows_the_end_of_its_output(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SetupError, match="failed; the whole output is in"):
-        run([sys.executable, "-c", "import sys; sys.exit('this went wrong')"])
+        run(Command([sys.executable, "-c", "import sys; sys.exit('this went wrong')"]))
     assert "this went wrong" in capsys.readouterr().err
 
 
@@ -69,13 +69,26 @@ def runs(pid: Path) -> bool:
     return state != "Z"
 
 
-def test_failed_command_ends_those_beside_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("in_the_block", [False, True])
+def test_failed_command_ends_those_beside_it(tmp_path: Path, in_the_block: bool) -> None:
     pid = tmp_path / "pid"
-    sleeps = ["sh", "-c", f"echo $$ > {pid}; exec sleep 600"]
-    fails = ["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"]
+    sleeps = Command(["sh", "-c", f"echo $$ > {pid}; exec sleep 600"])
+    fails = Command(["sh", "-c", f"until [ -s {pid} ]; do sleep 0.01; done; exit 1"])
+
+    def work() -> None:
+        with beside([sleeps] if in_the_block else [sleeps, fails]):
+            if in_the_block:
+                run(fails)
+
     with pytest.raises(SetupError):
-        run_all({"sleeps": Command(sleeps), "fails": Command(fails)})
+        work()
     assert not runs(pid)
+
+
+def test_block_ends_when_what_runs_beside_it_has_ended(tmp_path: Path) -> None:
+    with beside([Command(["sh", "-c", f"sleep 0.2; touch {tmp_path / name}"]) for name in "ab"]):
+        (tmp_path / "c").touch()
+    assert {path.name for path in tmp_path.iterdir()} >= {"a", "b", "c"}
 
 
 def test_interrupted_set_up_ends_all_it_started(tmp_path: Path) -> None:
@@ -86,7 +99,8 @@ sys.path.insert(0, {str(Path(setup_commands.__file__).parent)!r})
 import pathlib, setup_commands
 setup_commands.note_interrupts()
 setup_commands.LOG = pathlib.Path({str(tmp_path / "setup.log")!r})
-setup_commands.run(["sh", "-c", "sleep 600 & cd {tmp_path}; echo $! > new; mv new pid; wait"])
+setup_commands.run(setup_commands.Command(
+    ["sh", "-c", "sleep 600 & cd {tmp_path}; echo $! > new; mv new pid; wait"]))
 """
     process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.DEVNULL)
     pid = tmp_path / "pid"
@@ -138,6 +152,8 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(setup_workspace, "choose_ros", lambda asked: asked or "jazzy")
     monkeypatch.setattr(setup_workspace, "install_system_packages", lambda: None)
     monkeypatch.setattr(setup_workspace, "create_venv", lambda _: (venv / "made").touch())
+    monkeypatch.setattr(setup_workspace, "kernel_compilation", list)
+    monkeypatch.setattr(setup_workspace, "install_ros", lambda _: None)
     monkeypatch.setattr(
         setup_workspace, "build_workspace", lambda _: (workspace / "install").mkdir(parents=True)
     )
@@ -187,7 +203,10 @@ def test_environment_that_was_just_begun_is_gone_on_with(checkout: Path, left: l
     assert sorted(path.name for path in checkout.iterdir()) == ["made", "trackslip.json"]
 
 
-@pytest.mark.parametrize("step", ["removing", "install_system_packages", "create_venv", "build_workspace"])
+CREATING = ("removing", "install_system_packages", "create_venv", "install_ros")
+
+
+@pytest.mark.parametrize("step", [*CREATING, "build_workspace"])
 def test_set_up_ended_at_any_step_goes_on(checkout: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     """Also by kill -9, as if nothing of what follows had run."""
 
