@@ -17,10 +17,12 @@ from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import SPROCKETS
-from trackslip_estimation.slip.window import Records, Window, make_window, run
+from trackslip_estimation.slip.process import process
+from trackslip_estimation.slip.records import MEASUREMENT, RESULT, SPROCKETS
+from trackslip_estimation.slip.window import Records, Window, make_window
 
 _BLOCK = 256  # entries: their states and updates, 3 MB, stay near the processor
+_NO_ARRIVALS, _NO_RESULTS = np.empty(0, MEASUREMENT), np.empty(0, RESULT)
 _USED = (Outcome.ACCEPTED, Outcome.GATED, Outcome.JUMPED, Outcome.BEGUN)
 
 
@@ -95,16 +97,14 @@ def run_log(log: Log, p: SlipEstimatorParameters) -> Iterator[Block]:
 
 
 def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[Block]:
-    """``run`` over measurements in the order of their stamps, from the first entry of ``start``."""
+    """Runs over measurements in the order of their stamps, from the first entry of ``start``."""
     window = make_window(_BLOCK + 1)
     window.measurements[0], window.states[0] = start.measurements[0], start.states[0]
     first = 0
     while first < len(rest):
         last = _end_of_block(rest, first)
         count = last - first + 1
-        window.measurements[1:count] = rest[first:last]
-        window.status["count"] = count
-        run(window, 1, count, config[0])
+        _run(window, rest[first:last], config)
         yield Block(first, window)
         window.measurements[0], window.states[0] = window.measurements[count - 1], window.states[count - 1]
         first = last
@@ -112,12 +112,18 @@ def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[B
 
 def run_whole(rest: Records, start: Window, config: ConfigRecord) -> Window:
     """``run_blocks`` in one block: all states at once, for logs that are short."""
-    count = len(rest) + 1
-    window = make_window(count)
+    window = make_window(len(rest) + 1)
     window.measurements[0], window.states[0] = start.measurements[0], start.states[0]
-    window.measurements[1:], window.status["count"] = rest, count
-    run(window, 1, count, config[0])
+    _run(window, rest, config)
     return window
+
+
+def _run(window: Window, measurements: Records, config: ConfigRecord) -> None:
+    """The states after (m,) measurements, from that of the first entry."""
+    count = len(measurements) + 1
+    window.measurements[1:count] = measurements
+    window.status["started"], window.status["count"], window.status["known"] = True, count, 1
+    process(window, _NO_ARRIVALS, _NO_RESULTS, config)
 
 
 def _end_of_block(rest: Records, first: int) -> int:

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One measurement after the other into the window: checked, put in its place, published; compiled.
 
-Live node and replay hand their measurements to ``process``, one by one or many at once.
+Live node and replay hand their measurements to ``process``, one by one or many at once. It has the only loop
+over measurements: after a live one was inserted it goes on from there; tuning, studies and smoother have it
+run over windows that they filled.
 """
 
 import math
@@ -16,20 +18,21 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.observation import fill_outputs
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
 from trackslip_estimation.slip.start import begin
+from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.swing import fill_swing
 from trackslip_estimation.slip.tilt import fill_tilt
 from trackslip_estimation.slip.usable import is_usable
 from trackslip_estimation.slip.window import (
-    SPARE,
     Records,
     Window,
     horizon_ns,
     insert,
     is_at,
+    is_full,
     is_same,
     last_sample,
+    next_sample,
     place_of,
-    run,
     trim,
 )
 
@@ -43,38 +46,60 @@ _STAMP_BACK = int(StampStatus.BACK)
 
 
 @compiled
-def process(window: Window, arrivals: Records, results: Records, c: Any) -> int:
-    """Measurements in the order of their arrival; returns how many there was room for."""
-    for k in range(arrivals.size):
-        if window.status[0].count + SPARE >= window.states.size and not trim(window, c[0]):
-            return k
-        window.measurements[window.measurements.size - 1] = arrivals[k]
-        _process(window, window.measurements[window.measurements.size - 1], results[k], c[0])
-    return int(arrivals.size)
+def process(window: Window, arrivals: Records, results: Records, config: Any) -> int:
+    """Measurements in the order of their arrival; returns how many there was room for.
+
+    First come the states that the window's own measurements do not have yet.
+    """
+    status, c, states = window.status[0], config[0], window.states
+    measurements, arrival = window.measurements, window.measurements[window.measurements.size - 1]
+    taken, outcome, entry, was_head_ns = 0, _WAITING, 0, NEVER_NS
+    while True:
+        closing, count = -1, status.count
+        first, status.known = status.known if status.started else count, count
+        for k in range(first, count):
+            if closing < k:
+                closing = next_sample(measurements, k, count)
+            states[k] = states[k - 1]
+            closes = measurements[closing if closing < count else k]
+            step(states[k], closes, measurements[k], c, window.updates[k])
+        if taken > 0:
+            _tell(window, outcome, entry, was_head_ns, results[taken - 1], c)
+        if taken == arrivals.size or (is_full(window) and not trim(window, c)):
+            return taken
+        was_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
+        measurements[measurements.size - 1] = arrivals[taken]
+        outcome, entry = _take(window, arrival, c)
+        results[taken].stamp_ns = arrival.stamp_ns
+        taken += 1
 
 
 @inlined
-def _process(window: Window, measurement: Any, result: Any, c: Any) -> None:
+def _take(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
+    """Outcome so far, and entry of a measurement that was put in its place; 0 where it was not, or begins."""
+    outcome = _check(window, measurement, c)
+    if outcome not in (_ACCEPTED, _RESTARTED):
+        return outcome, 0
+    if window.status[0].started:
+        return _add(window, measurement, c)
+    began = begin(window, measurement, c)
+    return _RESTARTED if outcome == _RESTARTED else began, 0
+
+
+@inlined
+def _tell(window: Window, outcome: int, entry: int, was_head_ns: int, result: Any, c: Any) -> None:
+    """What became of the arrival, once all states are known."""
     status = window.status[0]
     result.published, result.dof, result.attitude = False, 0, 0
     result.nis = result.gate = np.nan
-    was_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
-    outcome = _check(window, measurement, c)
-    if outcome in (_ACCEPTED, _RESTARTED):
-        if status.started:
-            outcome, entry = _add(window, measurement, c)
-        else:
-            began = begin(window, measurement, c)
-            outcome, entry = _RESTARTED if outcome == _RESTARTED else began, 0
-            if entry + 1 < status.count and began == _ACCEPTED:
-                run(window, entry + 1, status.count, c)
-        if status.started and outcome in (_ACCEPTED, _JUMPED, _RESTARTED):
-            _publish(window, entry, was_head_ns, result, c)
-        if status.started and outcome != _TOO_LATE and outcome != _DUPLICATE and entry > 0:
-            update = window.updates[entry]
-            result.nis, result.gate, result.dof = update.nis, update.gate, update.dof
-            result.attitude = update.attitude
-    result.stamp_ns, result.outcome = measurement.stamp_ns, outcome
+    if entry > 0:
+        update = window.updates[entry]
+        outcome = int(update.outcome)
+        result.nis, result.gate, result.dof = update.nis, update.gate, update.dof
+        result.attitude = update.attitude
+    if status.started and outcome in (_ACCEPTED, _JUMPED, _RESTARTED):
+        _publish(window, entry, was_head_ns, result, c)
+    result.outcome = outcome
 
 
 @inlined
@@ -134,7 +159,7 @@ def _contradicts(window: Window, sample: Any, c: Any) -> bool:
 
 @inlined
 def _add(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
-    """Outcome and entry of a measurement in its place, with all done again that depends on it."""
+    """Put a measurement in its place; all that depends on it is to be done again."""
     status, measurements = window.status[0], window.measurements
     if measurement.stamp_ns < horizon_ns(window, c):
         return _TOO_LATE, 0
@@ -142,11 +167,9 @@ def _add(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
     if is_at(measurements, status.count, entry, measurement) or is_same(measurement, measurements[0]):
         return _DUPLICATE, 0
     insert(window, entry)
-    first = entry
-    if measurement.kind == SPROCKETS:  # what was extrapolated from the sample before it
-        first = max(last_sample(measurements, entry) + 1, 1)
-    run(window, first, status.count, c)
-    return int(window.updates[entry].outcome), entry
+    if measurement.kind == SPROCKETS:  # also what was extrapolated from the sample before it
+        status.known = min(status.known, max(last_sample(measurements, entry) + 1, 1))
+    return _ACCEPTED, entry
 
 
 @inlined

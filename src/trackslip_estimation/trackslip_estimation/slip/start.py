@@ -51,7 +51,7 @@ def begin(window: Window, measurement: Any, c: Any) -> int:
     drop(window, entry)
     _set_start(window.states[0], measurements[0], c)
     window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
-    status.started = True
+    status.started, status.known = True, 1
     return _ACCEPTED
 
 

@@ -3,9 +3,7 @@
 """A window of measurements in the order of their stamps, each with the state after it; compiled.
 
 Late measurements are put in their place and what comes after them is done again, so that the state is a
-function of the *set* of measurements, whatever the order in which they came. ``run`` is the only loop over
-measurements: a live one inserts itself and runs from there; replay, tuning, studies and smoother run it over
-longer stretches.
+function of the *set* of measurements, whatever the order in which they came. ``process.process`` makes them.
 
 A state is *settled* once it is older than the window: nothing that may still come can change it. Entry 0 is
 where the estimate started, or the last state that was settled.
@@ -19,7 +17,6 @@ from numpy.typing import NDArray
 from trackslip_common.clock_monitor import CLOCK, NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.records import MEASUREMENT, SPROCKETS, STATE, UPDATE
-from trackslip_estimation.slip.step import step
 
 Records = NDArray[np.void]
 
@@ -28,6 +25,7 @@ WINDOW = np.dtype(
         ("started", np.bool_),  # else it holds only the sprocket samples of late
         ("frozen", np.bool_),  # poses are not wanted now
         ("count", np.int64),  # entries in use
+        ("known", np.int64),  # of these, once started: how many have their state
         ("restarts", np.int64),  # since the clock went back, not those a user asked for
         ("published_ns", np.int64),  # stamp of the newest estimate
         ("clock", CLOCK),
@@ -69,18 +67,6 @@ def enlarged(window: Window) -> Window:
     for old, new in zip(window, larger, strict=True):
         new[: len(old)] = old
     return larger
-
-
-@compiled
-def run(window: Window, first: int, last: int, c: Any) -> None:
-    """The states of entries ``first`` to ``last`` (not included), each from the one before it."""
-    measurements, states, updates = window.measurements, window.states, window.updates
-    closing, count = -1, window.status[0].count
-    for k in range(first, last):
-        if closing < k:
-            closing = next_sample(measurements, k, count)
-        states[k] = states[k - 1]
-        step(states[k], measurements[closing if closing < count else k], measurements[k], c, updates[k])
 
 
 @compiled
@@ -134,12 +120,13 @@ def is_at(measurements: Records, count: int, k: int, measurement: Any) -> bool:
 
 @compiled
 def insert(window: Window, k: int) -> None:
-    """Put the arrival, which waits in the last entry, into entry k; its state is still to be made."""
+    """Put the arrival, which waits in the last entry, into entry k; no state from there on is known."""
     measurements, states, updates = window.measurements, window.states, window.updates
     for i in range(window.status[0].count, k, -1):
         measurements[i], states[i], updates[i] = measurements[i - 1], states[i - 1], updates[i - 1]
     measurements[k] = measurements[measurements.size - 1]
     window.status[0].count += 1
+    window.status[0].known = min(window.status[0].known, k)
 
 
 @compiled
@@ -151,6 +138,7 @@ def drop(window: Window, entries: int) -> None:
         measurements[i], states[i] = measurements[i + entries], states[i + entries]
         updates[i] = updates[i + entries]
     window.status[0].count = count
+    window.status[0].known -= entries
 
 
 @compiled
@@ -164,6 +152,12 @@ def horizon_ns(window: Window, c: Any) -> int:
 
 
 @compiled
+def is_full(window: Window) -> bool:
+    """Whether there is no room for one more."""
+    return bool(window.status[0].count + SPARE >= window.states.size)
+
+
+@compiled
 def trim(window: Window, c: Any) -> bool:
     """Let settled entries go, but for the one that the window stands on; whether there is room again."""
     status = window.status[0]
@@ -173,4 +167,4 @@ def trim(window: Window, c: Any) -> bool:
         settled += 1
     if settled > 0:
         drop(window, settled)
-    return bool(status.count + SPARE < window.states.size)
+    return not is_full(window)
