@@ -27,6 +27,7 @@ llvmlite.binding.set_option("trackslip", "--unroll-runtime=false")
 F = TypeVar("F", bound=Callable[..., Any])
 
 _OURS = "trackslip_"
+_real_path = cache(os.path.realpath)
 _IMPORT = re.compile(r"^(?:from|import) +([\w.]+)(?: +import +(\([^)]*\)|.*))?", re.MULTILINE)
 
 
@@ -35,7 +36,7 @@ def compiled(function: F) -> F:
 
     Numba keeps it by the path of the file; colcon and ``make setup`` import the same file by two.
     """
-    file = os.path.realpath(function.__code__.co_filename)
+    file = _real_path(function.__code__.co_filename)
     function.__code__ = function.__code__.replace(co_filename=file)
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = _cache_directory(file, function.__module__)
@@ -65,20 +66,25 @@ def _cache_directory(file: str, module: str) -> str:
         waiting.update(path for path in _imported(source) if path not in found)
     digest = hashlib.sha256(module.encode())
     for source in sorted(found):
-        digest.update(Path(source).read_bytes())
+        digest.update(_text(source))
     parent = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(file).parent / "__pycache__")
     return str(parent / digest.hexdigest()[:16])
+
+
+@cache
+def _text(file: str) -> bytes:
+    return Path(file).read_bytes()
 
 
 @cache
 def _imported(file: str) -> tuple[str, ...]:
     """Files of the modules that a file imports, those of our packages and of its own folder."""
     found = []
-    for match in _IMPORT.finditer(Path(file).read_text(encoding="utf-8")):
+    for match in _IMPORT.finditer(_text(file).decode()):
         parent, names = match.group(1), re.findall(r"\w+", match.group(2) or "")
         for name in (parent, *(f"{parent}.{name}" for name in names)):
             path = getattr(sys.modules.get(name), "__file__", None)
-            path = path and os.path.realpath(path)
+            path = path and _real_path(path)
             if path and (name.startswith(_OURS) or Path(path).parent == Path(file).parent):
                 found.append(path)
     return tuple(found)
