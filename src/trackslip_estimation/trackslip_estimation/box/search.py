@@ -39,12 +39,12 @@ class Reason(Enum):
     NOT_LATER = "not_later_than_the_scan_before"
     AHEAD = "stamp_ahead"  # and not (yet) confirmed by those that follow
     NOTHING_NEAR = "nothing_near_the_prediction"
+    BACKGROUND = "was_there_before"
     FEW_BEAMS = "few_beams"
     TOO_NEAR = "too_near_the_laser"
     SIZE = "larger_than_the_box"
     SHAPE = "not_the_shape_of_the_box"
     GATE = "too_far_from_the_prediction"
-    BACKGROUND = "was_there_before"
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +89,9 @@ class BoxSearch:
         for indices in rejoined(parts, ranges, angles, reach) + parts:
             if not near[indices].any() or any(np.isin(indices, other.beams.indices).any() for other in found):
                 continue
-            outcome = self._evaluate(indices, expected, ranges, angles)
-            if isinstance(outcome, Candidate) and known[indices].mean() > 0.5:
-                outcome = Reason.BACKGROUND
+            outcome: Candidate | Reason = Reason.BACKGROUND
+            if 2 * np.count_nonzero(known[indices]) <= len(indices):
+                outcome = self._evaluate(indices, expected, ranges, angles)
             if isinstance(outcome, Candidate):
                 found.append(outcome)
             else:
