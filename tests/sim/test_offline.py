@@ -46,7 +46,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, int, b
 def test_skipped_ticks_change_nothing(
     recorded: list[tuple[str, int, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(EmulatedExcavator, "next_ns", lambda _, now_ns, tick_ns: now_ns + tick_ns)
+    monkeypatch.setattr(EmulatedExcavator, "next_ns", lambda _, sensor, now_ns, tick_ns: now_ns + tick_ns)
     record_drive(PARAMETERS, simulate(SCENARIO), tmp_path / "bag")
     assert messages(tmp_path / "bag") == recorded
     assert {topic for topic, _, _ in recorded} >= {

@@ -24,7 +24,7 @@ from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, CanDevice
 from trackslip_sim.devices.inertial_unit import InertialUnit
-from trackslip_sim.devices.line import BaudLine
+from trackslip_sim.devices.line import NEVER_NS, BaudLine
 from trackslip_sim.devices.nmea_device import NmeaDevice
 from trackslip_sim.devices.sick_device import SickDevice
 from trackslip_sim.devices.watson_device import WatsonDevice
@@ -97,6 +97,12 @@ class EmulatedExcavator:
         placement = self._placement_of[p.vehicle.mount_of("antenna")]
         antenna = GnssModel(p.mounted_gnss(), placement, self.faults, p.seed)
         self.gnss = NmeaDevice(p.gnss.device, self._gnss_line, antenna.measure, start_ns, p.seed)
+        self._next_of: dict[str, Callable[[int, int], int]] = {
+            CAN: lambda *_: self.can.next_ns,
+            WATSON: self._next_inertial_ns,
+            SICK: self.sick.next_ns,
+            GNSS: self.gnss.next_ns,
+        }
         self._power_on: dict[str, Callable[[int], None]] = {
             CAN: lambda now_ns: self.can.start(now_ns + boot_ns),
             WATSON: self.watson.power_cycle,
@@ -107,17 +113,14 @@ class EmulatedExcavator:
         self._bus = FaultyBus(CAN, self.faults, p.seed)
         self._lines = {sensor: FaultySerial(sensor, self.faults, p.seed) for sensor in (WATSON, SICK, GNSS)}
 
-    def next_ns(self, now_ns: int, tick_ns: int) -> int:
-        """When to call the steps next, of all times whole ticks from now, for the same result as at each."""
+    def next_ns(self, sensor: str, now_ns: int, tick_ns: int) -> int:
+        """When to step a sensor next, of all times whole ticks from now, for the same result as at each."""
         if self.faults:
             return now_ns + tick_ns
-        if now_ns >= self.end_ns:
-            lines = self._watson_line, self._gnss_line
-            return min(line.next_read_ns(now_ns, tick_ns) for line in lines)
-        next_ns = self.can.next_ns if self.inertial is None else min(self.can.next_ns, self.inertial.next_ns)
-        for device in (self.watson, self.sick, self.gnss):
-            next_ns = min(next_ns, device.next_ns(now_ns, tick_ns))
-        return next_ns
+        if now_ns < self.end_ns:
+            return self._next_of[sensor](now_ns, tick_ns)
+        draining = {WATSON: self._watson_line, GNSS: self._gnss_line}
+        return draining[sensor].next_read_ns(now_ns, tick_ns) if sensor in draining else NEVER_NS
 
     def step_can(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Frames due by now."""
@@ -178,6 +181,10 @@ class EmulatedExcavator:
             "fix": self.gnss.fixes_emitted,
             "heading": self.gnss.headings_emitted,
         }
+
+    def _next_inertial_ns(self, now_ns: int, tick_ns: int) -> int:
+        next_ns = self.watson.next_ns(now_ns, tick_ns)
+        return next_ns if self.inertial is None else min(next_ns, self.inertial.next_ns)
 
     def _scan(self, stamp_ns: int) -> FloatArray:
         poses = self._poses_of[self._vehicle.mount_of("box")]

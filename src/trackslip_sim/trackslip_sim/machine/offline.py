@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A drive recorded faster than real time: the emulator's bytes through the drivers' protocols into a bag.
 
-The same devices, protocols, conversions and localizer as live, on a clock that is only counted: it goes from
-tick to tick, past those at which no device has anything to say. There are no ports and no processes, so each
-message is logged at the tick at which its last byte arrives.
+The same devices, protocols, conversions and localizer as live, on a clock that is only counted: each device
+is looked at only when it has something to say. There are no ports and no processes, so each message is logged
+at the tick at which its last byte arrives.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,7 @@ from trackslip_estimation.gnss.localizer import GnssLocalizer, Reason
 from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 from trackslip_estimation.slip import conversions as of_estimates
 from trackslip_estimation.slip.measurements import PoseFix
+from trackslip_sim.devices.line import NEVER_NS
 from trackslip_sim.machine.bag_messages import Recording, Serialize, like, sensor_serializers
 from trackslip_sim.machine.emulation import (
     BODY_FRAME,
@@ -53,6 +55,7 @@ from trackslip_sim.machine.emulation import (
     TRUTH_NS,
 )
 from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
+from trackslip_sim.machine.faults import CAN, GNSS, SICK, WATSON
 from trackslip_sim.machine.message_columns import Columns, stamp_columns
 from trackslip_sim.machine.sensors import swing_topics
 from trackslip_sim.machine.truth_messages import (
@@ -72,6 +75,7 @@ from trackslip_sim.truth.window import KEPT, TruthWindow
 
 START_NS = 1_000_000_000  # of the counted clock
 _SECOND_NS = 1_000_000_000
+_LOOK_NS = 100_000_000  # between two looks at a port, at the most: as live
 _WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes, while the window still has the truth
 
 
@@ -91,14 +95,23 @@ def record_drive(
     window = truth if isinstance(truth, TruthWindow) else TruthWindow((truth,), truth.duration)
     with BagWriter(path) as bag:
         host = _Host(p, window, bag)
-        now_ns = START_NS
-        while now_ns <= host.excavator.end_ns + DRAIN_NS:
+        done = START_NS // _SECOND_NS
+        while (now_ns := host.next_ns) <= host.excavator.end_ns + DRAIN_NS:
             host.step(now_ns)
-            before_ns, now_ns = now_ns, host.next_ns(now_ns)
-            if (seconds := now_ns // _SECOND_NS - before_ns // _SECOND_NS) > 0:
+            if (seconds := now_ns // _SECOND_NS - done) > 0:
                 advance(seconds)
+                done += seconds
         host.recording.write()
     return bag.counts
+
+
+@dataclass
+class _Task:
+    """Something that the host does again and again."""
+
+    step: Callable[[int], None]
+    after: Callable[[int], int]  # when it is due after a step
+    due_ns: int = START_NS
 
 
 class _Host:
@@ -129,44 +142,63 @@ class _Host:
         self.recording = Recording(bag, serializers)
         text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
         self.recording.add(VEHICLE, text, START_NS)
-        self._written_ns = START_NS
         self._swings = swing_topics(p.vehicle)
+        self._tasks = [
+            _Task(self._hear_bus, partial(self._next_look_ns, CAN)),
+            _Task(self._hear_inertial, partial(self._next_look_ns, WATSON)),
+            _Task(self._talk_to_scanner, self._next_talk_ns),
+            _Task(self._hear_gnss, partial(self._next_look_ns, GNSS)),
+            _Task(self._record_truth, partial(self._repeated_ns, TRUTH_NS)),
+            _Task(self._record_swing, partial(self._repeated_ns, SWING_NS)),
+            _Task(lambda _: self.recording.write(), partial(self._repeated_ns, _WRITE_NS)),
+        ]
+
+    @property
+    def next_ns(self) -> int:
+        """The next tick at which there is anything to do."""
+        return min([task.due_ns for task in self._tasks])
 
     def step(self, now_ns: int) -> None:
-        """All that arrives by now."""
-        add = self.recording.add
+        """All that is due, in the order of the tasks."""
+        for task in self._tasks:
+            if task.due_ns <= now_ns:
+                task.step(now_ns)
+                task.due_ns = task.after(now_ns)
+
+    def _next_look_ns(self, sensor: str, now_ns: int) -> int:
+        """The next tick at which a sensor may be heard."""
+        wanted_ns = min(self.excavator.next_ns(sensor, now_ns, TICK_NS), now_ns + _LOOK_NS)
+        return now_ns + max(1, -((now_ns - wanted_ns) // TICK_NS)) * TICK_NS
+
+    def _next_talk_ns(self, now_ns: int) -> int:
+        """The same of the scanner, which waits for answers until it streams."""
+        is_streaming = self._session.phase is Phase.STREAMING
+        return self._next_look_ns(SICK, now_ns) if is_streaming else now_ns + TICK_NS
+
+    def _repeated_ns(self, period_ns: int, now_ns: int) -> int:
+        """A period later, to the end of the drive."""
+        next_ns = now_ns + period_ns
+        return next_ns if next_ns <= self.excavator.end_ns else NEVER_NS
+
+    def _hear_bus(self, now_ns: int) -> None:
         for frame in self.excavator.step_can(now_ns):
             for sample in self._can.receive(*frame, now_ns):
-                add("sprockets" if isinstance(sample, SprocketSample) else "hydraulics", sample, now_ns)
-        for reading in self._step_inertial(now_ns):
-            add("imu/data_raw", reading, now_ns)
+                topic = "sprockets" if isinstance(sample, SprocketSample) else "hydraulics"
+                self.recording.add(topic, sample, now_ns)
+
+    def _hear_inertial(self, now_ns: int) -> None:
+        readings: Sequence[ImuSample] = self._imu.feed(self.excavator.step_watson(now_ns), now_ns)
+        if self.excavator.inertial is not None:
+            readings = self.excavator.step_inertial(now_ns)
+        for reading in readings:
+            self.recording.add("imu/data_raw", reading, now_ns)
             if reading.magnetic_field is not None:
-                add("imu/mag", reading, now_ns)
-        self._talk_to_scanner(now_ns)
+                self.recording.add("imu/mag", reading, now_ns)
+
+    def _hear_gnss(self, now_ns: int) -> None:
         sent = self.excavator.step_gnss(now_ns)
         for found in self._gnss.feed(sent, now_ns) if sent else ():
             self._on_gnss(found, now_ns)
-        since_ns = now_ns - START_NS
-        if since_ns % TRUTH_NS == 0 and now_ns <= self.excavator.end_ns:
-            self._record_truth(now_ns, since_ns)
-        if since_ns % SWING_NS == 0 and now_ns <= self.excavator.end_ns and self._swings:
-            self._record_swing(now_ns)
-        if now_ns - self._written_ns >= _WRITE_NS:
-            self.recording.write()
-            self._written_ns = now_ns
-
-    def _step_inertial(self, now_ns: int) -> Sequence[ImuSample]:
-        lines = self._imu.feed(self.excavator.step_watson(now_ns), now_ns)
-        return lines if self.excavator.inertial is None else self.excavator.step_inertial(now_ns)
-
-    def next_ns(self, now_ns: int) -> int:
-        """The next tick at which there may be anything to do."""
-        if self._session.phase is not Phase.STREAMING:
-            return now_ns + TICK_NS
-        wanted_ns = self.excavator.next_ns(now_ns, TICK_NS)
-        ticks = max(1, -((now_ns - wanted_ns) // TICK_NS))
-        until_truth = TRUTH_NS - (now_ns - START_NS) % TRUTH_NS
-        return now_ns + min(ticks * TICK_NS, until_truth)
 
     def _talk_to_scanner(self, now_ns: int) -> None:
         arrived = self.excavator.step_sick(now_ns)
@@ -201,8 +233,9 @@ class _Host:
             pose = of_fixes.pose(make, place, "gnss_pose", self._map.map_frame)
             self.recording.add("gnss_pose", pose, now_ns)
 
-    def _record_truth(self, now_ns: int, since_ns: int) -> None:
+    def _record_truth(self, now_ns: int) -> None:
         """Stamps; what the truth is then is looked up when it is written."""
+        since_ns = now_ns - START_NS
         self._window.advance(self.excavator.sensors.time(now_ns))
         self.recording.add("truth/odometry", now_ns, now_ns)
         self.recording.add("truth/track_slip", now_ns, now_ns)
