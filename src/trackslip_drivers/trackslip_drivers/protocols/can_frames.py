@@ -7,10 +7,9 @@ signal is for, and which signals are a counter and a checksum. A frame is known 
 parameter group, whatever its priority and source address.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from pathlib import Path
-from typing import NamedTuple
 
 import cantools
 from cantools.database import Database, Message
@@ -22,9 +21,15 @@ from trackslip_common.tally import Tally
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.can_parameters import NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_binding import Binder
-from trackslip_drivers.protocols.can_codec import CHECKSUMS, Codec, Protection, Value
+from trackslip_drivers.protocols.can_codec import CHECKSUMS, Codec, Protection
 from trackslip_drivers.protocols.can_roles import read_roles
-from trackslip_drivers.protocols.can_timing import CountedFrames, FrameTiming, TimingEvent, UncountedFrames
+from trackslip_drivers.protocols.can_timing import (
+    CountedFrames,
+    Frame,
+    FrameTiming,
+    TimingEvent,
+    UncountedFrames,
+)
 
 ERROR_FLAG = 1 << 29  # set beside the id by the transport for error frames
 STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
@@ -44,16 +49,6 @@ class Rejection(Enum):
     CHECKSUM = "checksum"
     UNUSED_BITS = "bits set that mean nothing"
     OUT_OF_RANGE = "out of range"
-
-
-class Frame(NamedTuple):
-    """One accepted frame."""
-
-    name: str
-    source: int  # of J1939, the sender's address; else 0
-    stamp_ns: int
-    elapsed_ns: int  # of the sender since the frame before this one of its name; 0 for the first
-    values: Mapping[str, Value]  # signal → value in the DBC's unit, or a position's raw number
 
 
 class FrameSet:
@@ -175,7 +170,7 @@ class FrameDecoder:
         self._tally = tally
         self._timings: dict[int, FrameTiming] = {}  # by arbitration id
 
-    def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> tuple[Frame, ...] | Rejection:
+    def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> Sequence[Frame] | Rejection:
         """The frames that are known now that this one was received: as a rule itself.
 
         None of them where its place in time is in doubt: it comes with the next of its name. A rejection has
@@ -198,9 +193,7 @@ class FrameDecoder:
         if values is None:
             return self._reject(codec.name, Rejection.OUT_OF_RANGE)
         timing = self._timings.get(arbitration_id) or self._new_timing(arbitration_id, codec)
-        placed = timing.add(codec.count(little, big), stamp_ns, values)
-        source = arbitration_id & 0xFF if arbitration_id < _EXTENDED else 0
-        return tuple([Frame(codec.name, source, *one) for one in placed])
+        return timing.add(codec.count(little, big), stamp_ns, values)
 
     def resume(self) -> None:
         """The bus was opened anew: what came before is continued by time alone."""
@@ -226,10 +219,11 @@ class FrameDecoder:
             tally.add(codec.name, event, times)
 
         timing: FrameTiming
+        source = arbitration_id & 0xFF if arbitration_id < _EXTENDED else 0
         if codec.modulus:
-            timing = CountedFrames(codec.nominal_ns, codec.modulus, tell)
+            timing = CountedFrames(codec.nominal_ns, codec.modulus, tell, codec.name, source)
         else:
-            timing = UncountedFrames(codec.nominal_ns, tell)
+            timing = UncountedFrames(codec.nominal_ns, tell, codec.name, source)
         self._timings[arbitration_id] = timing
         return timing
 

@@ -13,11 +13,12 @@ of arrivals does not enter; without a counter it is that between stamps.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import Enum
 from itertools import accumulate
 from typing import Any, NamedTuple
 
+from trackslip_drivers.protocols.can_codec import Value
 from trackslip_drivers.protocols.can_cycle import PROMPT, CycleMeter
 from trackslip_drivers.stamping import PeriodicStamps
 
@@ -40,15 +41,17 @@ class TimingEvent(Enum):
 Tell = Callable[[TimingEvent, int], None]  # what befell frames, and how many
 
 
-class Placed(NamedTuple):
-    """When a frame was sent, and the time since the one before; then what was given with it."""
+class Frame(NamedTuple):
+    """One accepted frame, and when it was sent."""
 
+    name: str
+    source: int  # of J1939, the sender's address; else 0
     stamp_ns: int
-    elapsed_ns: int
-    values: Any
+    elapsed_ns: int  # of the sender since the frame before this one of its name; 0 for the first
+    values: Mapping[str, Value]  # signal → value in the DBC's unit, or a position's raw number
 
 
-class _Frame(NamedTuple):
+class _Arrival(NamedTuple):
     arrival_ns: int
     values: Any
     number: int = 0  # the sender's counter
@@ -57,7 +60,7 @@ class _Frame(NamedTuple):
 class _Step(NamedTuple):
     """A frame after another, by the counter, if no turn of it passed."""
 
-    frame: _Frame
+    frame: _Arrival
     cycles: int
     late: float  # cycles that its arrival is later than that
 
@@ -68,9 +71,11 @@ class FrameTiming(ABC):
     Args:
         nominal_ns: cycle that the DBC states; 0 where it does not.
         tell: called with what befell frames.
+        name, source: of its frames.
     """
 
-    def __init__(self, nominal_ns: float, tell: Tell) -> None:
+    def __init__(self, nominal_ns: float, tell: Tell, name: str = "", source: int = 0) -> None:
+        self._name, self._source = name, source
         self._meter = CycleMeter(nominal_ns)
         self._tell = tell
         self._accepted_ns: int | None = None  # arrival of the last frame accepted
@@ -89,10 +94,10 @@ class FrameTiming(ABC):
         self._filter = None
 
     @abstractmethod
-    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Placed]:
+    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Frame]:
         """A frame that passed all checks; returns those whose times are known now."""
 
-    def _place(self, arrival_ns: int, values: Any, cycles: int | None) -> Placed:
+    def _place(self, arrival_ns: int, values: Any, cycles: int | None) -> Frame:
         """``cycles``: since the frame before; 0 if unknown, None of a sender that does not count."""
         cycle_ns = self._meter.cycle_ns
         stamp_ns = self._stamp(arrival_ns, cycles)
@@ -100,7 +105,7 @@ class FrameTiming(ABC):
         if self._accepted_ns is None:
             elapsed_ns = 0
         self._accepted_ns, self._stamp_ns = arrival_ns, stamp_ns
-        return Placed(stamp_ns, max(elapsed_ns, 0), values)
+        return Frame(self._name, self._source, stamp_ns, max(elapsed_ns, 0), values)
 
     def _stamp(self, arrival_ns: int, cycles: int | None) -> int:
         """The arrival without its jitter."""
@@ -120,12 +125,12 @@ class CountedFrames(FrameTiming):
     """Those of a sender that counts.
 
     Args:
-        nominal_ns, tell: as of ``FrameTiming``.
+        nominal_ns, tell, name, source: as of ``FrameTiming``.
         modulus: where the counter goes round.
     """
 
-    def __init__(self, nominal_ns: float, modulus: int, tell: Tell) -> None:
-        super().__init__(nominal_ns, tell)
+    def __init__(self, nominal_ns: float, modulus: int, tell: Tell, name: str = "", source: int = 0) -> None:
+        super().__init__(nominal_ns, tell, name, source)
         self._modulus = modulus
         self._count: int | None = None
         self._held: list[_Step] = []
@@ -137,7 +142,7 @@ class CountedFrames(FrameTiming):
             self._tell(TimingEvent.CUT_OFF, len(self._held))
         self._held, self._count = [], None
 
-    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Placed]:
+    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Frame]:
         """As in ``FrameTiming``."""
         assert count is not None
         placed = []
@@ -145,7 +150,7 @@ class CountedFrames(FrameTiming):
             last = self._held[-1].frame
             cycles, late = self._since(last.number, last.arrival_ns, count, arrival_ns)
             if not self._turns(late):
-                self._held.append(_Step(_Frame(arrival_ns, values, count), cycles, late))
+                self._held.append(_Step(_Arrival(arrival_ns, values, count), cycles, late))
                 return self._settle() if self._has_caught_up() else []
             placed = self._settle()
         if self._accepted_ns is None or self._count is None:
@@ -155,7 +160,7 @@ class CountedFrames(FrameTiming):
         cycles, late = self._since(self._count, since_ns, count, arrival_ns)
         self._seen_ns = arrival_ns
         if self._turns(late):
-            self._held = [_Step(_Frame(arrival_ns, values, count), cycles, late)]
+            self._held = [_Step(_Arrival(arrival_ns, values, count), cycles, late)]
         elif cycles:
             placed.append(self._accept(arrival_ns, values, count, cycles))
         else:
@@ -182,7 +187,7 @@ class CountedFrames(FrameTiming):
         is_prompt = len(times) == 3 and min(times[2] - times[1], times[1] - times[0]) >= apart
         return is_prompt or not self._turns_lost() or len(self._held) >= _MOST_HELD
 
-    def _settle(self) -> list[Placed]:
+    def _settle(self) -> list[Frame]:
         """Place the frames held, the first after the turns that were lost."""
         turns, placed = self._turns_lost(), []
         for step in self._held:
@@ -194,7 +199,7 @@ class CountedFrames(FrameTiming):
         self._held = []
         return placed
 
-    def _accept(self, arrival_ns: int, values: Any, count: int, cycles: int) -> Placed:
+    def _accept(self, arrival_ns: int, values: Any, count: int, cycles: int) -> Frame:
         """A frame ``cycles`` after the one before; 0 if unknown."""
         if cycles > 1:
             self._tell(TimingEvent.LOST, cycles - 1)
@@ -207,9 +212,9 @@ class CountedFrames(FrameTiming):
 class UncountedFrames(FrameTiming):
     """Those of a sender that does not count."""
 
-    def __init__(self, nominal_ns: float, tell: Tell) -> None:
-        super().__init__(nominal_ns, tell)
-        self._held: _Frame | None = None
+    def __init__(self, nominal_ns: float, tell: Tell, name: str = "", source: int = 0) -> None:
+        super().__init__(nominal_ns, tell, name, source)
+        self._held: _Arrival | None = None
 
     def resume(self) -> None:
         """A frame held is dropped, and counted."""
@@ -218,9 +223,9 @@ class UncountedFrames(FrameTiming):
             self._tell(TimingEvent.CUT_OFF, 1)
         self._held = None
 
-    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Placed]:
+    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Frame]:
         """As in ``FrameTiming``."""
-        frame = _Frame(arrival_ns, values)
+        frame = _Arrival(arrival_ns, values)
         since_ns, self._seen_ns = arrival_ns - self._seen_ns, arrival_ns
         if self._accepted_ns is None:
             return [self._place(arrival_ns, values, None)]

@@ -19,8 +19,9 @@ from trackslip_common.tally import Tally
 from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.protocols.can_binding import Place, Turned
 from trackslip_drivers.protocols.can_codec import Value
-from trackslip_drivers.protocols.can_frames import Frame, FrameDecoder, FrameSet, Rejection
+from trackslip_drivers.protocols.can_frames import FrameDecoder, FrameSet, Rejection
 from trackslip_drivers.protocols.can_roles import MOTIONS, SIDES, SUPPLY, SWING
+from trackslip_drivers.protocols.can_timing import Frame
 from trackslip_drivers.protocols.encoder import EncoderEvent, Motion, SprocketEncoder
 from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
 
