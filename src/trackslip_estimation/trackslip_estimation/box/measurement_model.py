@@ -172,12 +172,14 @@ def cast(poses: FloatArray, half: FloatArray, directions: FloatArray) -> tuple[F
                 right, left = min(right, angle), max(left, angle)
         right, left = bearing + right, bearing + left
         outline[m, 0], outline[m, 1] = right, left
+        right_u, right_v, left_u, left_v = math.cos(right), math.sin(right), math.cos(left), math.sin(left)
         ahead, beside = -(cos * x + sin * y), sin * x - cos * y  # of the laser, in the frame of the box
         for n in range(directions.shape[1]):
             angle, u, v = directions[0, n], directions[1, n], directions[2, n]
-            if not right <= angle <= left:
-                angle = min(max(angle, right), left)
-                u, v = math.cos(angle), math.sin(angle)
+            if angle < right:
+                u, v = right_u, right_v
+            elif angle > left:
+                u, v = left_u, left_v
             along = _distance(ahead, half[0], u * cos + v * sin)
             across = _distance(beside, half[1], v * cos - u * sin)
             ranges[m, n] = max(along, across, 0.0)
