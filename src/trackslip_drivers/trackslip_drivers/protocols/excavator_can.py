@@ -91,8 +91,11 @@ class ExcavatorCan:
 class _Reading:
     """The newest value of a signal."""
 
+    role: str
     place: Place
     leads: bool
+    encoder: SprocketEncoder | None  # of what turns
+    motion: Motion | EncoderEvent = EncoderEvent.STARTED  # by the encoder
     value: Value = math.nan
     stamp_ns: int | None = None  # None: it has not come yet
     elapsed_ns: int = 0  # of its senders, since the value in hand
@@ -114,8 +117,9 @@ class _Output(ABC):
         self.turned = {r: bindings.turned[r] for r in self.leading if r in bindings.turned}
         places = {role: [part.place for part in parts] for role, parts in scaled.items()}
         places |= {role: [turned.place] for role, turned in self.turned.items()}
+        encoders = {role: _encoder(turned, p) for role, turned in self.turned.items()}
         self.readings = {
-            role: [_Reading(place, role in self.leading) for place in of_role]
+            role: [_Reading(role, place, role in self.leading, encoders.get(role)) for place in of_role]
             for role, of_role in places.items()
         }
         self._parts = {role: tuple(zip(self.readings[role], scaled[role], strict=True)) for role in scaled}
@@ -142,7 +146,9 @@ class _Output(ABC):
             if value is None:
                 continue  # the multiplexer has others
             reading.value, reading.stamp_ns = value, stamp_ns
-            self.take(reading)
+            if reading.encoder is not None:
+                reading.motion = reading.encoder.update(value, reading.elapsed_ns)
+                self._count_trouble(reading)
             reading.elapsed_ns = 0
             if reading.leads:
                 has_come = True
@@ -172,36 +178,18 @@ class _Output(ABC):
             total += part.si(reading.value)
         return total
 
-    def take(self, reading: _Reading) -> None:  # noqa: B027 (nothing, as a rule)
-        """There is a new value."""
-
-    @abstractmethod
-    def make(self, stamp_ns: int) -> Sample | None:
-        """A sample of the values in hand."""
-
-
-class _Turning(_Output):
-    """With encoders."""
-
-    def __init__(self, p: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
-        super().__init__(p, frames, tally)
-        self._encoders = {
-            self.readings[role][0]: (role, _encoder(turned, p)) for role, turned in self.turned.items()
-        }
-        self.motions: dict[str, Motion | EncoderEvent] = {}  # by role
-
-    def take(self, reading: _Reading) -> None:
-        """One reading of an encoder."""
-        if reading not in self._encoders:
-            return
-        role, encoder = self._encoders[reading]
-        motion = self.motions[role] = encoder.update(reading.value, reading.elapsed_ns)
-        event = motion
+    def _count_trouble(self, reading: _Reading) -> None:
+        """Where an encoder gives no motion that continues the one before."""
+        event = reading.motion
         if isinstance(event, Motion):
             if not math.isnan(event.position):
                 return
             event = EncoderEvent.BROKEN
-        self.tally.add(f"{role.removesuffix('_position')}_encoder", event)
+        self.tally.add(f"{reading.role.removesuffix('_position')}_encoder", event)
+
+    @abstractmethod
+    def make(self, stamp_ns: int) -> Sample | None:
+        """A sample of the values in hand."""
 
 
 def _encoder(turned: Turned, p: CanDriverParameters) -> SprocketEncoder:
@@ -210,7 +198,7 @@ def _encoder(turned: Turned, p: CanDriverParameters) -> SprocketEncoder:
     )
 
 
-class _Sprockets(_Turning):
+class _Sprockets(_Output):
     kind = SprocketSample
     leading = tuple(f"{side}_{what}" for side in SIDES for what in MOTIONS)
 
@@ -222,10 +210,11 @@ class _Sprockets(_Turning):
         """Both sprockets, or None while either has no motion."""
         sides = []
         for role in self._sides:
-            motion = self.motions[role] if role in self.turned else Motion(math.nan, self.si(role))
+            reading = self.readings[role][0]
+            motion = reading.motion if reading.encoder else Motion(math.nan, self.si(role))
             if isinstance(motion, EncoderEvent):
                 return None
-            later = (stamp_ns - (self.readings[role][0].stamp_ns or 0)) / _NS_PER_S
+            later = (stamp_ns - (reading.stamp_ns or 0)) / _NS_PER_S
             sides.append((motion.position + motion.velocity * later, motion.velocity))
         (left, left_velocity), (right, right_velocity) = sides
         if math.isnan(left) or math.isnan(right):
@@ -247,14 +236,14 @@ class _Hydraulics(_Output):
         return HydraulicsSample(stamp_ns, *map(self.si, _LEVELS))
 
 
-class _Swing(_Turning):
+class _Swing(_Output):
     kind = SwingSample
     leading = (SWING,)
 
     def make(self, stamp_ns: int) -> SwingSample | None:
         """The angle as it is read; None while there is no velocity."""
-        motion, turned = self.motions[SWING], self.turned[SWING]
-        if isinstance(motion, EncoderEvent):
+        (reading,), turned = self.readings[SWING], self.turned[SWING]
+        if isinstance(reading.motion, EncoderEvent):
             return None
-        angle = (self.readings[SWING][0].value - turned.zero_steps) * turned.rad_per_step
-        return SwingSample(stamp_ns, math.remainder(angle, 2.0 * math.pi), motion.velocity)
+        angle = (reading.value - turned.zero_steps) * turned.rad_per_step
+        return SwingSample(stamp_ns, math.remainder(angle, 2.0 * math.pi), reading.motion.velocity)
