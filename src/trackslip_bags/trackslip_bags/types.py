@@ -7,7 +7,6 @@ own among them, comes from its ``.msg`` file: installed (``AMENT_PREFIX_PATH``),
 """
 
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
@@ -77,10 +76,9 @@ def known_schema(type_name: str) -> Schema:
 
 
 def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
-    """The store that reads ``type_name`` as a bag defines it.
+    """The store that reads ``type_name`` as a bag defines it, also with another version of the message.
 
-    It is the shared store where the bag's definition agrees with it, else one of the bag's own, so that
-    bags recorded with another version of a message still open.
+    It is the process' store where the bag does not say.
 
     Raises:
         InputError: the bag holds no definition of the type and the type is unknown here.
@@ -91,10 +89,6 @@ def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
         return ensure(type_name)
     defined = _parse(type_name, definition)
     check_finite(defined)
-    with suppress(InputError):  # where the type is known to the bag alone
-        shared = ensure(type_name)
-        if all(_fields(shared.fielddefs, name) == _fields(defined, name) for name in defined):
-            return shared
     own = get_typestore(Stores.EMPTY)
     own.register(defined)
     return own
@@ -162,10 +156,6 @@ def _values_of(name: str, types: Typesdict, known: dict[str, int], inside: tuple
             values += size * of_one
         known[name] = values
     return known[name]
-
-
-def _fields(types: Typesdict, name: str) -> object:
-    return types[name][1] if name in types else None
 
 
 def _collect(type_name: str, store: Typestore, found: Typesdict) -> None:
