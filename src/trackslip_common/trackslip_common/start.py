@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from trackslip_common.errors import ExitCode
 
 _AGAIN = 0.1  # s
-_GARBAGE = 50_000  # objects made, less those freed, until garbage is looked for
+_MANY = 1_000_000
 _received: list[int] = []  # SIGINT, each time
 
 
@@ -34,9 +34,13 @@ def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
     sys.exit(main())
 
 
-def collect_garbage_seldom() -> None:
-    """At 700 objects, Python's own number, it is an eighth of what the kernels take to compile."""
-    gc.set_threshold(_GARBAGE)
+def collect_garbage_seldom(objects: int = _MANY) -> None:
+    """Only once so many objects were made, less those freed.
+
+    With 700, Python's own number, it is an eighth of what the kernels take to compile, and with 50 000 still
+    a twentieth of a short replay. But the more there are, the longer is the pause.
+    """
+    gc.set_threshold(objects)
 
 
 def repeat_lost_interrupts() -> None:

@@ -34,6 +34,7 @@ __all__ = ["Executor", "run"]
 
 _POLL = 0.1  # s, the longest that a signal waits to be seen
 _DRAIN_POLL = 0.02  # s
+_GARBAGE = 50_000  # objects until garbage is looked for: a pause of some ms
 _SECURITY = (
     "with ROS_SECURITY_ENABLE, a keystore with an enclave of this node, and a middleware with security"
     " (docs/security.md)"
@@ -69,7 +70,7 @@ def run(
     ``interrupted`` is that of SIGINT: a node's regular end, unless it had something to finish.
     ``niceness`` is for a node that nobody steers by: where cores are few it lets the others go first.
     """
-    collect_garbage_seldom()  # with Python's threshold a node that works looks for it every second
+    collect_garbage_seldom(_GARBAGE)  # with Python's threshold a node that works looks for it every second
     os.nice(niceness)  # before the middleware starts its threads, which inherit it
     signals = _StopSignals()
     node: TrackslipNode[Any] | None = None
