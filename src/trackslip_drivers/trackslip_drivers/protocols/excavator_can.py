@@ -29,6 +29,7 @@ Sample = SprocketSample | HydraulicsSample | SwingSample
 """What the bus measures."""
 
 _NS_PER_S = 1_000_000_000
+_NEVER_NS = -(2**62)  # before all stamps
 _SPOOLS = tuple(f"{side}_spool" for side in SIDES)
 _PRESSURES = tuple(f"{side}_pressure" for side in SIDES)
 _LEVELS = (*_PRESSURES, *_SPOOLS, SUPPLY)
@@ -97,7 +98,7 @@ class _Reading:
     encoder: SprocketEncoder | None  # of what turns
     motion: Motion | EncoderEvent = EncoderEvent.STARTED  # by the encoder
     value: Value = math.nan
-    stamp_ns: int | None = None  # None: it has not come yet
+    stamp_ns: int = _NEVER_NS
     elapsed_ns: int = 0  # of its senders, since the value in hand
     is_fresh: bool = False  # whether it has come since the sample before
 
@@ -161,9 +162,9 @@ class _Output(ABC):
         for reading in self._leading:
             reading.is_fresh = False
         self._missing = len(self._leading)
-        stamp_ns = max([reading.stamp_ns or 0 for reading in self._leading])
+        stamp_ns = max([reading.stamp_ns for reading in self._leading])
         for reading in self._others:
-            if reading.stamp_ns is None or abs(stamp_ns - reading.stamp_ns) > self._timeout_ns:
+            if abs(stamp_ns - reading.stamp_ns) > self._timeout_ns:
                 self.tally.add(self.kind.__name__, PairingRejection.TOO_OLD)
                 return None
         return self.make(stamp_ns)
@@ -214,7 +215,7 @@ class _Sprockets(_Output):
             motion = reading.motion if reading.encoder else Motion(math.nan, self.si(role))
             if isinstance(motion, EncoderEvent):
                 return None
-            later = (stamp_ns - (reading.stamp_ns or 0)) / _NS_PER_S
+            later = (stamp_ns - reading.stamp_ns) / _NS_PER_S
             sides.append((motion.position + motion.velocity * later, motion.velocity))
         (left, left_velocity), (right, right_velocity) = sides
         if math.isnan(left) or math.isnan(right):
