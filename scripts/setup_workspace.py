@@ -268,8 +268,9 @@ def correct_cmake_files() -> None:
 def kernel_compilation() -> list[Command]:
     """Commands that compile what estimators and simulator call, straight from their sources, without ROS.
 
-    The kernels of the slip estimator take the longest by far: they go first where processors are few, and
-    the other command starts with what they come to last.
+    Bytecode of these sources is made at once, as both commands import them. The kernels of the slip estimator
+    take the longest by far: they go first where processors are few, and the other command starts with what
+    they come to last.
     """
     python = str(VENV / "bin" / "python")
     sources = [path.parent for path in sorted(ROOT.glob("src/*/setup.py"))]

@@ -11,6 +11,7 @@ from trackslip_drivers.protocols.can_cycle import CycleMeter
 from trackslip_drivers.protocols.can_timing import CountedFrames, TimingEvent, UncountedFrames
 
 MS = 1_000_000
+SENDER = ("sprockets", 0)  # name and address
 
 
 def measured(nominal_ms, arrivals_ms):
@@ -78,7 +79,7 @@ def test_blocks_of_frames_that_all_came_at_once_ended_the_reading():
 def test_a_burst_at_the_start_was_taken_for_the_cycle(nominal_ms, at_once):
     """The first frames had waited on a busy host: each after them counted as 256, motion was refused."""
     lost = Counter()
-    timing = CountedFrames(nominal_ms * MS, 16, lambda event, number: lost.update({event: number}))
+    timing = CountedFrames(nominal_ms * MS, 16, lambda event, number: lost.update({event: number}), *SENDER)
     arrivals = np.arange(at_once + 600) * 10 * MS
     arrivals[:at_once] = arrivals[at_once - 1] + np.arange(at_once) * 39_000 - at_once * 39_000
     placed = [timing.add(k % 16, int(at), k) for k, at in enumerate(arrivals)]
@@ -90,7 +91,7 @@ def test_a_burst_at_the_start_was_taken_for_the_cycle(nominal_ms, at_once):
 def test_a_wrong_cycle_is_found_out():
     """Thousands of frames at once look like a fast sender; a second of what does not fit ends that."""
     lost = Counter()
-    timing = CountedFrames(0.0, 16, lambda event, number: lost.update({event: number}))
+    timing = CountedFrames(0.0, 16, lambda event, number: lost.update({event: number}), *SENDER)
     first = np.arange(2000) * 39_000
     arrivals = np.concatenate((first, first[-1] + np.arange(1, 400) * 10 * MS))
     for k, at in enumerate(arrivals):
@@ -129,7 +130,7 @@ def standing_still(count, seed, apart_ms, ran_ms, stood_ms):
 def test_what_a_host_that_stands_still_works_off_was_taken_for_the_cycle(seed, host, most_off, most_lost):
     """0.7 to 3 ms for 10: up to 64000 of 6000 frames were lost, and the time between them wrong."""
     lost = Counter()
-    timing = CountedFrames(10.0 * MS, 16, lambda event, number: lost.update({event: number}))
+    timing = CountedFrames(10.0 * MS, 16, lambda event, number: lost.update({event: number}), *SENDER)
     arrivals = standing_still(6000, seed, *host)
     placed = [one for number, at in enumerate(arrivals) for one in timing.add(number % 16, at, number)]
     elapsed = np.array([one.elapsed_ns for one in placed[1:]]) / np.diff([one.values for one in placed])
@@ -142,7 +143,7 @@ def test_what_a_host_that_stands_still_works_off_was_taken_for_the_cycle(seed, h
 def test_a_late_frame_after_a_gap_made_the_gap_a_stall():
     """76 frames lost, the next one 6 ms late: 64 of them, whole turns of its counter, were not counted."""
     events = Counter()
-    timing = CountedFrames(10.0 * MS, 16, lambda event, times: events.update({event: times}))
+    timing = CountedFrames(10.0 * MS, 16, lambda event, times: events.update({event: times}), *SENDER)
     placed = []
     for number in (*range(100), *range(176, 200)):
         late_ms = 6 if number == 176 else 0
@@ -154,7 +155,7 @@ def test_a_late_frame_after_a_gap_made_the_gap_a_stall():
 def test_loss_and_stall_together_were_taken_for_a_stall():
     """64 frames and some are lost, and then the sender is late by some cycles, and catches up."""
     lost = Counter()
-    timing = CountedFrames(10.0 * MS, 16, lambda event, times: lost.update({event: times}))
+    timing = CountedFrames(10.0 * MS, 16, lambda event, times: lost.update({event: times}), *SENDER)
     placed = []
     for number in (*range(100), *range(176, 220)):
         late = 1825.0 + 0.2 * (number - 176) if 176 <= number < 183 else 0.0
@@ -165,7 +166,7 @@ def test_loss_and_stall_together_were_taken_for_a_stall():
 
 def test_a_sender_that_comes_back_faster_is_not_held_back():
     """Frames less than half a cycle apart are no burst for ever: they make up the silence, and go on."""
-    timing = CountedFrames(10.0 * MS, 16, lambda *_: None)
+    timing = CountedFrames(10.0 * MS, 16, lambda *_: None, *SENDER)
     found = [timing.add(number % 16, 10 * number * MS, number) for number in range(100)]
     found += [timing.add(number % 16, (1500 + 4 * (number - 100)) * MS, number) for number in range(100, 500)]
     assert sum(map(len, found)) == 500
@@ -179,7 +180,11 @@ def test_frames_that_waited_as_the_bus_was_opened_anew_were_dropped_uncounted(mo
     def tell(event, times):
         events[event] += times
 
-    timing = CountedFrames(10.0 * MS, modulus, tell) if modulus else UncountedFrames(10.0 * MS, tell)
+    timing = (
+        CountedFrames(10.0 * MS, modulus, tell, *SENDER)
+        if modulus
+        else UncountedFrames(10.0 * MS, tell, *SENDER)
+    )
     placed = [timing.add(number % 16, 10 * number * MS, number) for number in (*range(100), 176)]
     assert sum(map(len, placed)) == 100
     timing.resume()

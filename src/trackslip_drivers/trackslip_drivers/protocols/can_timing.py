@@ -74,7 +74,7 @@ class FrameTiming(ABC):
         name, source: of its frames.
     """
 
-    def __init__(self, nominal_ns: float, tell: Tell, name: str = "", source: int = 0) -> None:
+    def __init__(self, nominal_ns: float, tell: Tell, name: str, source: int) -> None:
         self._name, self._source = name, source
         self._meter = CycleMeter(nominal_ns)
         self._tell = tell
@@ -129,7 +129,7 @@ class CountedFrames(FrameTiming):
         modulus: where the counter goes round.
     """
 
-    def __init__(self, nominal_ns: float, modulus: int, tell: Tell, name: str = "", source: int = 0) -> None:
+    def __init__(self, nominal_ns: float, modulus: int, tell: Tell, name: str, source: int) -> None:
         super().__init__(nominal_ns, tell, name, source)
         self._modulus = modulus
         self._count: int | None = None
@@ -212,7 +212,7 @@ class CountedFrames(FrameTiming):
 class UncountedFrames(FrameTiming):
     """Those of a sender that does not count."""
 
-    def __init__(self, nominal_ns: float, tell: Tell, name: str = "", source: int = 0) -> None:
+    def __init__(self, nominal_ns: float, tell: Tell, name: str, source: int) -> None:
         super().__init__(nominal_ns, tell, name, source)
         self._held: _Arrival | None = None
 

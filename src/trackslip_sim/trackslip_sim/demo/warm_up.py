@@ -21,11 +21,9 @@ from trackslip_estimation.slip.altitude import use_altitude
 from trackslip_estimation.slip.config import CONFIG
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry
-from trackslip_estimation.slip.log import make_log, run_whole
-from trackslip_estimation.slip.measurements import Sprockets
 from trackslip_estimation.slip.observation import fill_outputs
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.slip.records import ESTIMATE, MEASUREMENT, STATE, to_records
+from trackslip_estimation.slip.records import ESTIMATE, MEASUREMENT, STATE
 from trackslip_estimation.slip.tilt import tilt_by
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
@@ -69,12 +67,7 @@ def _last() -> None:
 
 
 def _slip() -> None:
-    p = load_slip_parameters({"start": "initial_pose"})
-    estimator = SlipEstimator(p)
-    samples = [Sprockets("sprockets", k * 10_000_000, 1.0, 1.0, (0.01 * k, 0.01 * k)) for k in range(3)]
-    log = make_log(to_records(samples, estimator.sources), p)
-    estimator.process_records(log.begin)
-    run_whole(log.rest, estimator.window, estimator.config)
+    SlipEstimator(load_slip_parameters())
 
 
 def _study() -> None:
