@@ -36,7 +36,7 @@ def test_predict_gate_and_update_stand_once() -> None:
             called = (
                 node.func.attr if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) else ""
             )
-            if called in ("propagate_covariance", "correct", "correct_keeping"):
+            if called in ("propagate_covariance", "correct", "correct_keeping", "correct_knowing"):
                 callers.add(file.name)
     assert callers == {"step.py", "update.py", "fixes.py"}
 

@@ -10,8 +10,6 @@ K      gain P Hᵀ S⁻¹                                     (n, m)
 NIS    νᵀ S⁻¹ ν, χ² with m degrees of freedom if consistent
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -88,57 +86,6 @@ def correct_keeping(
     K = solve(root_of_S, HP)
     if kept >= 0:
         K[:, kept] = 0.0
-    _apply(x, P, innovation, (K, HP), (H, R))
-    return weighted_square(root_of_S, innovation), log_determinant(root_of_S)
-
-
-@compiled
-def correct_knowing(
-    x: FloatArray,
-    P: FloatArray,
-    innovation: FloatArray,
-    given: tuple[FloatArray, FloatArray],
-    known: tuple[int, int],
-) -> tuple[float, float]:
-    """x and P given an innovation (1,), H and R (``given``) that are not to teach the states ``known``.
-
-    The gain is that of a filter which knows them: what it corrects is what the innovation shows with these as
-    they are. They keep mean and variance (Schmidt), and P has what is unknown of them. The same number twice:
-    one state. Returns NIS and ln S.
-    """
-    (H, R), (one, other) = given, known
-    n, HP = x.size, _by_measurement(P, H)
-    first, second = P[one, :n].copy(), P[other, :n].copy()
-    K = HP.copy()
-    K[0] -= H[0, one] * first
-    if other != one:
-        K[0] -= H[0, other] * second
-    if first[one] > 0.0:
-        second -= first * (second[one] / first[one])
-        K[0] -= first * (K[0, one] / first[one])
-    if second[other] > _NOTHING * P[other, other]:
-        K[0] -= second * (K[0, other] / second[other])
-    K[0, one] = K[0, other] = 0.0
-    S, alone = R[0, 0], R[0, 0]
-    for k in range(n):
-        S += H[0, k] * HP[0, k]
-        alone += H[0, k] * K[0, k]
-    K /= alone
-    _apply(x, P, innovation, (K, HP), (H, R))
-    return innovation[0] ** 2 / S, math.log(S)
-
-
-@inlined
-def _apply(
-    x: FloatArray,
-    P: FloatArray,
-    innovation: FloatArray,
-    gain: tuple[FloatArray, FloatArray],
-    given: tuple[FloatArray, FloatArray],
-) -> None:
-    """x and P corrected with a gain, Kᵀ (m, n); beside it H P, and H and R."""
-    (K, HP), (H, R) = gain, given
-    n, m = x.size, innovation.size
     for i in range(m):
         for k in range(n):
             x[k] += K[i, k] * innovation[i]
@@ -157,6 +104,76 @@ def _apply(
             for i in range(m):
                 both += rest[i, k] * K[i, j] + rest[i, j] * K[i, k]
             P[k, j] = P[j, k] = both / 2.0
+    return weighted_square(root_of_S, innovation), log_determinant(root_of_S)
+
+
+@compiled
+def variance_of(P: FloatArray, H: FloatArray) -> float:
+    """H P Hᵀ of one number, H (n,)."""
+    total = 0.0
+    for i in range(H.size):
+        if H[i] != 0.0:
+            for j in range(H.size):
+                total += H[i] * H[j] * P[i, j]
+    return total
+
+
+@compiled
+def correct_knowing(
+    x: FloatArray, P: FloatArray, innovation: float, given: tuple[FloatArray, float], known: tuple[int, int]
+) -> None:
+    """x and P given one number, H (n,) and R (``given``) that are not to teach the states ``known``.
+
+    The gain is that of a filter which knows them: what it corrects is what the innovation shows with these as
+    they are. They keep mean and variance (Schmidt), and P has what is unknown of them. The same number twice:
+    one state; −1: none.
+    """
+    (H, R), n, HP = given, x.size, _shared_with(P, given[0])
+    K = HP.copy()
+    if known[0] >= 0:
+        _take_as_known(P, H, K, known)
+    alone = R
+    for k in range(n):
+        alone += H[k] * K[k]
+    for k in range(n):
+        K[k] /= alone
+        x[k] += K[k] * innovation
+        for j in range(n):
+            P[k, j] -= K[k] * HP[j]
+    rest = _shared_with(P, H)  # of (I − K H) P
+    for k in range(n):
+        rest[k] = K[k] * R - rest[k]
+    for k in range(n):
+        for j in range(k + 1):
+            both = P[k, j] + P[j, k] + rest[k] * K[j] + rest[j] * K[k]
+            P[k, j] = P[j, k] = both / 2.0
+
+
+@inlined
+def _take_as_known(P: FloatArray, H: FloatArray, K: FloatArray, known: tuple[int, int]) -> None:
+    """K, P Hᵀ (n,), becomes what it would be if two states were known."""
+    one, other = known
+    first, second = P[one, : H.size].copy(), P[other, : H.size].copy()
+    K -= H[one] * first
+    if other != one:
+        K -= H[other] * second
+    if first[one] > 0.0:
+        second -= first * (second[one] / first[one])
+        K -= first * (K[one] / first[one])
+    if second[other] > _NOTHING * P[other, other]:
+        K -= second * (K[other] / second[other])
+    K[one] = K[other] = 0.0
+
+
+@compiled
+def _shared_with(P: FloatArray, H: FloatArray) -> FloatArray:
+    """(n,) P Hᵀ, H (n,); its zeros cost nothing."""
+    product = np.zeros(H.size)
+    for k in range(H.size):
+        if H[k] != 0.0:
+            for j in range(H.size):
+                product[j] += P[j, k] * H[k]
+    return product
 
 
 @compiled

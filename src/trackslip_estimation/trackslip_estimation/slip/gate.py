@@ -28,10 +28,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.dispatch import couple, has_velocity_errors, twist
 from trackslip_estimation.slip.models.free_slips import LEFT_SLIP
-from trackslip_estimation.slip.models.model import GYRO_BIAS
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, YAW_RATE_ERROR
-from trackslip_estimation.slip.observation import expected
-from trackslip_estimation.slip.records import SLIPS, YAW_RATE
 
 FloatArray = NDArray[np.float64]
 
@@ -97,15 +94,9 @@ def _without_slip(speeds: tuple[float, float], c: Any) -> float:
 
 
 @compiled
-def widen(
-    kind: int, z: FloatArray, x: FloatArray, P: FloatArray, speeds: tuple[float, float], c: Any
-) -> None:
-    """P, widened by what an innovation shows; what else was learned stays."""
-    innovation = z - expected(kind, x, z.size, speeds, c)
-    if kind == YAW_RATE:
-        P[GYRO_BIAS, GYRO_BIAS] += innovation[0] ** 2
-        return
-    if kind == SLIPS and has_velocity_errors(c):
+def widen_slips(P: FloatArray, innovation: FloatArray, c: Any) -> None:
+    """P, widened by what an innovation of both slips shows; what else was learned stays."""
+    if has_velocity_errors(c):
         P[COMMON_SLIP, COMMON_SLIP] += innovation.mean() ** 2
         return
     for i in range(innovation.size):

@@ -41,11 +41,8 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
     """z and R as the source's parameters want them: in true units, no better than its floors."""
     source, kind = measurement.source, measurement.kind
     if kind == YAW_RATE:
-        scale = c.rate_scale[source]
-        variance = measurement.noise[0, 0] / (scale * scale)
-        if state.coasting:  # a gyro then shows nothing of its bias
-            variance += c.unseen_yaw_rate**2
-        return np.array((measurement.value[0] / scale,)), np.array(((variance,),))
+        rate, variance = observed_rate(measurement, state, c)
+        return np.array((rate,)), np.array(((variance,),))
     if kind == HEADING:
         variance = max(measurement.noise[0, 0], c.heading_floor[source] ** 2)
         return np.array((measurement.value[0] - compass_offset(state, source, c),)), np.array(((variance,),))
@@ -61,6 +58,16 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
         if c.above[source] == 1:
             R[i, i] += unknown_arm(state.covariance, source, c)
     return z, R
+
+
+@compiled
+def observed_rate(measurement: Any, state: Any, c: Any) -> tuple[float, float]:
+    """z and R of a yaw rate."""
+    scale = c.rate_scale[measurement.source]
+    variance = measurement.noise[0, 0] / (scale * scale)
+    if state.coasting:  # a gyro then shows nothing of its bias
+        variance += c.unseen_yaw_rate**2
+    return measurement.value[0] / scale, variance
 
 
 @compiled
@@ -100,10 +107,16 @@ def expected(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
         return x[YAW : YAW + 1].copy()
     if kind == ON_SWING:
         return x[SWING : SWING + 1].copy()
-    twist_ = twist(x, left, right, c)
     if kind == YAW_RATE:
-        return np.array(((1.0 + x[GYRO_SCALE]) * twist_[2] + x[GYRO_BIAS],))
-    return slips(x, twist_, left, right, c)[:2].copy()
+        return np.array((expected_rate(x, left, right, c),))
+    return slips(x, twist(x, left, right, c), left, right, c)[:2].copy()
+
+
+@compiled
+def expected_rate(x: FloatArray, left: float, right: float, c: Any) -> float:
+    """h of a yaw rate."""
+    rate: float = (1.0 + x[GYRO_SCALE]) * twist(x, left, right, c)[2] + x[GYRO_BIAS]
+    return rate
 
 
 @compiled
@@ -116,21 +129,41 @@ def jacobian(kind: int, x: FloatArray, rows: int, speeds: tuple[float, float], c
     if kind == ON_SWING:
         return np.eye(1, x.size, SWING)
     left, right = speeds
-    J = twist_jacobian(x, left, right, c)
     if kind == YAW_RATE:
-        H: FloatArray = (1.0 + x[GYRO_SCALE]) * J[2:]
-        H[0, GYRO_BIAS], H[0, GYRO_SCALE] = 1.0, twist(x, left, right, c)[2]
-        return H
+        return rate_jacobian(x, left, right, c).reshape((1, -1))
+    J = twist_jacobian(x, left, right, c)
     return slips_jacobian(x, twist(x, left, right, c), J, (left, right), c)[:2].copy()
+
+
+@compiled
+def rate_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+    """(n,) H of a yaw rate."""
+    H: FloatArray = twist_jacobian(x, left, right, c)[2]
+    for k in range(x.size):
+        H[k] *= 1.0 + x[GYRO_SCALE]
+    H[GYRO_BIAS], H[GYRO_SCALE] = 1.0, twist(x, left, right, c)[2]
+    return H
+
+
+@compiled
+def rate_rounding(x: FloatArray, state: Any, c: Any) -> float:
+    """What the rounding of the counts adds to the variance of a predicted yaw rate, (rad/s)²."""
+    left, right, interval = comparable_speeds(YAW_RATE, state, c)
+    if not state.speeds.differenced or interval <= 0.0 or c.encoder_resolution == 0.0:
+        return 0.0
+    e = rounding(interval, c.encoder_resolution)
+    by_left = expected_rate(x, left + e, right, c) - expected_rate(x, left - e, right, c)
+    by_right = expected_rate(x, left, right + e, c) - expected_rate(x, left, right - e, c)
+    return (by_left * by_left + by_right * by_right) / 4.0
 
 
 @compiled
 def add_rounding(kind: int, x: FloatArray, R: FloatArray, state: Any, c: Any) -> None:
     """R of a yaw rate or of slips, with what the rounding of the counts adds to their prediction."""
-    if kind in (POSE, HEADING, ON_SWING) or not state.speeds.differenced:
-        return
+    if kind == YAW_RATE:
+        R[0, 0] += rate_rounding(x, state, c)
     left, right, interval = comparable_speeds(kind, state, c)
-    if interval <= 0.0 or c.encoder_resolution == 0.0:
+    if kind != SLIPS or not state.speeds.differenced or interval <= 0.0 or c.encoder_resolution == 0.0:
         return
     e, m = rounding(interval, c.encoder_resolution), R.shape[0]
     by_left = expected(kind, x, m, (left + e, right), c) - expected(kind, x, m, (left - e, right), c)

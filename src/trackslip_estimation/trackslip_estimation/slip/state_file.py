@@ -43,7 +43,7 @@ def state_text(learned: Learned, of: Meaning, written_s: float) -> str:
     words = [f"#   {line}\n" for line in lines_of(findings(learned, of))]
     written = datetime.fromtimestamp(written_s, timezone.utc).isoformat()
     tree = {"version": _VERSION, "written": written, **to_tree(learned, of)}
-    body = _HEAD + "".join(words) + yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=100)
+    body = _HEAD + "".join(words) + yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=95)
     body = body.rstrip("\n")
     return f"{body}{CHECKSUM}{digest(body)}\n"
 

@@ -73,7 +73,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
     update.attitude, update.renewed = 0, -1
     update.nis = update.gate = update.log_determinant = np.nan
-    update.prior_mean[:], update.prior_covariance[:] = state.mean, state.covariance
+    update.prior_mean, update.prior_covariance = state.mean, state.covariance
     if measurement.kind == POSE:
         state.fixed_ns = measurement.stamp_ns
     if measurement.kind == SPROCKETS:

@@ -20,7 +20,7 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.adaptation import learn_from_rate
-from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen, width
+from trackslip_estimation.slip.gate import forget_ground, on_no_ground, other_ground, widen_slips, width
 from trackslip_estimation.slip.levers import widen_swing_rate
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
@@ -32,10 +32,14 @@ from trackslip_estimation.slip.observation import (
     add_rounding,
     comparable_speeds,
     expected,
+    expected_rate,
     jacobian,
     observed,
+    observed_rate,
+    rate_jacobian,
+    rate_rounding,
 )
-from trackslip_estimation.slip.records import HEADING, POSE, YAW_RATE
+from trackslip_estimation.slip.records import HEADING, YAW_RATE
 
 FloatArray = NDArray[np.float64]
 
@@ -45,24 +49,24 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 @inlined
 def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
     """Slips: used inside their gate, which widens while they and the state disagree."""
-    kind = measurement.kind
+    kind, x, P = measurement.kind, state.mean[: c.size], state.covariance[:]
+    prior_x, prior_P = update.prior_mean[: c.size], update.prior_covariance[:]
     z, R = observed(measurement, state, c)
     left, right, _ = comparable_speeds(kind, state, c)
     limit, update.dof = c.gate_limits[z.size], z.size
     update.gate = limit * width_of(state, measurement, c)
-    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), update.prior_covariance[:]
     add_rounding(kind, x, R, state, c)
     update.nis, update.log_determinant = correct(kind, x, P, (z, R), (left, right), c)
+    if update.nis <= limit:
+        state.consistent_ns[measurement.source] = measurement.stamp_ns
+        return
     if update.nis > update.gate:
         update.outcome = _GATED
-        return
-    if update.nis > limit:
-        widen(kind, z, state.mean[:], prior_P, (left, right), c)
-        x[:], P[:] = state.mean[: c.size], prior_P
-        correct(kind, x, P, (z, R), (left, right), c)
     else:
-        state.consistent_ns[measurement.source] = measurement.stamp_ns
-    state.mean[: c.size], state.covariance[:] = x, P
+        widen_slips(prior_P, z - expected(kind, prior_x, z.size, (left, right), c), c)
+    x[:], P[:] = prior_x, prior_P
+    if update.outcome != _GATED:
+        correct(kind, x, P, (z, R), (left, right), c)
 
 
 @inlined
@@ -72,60 +76,68 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
     The state is in the coordinates of its gyro (``levers.to_gyro``).
     Beyond that it is refused, until several agree on other ground, or the gate has widened (``gate``).
     """
-    kind, source = measurement.kind, measurement.source
-    z, R = observed(measurement, state, c)
-    stated = R[0, 0]
-    R *= state.adaptation.rate_factor
-    left, right, _ = comparable_speeds(kind, state, c)
+    source, x, P = measurement.source, state.mean[: c.size], state.covariance[:]
+    left, right, _ = comparable_speeds(YAW_RATE, state, c)
+    rate, stated = observed_rate(measurement, state, c)
+    variance = state.adaptation.rate_factor * stated + rate_rounding(x, state, c)
     limit, update.dof = c.gate_limits[1], 1
     update.gate = limit * width_of(state, measurement, c)
-    x, P, prior_P = state.mean[: c.size].copy(), state.covariance.copy(), update.prior_covariance[:]
-    add_rounding(kind, x, R, state, c)
-    nis, log_determinant = correct(kind, x, P, (z, R), (left, right), c)
-    rate, variance = _rate_shown(state, source, (z[0], R[0, 0]), c)
-    possible = np.isinf(limit) or not on_no_ground(rate, variance, (left, right), c)
-    surprise, again = nis, False
+    shown, of_shown = _rate_shown(state, source, (rate, variance), c)
+    possible = np.isinf(limit) or not on_no_ground(shown, of_shown, (left, right), c)
+    H, innovation = rate_jacobian(x, left, right, c), rate - expected_rate(x, left, right, c)
+    S = variance + ekf.variance_of(P, H)
+    surprise = nis = innovation * innovation / S
     if possible and has_velocity_errors(c) and not state.coasting:
-        surprise = _least_surprise(state, (z[0], stated, np.exp(log_determinant)), (left, right), c)
+        surprise = _least_surprise(state, (innovation, stated, S), c)
     streak = state.streaks[source]
-    if (nis > limit or streak.count > 0) and other_ground(rate, state.mean[:], streak, (left, right), c):
+    forgets = nis > limit or streak.count > 0
+    forgets = forgets and other_ground(shown, x, streak, (left, right), c)
+    if forgets:
         streak.count = 0
-        forget_ground(prior_P, c)
-        x[:], P[:] = state.mean[: c.size], prior_P
-        nis, log_determinant = correct(kind, x, P, (z, R), (left, right), c)
-        surprise = nis
+        forget_ground(P, c)
+        S = variance + ekf.variance_of(P, H)
+        surprise = nis = innovation * innovation / S
     elif nis <= limit:
         streak.count = 0
     elif surprise <= limit:
-        R += (nis / limit - 1.0) * np.exp(log_determinant)
-        again = True
-    update.nis, update.log_determinant = nis, log_determinant
+        variance += (nis / limit - 1.0) * S
+    update.nis, update.log_determinant = nis, np.log(S)
     if surprise > update.gate or not possible:
-        update.outcome, prior_P[:] = _GATED, state.covariance
+        update.outcome, P[:] = _GATED, update.prior_covariance
         return
     if surprise > limit:
         if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
-            widen_swing_rate(prior_P, c.swing.fastest**2)
+            widen_swing_rate(P, c.swing.fastest**2)
         else:
-            widen(kind, z, state.mean[:], prior_P, (left, right), c)
-        again = True
-    if again:
-        x[:], P[:] = state.mean[: c.size], prior_P
-        correct(kind, x, P, (z, R), (left, right), c)
+            P[GYRO_BIAS, GYRO_BIAS] += innovation * innovation
+    if forgets or surprise > limit:
+        update.prior_covariance[:] = P
+    ekf.correct_knowing(x, P, innovation, (H, variance), not_taught(left, right, c))
+    x[YAW] = wrap(x[YAW])
     state.consistent_ns[source] = measurement.stamp_ns
-    state.mean[: c.size], state.covariance[:] = x, P
+
+
+@compiled
+def not_taught(left: float, right: float, c: Any) -> tuple[int, int]:
+    """States that a yaw rate leaves as they were, and corrects the rest as if they were known; −1: none.
+
+    Of a machine that moves b_g and s_g: tracks that turn more to one side than to the other, and at one speed
+    more than at another, explain the same. Fixes show both through what they are correlated with; standing
+    shows b_g.
+    """
+    if not has_velocity_errors(c):
+        return -1, -1
+    moves = left != 0.0 or right != 0.0
+    return (GYRO_BIAS if moves else GYRO_SCALE), GYRO_SCALE
 
 
 @inlined
-def _least_surprise(
-    state: Any, shown: tuple[float, float, float], speeds: tuple[float, float], c: Any
-) -> float:
+def _least_surprise(state: Any, shown: tuple[float, float, float], c: Any) -> float:
     """NIS of a yaw rate with the largest noise that may be; how large that is, is learned from it.
 
-    ``shown``: the rate, rad/s, its variance as stated, and that of its innovation.
+    ``shown``: its innovation, rad/s, its variance as stated, and that of its innovation.
     """
-    rate, stated, S = shown
-    innovation = rate - expected(YAW_RATE, state.mean[:], 1, speeds, c)[0]
+    innovation, stated, S = shown
     parts = state.adaptation.exposure * (1.0 + state.mean[GYRO_SCALE]) ** 2, stated
     return learn_from_rate(state.adaptation, innovation, S, parts, state.motion.motion == _STANDING, c)
 
@@ -173,21 +185,8 @@ def correct(
     speeds: tuple[float, float],
     c: Any,
 ) -> tuple[float, float]:
-    """x and P given z and R (``measured``), which sprocket ``speeds`` predict; returns NIS and ln |S|.
-
-    A yaw rate of a machine that moves leaves b_g and s_g as they were, and corrects the rest as if they
-    were known (``ekf.correct_knowing``): tracks that turn more to one side than to the other, and at one
-    speed more than at another, explain the same. Fixes show both through what they are correlated with;
-    standing shows b_g.
-    """
-    z, R = measured
-    if kind == YAW_RATE and has_velocity_errors(c):
-        moves = speeds[0] != 0.0 or speeds[1] != 0.0
-        given = jacobian(kind, x, 1, speeds, c), R
-        known = (GYRO_BIAS if moves else GYRO_SCALE), GYRO_SCALE
-        nis, log_determinant = ekf.correct_knowing(x, P, z - expected(kind, x, 1, speeds, c), given, known)
-        x[YAW] = wrap(x[YAW])
-        return nis, log_determinant
+    """x and P given z and R (``measured``), which sprocket ``speeds`` predict; returns NIS and ln |S|."""
+    z = measured[0]
     if c.sigma_points:
         own = P[: x.size, : x.size].copy()
         points, weights = daf.sigma_points(x, own, c.kappa, c.active)
@@ -200,8 +199,8 @@ def correct(
         P[: x.size, : x.size] = own
         return nis, log_determinant
     innovation = z - expected(kind, x, z.size, speeds, c)
-    if kind == POSE and z.size > YAW:
+    if z.size > YAW:
         innovation[YAW] = wrap(innovation[YAW])
-    nis, log_determinant = ekf.correct(x, P, innovation, jacobian(kind, x, z.size, speeds, c), R)
+    nis, log_determinant = ekf.correct(x, P, innovation, jacobian(kind, x, z.size, speeds, c), measured[1])
     x[YAW] = wrap(x[YAW])
     return nis, log_determinant
