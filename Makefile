@@ -43,12 +43,12 @@ bars: setup ## errors on drives like the demo's on four soils, with and without 
 drives: setup ## forty random drives of random machines, in and out of the laser's sight, against their bars (SEEDS=40)
 	@$(ENTER) exec $(VENV)/python -m trackslip_sim.drives.main $(if $(SEEDS),--seeds '$(SEEDS)')
 
-# A module's tests run in one worker, and those with whole graphs (group graph) one by one: a third worker on two
-# cores uses what these wait for. A failed one of tests/graph is tried again and reported: a busy machine can stall
+# A module's tests run in one worker, and those with whole graphs (group graph) one by one: two more workers than
+# cores use what these wait for. A failed one of tests/graph is tried again and reported: a busy machine can stall
 # a process for seconds. The interrupt at the end of two hours, for what hangs, leaves the names of what had failed.
 test: checks ## all tests but the slow ones
 	@$(ENTER) exec timeout --foreground --signal=INT --kill-after=60 7200 \
-		$(VENV)/python -m pytest -n 3 --dist loadgroup --no-loadscope-reorder -m 'not slow and not soak' -rR
+		$(VENV)/python -m pytest -n 4 --dist loadgroup --no-loadscope-reorder -m 'not slow and not soak' -rR
 
 lint: checks ## ruff and mypy
 	$(VENV)/python -m ruff check .

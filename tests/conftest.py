@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What tests share: repeatable hypothesis, the folder of real data, and a small kinematic truth."""
 
+import gc
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -30,6 +31,8 @@ ROOT = Path(__file__).parents[1]
 RADIUS, TREAD = 0.159, 0.73  # m, those of config/vehicles/pc05.yaml
 MS = 1_000_000
 
+gc.set_threshold(50_000)  # with Python's own a worker looks for garbage for a tenth of its time
+
 settings.register_profile("trackslip", derandomize=True, deadline=None, max_examples=100)
 settings.load_profile("trackslip")
 
@@ -50,6 +53,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return ("graph",) in [mark.args for mark in item.iter_markers("xdist_group")], str(item.path)
 
     items.sort(key=order, reverse=True)
+
+
+def pytest_collection_finish() -> None:
+    """Thousands of tests were collected, and are no garbage."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="module", autouse=True)
