@@ -61,7 +61,7 @@ def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
         return reports[-1].gate
 
     def feed(publisher, message):
-        """Send until it is reported on: what a sensor sends may be lost, and a report to a reader not matched yet."""
+        """Send until it is reported on: sensor data may be lost, and a report to a reader not matched yet."""
         due = 0.0
 
         def is_reported():
