@@ -106,15 +106,21 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
         update.outcome, P[:] = _GATED, update.prior_covariance
         return
     if surprise > limit:
-        if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
-            widen_swing_rate(P, c.swing.fastest**2)
-        else:
-            P[GYRO_BIAS, GYRO_BIAS] += innovation * innovation
+        _doubt_rate(state, source, innovation, c)
     if forgets or surprise > limit:
         update.prior_covariance[:] = P
     ekf.correct_knowing(x, P, innovation, (H, variance), not_taught(left, right, c))
     x[YAW] = wrap(x[YAW])
     state.consistent_ns[source] = measurement.stamp_ns
+
+
+@inlined
+def _doubt_rate(state: Any, source: int, innovation: float, c: Any) -> None:
+    """P, widened where a yaw rate passes only because the gate is wide."""
+    if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
+        widen_swing_rate(state.covariance[:], c.swing.fastest**2)
+    else:
+        state.covariance[GYRO_BIAS, GYRO_BIAS] += innovation * innovation
 
 
 @compiled
