@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[1]
 RADIUS, TREAD = 0.159, 0.73  # m, those of config/vehicles/pc05.yaml
 MS = 1_000_000
 
-gc.set_threshold(50_000)  # with Python's own a worker looks for garbage for a tenth of its time
+gc.set_threshold(50_000)  # with Python's own a worker looks for garbage for a twelfth of its time
 
 settings.register_profile("trackslip", derandomize=True, deadline=None, max_examples=100)
 settings.load_profile("trackslip")

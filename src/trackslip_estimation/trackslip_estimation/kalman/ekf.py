@@ -205,13 +205,8 @@ def correct_shared(
 
 @compiled
 def _by_measurement(P: FloatArray, H: FloatArray) -> FloatArray:
-    """(m, n) P Hᵀ, transposed; the zeros of H, of which it is full, cost nothing."""
-    n = H.shape[1]
-    product = np.zeros(H.shape)
+    """(m, n) P Hᵀ, transposed."""
+    product = np.empty(H.shape)
     for i in range(H.shape[0]):
-        for k in range(n):
-            h = H[i, k]
-            if h != 0.0:
-                for j in range(n):
-                    product[i, j] += P[j, k] * h
+        product[i] = _shared_with(P, H[i])
     return product
