@@ -19,6 +19,7 @@ from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.transports.serial_port import SerialPort
 
 _STEP = 0.01  # s between looks at the dialogue's time-outs
+_WATCH = 0.1  # s while scans come: only a scanner that falls silent is to be noticed
 _STOP = 0.3  # s that the scanner is given to stop streaming
 
 
@@ -99,7 +100,7 @@ class SickNode(DriverNode[SickParameters]):
             self._scan_status = DeviceStatus.from_byte(0)
 
     def _keep_talking(self, talk: Callable[[], None]) -> None:
-        while not self._ending.wait(_STEP):
+        while not self._ending.wait(_WATCH if self._session.phase is Phase.STREAMING else _STEP):
             talk()
 
     def _talk(self) -> None:
