@@ -16,6 +16,7 @@ RATE = {"can": 100.0, "watson": 11.85, "sick": 1 / 0.24, "gnss": 10.0}  # Hz
 OK, WARN = b"\0", b"\1"
 SERIAL = ("watson", "sick", "gnss")
 ALL = ("can", *SERIAL)
+SILENCES = "scan: scans stopped coming"
 LONG = 1500.0  # s of driving: longer than any test
 
 # What happens at random: kind → (those whom it can befall, value).
@@ -77,6 +78,10 @@ class Rig:
         found = self.latest(name)
         return None if found is None else found[1].get(key)
 
+    def count(self, name, key):
+        """A count that a node reports, which shows what is over before the next report."""
+        return int(self.value(name, key) or 0)
+
     def fault(self, text):
         self._fault.publish(String(data="{" + text + "}"))
 
@@ -124,13 +129,14 @@ def test_sensors_fail_and_come_back(rig):
     rig.wait_until_nominal()
     rig.wait(lambda: rig.latest("sick_pls: pollution"), "the dirt to be seen")
     rig.fault("sensor: can, kind: bus_off, duration: 0.5")
-    rig.wait(lambda: rig.complains("can"), "the bus to be missed")
+    rig.wait(lambda: rig.count("can_driver", "can: error frame") >= 1, "the bus to be missed")
+    rig.wait_until_nominal()
+    silences = rig.count("sick_pls", SILENCES)
     rig.fault("sensor: sick, kind: power_cycle, duration: 0.3")
-    rig.wait(lambda: rig.complains("sick") or rig.value("sick_pls", "phase") != "streaming", "the scanner")
+    rig.wait(lambda: rig.count("sick_pls", SILENCES) > silences, "the scanner to be missed")
     rig.wait_until_nominal()
     assert rig.value("can_driver", "bus state") == "active"
-    assert int(rig.value("can_driver", "can: error frame")) >= 1
-    assert int(rig.value("watson_imu", "reconnects")) >= 1
+    assert rig.count("watson_imu", "reconnects") >= 1
 
 
 def test_nonsense_is_refused_and_counted(programs, observer, udp_port):
