@@ -43,6 +43,14 @@ made = Object()
 del made
 sys.exit(1)
 """
+HANGING = """
+import ctypes, sys, types
+from trackslip_common.start import start
+libc = ctypes.CDLL(None)
+libc.on_exit(libc.pause, None)
+sys.modules["program"] = types.SimpleNamespace(main=int)
+start("program")
+"""
 PROGRAM = """
 import sys, time
 from trackslip_common.start import repeat_lost_interrupts
@@ -83,3 +91,11 @@ def test_ctrl_c_that_was_lost_at_the_very_end_killed_by_an_alarm() -> None:
     """Exit code 142: Python had given its handlers up, and the interrupt was yet to be raised again."""
     done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (1, "")
+
+
+def test_a_node_whose_middleware_hung_at_the_exit_stayed_for_ever() -> None:
+    """And took a core: one of 650 nodes that ended with their whole graph, on busy cores."""
+    done = subprocess.run(
+        [sys.executable, "-c", HANGING], stderr=subprocess.PIPE, timeout=PATIENCE, check=False
+    )
+    assert (done.returncode, done.stderr) == (-signal.SIGALRM, b"")

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 from trackslip_common.errors import ExitCode
 
 _AGAIN = 0.1  # s
+_END = 5.0  # s for libraries to clean up after themselves, which takes ms
 _MANY = 1_000_000
 _received: list[int] = []  # SIGINT, each time
 
@@ -30,6 +31,7 @@ def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
         program = module.rpartition(".")[2]
         print(f"{program}: {error} (README, On the vehicle)", file=sys.stderr)
         sys.exit(ExitCode.BAD_INPUT)
+    atexit.register(_limit_the_end)  # what is registered first is called last
     repeat_lost_interrupts()
     sys.exit(main())
 
@@ -58,7 +60,8 @@ def repeat_lost_interrupts() -> None:
 
     def unraisable(lost: Any) -> None:
         if lost.exc_type is KeyboardInterrupt:
-            signal.setitimer(signal.ITIMER_REAL, 0.0 if ends else _AGAIN)
+            if not ends:
+                signal.setitimer(signal.ITIMER_REAL, _AGAIN)
         elif not _received:
             shown(lost)
 
@@ -71,6 +74,16 @@ def repeat_lost_interrupts() -> None:
     signal.signal(signal.SIGINT, interrupt)
     signal.signal(signal.SIGALRM, interrupt)
     sys.unraisablehook = unraisable
+
+
+def _limit_the_end() -> None:
+    """After Python's own end an alarm kills a process that hangs in a library's clean-up.
+
+    Fast DDS 2.14 waits there for a thread of its own, at full load and for ever, where another node leaves
+    the graph at the wrong moment.
+    """
+    signal.setitimer(signal.ITIMER_REAL, _END)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
 
 def was_interrupted() -> bool:
