@@ -2,15 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """When the demo's key may be turned: connected is more than to have appeared."""
 
+import threading
 import time
 
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from fixtures.patience import PATIENCE
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.executors import SingleThreadedExecutor
 
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import publisher_qos, subscriber_qos
+from trackslip_sim.nodes import remote_lifecycle
 from trackslip_sim.nodes.demo_monitor import DemoMonitor, join_graph, leave_graph
 
 pytestmark = pytest.mark.xdist_group("graph")
@@ -56,4 +61,51 @@ def test_the_demo_drove_off_while_the_recorder_had_appeared_and_heard_nothing_ye
         for node in (*nodes, monitor):
             node.destroy_node()
     finally:
+        leave_graph()
+
+
+class ForgetfulEmulator:
+    """Whose answer to the first request gets lost, and perhaps that request before."""
+
+    def __init__(self, does_the_first):
+        self.asked = []
+        self._needed, self._state = (1 if does_the_first else 2), State(id=State.PRIMARY_STATE_UNCONFIGURED)
+        self.node = rclpy.create_node("emulator")
+        self.node.create_service(GetState, "emulator/get_state", self._on_state)
+        service = self.node.create_service(ChangeState, "emulator/change_state", self._on_change)
+        send = service.send_response
+        service.send_response = lambda *answer: send(*answer) if len(self.asked) > 1 else None
+
+    def _on_state(self, _, response):
+        response.current_state = self._state
+        return response
+
+    def _on_change(self, request, response):
+        self.asked.append(request.transition.id)
+        if len(self.asked) >= self._needed:
+            self._state = State(id=State.PRIMARY_STATE_INACTIVE)
+        response.success = True
+        return response
+
+
+@pytest.mark.parametrize("does_the_first", [True, False], ids=["done", "not done"])
+def test_the_demo_waited_in_vain_for_an_answer_that_was_lost(domain, monkeypatch, does_the_first):
+    """For 180 s, and said only that the emulator did not configure."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setattr(remote_lifecycle, "_LOST", 0.5)
+    join_graph()
+    executor = SingleThreadedExecutor()
+    spinning = threading.Thread(target=executor.spin)
+    try:
+        monitor, emulator = DemoMonitor(), ForgetfulEmulator(does_the_first)
+        executor.add_node(emulator.node)
+        spinning.start()
+        give_up = time.monotonic() + PATIENCE
+        while not monitor.lay_cables(0.1):
+            assert time.monotonic() < give_up, emulator.asked
+        assert emulator.asked == [Transition.TRANSITION_CONFIGURE] * (1 if does_the_first else 2)
+    finally:
+        executor.shutdown()
+        spinning.join()
+        monitor.close()
         leave_graph()

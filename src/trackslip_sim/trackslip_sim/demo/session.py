@@ -109,7 +109,8 @@ class Session:
         while not ask(_PATIENCE):
             self._look_around()
             if time.monotonic() > until:
-                raise DemoFailure(f"emulator did not {verb}: {self._processes.log('emulator')[-300:]}")
+                last = self._processes.log("emulator")[-300:] or "it said nothing"
+                raise DemoFailure(f"emulator did not {verb} within {timeout:g} s: {last}")
 
     def _look_around(self) -> None:
         """The user's wish, or a node that has ended, is the end of the demo."""

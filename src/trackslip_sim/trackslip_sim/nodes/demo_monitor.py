@@ -10,8 +10,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.msg import State, Transition
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -21,6 +20,7 @@ from trackslip_common.nodes.qos import publisher_qos
 from trackslip_common.topics import TOPICS, Flow
 from trackslip_estimation.slip.conversions import pose_fix
 from trackslip_sim.demo.graph import SENSOR_TOPICS
+from trackslip_sim.nodes.remote_lifecycle import RemoteLifecycle
 
 WATCHED = (*SENSOR_TOPICS, "box_pose", "gnss_pose", "odometry", "track_slip")
 _WATCHERS = frozenset({"record", "demo"})
@@ -66,10 +66,9 @@ class DemoMonitor(Node):
         self.slips = (math.nan, math.nan, math.nan)
         self.at_work: set[str] = set()  # nodes whose last word was no error: drivers whose port is open
         self._recorder_hears: dict[str, str] = {}  # topic → publishers that the recorder is connected with
-        self._emulator = self.create_client(ChangeState, "emulator/change_state")
-        self._asked: Any = None
         self._spinner = SingleThreadedExecutor()
         self._spinner.add_node(self)
+        self._emulator = RemoteLifecycle(self, self._spinner, "emulator")
         self._watched = {}
         for topic in WATCHED:
             handler = {"odometry": self._on_odometry, "track_slip": self._on_slip}.get(topic)
@@ -105,29 +104,16 @@ class DemoMonitor(Node):
 
     def lay_cables(self, timeout: float) -> bool:
         """Configure the emulator: its ports appear; False if it has not (yet) done so."""
-        return self._change_emulator(Transition.TRANSITION_CONFIGURE, timeout)
+        return self._emulator.bring(Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE, timeout)
 
     def turn_key(self, timeout: float) -> bool:
         """Activate the emulator; False if it has not (yet) done so."""
-        return self._change_emulator(Transition.TRANSITION_ACTIVATE, timeout)
+        return self._emulator.bring(Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE, timeout)
 
     def close(self) -> None:
         """Leave the graph."""
         self._spinner.shutdown(timeout_sec=1.0)
         self.destroy_node()
-
-    def _change_emulator(self, transition: int, timeout: float) -> bool:
-        """Ask once; later calls wait for the same answer."""
-        if not self._emulator.wait_for_service(timeout_sec=timeout):
-            return False
-        if self._asked is None:
-            request = ChangeState.Request(transition=Transition(id=transition))
-            self._asked = self._emulator.call_async(request)
-        self._spinner.spin_until_future_complete(self._asked, timeout_sec=timeout)
-        if not self._asked.done():
-            return False
-        answer, self._asked = self._asked.result(), None
-        return bool(answer.success)
 
     def _counting(self, topic: str, handler: Callable[[Any], None] | None) -> Callable[[Any], None]:
         def count(message: Any) -> None:
