@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the middleware refuses to send, as to a stalled subscriber, is counted and reported."""
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,7 @@ from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.parameters import Parameters
 
+DROPPED = "failed to send response (timeout): client will not receive response"  # rclpy's words
 SCAN, STATUS = "/scan", "/diagnostics"
 
 
@@ -104,6 +106,17 @@ def test_diagnostics_that_cannot_be_sent_do_not_end_the_node(speaker, stalled, o
         "a report that comes",
     )
     executor.shutdown()
+
+
+def test_an_answer_that_the_middleware_dropped_was_kept_silent(speaker):
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("ignore", RuntimeWarning)  # as for all else that rcl warns of
+        speaker.send_failures.watch_answers()
+        for text in (DROPPED, DROPPED, "something else"):
+            warnings.warn(text, RuntimeWarning if text == DROPPED else UserWarning, stacklevel=1)
+    assert [str(warning.message) for warning in shown] == ["something else"]
+    (health,) = speaker.send_failures.health()
+    assert health.values == {"not sent: answers": 2}
 
 
 def test_all_sent_is_not_reported(speaker, observer):

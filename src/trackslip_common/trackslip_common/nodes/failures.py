@@ -11,6 +11,7 @@ more in ten seconds, no two of them three seconds apart, and no message handled 
 import threading
 import time
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from datetime import datetime, timezone
@@ -27,6 +28,7 @@ LASTING_S = 10.0  # s, how long such a streak lasts
 PAUSE_S = 3.0  # s without a failure, which ends a streak
 RECENT_S = 10.0  # s for which a failure shows as an error
 LOG_PERIOD_S = 30.0  # s between lines in the log about the same cause
+_DROPPED = "failed to send response"
 
 Log = Callable[[str], None]
 
@@ -116,13 +118,13 @@ class CallbackFailures:
 
 
 class SendFailures:
-    """Counts what publishers could not send: one stalled subscriber is no reason to end."""
+    """Counts what could not be sent, messages and answers: one stalled subscriber is no reason to end."""
 
     def __init__(self, log: Log, clock: Callable[[], float] = time.monotonic) -> None:
         self._log, self._clock = log, clock
         self._reported = 0
         self._logged_s = -LOG_PERIOD_S
-        self.counts: Counter[str] = Counter()  # by topic
+        self.counts: Counter[str] = Counter()  # by topic; all answers together
 
     def tolerate(self, publisher: Any) -> Any:
         """The publisher, whose failures to send are counted instead of raised."""
@@ -132,13 +134,26 @@ class SendFailures:
             try:
                 send(message)
             except rclpy_implementation.RCLError as error:
-                self.counts[publisher.topic_name] += 1
-                if (now_s := self._clock()) - self._logged_s >= LOG_PERIOD_S:
-                    self._logged_s = now_s
-                    self._log(f"{publisher.topic_name}: not sent: {' '.join(str(error).split())}")
+                self._add(publisher.topic_name, error)
 
         publisher.publish = publish
         return publisher
+
+    def watch_answers(self) -> None:
+        """Count from now on the answers that the middleware drops, as Fast DDS may on a busy machine.
+
+        rclpy tells of them by a warning of Python alone.
+        """
+        show = warnings.showwarning
+
+        def see(message: Warning | str, *place: Any, **options: Any) -> None:
+            if str(message).startswith(_DROPPED):
+                self._add("answers", message)
+            else:
+                show(message, *place, **options)
+
+        warnings.filterwarnings("always", _DROPPED, RuntimeWarning)
+        warnings.showwarning = see
 
     def health(self) -> list[Health]:
         """What could not be sent, by topic; nothing where that never happened."""
@@ -148,3 +163,9 @@ class SendFailures:
             return []
         level, message = (WARN, f"{news} messages could not be sent") if news else (OK, "running")
         return [Health(level, message, {f"not sent: {topic}": n for topic, n in counts.items()}, "outputs")]
+
+    def _add(self, name: str, reason: object) -> None:
+        self.counts[name] += 1
+        if (now_s := self._clock()) - self._logged_s >= LOG_PERIOD_S:
+            self._logged_s = now_s
+            self._log(f"{name}: not sent: {' '.join(str(reason).split())}")

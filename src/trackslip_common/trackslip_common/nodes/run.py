@@ -76,6 +76,7 @@ def run(
     node: TrackslipNode[Any] | None = None
     try:
         node = _make(make_node, argv)
+        node.send_failures.watch_answers()
         node.start()
         _settle(node)
         signals.break_off = False
