@@ -5,6 +5,7 @@
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -106,6 +107,10 @@ def test_diagnostics_that_cannot_be_sent_do_not_end_the_node(speaker, stalled, o
         "a report that comes",
     )
     executor.shutdown()
+
+
+def test_rclpy_still_tells_of_dropped_answers_in_these_words():
+    assert DROPPED.partition(":")[0].encode() in Path(rclpy_implementation.__file__).read_bytes()
 
 
 def test_an_answer_that_the_middleware_dropped_was_kept_silent(speaker):
