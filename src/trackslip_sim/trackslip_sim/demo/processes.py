@@ -20,6 +20,7 @@ from trackslip_sim.demo.graph import NodeSpec
 
 _PR_SET_PDEATHSIG = 1
 _GRACE = 10.0  # s between asking and insisting: a recorder that is killed leaves a bag without its end
+_AGAIN = 2.0  # s between asking and asking again
 _POLL = 0.02  # s
 
 
@@ -80,12 +81,14 @@ class Processes:
         chosen = {
             name: self._running.pop(name) for name in list(names or self._running) if name in self._running
         }
-        for process in chosen.values():
-            _signal(process, signal.SIGINT)
-        give_up = time.monotonic() + _GRACE
-        while time.monotonic() < give_up and any(process.poll() is None for process in chosen.values()):
+        give_up, ask = time.monotonic() + _GRACE, 0.0
+        while (left := _running(chosen)) and (now := time.monotonic()) < give_up:
+            if now >= ask:  # more than once: what comes while Python itself starts may get lost there
+                for process in left.values():
+                    _signal(process, signal.SIGINT)
+                ask = now + _AGAIN
             time.sleep(_POLL)
-        killed = [name for name, process in chosen.items() if process.poll() is None]
+        killed = _running(chosen)
         for name in killed:
             _signal(chosen[name], signal.SIGKILL)
         for process in chosen.values():
@@ -125,6 +128,10 @@ def interrupts_noted() -> Iterator[Callable[[], None]]:
     finally:
         signal.signal(signal.SIGINT, before)
     check()
+
+
+def _running(processes: Mapping[str, "subprocess.Popen[bytes]"]) -> dict[str, "subprocess.Popen[bytes]"]:
+    return {name: process for name, process in processes.items() if process.poll() is None}
 
 
 def _signal(process: "subprocess.Popen[bytes]", number: int) -> None:
