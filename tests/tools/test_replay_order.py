@@ -9,7 +9,8 @@ from fixtures.arrival_rows import rows_of
 from trackslip_estimation.slip.measurements import YawRate
 from trackslip_estimation.slip.records import YAW_RATE
 from trackslip_tools.replay.arrivals import IS_COMMAND, Rows
-from trackslip_tools.replay.live_order import HORIZON_NS, LINE, JournalCounts, LiveOrder
+from trackslip_tools.replay.comparable import LINE
+from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts, LiveOrder
 
 SOURCES = ("a", "b", "gnss", "reset", "sprockets")
 
@@ -20,7 +21,7 @@ def arrival(source: str, stamp: int, log: int, rate: float = 0.0) -> tuple[int, 
 
 def journal(*lines: tuple[int, str, int]) -> Rows:
     """(log time, source, stamp) of each line, numbered."""
-    numbered = [(log, k, SOURCES.index(source), stamp) for k, (log, source, stamp) in enumerate(lines)]
+    numbered = [(log, k, SOURCES.index(source), stamp, 0) for k, (log, source, stamp) in enumerate(lines)]
     return np.array(numbered, dtype=LINE)
 
 
@@ -29,7 +30,8 @@ def ordered(
 ) -> tuple[Rows, JournalCounts]:
     """Rows in live order, read in stretches that end at the ``cuts``."""
     rows = rows_of(sorted(arrivals, key=lambda a: a[0]), SOURCES)  # as a bag gives them
-    order = LiveOrder({*lines["source"].tolist()}, [SOURCES.index("reset")], SOURCES.index("sprockets"))
+    commands, sprockets = [SOURCES.index("reset")], SOURCES.index("sprockets")
+    order = LiveOrder(SOURCES, {*lines["source"].tolist()}, commands, sprockets)
     found, begin = [], 0
     for end in (*cuts, 10**15):
         parts = [part[(part["log_time_ns"] >= begin) & (part["log_time_ns"] < end)] for part in (rows, lines)]
@@ -143,7 +145,7 @@ def test_stretches_are_ordered_as_the_whole_is(seed: int) -> None:
 
 
 def test_memory_is_bounded_where_nothing_is_ever_named() -> None:
-    known = LiveOrder({0}, [], 4)
+    known = LiveOrder(SOURCES, {0}, [], 4)
     for k in range(100):
         now = k * HORIZON_NS
         rows = rows_of([arrival("a", now + i, now + i) for i in range(10)], SOURCES)

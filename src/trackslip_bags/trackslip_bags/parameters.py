@@ -73,14 +73,19 @@ def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
         content = bag.deserialize(message.raw, message.type_name)
         values = flatten(_read(bag, content, node)["ros__parameters"])
         found = found or values
-        by_tf = {
-            name.removesuffix(_FROM_TF) for name, value in found.items() if name.endswith(_FROM_TF) and value
-        }
-        if not by_tf:
+        mountings = mounting_names(found)
+        if not mountings:
             return found
-        mountings = {f"{source}.mounting_{axis}" for source in by_tf for axis in ("roll", "pitch", "yaw")}
         found |= {name: values[name] for name in mountings & values.keys()}
     return found
+
+
+def mounting_names(values: Mapping[str, Any]) -> set[str]:
+    """Of the parameters that /tf_static may give later than the others, by what these are."""
+    by_tf = [
+        name.removesuffix(_FROM_TF) for name, value in values.items() if name.endswith(_FROM_TF) and value
+    ]
+    return {f"{source}.mounting_{axis}" for source in by_tf for axis in ("roll", "pitch", "yaw")}
 
 
 def bag_learned(bag: Bag, node: str = _NODE) -> Any:
@@ -90,7 +95,7 @@ def bag_learned(bag: Bag, node: str = _NODE) -> Any:
         InputError: what is on the topic is no parameter file.
     """
     for message in bag.messages([f"{node}/parameters"]):
-        return _read(bag, bag.deserialize(message.raw, message.type_name), node).get("learned")
+        return read_learned(bag, bag.deserialize(message.raw, message.type_name), node)
     return None
 
 
@@ -101,6 +106,15 @@ def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]
         InputError: it is no parameter file.
     """
     return current_names(flatten(_read(bag, content, node)["ros__parameters"]))
+
+
+def read_learned(bag: Bag, content: Any, node: str = _NODE) -> Any:
+    """What an estimator had learned before its run, by one such message; None where it states nothing.
+
+    Raises:
+        InputError: it is no parameter file.
+    """
+    return _read(bag, content, node).get("learned")
 
 
 def _read(bag: Bag, content: Any, node: str) -> Mapping[str, Any]:

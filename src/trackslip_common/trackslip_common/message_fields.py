@@ -233,6 +233,7 @@ class ReportFields(NamedTuple):
     stamp_ns: StampNs
     source: Annotated[str, Text("source")]
     sequence: Annotated[int, At("sequence")]
+    outcome: Annotated[int, At("outcome")]
 
 
 RECORDS: dict[str, RecordClass] = {

@@ -4,11 +4,13 @@
 
 ``ARRIVAL`` is a ``MEASUREMENT`` of the estimator, with what a bag knows beside it:
 
-    kind           of ``slip.records``, or IS_COMMAND, IS_RELOAD
+    kind           of ``slip.records``, or IS_COMMAND, IS_RELOAD, IS_START
     source         number of the source, in ``InputStream.sources``
     stamp_ns       of the measurement; 0 where there is none
     log_time_ns    of its message
-    reload         IS_RELOAD: number in ``InputStream.reloads``
+    reload         IS_RELOAD: number in ``InputStream.reloads``; −1: nothing changes
+    start          IS_RELOAD, IS_START: number in ``InputStream.starts``; −1: unknown
+    part           of the bag that can be compared with live estimates, from 1 on; 0: none
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -55,11 +57,16 @@ from trackslip_estimation.slip.sources import (
 
 Rows = NDArray[np.void]
 
-IS_COMMAND, IS_RELOAD = ON_SWING + 1, ON_SWING + 2  # more kinds: its source is the command; new parameters
+# More kinds: its source is the command; new parameters; the estimator is started again.
+IS_COMMAND, IS_RELOAD, IS_START = ON_SWING + 1, ON_SWING + 2, ON_SWING + 3
 
 _FIELDS = MEASUREMENT.names or ()
 ARRIVAL = np.dtype(
-    [*((n, MEASUREMENT[n]) for n in _FIELDS), ("log_time_ns", np.int64), ("reload", np.int64)], align=True
+    [
+        *((n, MEASUREMENT[n]) for n in _FIELDS),
+        *((n, np.int64) for n in ("log_time_ns", "reload", "start", "part")),
+    ],
+    align=True,
 )
 
 

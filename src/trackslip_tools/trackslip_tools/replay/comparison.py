@@ -8,8 +8,9 @@ covariance. Replayed attitudes are to go through ``carried`` first.
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from trackslip_common.orientations import headings_of, tilts_of
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
 from trackslip_estimation.slip.mounting import quaternion_by
+from trackslip_tools.replay.comparable import Comparability, ComparablePart, IntArray
 from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 
@@ -40,6 +42,7 @@ class LiveComparison:
     largest_difference: float
     lost_reports: int  # lines of the live journal that the bag lacks
     lost_inputs: int  # measurements that the journal names and the bag lacks
+    comparability: Comparability = field(default_factory=Comparability)  # what was compared, and why no more
 
     @property
     def matches(self) -> bool:
@@ -47,6 +50,8 @@ class LiveComparison:
         return self.compared > 0 and self.unmatched == 0 and self.largest_difference <= TOLERANCE
 
     def __str__(self) -> str:
+        if not self.compared and self.comparability.breaks:
+            return f"replay = live: not compared: {self.comparability.breaks[0].why}"
         verdict = "yes" if self.matches else "NO"
         numbers = f"{self.compared} estimates, {self.unmatched} unmatched"
         return f"replay = live: {verdict} ({numbers}, largest difference {self.largest_difference:.1e})"
@@ -56,48 +61,72 @@ class TopicComparison:
     """One topic, by stamp; memory holds what the other side may still bring within ``WAITING_NS``."""
 
     def __init__(self) -> None:
-        self.compared = self._unmatched = 0
         self.largest_difference = 0.0
+        self._compared = self._unmatched = 0
         self._live: Rows | None = None  # still without partner, as below
         self._replayed: Rows | None = None
-        self._first_ns = self._last_ns = 0  # stamps of live rows so far
+        self._newest_ns: int | None = None  # stamp of live rows so far
+        self._spans: dict[int, tuple[int, int]] = {}  # of each part the stamps of its first and last pair
+        self._beyond: Counter[int] = (
+            Counter()
+        )  # of each part, replayed rows without partner after its last pair
 
-    def add(self, live: Rows, replayed: Rows) -> None:
-        """More of both; of several rows with one stamp the last counts."""
+    def add(self, live: Rows, replayed: Rows, parts: Sequence[ComparablePart] = ()) -> None:
+        """More of both; of several rows with one stamp the last counts.
+
+        ``parts``: of the bag so far that can be compared; none where the whole of it can.
+        """
         if len(live):
-            first_ns, last_ns = int(live["stamp_ns"].min()), int(live["stamp_ns"].max())
-            self._first_ns = min(self._first_ns, first_ns) if self.compared else first_ns
-            self._last_ns = max(self._last_ns, last_ns) if self.compared else last_ns
+            newest_ns = int(live["stamp_ns"].max())
+            self._newest_ns = newest_ns if self._newest_ns is None else max(self._newest_ns, newest_ns)
         waiting, theirs = _together(self._live, live), _together(self._replayed, replayed)
-        self.compared += len(waiting) - (0 if self._live is None else len(self._live))
         _, mine, others = np.intersect1d(
             waiting["stamp_ns"], theirs["stamp_ns"], assume_unique=True, return_indices=True
         )
-        if mine.size:
-            largest = _difference(waiting[mine], theirs[others])
-            self.largest_difference = max(self.largest_difference, largest)
-        oldest_ns = self._last_ns - WAITING_NS
+        inside = theirs["part"][others] > 0
+        self._pair(waiting[mine[inside]], theirs[others[inside]])
+        oldest_ns = (self._newest_ns or 0) - WAITING_NS
         self._live, late = _divided(np.delete(waiting, mine), oldest_ns)
         self._replayed, unpaired = _divided(np.delete(theirs, others), oldest_ns)
-        self._unmatched += len(late) + self._within(unpaired, self._last_ns)
+        alone = _count_in(parts, late["stamp_ns"])
+        self._compared += alone
+        self._unmatched += alone + self._within(unpaired)
 
-    def unmatched(self, end_ns: int | None) -> int:
-        """Rows without partner; live ones after ``end_ns`` do not count, nor replayed ones outside."""
-        if self._live is None or self._replayed is None or not self.compared:
+    def compared(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
+        """Live rows in the parts, those after ``end_ns`` left out."""
+        return self._compared + self._alone(parts, end_ns)
+
+    def unmatched(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
+        """Rows without partner: live ones in the parts up to ``end_ns``, replayed ones between live ones."""
+        if self._replayed is None:
             return 0
-        inside = np.ones(len(self._live), np.bool_) if end_ns is None else self._live["stamp_ns"] <= end_ns
-        last_ns = self._last_ns if end_ns is None else min(self._last_ns, end_ns)
-        return self._unmatched + int(inside.sum()) + self._within(self._replayed, last_ns)
+        return self._unmatched + self._alone(parts, end_ns) + self._within(self._replayed)
 
-    def _within(self, rows: Rows, last_ns: int) -> int:
-        stamps_ns = rows["stamp_ns"]
-        return int(((stamps_ns >= self._first_ns) & (stamps_ns <= last_ns)).sum())
+    def _alone(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
+        stamps_ns = np.empty(0, np.int64) if self._live is None else self._live["stamp_ns"]
+        return _count_in(parts, stamps_ns[stamps_ns <= end_ns] if end_ns is not None else stamps_ns)
 
-    def compared_until(self, end_ns: int | None) -> int:
-        """Live rows, those after ``end_ns`` left out."""
-        if self._live is None or end_ns is None:
-            return self.compared
-        return self.compared - int((self._live["stamp_ns"] > end_ns).sum())
+    def _pair(self, live: Rows, replayed: Rows) -> None:
+        """Rows of the same stamps."""
+        if not len(live):
+            return
+        self._compared += len(live)
+        self.largest_difference = max(self.largest_difference, _difference(live, replayed))
+        for part in np.unique(replayed["part"]).tolist():
+            stamps_ns = replayed["stamp_ns"][replayed["part"] == part]
+            first_ns, last_ns = int(stamps_ns.min()), int(stamps_ns.max())
+            known = self._spans.get(part, (first_ns, last_ns))
+            self._spans[part] = min(known[0], first_ns), max(known[1], last_ns)
+            self._unmatched += self._beyond.pop(part, 0)
+
+    def _within(self, rows: Rows) -> int:
+        """Replayed rows without partner that lie between live ones; those after them may do so later."""
+        count = 0
+        for part, (first_ns, last_ns) in self._spans.items():
+            stamps_ns = rows["stamp_ns"][rows["part"] == part]
+            count += int(((stamps_ns >= first_ns) & (stamps_ns <= last_ns)).sum())
+            self._beyond[part] += int((stamps_ns > last_ns).sum())
+        return count
 
 
 class LiveComparer:
@@ -109,22 +138,46 @@ class LiveComparer:
     def __init__(self) -> None:
         self._compared = {what: TopicComparison() for what in _COLUMNS}
 
-    def add(self, what: str, live: Rows, replayed: Rows) -> None:
-        """More of a topic, or of ``TILT``, either may be empty."""
+    def add(
+        self,
+        what: str,
+        live: Rows,
+        replayed: Rows,
+        numbers: IntArray | None = None,
+        parts: Sequence[ComparablePart] = (),
+    ) -> None:
+        """More of a topic, or of ``TILT``, either may be empty.
+
+        Args:
+            what: the topic.
+            live: rows of it.
+            replayed: (n,) rows of it.
+            numbers: (n,) of the parts that they belong to, 0 for none; None: all to the first.
+            parts: as ``TopicComparison.add``.
+        """
         columns = _COLUMNS[what]
-        self._compared[what].add(_picked(live, columns), _picked(replayed, columns))
+        numbers = np.ones(len(replayed), np.int64) if numbers is None else numbers
+        self._compared[what].add(_picked(live, columns), _picked(replayed, columns, numbers), parts)
 
     def result(self, counts: JournalCounts) -> LiveComparison:
         """When all was added; ``counts`` are those of the whole journal."""
         all_of_them = self._compared.values()
-        end_ns = counts.last_sprockets_ns
+        parts, end_ns = counts.parts, counts.last_sprockets_ns
         return LiveComparison(
-            max(one.compared_until(end_ns) for one in all_of_them),
-            sum(one.unmatched(end_ns) for one in all_of_them),
+            max(one.compared(parts, end_ns) for one in all_of_them),
+            sum(one.unmatched(parts, end_ns) for one in all_of_them),
             max(one.largest_difference for one in all_of_them),
             counts.lost_lines,
             counts.lost_inputs,
+            counts.comparable,
         )
+
+
+def _count_in(parts: Sequence[ComparablePart], stamps_ns: IntArray) -> int:
+    """How many stamps lie in any of the parts; all, where there are none."""
+    if not parts:
+        return len(stamps_ns)
+    return int(np.any([part.holds(stamps_ns) for part in parts], axis=0).sum())
 
 
 def odometry_rows(estimates: Rows, poses: Rows) -> Rows:
@@ -176,9 +229,14 @@ def _dtype(names: Sequence[str]) -> np.dtype[np.void]:
     return np.dtype(fields + [(name, np.float64, _SHAPES.get(name, ())) for name in names])
 
 
-def _picked(rows: Rows, names: Sequence[str]) -> Rows:
-    """The columns to compare, by stamp; of several rows with one stamp the last."""
-    found = np.zeros(len(rows), _dtype(names))
+def _picked(rows: Rows, names: Sequence[str], numbers: IntArray | None = None) -> Rows:
+    """The columns to compare and, where given, numbers, by stamp; of several rows with one stamp the last."""
+    dtype = _dtype(names)
+    if numbers is not None:
+        dtype = np.dtype([*dtype.descr, ("part", np.int64)])
+    found = np.zeros(len(rows), dtype)
+    if numbers is not None:
+        found["part"] = numbers
     known = rows.dtype.names or ()
     for name in ("stamp_ns", *names) if len(rows) else ():
         if name in known:

@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.manual_poses import input_names
-from trackslip_bags.parameters import bag_parameters, read_parameters
+from trackslip_bags.parameters import (
+    PARAMETERS_TOPIC,
+    bag_parameters,
+    mounting_names,
+    read_learned,
+    read_parameters,
+)
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
 from trackslip_common.errors import InputError
@@ -54,8 +60,9 @@ from trackslip_tools.replay.arrivals import (
     swing_reader,
     yaw_rate_reader,
 )
+from trackslip_tools.replay.comparable import LINE
 from trackslip_tools.replay.filtering import Filtering
-from trackslip_tools.replay.live_order import LINE, JournalCounts, LiveOrder
+from trackslip_tools.replay.live_order import JournalCounts, LiveOrder
 
 SPROCKETS, REPORTS = "sprockets", "measurement_reports"
 
@@ -102,6 +109,7 @@ class InputStream:
         _require_types(bag, self._names, p, tables)
         self._span = tuple(absolute_time(bag, t) for t in (filters.start_s, filters.stop_s))
         self.reloads: list[Reload] = []
+        self.starts: list[Start] = []
         self.messages: Counter[str] = Counter()  # by topic, all that was read
         self.counts = JournalCounts()
         self.refused, self._frames = Tally(), p.frames_of_sources()
@@ -114,6 +122,11 @@ class InputStream:
         return frozenset(self._names.values())
 
     @property
+    def start_ns(self) -> int:
+        """Log time of the bag's first message."""
+        return self._bag.start_ns
+
+    @property
     def duration_s(self) -> float:
         """From the first stamp of a measurement to the last, of what was read so far."""
         return max(self._last_ns - self._first_ns, 0) * 1e-9
@@ -122,9 +135,10 @@ class InputStream:
         filtering = Filtering(self._filters, self.sources, self._bag.start_ns)
         self.hidden = filtering.hidden
         commands = [self.sources.index(name) for name in _COMMANDS]
-        order = LiveOrder(self._journaled(), commands, self.sources.index(SPROCKETS))
+        parameters = _ParameterChanges(self._bag, self._reloadable, self.reloads, self.starts)
+        sprockets = self.sources.index(SPROCKETS)
+        order = LiveOrder(self.sources, self._journaled(), commands, sprockets, parameters.unknown)
         self.counts = order.counts
-        parameters = _ParameterChanges(self._bag, self._reloadable, self.reloads)
         for stretch in read_tables(self._bag, self._names, *self._span):
             rows, lines = self._arrivals(stretch, parameters), self._lines(stretch)
             ready = order.push(filtering(rows), lines, stretch.until_ns)
@@ -158,6 +172,7 @@ class InputStream:
                 lines = np.empty(len(rows), LINE)
                 lines["log_time_ns"], lines["sequence"] = table.log_times_ns, rows["sequence"]
                 lines["source"], lines["stamp_ns"] = np.array(numbers)[rows["source"]], rows["stamp_ns"]
+                lines["outcome"] = rows["outcome"]
                 parts.append(lines)
         return np.concatenate(parts)
 
@@ -225,28 +240,50 @@ class InputStream:
         }
 
 
-class _ParameterChanges:
-    """What was changed of the parameters while the estimator ran, by the bag's later messages."""
+class Start(NamedTuple):
+    """What a run of the estimator may have started from, as its parameters' message has it."""
 
-    def __init__(self, bag: Bag, names: Collection[str], reloads: list[Reload]) -> None:
+    changed: dict[str, Any]  # parameters that a running estimator takes, other than the bag begins with
+    learned: Any  # before, as ``learned.from_tree`` takes it; None: nothing
+
+
+class _ParameterChanges:
+    """The later messages of the estimator's parameters: changed while it ran, or it was started again."""
+
+    def __init__(self, bag: Bag, names: Collection[str], reloads: list[Reload], starts: list[Start]) -> None:
         """``names``: of the parameters that may change."""
-        self._bag, self._names, self._reloads = bag, frozenset(names), reloads
-        self._before: dict[str, Any] | None = None
+        self._bag, self._names, self._reloads, self._starts = bag, frozenset(names), reloads, starts
+        self._first: dict[str, Any] | None = None
+        self._before: dict[str, Any] = {}
+        messages = bag.messages([PARAMETERS_TOPIC])
+        self._first_ns = next((message.log_time_ns for message in messages), 0)
+        self.unknown: list[str] = []  # of each start, why it cannot be repeated, or an empty text
 
     def rows(self, table: TopicTable, source: int) -> Rows:
-        """(n,) ARRIVAL of the messages that change something; what they change is added to the reloads."""
+        """(n,) ARRIVAL; what they change is added to the reloads, and what a run had then to the starts."""
         rows = np.zeros(len(table), ARRIVAL)
         rows["kind"], rows["source"], rows["log_time_ns"] = IS_RELOAD, source, table.log_times_ns
-        changes = np.zeros(len(table), np.bool_)
+        if self._first is None:
+            self._first = self._before = bag_parameters(self._bag)
         for k in range(len(table)):
-            before = bag_parameters(self._bag) if self._before is None else self._before
-            now = read_parameters(self._bag, table.message(k))
-            changed = {n: now[n] for n in self._names & now.keys() if now[n] != before.get(n)}
+            message = table.message(k)
+            now = read_parameters(self._bag, message)
+            changed, rows["reload"][k] = self._changed(now, self._before), -1
             if changed:
-                changes[k], rows["reload"][k] = True, len(self._reloads)
+                rows["reload"][k] = len(self._reloads)
                 self._reloads.append(Reload(changed))
+            rows["start"][k] = len(self._starts)
+            self._starts.append(Start(self._changed(now, self._first), read_learned(self._bag, message)))
+            other = [name for name in now if now[name] != self._first.get(name, now[name])]
+            other = sorted(set(other) - self._names - set(mounting_names(self._first)))
+            self.unknown.append(
+                f"the estimator was started again with other {', '.join(other)}" if other else ""
+            )
             self._before = now
-        return rows[changes]
+        return rows[rows["log_time_ns"] > self._first_ns]
+
+    def _changed(self, now: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+        return {n: now[n] for n in self._names & now.keys() if now[n] != before.get(n)}
 
 
 def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:

@@ -6,24 +6,29 @@ The live estimator's journal (``measurement_reports``) has one line for each inp
 followed once everything is read that was logged up to ``HORIZON_NS`` later; an input that no line has named
 by then was not processed live and is left out. A source that the journal does not know (another bag's, a
 remapped one) is merged in by log time; without a journal, log time orders all.
+
+Where the numbers of the lines begin anew, the estimator was started again: a row of ``IS_START`` comes first,
+with the parameters that were published since the line before.
 """
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND, Rows
+from trackslip_estimation.slip.measurements import RELOAD
+from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND, IS_RELOAD, IS_START, Rows
+from trackslip_tools.replay.comparable import LINE, Comparability, ComparablePart, JournalRuns
 
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 HORIZON_NS = 60_000_000_000  # of log time between an input and its line; a repair by DDS takes 5 s at most
-
-LINE = np.dtype(
-    [("log_time_ns", np.int64), ("sequence", np.int64), ("source", np.int64), ("stamp_ns", np.int64)]
-)
-"""One line of the journal; ``source`` is a number."""
+_LATE_NS = 5_000_000_000  # by which the parameters of a run may be logged after its first line
+_END_NS, _NONE = np.iinfo(np.int64).max, np.iinfo(np.int64).max
+_NO_PARAMETERS = "the bag lacks the parameters of the estimator that was started again"
 
 
 @dataclass
@@ -34,42 +39,62 @@ class JournalCounts:
     lost_lines: int = 0  # missing in the journal, those before its first line included
     lost_inputs: int = 0  # that the journal names and the bag lacks
     last_sprockets_ns: int | None = None  # latest stamp of sprockets in it
+    comparable: Comparability = field(default_factory=Comparability)  # as far as it was followed
+
+    @property
+    def parts(self) -> list[ComparablePart]:
+        """That can be compared with live estimates; none where there is no journal: the whole bag can."""
+        return self.comparable.parts or ([ComparablePart(0, 0)] if self.lines else [])
 
 
 class LiveOrder:
     """Puts arrivals into live order.
 
     Args:
-        journaled: numbers of the sources that the journal knows anywhere; empty without a journal.
-        commands: numbers of the sources of which the bag holds nothing but their line.
+        sources: names of the sources, by number.
+        journaled: numbers of those that the journal knows anywhere; empty without a journal.
+        commands: numbers of those of which the bag holds nothing but their line.
         sprockets: number of the sprockets.
+        unknown: by ``start`` of a row of ``IS_RELOAD``, why a run cannot begin with these parameters.
     """
 
-    def __init__(self, journaled: Collection[int], commands: Collection[int], sprockets: int) -> None:
+    def __init__(
+        self,
+        sources: Sequence[str],
+        journaled: Collection[int],
+        commands: Collection[int],
+        sprockets: int,
+        unknown: Sequence[str] = (),
+    ) -> None:
         self.counts = JournalCounts()
         self._journaled = np.array(sorted(journaled), dtype=np.int64)
         self._commands = np.array(sorted(commands), dtype=np.int64)
-        self._sprockets = sprockets
+        self._sources, self._sprockets, self._unknown = sources, sprockets, unknown
+        self._runs = JournalRuns(self.counts.comparable, sources, sprockets)
         self._rows, self._lines = np.empty(0, ARRIVAL), np.empty(0, LINE)
-        self._expected = 0  # sequence number of the next line
+        self._counted = -1  # sequence number of the last line that was counted
+        self._followed, self._followed_ns = _NONE, 0  # of the last that was followed, and its log time
+        self._part = 0  # the number of the part that it is in
 
     def push(self, rows: Rows, lines: Rows, until_ns: int) -> Rows:
         """More arrivals and lines, all that were logged before ``until_ns``; those in order by now."""
         self._count(lines)
         if not self._journaled.size:
-            return rows
+            rows["part"] = 1
+            return rows[~_changes_nothing(rows)]
         self._rows = np.concatenate((self._rows, rows))
         self._lines = np.concatenate((self._lines, lines))
         return self._follow(until_ns - HORIZON_NS)
 
     def finish(self) -> Rows:
         """The rest, when all was read."""
-        return self._follow(np.iinfo(np.int64).max)
+        return self._follow(_END_NS)
 
     def _count(self, lines: Rows) -> None:
-        for sequence in lines["sequence"].tolist():
-            self.counts.lost_lines += max(sequence - self._expected, 0)
-            self._expected = sequence + 1
+        if not len(lines):
+            return
+        self.counts.lost_lines += int(_lost(lines["sequence"], self._counted).sum())
+        self._counted = int(lines["sequence"][-1])
         self.counts.lines += len(lines)
         stamps_ns = lines["stamp_ns"][lines["source"] == self._sprockets]
         if stamps_ns.size:
@@ -81,21 +106,112 @@ class LiveOrder:
         """The lines logged before ``limit_ns``, and of unknown sources what was."""
         rows, following = self._rows, self._lines["log_time_ns"] < limit_ns
         lines = self._lines[following]
-        named = _named(rows, lines)
+        lost = _lost(lines["sequence"], self._followed)
+        starts = self._starts(lines)
+        is_free = ~_changes_nothing(rows)
+        is_free[[start.row for start in starts if start.row >= 0]] = False
+        named = _named(rows, lines, is_free)
         is_command = np.isin(lines["source"], self._commands)
-        self.counts.lost_inputs += int(((named < 0) & ~is_command).sum())
-        is_other = ~np.isin(rows["source"], self._journaled) & (rows["log_time_ns"] < limit_ns)
-        others = np.flatnonzero(is_other)
+        missing = (named < 0) & ~is_command
+        self.counts.lost_inputs += int(missing.sum())
+        missing &= lines["source"] >= 0  # others are no sources by the parameters of the replay
+        parts = self._runs.follow(lines, missing, lost, {start.line: start.unknown for start in starts})
+        if len(lines):
+            self._followed, self._followed_ns = int(lines["sequence"][-1]), int(lines["log_time_ns"][-1])
+        others = np.flatnonzero(is_free & self._is_other(rows, limit_ns))
         before = np.searchsorted(lines["log_time_ns"], rows["log_time_ns"][others])  # the line they precede
         there = np.flatnonzero((named >= 0) | is_command)
-        found = np.concatenate((rows[others], _processed(rows, lines[there], named[there])))
-        order = np.lexsort((np.repeat((0, 1), (others.size, there.size)), np.concatenate((before, there))))
-        left = ~is_other
-        left[named[named >= 0]] = False
-        oldest_ns = limit_ns - HORIZON_NS if limit_ns > 0 else limit_ns
-        self._rows = rows[left & (rows["log_time_ns"] >= oldest_ns)]
+        again = [start for start in starts if start.again]
+        processed = _processed(rows, lines[there], named[there])
+        found = np.concatenate((rows[others], _start_rows(rows, lines, again), processed))
+        places = np.concatenate((before, [start.line for start in again], there)).astype(np.int64)
+        order = np.lexsort((np.repeat((0, 1, 2), (others.size, len(again), there.size)), places))
+        numbers = np.append(parts, parts[-1] if len(parts) else self._part)
+        found["part"], self._part = numbers[places], int(numbers[-1])
+        left = is_free.copy()
+        left[others] = left[named[named >= 0]] = False
+        left |= _changes_nothing(rows) & (rows["log_time_ns"] > self._followed_ns)
+        self._rows = rows[left & ~self._is_past(rows, limit_ns)]
         self._lines = self._lines[~following]
         return found[order]
+
+    def _starts(self, lines: Rows) -> list["_Start"]:
+        """Of the runs that begin with these lines: their numbers begin anew, and parameters were published.
+
+        The first run of all has the parameters of the bag.
+        """
+        found = []
+        before = np.append(self._followed, lines["sequence"])[:-1]
+        for k in np.flatnonzero(lines["sequence"] <= before).tolist():
+            after_ns = int(lines["log_time_ns"][k - 1]) if k else self._followed_ns
+            is_first = k == 0 and self._followed == _NONE
+            row = self._parameters(lines[k], after_ns, is_first=is_first)
+            if row >= 0:
+                found.append(_Start(k, row, self._unknown[self._rows["start"][row]], again=True))
+            elif is_first or lines["sequence"][k] == 0:
+                found.append(_Start(k, -1, "" if is_first else _NO_PARAMETERS, again=not is_first))
+        return found
+
+    def _parameters(self, line: np.void, after_ns: int, *, is_first: bool) -> int:
+        """The row of those with which a run begins that has this line; −1 where there is none."""
+        logged_ns, at_ns = self._rows["log_time_ns"], line["log_time_ns"]
+        own = np.flatnonzero((self._rows["kind"] == IS_RELOAD) & (logged_ns > after_ns))
+        earlier, later = own[logged_ns[own] <= at_ns], own[logged_ns[own] > at_ns]
+        if self._sources[line["source"]] == RELOAD:
+            earlier = earlier[:-1]  # that one is what the line names
+        if earlier.size:
+            return int(earlier[-1])
+        later = later[logged_ns[later] <= at_ns + _LATE_NS]
+        return int(later[0]) if later.size and not is_first else -1
+
+    def _is_other(self, rows: Rows, limit_ns: int) -> BoolArray:
+        """(n,) which rows, of sources that the journal does not know, log time merges in by now.
+
+        Parameters may be those of a run whose first line is still to come.
+        """
+        is_due = (
+            (rows["kind"] != IS_RELOAD) | (rows["log_time_ns"] <= self._followed_ns) | (limit_ns == _END_NS)
+        )
+        return ~np.isin(rows["source"], self._journaled) & (rows["log_time_ns"] < limit_ns) & is_due
+
+    def _is_past(self, rows: Rows, limit_ns: int) -> BoolArray:
+        """(n,) which rows no line can name any more."""
+        oldest_ns = limit_ns - HORIZON_NS if limit_ns > 0 else limit_ns
+        may_begin = (rows["kind"] == IS_RELOAD) & (rows["log_time_ns"] > self._followed_ns)
+        return (rows["log_time_ns"] < oldest_ns) & ~may_begin
+
+
+class _Start(NamedTuple):
+    """The beginning of a run."""
+
+    line: int
+    row: int  # of its parameters; −1 where there is none
+    unknown: str  # why it cannot be repeated, or an empty text
+    again: bool  # whether the estimator has to be made anew
+
+
+def _lost(sequences: IntArray, last: int) -> IntArray:
+    """(n,) how many lines are missing before each, by their numbers; ``last`` came before.
+
+    A number that is none after the one before begins another run.
+    """
+    before = np.append(last, sequences)[:-1]
+    return np.where(sequences <= before, sequences, sequences - before - 1)
+
+
+def _changes_nothing(rows: Rows) -> BoolArray:
+    """(n,) which rows are parameters as before; a run may begin with them all the same."""
+    return np.asarray((rows["kind"] == IS_RELOAD) & (rows["reload"] < 0))
+
+
+def _start_rows(rows: Rows, lines: Rows, starts: Sequence[_Start]) -> Rows:
+    """(n,) ARRIVAL of ``IS_START``."""
+    found = np.zeros(len(starts), ARRIVAL)
+    found["kind"] = IS_START
+    for row, start in zip(found, starts, strict=True):
+        row["log_time_ns"] = lines["log_time_ns"][start.line]
+        row["start"] = rows["start"][start.row] if start.row >= 0 else -1
+    return found
 
 
 def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
@@ -111,12 +227,18 @@ def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
     return found
 
 
-def _named(rows: Rows, lines: Rows) -> IntArray:
-    """(n,) the row that each line names, −1 where there is none.
+def _named(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
+    """(n,) the row that each line names, of those that are free; −1 where there is none.
 
     Of several with one source and stamp the first line names the first row, and so on. A manual pose without
     a stamp has in its line that of its use.
     """
+    numbers = np.flatnonzero(is_free)
+    found = _named_of(rows[numbers], lines)
+    return np.where(found >= 0, np.append(numbers, -1)[found], -1)
+
+
+def _named_of(rows: Rows, lines: Rows) -> IntArray:
     sources, stamps_ns = (np.concatenate((rows[n], lines[n])) for n in ("source", "stamp_ns"))
     order = np.lexsort((stamps_ns, sources))  # within a key: rows, then lines, both in order
     sources, stamps_ns = sources[order], stamps_ns[order]

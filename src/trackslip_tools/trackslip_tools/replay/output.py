@@ -29,8 +29,9 @@ from trackslip_estimation.slip.learned_text import lines_of, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_tools.replay.compared import compared_lines, compared_parts
 from trackslip_tools.replay.inputs import REPORTS
-from trackslip_tools.replay.parts import Part
+from trackslip_tools.replay.parts import Begin, Part
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
@@ -50,7 +51,7 @@ class EstimateWriter:
 
     def __init__(self, path: Path, p: SlipEstimatorParameters, learned: Learned | None = None) -> None:
         self._bag, self._p = BagWriter(path), p
-        self._start = {} if learned is None else {"learned": to_tree(learned, meaning(p))}
+        self._start, self._begun = _started_from(p, learned), False
         self._sequence, self._local = 0, LocalOdometry()
         self._logged_ns: int | None = None
 
@@ -63,6 +64,8 @@ class EstimateWriter:
 
     def add(self, part: Part) -> None:
         """More of a replay."""
+        if part.again is not None:
+            self._begin_again(part.again)
         names = map(part.sources.__getitem__, part.arrivals["source"].tolist())
         for record, source in zip(part.results, names, strict=True):
             report, estimate = make_step(record.item(), source)
@@ -88,16 +91,27 @@ class EstimateWriter:
             self._write(topic, message, stamp_ns)
 
     def _begin(self, stamp_ns: int) -> None:
-        """With the parameters, at the first stamp."""
-        if self._logged_ns is None and stamp_ns:
+        """With the parameters, at the first stamp of a run."""
+        if not self._begun and stamp_ns:
+            self._begun = True
             content = parameters_text(to_flat(self._p), SLIP_NODE, **self._start)
             text = make("std_msgs/msg/String", data=content)
             self._write(PARAMETERS_TOPIC, text, stamp_ns)
-            vehicle = make("std_msgs/msg/String", data=vehicle_text(self._p.vehicle))
-            self._write(VEHICLE, vehicle, stamp_ns)
+            if self._logged_ns is None:
+                vehicle = make("std_msgs/msg/String", data=vehicle_text(self._p.vehicle))
+                self._write(VEHICLE, vehicle, stamp_ns)
+
+    def _begin_again(self, start: Begin) -> None:
+        """Another run."""
+        self._p, self._start = start.parameters, _started_from(start.parameters, start.learned)
+        self._sequence, self._local, self._begun = 0, LocalOdometry(), False
 
     def _write(self, topic: str, message: Any, stamp_ns: int) -> None:
         self._bag.write(absolute(topic), TOPICS[topic].type_name, serialize(message), stamp_ns)
+
+
+def _started_from(p: SlipEstimatorParameters, learned: Learned | None) -> dict[str, Any]:
+    return {} if learned is None else {"learned": to_tree(learned, meaning(p))}
 
 
 def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:
@@ -145,7 +159,8 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "real_time_factor": result.duration_s / elapsed_s,
     }
     if result.live is not None:
-        content["replay_matches"] = result.live.matches
+        content["replay_matches"] = result.live.matches if result.live.compared else None
+        content["replay_compared"] = compared_parts(result.live, result.start_ns)
     if result.soil is not None:
         content["soil"] = soil_summary(result.soil)
     return content
@@ -219,7 +234,7 @@ def _live(result: Replay) -> list[str]:
     live = result.live
     if live is None:
         return []
-    lines = [str(live)]
+    lines = [str(live), *compared_lines(live, result.start_ns)]
     if live.lost_inputs:
         lines.append(f"  the bag lacks {live.lost_inputs} measurements that the live estimator processed")
     if live.lost_reports:

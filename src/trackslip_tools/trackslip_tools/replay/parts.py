@@ -7,11 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned import Learned, from_tree, meaning
 from trackslip_estimation.slip.learned_text import Finding, findings
 from trackslip_estimation.slip.measurements import Command
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import RESULT
-from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, Rows, to_measurements
+from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, IS_START, Rows, to_measurements
 from trackslip_tools.replay.inputs import InputStream, Logged
 
 _PIECE = 512  # arrivals between looks at what was learned: seconds
@@ -24,6 +27,13 @@ class Known(NamedTuple):
     findings: list[Finding]
 
 
+class Begin(NamedTuple):
+    """How an estimator begins."""
+
+    parameters: SlipEstimatorParameters
+    learned: Learned | None
+
+
 class Part(NamedTuple):
     """What some seconds of a bag gave."""
 
@@ -32,6 +42,7 @@ class Part(NamedTuple):
     results: Rows  # (n,) RESULT, what became of them
     tables: dict[str, Logged]  # what was logged by then of other topics
     learned: list[Known]  # in the course of it
+    again: Begin | None = None  # the estimator was started again before it
 
     @property
     def estimates(self) -> Rows:
@@ -44,25 +55,52 @@ Watch = Callable[[Part], None]
 
 
 def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Part]:
-    """Part by part of a bag; commands and changes of parameters act where they came."""
+    """Part by part of a bag; commands, changes of parameters and starts act where they came."""
+    p = estimator.parameters
     for batch in stream:
-        rows = batch.rows
-        results = np.zeros(len(rows), RESULT)
-        commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
-        learned: list[Known] = []
-        begin = 0
-        for end in np.union1d(commands, (*range(_PIECE, len(rows), _PIECE), len(rows))).tolist():
-            given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
-            results[begin:end] = estimator.process_records(given)
-            begin = end
-            if estimator.started and end > 0:
-                stamp_ns = estimator.newest_ns or 0
-                learned.append(Known(stamp_ns, findings(estimator.learned, estimator.meaning)))
-            if end in commands:
-                is_reload = rows["kind"][end] == IS_RELOAD
-                command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))
-                estimator.apply_command(stream.reloads[rows["reload"][end]] if is_reload else command)
-                results["stamp_ns"][end] = rows["stamp_ns"][end]
-                results["nis"][end] = results["gate"][end] = np.nan
-                begin = end + 1
-        yield Part(stream.sources, rows, results, batch.tables, learned)
+        tables, again, begin = batch.tables, None, 0
+        for end in (*np.flatnonzero(batch.rows["kind"] == IS_START).tolist(), len(batch.rows)):
+            results, learned = _process(stream, estimator, batch.rows[begin:end])
+            yield Part(stream.sources, batch.rows[begin:end], results, tables, learned, again)
+            if end < len(batch.rows):
+                again = _begin_again(p, stream, int(batch.rows["start"][end]))
+                estimator = SlipEstimator(again.parameters, learned=again.learned)
+                tables, begin = {}, end + 1
+
+
+def _begin_again(p: SlipEstimatorParameters, stream: InputStream, number: int) -> Begin:
+    """What a later run starts from; the parameters where nobody knows.
+
+    ``p`` are those of the first run.
+    """
+    if number < 0:
+        return Begin(p, None)
+    changed, tree = stream.starts[number]
+    p = p.changed(changed)
+    try:
+        return Begin(p, None if tree is None else from_tree(tree, meaning(p)))
+    except InputError:
+        return Begin(p, None)
+
+
+def _process(stream: InputStream, estimator: SlipEstimator, rows: Rows) -> tuple[Rows, list[Known]]:
+    """(n,) RESULT of (n,) ARRIVAL of one run, and what was known meanwhile."""
+    results = np.zeros(len(rows), RESULT)
+    commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
+    learned: list[Known] = []
+    begin = 0
+    for end in np.union1d(commands, (*range(_PIECE, len(rows), _PIECE), len(rows))).tolist():
+        given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
+        results[begin:end] = estimator.process_records(given)
+        begin = end
+        if estimator.started and end > 0:
+            stamp_ns = estimator.newest_ns or 0
+            learned.append(Known(stamp_ns, findings(estimator.learned, estimator.meaning)))
+        if end in commands:
+            is_reload = rows["kind"][end] == IS_RELOAD
+            command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))
+            estimator.apply_command(stream.reloads[rows["reload"][end]] if is_reload else command)
+            results["stamp_ns"][end] = rows["stamp_ns"][end]
+            results["nis"][end] = results["gate"][end] = np.nan
+            begin = end + 1
+    return results, learned

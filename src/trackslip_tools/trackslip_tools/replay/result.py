@@ -34,7 +34,7 @@ from trackslip_tools.replay.comparison import (
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
-from trackslip_tools.replay.inputs import InputStream, Logged
+from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import Processed
 from trackslip_tools.replay.parts import Known, Part
 from trackslip_tools.replay.reckoning import Reckoning
@@ -74,6 +74,7 @@ class Replay:
     vehicle: str = ""  # its name
     learned: list[Known] = field(default_factory=list)  # in the course of it
     withheld: list[Withheld] = field(default_factory=list)
+    start_ns: int = 0  # log time of the bag's first message
     start: str = ""  # what it started from, where that is not the parameters alone
 
 
@@ -129,7 +130,7 @@ class Collector:
             for reckoning in self._reckonings.values():
                 reckoning.add(part.arrivals, reference)
         if self._compares:
-            self._compare(part.tables, estimates)
+            self._compare(part)
 
     def result(self) -> Replay:
         """When all was added."""
@@ -148,6 +149,7 @@ class Collector:
         found.learned = self._learned
         if self._compares and stream.messages[ODOMETRY]:
             found.live = self._comparer.result(stream.counts)
+            found.start_ns = stream.start_ns
         return found
 
     def _keep(self, estimates: Rows) -> None:
@@ -169,18 +171,23 @@ class Collector:
             if path is not None:
                 found.paths[name] = path
 
-    def _compare(self, tables: dict[str, Logged], estimates: Rows) -> None:
+    def _compare(self, part: Part) -> None:
         """Every live number against the replayed one of the same stamp."""
         nothing, topics = np.empty(0, ESTIMATE), {ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP} & self._stream.topics
+        tables, estimates = part.tables, part.estimates
         live = {topic: tables[topic].rows if topic in tables else nothing for topic in topics}
+        numbers = part.arrivals["part"][part.results["published"]]
+        parts = self._stream.counts.parts
+        if part.again is not None:
+            self._local = LocalOdometry()
         if ODOMETRY in live:
-            self._comparer.add(ODOMETRY, live[ODOMETRY], odometry_rows(estimates, estimates))
-            self._comparer.add(TILT, live[ODOMETRY], tilt_rows(estimates))
+            self._comparer.add(ODOMETRY, live[ODOMETRY], odometry_rows(estimates, estimates), numbers, parts)
+            self._comparer.add(TILT, live[ODOMETRY], tilt_rows(estimates), numbers, parts)
         if LOCAL_ODOMETRY in live:
             local = odometry_rows(estimates, self._local.advance(estimates))
-            self._comparer.add(LOCAL_ODOMETRY, live[LOCAL_ODOMETRY], local)
+            self._comparer.add(LOCAL_ODOMETRY, live[LOCAL_ODOMETRY], local, numbers, parts)
         if TRACK_SLIP in live:
-            self._comparer.add(TRACK_SLIP, live[TRACK_SLIP], slip_rows(estimates))
+            self._comparer.add(TRACK_SLIP, live[TRACK_SLIP], slip_rows(estimates), numbers, parts)
 
 
 def _refused(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:

@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which parts of a bag a replay can compare with live estimates, by the journal of the live estimator.
+
+A state depends on all measurements since the start of the estimator. A part therefore begins with an estimate
+of whose run the bag has everything from the start, and ends before the first measurement that was used live
+and is missing in the bag, before lost lines of the journal, where the estimator is started again, or with the
+bag. What a waiting estimator did not keep may be missing.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_tools.replay.growing import Rows
+
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+LINE = np.dtype(
+    [
+        ("log_time_ns", np.int64),
+        ("sequence", np.int64),
+        ("source", np.int64),
+        ("stamp_ns", np.int64),
+        ("outcome", np.int64),
+    ]
+)
+"""One line of the journal; ``source`` is a number."""
+
+_NEVER_USED = (Outcome.DUPLICATE, Outcome.INVALID, Outcome.FROZEN)
+_USED_OF_SPROCKETS_ALONE = (Outcome.TOO_LATE, Outcome.WAITING, Outcome.AHEAD)  # they are the clock
+_WITHOUT_ESTIMATE = (*_NEVER_USED, *_USED_OF_SPROCKETS_ALONE)  # there need not be one
+_IN_LINE = (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.RESTARTED)  # sprockets with which an estimate may come
+_KEPT_SAMPLES = 3  # of sprockets before an estimate begins, which it may depend on
+
+
+@dataclass
+class ComparablePart:
+    """One part; stamps are those of its sprockets, None where there are none."""
+
+    begin_log_ns: int
+    end_log_ns: int
+    first_ns: int | None = None
+    last_ns: int | None = None
+
+    def holds(self, stamps_ns: IntArray) -> BoolArray:
+        """(n,) which stamps lie in it."""
+        if self.first_ns is None or self.last_ns is None:
+            return np.zeros(len(stamps_ns), np.bool_)
+        return (stamps_ns >= self.first_ns) & (stamps_ns <= self.last_ns)
+
+    def extend(self, lines: Rows, sprockets: int) -> None:
+        """More lines; ``sprockets``: number of that source."""
+        self.end_log_ns = int(lines["log_time_ns"][-1])
+        in_line = (lines["source"] == sprockets) & np.isin(lines["outcome"], _IN_LINE)
+        stamps_ns = lines["stamp_ns"][in_line]
+        if stamps_ns.size:
+            first_ns, last_ns = int(stamps_ns.min()), int(stamps_ns.max())
+            self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
+            self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
+
+
+class Break(NamedTuple):
+    """Why nothing can be compared from a log time on."""
+
+    log_time_ns: int
+    why: str
+
+
+@dataclass
+class Comparability:
+    """The parts of a journal so far, and what came between them."""
+
+    parts: list[ComparablePart] = field(default_factory=list)
+    breaks: list[Break] = field(default_factory=list)
+
+
+class JournalRuns:
+    """Follows the lines of a journal through the runs of the estimator.
+
+    Args:
+        found: is filled.
+        sources: names, by number.
+        sprockets: number of theirs.
+    """
+
+    def __init__(self, found: Comparability, sources: Sequence[str], sprockets: int) -> None:
+        self._found, self._sources, self._sprockets = found, sources, sprockets
+        self._part: ComparablePart | None = None  # that the next line belongs to
+        self._waits = False  # for the first estimate of the run
+        self._samples, self._wanted = 0, 0  # sprocket samples since something was missing; how many it takes
+        self._why = ""  # what was missing
+
+    def follow(self, lines: Rows, missing: BoolArray, lost: IntArray, starts: Mapping[int, str]) -> IntArray:
+        """(n,) the number of the part of each line, from 1 on; 0 outside.
+
+        Args:
+            lines: (n,) LINE.
+            missing: (n,) whether the bag lacks the measurement.
+            lost: (n,) lines that are missing before it.
+            starts: by the number of a line with which a run of the estimator begins, why that start cannot be
+                repeated, or an empty text; the first of all lines is one.
+        """
+        numbers, used, at = np.zeros(len(lines), np.int64), missing & self._is_used(lines), 0
+        interrupted = used | (lost > 0)
+        interrupted[list(starts)] = True
+        for k in np.flatnonzero(interrupted).tolist():
+            self._go_on(lines[at:k], numbers[at:k])
+            if k in starts:
+                self._begin(lines[k], int(lost[k]), starts[k])
+            elif lost[k]:
+                self._interrupt(lines[k], f"the bag lacks {lost[k]} lines of the live estimator's journal")
+            if used[k]:
+                self._skip(lines[k])
+            at = k + 1 if used[k] else k
+        self._go_on(lines[at:], numbers[at:])
+        return numbers
+
+    def _go_on(self, lines: Rows, numbers: IntArray) -> None:
+        """Lines of which nothing is missing."""
+        begin = 0
+        if self._waits:
+            has_estimate = ~np.isin(lines["outcome"], _WITHOUT_ESTIMATE)
+            begin = int(np.argmax(has_estimate)) if has_estimate.any() else len(lines)
+            self._samples += int((lines["source"][:begin] == self._sprockets).sum())
+            if begin < len(lines):
+                self._start(lines[begin])
+        if self._part is not None and begin < len(lines):
+            numbers[begin:] = len(self._found.parts)
+            self._part.extend(lines[begin:], self._sprockets)
+
+    def _begin(self, line: np.void, lost: int, unknown: str) -> None:
+        """A run of the estimator."""
+        self._part, self._waits = None, not unknown
+        self._samples, self._wanted = 0, _KEPT_SAMPLES if lost else 0
+        self._why = f"the bag lacks the first {lost} measurements of the estimator's run"
+        if unknown:
+            self._break(line, unknown)
+
+    def _start(self, line: np.void) -> None:
+        """The first estimate of a run."""
+        self._waits, log_time_ns = False, int(line["log_time_ns"])
+        if self._samples >= self._wanted:
+            self._part = ComparablePart(log_time_ns, log_time_ns)
+            self._found.parts.append(self._part)
+        else:
+            self._break(line, self._why)
+
+    def _skip(self, line: np.void) -> None:
+        """A line whose measurement was used live and is missing."""
+        source = self._sources[line["source"]]
+        self._interrupt(line, f"the bag lacks a measurement of {source} that was used live")
+        if self._waits and line["outcome"] not in _WITHOUT_ESTIMATE:
+            self._start(line)
+
+    def _interrupt(self, line: np.void, why: str) -> None:
+        """Something is missing before the line, or its own measurement."""
+        if self._part is not None:
+            self._break(line, why)
+        self._part, self._why = None, why
+        self._samples, self._wanted = 0, _KEPT_SAMPLES
+
+    def _break(self, line: np.void, why: str) -> None:
+        self._found.breaks.append(Break(int(line["log_time_ns"]), why))
+
+    def _is_used(self, lines: Rows) -> BoolArray:
+        """(n,) whether the live estimate may depend on the measurement."""
+        others = (lines["source"] != self._sprockets) & np.isin(lines["outcome"], _USED_OF_SPROCKETS_ALONE)
+        return ~np.isin(lines["outcome"], _NEVER_USED) & ~others

@@ -1,0 +1,250 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which part of a recording is compared with live estimates, where measurements or runs are missing in it."""
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fixtures.recorded import EPOCH_NS, MS, Line
+
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import parameters_text
+from trackslip_common.parameters import to_flat
+from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TOPICS, TRACK_SLIP
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned import Learned, to_tree
+from trackslip_estimation.slip.local_odometry import LocalOdometry
+from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
+from trackslip_tools.replay.output import message_of
+
+Summary = Callable[..., dict[str, Any]]
+Write = Callable[[Path, Iterable[Line]], Path]
+REPORTS = "measurement_reports"
+RESTART_S, BEFORE_NS = 5.0, 400 * MS
+
+
+def at_ns(seconds: float) -> int:
+    return EPOCH_NS + round(seconds * 1e9)
+
+
+def live(
+    lines: list[Line], p: SlipEstimatorParameters, learned: Learned | None = None
+) -> tuple[list[Line], SlipEstimator]:
+    """The messages of an estimator that is given these, each at once."""
+    estimator, local, found = SlipEstimator(p, learned=learned), LocalOdometry(), []
+    given = sorted(lines, key=lambda line: line.log_ns)
+    started = {} if learned is None else {"learned": to_tree(learned, estimator.meaning)}
+    text = make(PARAMETERS_TYPE, data=parameters_text(to_flat(p), NODE, **started))
+    found.append(Line(given[0].log_ns - BEFORE_NS, PARAMETERS_TOPIC, PARAMETERS_TYPE, text))
+    for sequence, line in enumerate(given):
+        report, estimate = estimator.process(measurement(line, p))
+        outputs = [] if estimate is None else [(t, estimate) for t in (ODOMETRY, TRACK_SLIP)]
+        outputs += [] if estimate is None else [(LOCAL_ODOMETRY, local.after(estimate))]
+        messages = [(topic, message_of(topic, of, p)) for topic, of in outputs]
+        messages.append((REPORTS, conversions.measurement_report(make, report, sequence)))
+        found += [Line(line.log_ns + 1, topic, TOPICS[topic].type_name, m) for topic, m in messages]
+    return found, estimator
+
+
+def measurement(line: Line, p: SlipEstimatorParameters) -> Any:
+    if line.topic == "sprockets":
+        return conversions.sprockets(line.message, line.topic)
+    if line.topic == "box_pose":
+        return conversions.pose_fix(line.message, line.topic)
+    return conversions.yaw_rate(line.message, line.topic, p.gyros()[line.topic])
+
+
+@pytest.fixture(scope="module")
+def inputs(lines: list[Line]) -> list[Line]:
+    return [line for line in lines if line.topic != "reference_pose"]
+
+
+@pytest.fixture(scope="module")
+def one_run(inputs: list[Line]) -> list[Line]:
+    """All that a recorder writes of a run."""
+    return [*inputs, *live(inputs, load_slip_parameters())[0]]
+
+
+@pytest.fixture(scope="module")
+def two_runs(inputs: list[Line]) -> list[Line]:
+    """The estimator is killed after 5 s and starts again from what it had learned."""
+    return restarted(inputs)
+
+
+def restarted(inputs: list[Line], **changes: Any) -> list[Line]:
+    first, estimator = live(until(inputs, RESTART_S), load_slip_parameters())
+    later = since(inputs, RESTART_S + 0.5)  # nobody listens meanwhile
+    second, _ = live(later, load_slip_parameters(changes), estimator.learned)
+    return [*inputs, *first, *second]
+
+
+def until(lines: list[Line], seconds: float) -> list[Line]:
+    return [line for line in lines if line.log_ns < at_ns(seconds)]
+
+
+def since(lines: list[Line], seconds: float) -> list[Line]:
+    return [line for line in lines if line.log_ns >= at_ns(seconds)]
+
+
+def without(lines: list[Line], topic: str, begin: float, end: float) -> list[Line]:
+    return [x for x in lines if not (x.topic == topic and at_ns(begin) <= x.log_ns < at_ns(end))]
+
+
+def shown(capsys: pytest.CaptureFixture[str]) -> str:
+    return " ".join(capsys.readouterr().out.split())
+
+
+def test_a_whole_run_is_compared_whole(
+    one_run: list[Line], tmp_path: Path, write_bag: Write, summary: Summary, capsys: Any
+) -> None:
+    found = summary(write_bag(tmp_path / "bag", one_run))
+    assert found["replay_matches"] is True
+    assert found["replay_compared"]["breaks"] == []
+    (part,) = found["replay_compared"]["parts"]
+    assert part["start"] < 1.0
+    assert part["stop"] > 10.0
+    assert "not from" not in shown(capsys)
+
+
+@pytest.mark.parametrize(
+    ("topic", "reason"),
+    [
+        ("sprockets", "lacks a measurement of sprockets that was used live"),
+        ("box_pose", "lacks a measurement of box_pose that was used live"),
+        (REPORTS, "lacks .* lines of the live estimator's journal"),
+    ],
+)
+def test_what_follows_a_missing_measurement_is_not_compared(
+    one_run: list[Line],
+    tmp_path: Path,
+    write_bag: Write,
+    summary: Summary,
+    capsys: pytest.CaptureFixture[str],
+    topic: str,
+    reason: str,
+) -> None:
+    found = summary(write_bag(tmp_path / "bag", without(one_run, topic, 6.0, 6.5)))
+    assert found["replay_matches"] is True
+    (part,) = found["replay_compared"]["parts"]
+    assert 5.0 < part["stop"] < 7.0
+    assert 200 < found["replay_compared"]["estimates"] < 350
+    (one,) = found["replay_compared"]["breaks"]
+    assert one["time"] >= part["stop"]
+    assert re.search(reason, one["reason"])
+    assert re.search(f"compared from .* to .*; not from .*{reason}", shown(capsys))
+
+
+def test_an_estimate_that_differs_before_a_missing_measurement_is_found(
+    one_run: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+) -> None:
+    bag = write_bag(tmp_path / "bag", without(one_run, "sprockets", 6.0, 6.5))
+    changed = summary(bag, "--set", "slip_estimator.vehicle.kinematics.tread=0.74")
+    assert changed["replay_matches"] is False
+
+
+def test_a_bag_that_begins_after_the_estimator_is_not_compared(
+    one_run: list[Line],
+    tmp_path: Path,
+    write_bag: Write,
+    summary: Summary,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The recorder was started again: all measurements from there on do not make up for the state there."""
+    latched = [line for line in one_run if line.topic == PARAMETERS_TOPIC]
+    later = [line._replace(log_ns=at_ns(5.0)) for line in latched]
+    found = summary(write_bag(tmp_path / "bag", [*later, *since(one_run, 5.0)]))
+    assert found["replay_matches"] is None
+    assert found["replay_compared"]["parts"] == []
+    assert "replay = live: not compared: the bag lacks the first" in shown(capsys)
+
+
+def test_what_a_waiting_estimator_did_not_use_may_be_missing(
+    inputs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+) -> None:
+    """A recorder finds the topics one after the other; the first fix comes later."""
+    given = without(inputs, "box_pose", 0.0, 2.0)
+    run = [*given, *live(given, load_slip_parameters())[0]]
+    late = without(without(run, "sprockets", -1.0, 0.8), REPORTS, -1.0, 0.4)
+    found = summary(write_bag(tmp_path / "bag", late))
+    assert found["replay_matches"] is True
+    assert found["replay_compared"]["breaks"] == []
+    assert found["replay_compared"]["estimates"] > 300
+
+
+def test_an_estimator_started_again_is_started_again_in_the_replay(
+    two_runs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+) -> None:
+    found = summary(write_bag(tmp_path / "bag", two_runs))
+    assert found["replay_matches"] is True
+    first, second = found["replay_compared"]["parts"]
+    assert first["stop"] < RESTART_S + 0.5 < second["start"]
+    assert found["replay_compared"]["breaks"] == []
+    assert found["replay_compared"]["estimates"] > 350
+
+
+def test_after_a_restart_a_recording_with_gaps_is_compared_again(
+    two_runs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+) -> None:
+    found = summary(write_bag(tmp_path / "bag", without(two_runs, "sprockets", 3.0, 3.1)))
+    assert found["replay_matches"] is True
+    first, second = found["replay_compared"]["parts"]
+    assert first["stop"] < 3.1 + BEFORE_NS * 1e-9
+    assert second["start"] > RESTART_S
+    assert len(found["replay_compared"]["breaks"]) == 1
+
+
+def test_a_restart_takes_changed_parameters_along(
+    inputs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+) -> None:
+    found = summary(write_bag(tmp_path / "bag", restarted(inputs, gate_probability=0.9)))
+    assert found["replay_matches"] is True
+    assert len(found["replay_compared"]["parts"]) == 2
+
+
+def test_a_restart_with_another_vehicle_is_not_compared(
+    inputs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+) -> None:
+    run = restarted(inputs, **{"vehicle.kinematics.tread": 0.8})
+    found = summary(write_bag(tmp_path / "bag", run))
+    assert found["replay_matches"] is True
+    assert len(found["replay_compared"]["parts"]) == 1
+    (one,) = found["replay_compared"]["breaks"]
+    assert one["reason"] == "the estimator was started again with other vehicle.kinematics.tread"
+
+
+def test_a_restart_without_its_parameters_is_not_compared(
+    two_runs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+) -> None:
+    """Nobody knows what it had learned before."""
+    found = summary(write_bag(tmp_path / "bag", without(two_runs, PARAMETERS_TOPIC, 1.0, 9.0)))
+    assert found["replay_matches"] is True
+    assert len(found["replay_compared"]["parts"]) == 1
+    (one,) = found["replay_compared"]["breaks"]
+    assert "lacks the parameters" in one["reason"]
+
+
+def test_the_bag_that_a_replay_writes_of_two_runs_holds_both(
+    two_runs: list[Line], inputs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+) -> None:
+    """Put beside the inputs it is a recording again."""
+    summary(write_bag(tmp_path / "bag", two_runs), "--output", tmp_path / "made")
+    with open_bag(tmp_path / "made") as made:
+        written = [(m, made.deserialize(m.raw, m.type_name)) for m in made.messages()]
+    _, second = (m.log_time_ns for m, _ in written if m.topic == f"/{PARAMETERS_TOPIC}")
+    written.sort(key=lambda pair: (pair[0].log_time_ns >= second, getattr(pair[1], "sequence", -1)))
+    end_ns = max(line.log_ns for line in inputs) + 1
+    with BagWriter(tmp_path / "both") as both:
+        for x in sorted(inputs, key=lambda x: x.log_ns):
+            both.write(f"/{x.topic}", x.type_name, serialize(x.message), x.log_ns)
+        for k, (m, _) in enumerate(written):
+            both.write(m.topic, m.type_name, m.raw, end_ns + k)
+    found = summary(tmp_path / "both")
+    assert found["replay_matches"] is True
+    assert len(found["replay_compared"]["parts"]) == 2
