@@ -79,6 +79,15 @@ class Comparability:
     parts: list[ComparablePart] = field(default_factory=list)
     breaks: list[Break] = field(default_factory=list)
 
+    def from_the_beginning(self) -> tuple[bool, int | None]:
+        """Whether what the bag begins with can be compared, and up to which stamp; None: to its end."""
+        if not self.parts and not self.breaks:
+            return True, None
+        first = self.parts[0] if self.parts else None
+        if first is None or any(one.log_time_ns <= first.begin_log_ns for one in self.breaks):
+            return False, None
+        return True, first.last_ns if self.breaks or len(self.parts) > 1 else None
+
 
 class JournalRuns:
     """Follows the lines of a journal through the runs of the estimator.
@@ -138,7 +147,7 @@ class JournalRuns:
         """A run of the estimator."""
         self._part, self._waits = None, not unknown
         self._samples, self._wanted = 0, _KEPT_SAMPLES if lost else 0
-        self._why = f"the bag lacks the first {lost} measurements of the estimator's run"
+        self._why = f"the bag lacks the first {lost} measurements of the estimator's run" if lost else ""
         if unknown:
             self._break(line, unknown)
 
@@ -162,7 +171,7 @@ class JournalRuns:
         """Something is missing before the line, or its own measurement."""
         if self._part is not None:
             self._break(line, why)
-        self._part, self._why = None, why
+        self._part, self._why = None, self._why or why
         self._samples, self._wanted = 0, _KEPT_SAMPLES
 
     def _break(self, line: np.void, why: str) -> None:
@@ -171,4 +180,4 @@ class JournalRuns:
     def _is_used(self, lines: Rows) -> BoolArray:
         """(n,) whether the live estimate may depend on the measurement."""
         others = (lines["source"] != self._sprockets) & np.isin(lines["outcome"], _USED_OF_SPROCKETS_ALONE)
-        return ~np.isin(lines["outcome"], _NEVER_USED) & ~others
+        return np.asarray(~np.isin(lines["outcome"], _NEVER_USED) & ~others)

@@ -172,13 +172,14 @@ class LiveOrder:
         is_due = (
             (rows["kind"] != IS_RELOAD) | (rows["log_time_ns"] <= self._followed_ns) | (limit_ns == _END_NS)
         )
-        return ~np.isin(rows["source"], self._journaled) & (rows["log_time_ns"] < limit_ns) & is_due
+        is_unknown = ~np.isin(rows["source"], self._journaled)
+        return np.asarray(is_unknown & (rows["log_time_ns"] < limit_ns) & is_due)
 
     def _is_past(self, rows: Rows, limit_ns: int) -> BoolArray:
         """(n,) which rows no line can name any more."""
         oldest_ns = limit_ns - HORIZON_NS if limit_ns > 0 else limit_ns
         may_begin = (rows["kind"] == IS_RELOAD) & (rows["log_time_ns"] > self._followed_ns)
-        return (rows["log_time_ns"] < oldest_ns) & ~may_begin
+        return np.asarray((rows["log_time_ns"] < oldest_ns) & ~may_begin)
 
 
 class _Start(NamedTuple):

@@ -63,7 +63,8 @@ def replay(
     result.start = start
     of_soil_alone = soil.hidden if soil is not None else [0] * len(stream.hidden)
     result.withheld = withheld.result([sum(n) for n in zip(stream.hidden, of_soil_alone, strict=True)])
-    result.soil = soil.result() if soil is not None and stream.messages[HYDRAULICS] else None
+    if soil is not None and stream.messages[HYDRAULICS]:
+        result.soil = soil.result(stream.counts.comparable)
     result.vehicle = p.vehicle.name
     result.elapsed_s = time.monotonic() - began
     return result

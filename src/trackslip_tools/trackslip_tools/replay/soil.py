@@ -31,6 +31,7 @@ from trackslip_estimation.soil.records import (
 )
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_tools.replay.comparable import Comparability
 from trackslip_tools.replay.comparison import carried
 from trackslip_tools.replay.growing import GrowingRows, Rows
 from trackslip_tools.replay.inputs import Logged
@@ -40,6 +41,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SOIL_TOPICS = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)  # that a replay reads
+_END_NS = int(np.iinfo(np.int64).max)
 _TOLERANCE = 1e-9  # relative, between a live and a replayed number
 
 
@@ -109,8 +111,8 @@ class SoilRun:
         if len(estimates):
             self._advance(estimates, logged_ns)
 
-    def result(self) -> SoilReplay:
-        """When all was added."""
+    def result(self, comparability: Comparability) -> SoilReplay:
+        """When all was added; slips are the live ones only where these can be compared."""
         self._feed(self._waiting)
         found = SoilReplay(
             self._estimator.parameters,
@@ -121,8 +123,9 @@ class SoilRun:
             self._series.series(),
             self._classes,
         )
-        if found.series.keys() & {FORCES, SOIL} and not self._filters.changes_inputs:
-            found.live = _compare(found)
+        compares, until_ns = comparability.from_the_beginning()
+        if found.series.keys() & {FORCES, SOIL} and not self._filters.changes_inputs and compares:
+            found.live = _compare(found, _END_NS if until_ns is None else until_ns)
         return found
 
     def _wait(self, logged: Logged) -> None:
@@ -196,7 +199,7 @@ def _classes(table: TopicTable) -> dict[int, FloatArray]:
     return {t: np.asarray(m.class_probabilities) for t, m in zip(stamps_ns, messages, strict=True)}
 
 
-def _compare(result: SoilReplay) -> SoilComparison:
+def _compare(result: SoilReplay, until_ns: int) -> SoilComparison:
     """Every live number against the replayed one, between the first and last stamp of both on a topic."""
     compared = unmatched = 0
     largest = 0.0
@@ -204,14 +207,17 @@ def _compare(result: SoilReplay) -> SoilComparison:
         live = result.series.get(topic)
         if live is None or not len(live) or not len(own):
             continue
-        first, last = max(live.stamps_ns[0], own["stamp_ns"][0]), min(live.stamps_ns[-1], own["stamp_ns"][-1])
+        first = max(live.stamps_ns[0], own["stamp_ns"][0])
+        last = min(live.stamps_ns[-1], own["stamp_ns"][-1], until_ns)
         theirs, mine = (_between(rows, first, last) for rows in (live.rows, own))
         _, in_theirs, in_mine = np.intersect1d(theirs["stamp_ns"], mine["stamp_ns"], return_indices=True)
         unmatched += len(theirs) + len(mine) - 2 * len(in_mine)
         compared += len(theirs)
         for name in own.dtype.names or ():
             largest = max(largest, _difference(theirs[name][in_theirs], mine[name][in_mine]))
-    own_classes = {s.stamp_ns: np.array(list(s.classes.values())) for s in result.states}
+    own_classes = {
+        s.stamp_ns: np.array(list(s.classes.values())) for s in result.states if s.stamp_ns <= until_ns
+    }
     for stamp_ns in own_classes.keys() & result.live_classes.keys():
         largest = max(largest, _difference(result.live_classes[stamp_ns], own_classes[stamp_ns]))
     return SoilComparison(compared, unmatched, largest)

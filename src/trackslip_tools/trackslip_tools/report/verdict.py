@@ -80,12 +80,16 @@ def _same_as_live(run: Run, _: VerdictLimits) -> Verdict:
         return _unknown("The bag holds no live estimates.")
     if any(carried.get(name, value) != value for name, value in to_flat(run.parameters).items()):
         return _unknown("Replayed with other parameters than live.")
+    breaks = live.comparability.breaks
+    if not live.compared and breaks:
+        return _unknown(f"Nothing can be compared: {breaks[0].why}.")
     soil = run.replay.soil.live if run.replay.soil is not None else None
     if soil is not None and live.matches and not soil.matches:
         return _checked(False, f"{soil.compared} soil messages", "The soil estimator differed live.")
     value = f"{live.compared} estimates, largest difference {live.largest_difference:.0e}"
     if live.matches:
-        return _checked(True, value, "The replay repeats what the machine computed.")
+        as_far_as = f", but not from where {breaks[0].why}" if breaks else ""
+        return _checked(True, value, f"The replay repeats what the machine computed{as_far_as}.")
     lost = f"{live.unmatched} unmatched, {live.lost_inputs} measurements and {live.lost_reports} reports lost"
     return _checked(False, value, f"The machine computed something else ({lost}).")
 
