@@ -54,6 +54,7 @@ def test_every_number_counts(name: str) -> None:
     found = compared(odometry(range(100)), odometry(range(100), **{name: 1e-3}))
     assert found.largest_difference == pytest.approx(1e-3)
     assert not found.matches
+    assert f"1.0e-03 in {name} of odometry" in str(found)
 
 
 def test_headings_differ_the_short_way_round() -> None:

@@ -11,6 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,7 @@ class LiveComparison:
     lost_reports: int  # lines of the live journal that the bag lacks
     lost_inputs: int  # measurements that the journal names and the bag lacks
     comparability: Comparability = field(default_factory=Comparability)  # what was compared, and why no more
+    differing: str = ""  # the number of that difference, and of which message
 
     @property
     def matches(self) -> bool:
@@ -54,14 +56,24 @@ class LiveComparison:
             return f"replay = live: not compared: {self.comparability.breaks[0].why}"
         verdict = "yes" if self.matches else "NO"
         numbers = f"{self.compared} estimates, {self.unmatched} unmatched"
-        return f"replay = live: {verdict} ({numbers}, largest difference {self.largest_difference:.1e})"
+        where = f" in {self.differing}" if self.largest_difference > TOLERANCE else ""
+        return (
+            f"replay = live: {verdict} ({numbers}, largest difference {self.largest_difference:.1e}{where})"
+        )
+
+
+class _Difference(NamedTuple):
+    """Between numbers of a column, in its own unit."""
+
+    size: float
+    column: str
 
 
 class TopicComparison:
     """One topic, by stamp; memory holds what the other side may still bring within ``WAITING_NS``."""
 
     def __init__(self) -> None:
-        self.largest_difference = 0.0
+        self.largest = _Difference(0.0, "")
         self._compared = self._unmatched = 0
         self._live: Rows | None = None  # still without partner, as below
         self._replayed: Rows | None = None
@@ -111,7 +123,7 @@ class TopicComparison:
         if not len(live):
             return
         self._compared += len(live)
-        self.largest_difference = max(self.largest_difference, _difference(live, replayed))
+        self.largest = max(self.largest, _difference(live, replayed))
         for part in np.unique(replayed["part"]).tolist():
             stamps_ns = replayed["stamp_ns"][replayed["part"] == part]
             first_ns, last_ns = int(stamps_ns.min()), int(stamps_ns.max())
@@ -163,13 +175,15 @@ class LiveComparer:
         """When all was added; ``counts`` are those of the whole journal."""
         all_of_them = self._compared.values()
         parts, end_ns = counts.parts, counts.last_sprockets_ns
+        largest, what = max((one.largest, what) for what, one in self._compared.items())
         return LiveComparison(
             max(one.compared(parts, end_ns) for one in all_of_them),
             sum(one.unmatched(parts, end_ns) for one in all_of_them),
-            max(one.largest_difference for one in all_of_them),
+            largest.size,
             counts.lost_lines,
             counts.lost_inputs,
             counts.comparable,
+            f"{largest.column} of {ODOMETRY if what == TILT else what}" if largest.size else "",
         )
 
 
@@ -263,13 +277,13 @@ def _divided(rows: Rows, oldest_ns: int) -> tuple[Rows, Rows]:
     return rows[young], rows[~young]
 
 
-def _difference(a: Rows, b: Rows) -> float:
+def _difference(a: Rows, b: Rows) -> _Difference:
     """The largest of any column; of headings the short way round. Nothing differs from nothing."""
-    largest = 0.0
+    largest = _Difference(0.0, "")
     for name in (a.dtype.names or ())[1:]:
         apart: NDArray[np.float64] = np.abs(a[name] - b[name])
         if name == "heading":
             apart = np.abs(np.angle(np.exp(1j * apart)))
         apart = np.where(np.isnan(a[name]) & np.isnan(b[name]), 0.0, apart)
-        largest = max(largest, float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0)))
+        largest = max(largest, _Difference(float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0)), name))
     return largest

@@ -234,6 +234,8 @@ def _named(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
     Of several with one source and stamp the first line names the first row, and so on. A manual pose without
     a stamp has in its line that of its use.
     """
+    if is_free.all():
+        return _named_of(rows, lines)
     numbers = np.flatnonzero(is_free)
     found = _named_of(rows[numbers], lines)
     return np.where(found >= 0, np.append(numbers, -1)[found], -1)
