@@ -125,6 +125,13 @@ def test_lost_lines_are_counted() -> None:
     assert lost(lines[[0, 4, 5, 6, 9]]) == 5
 
 
+def test_lines_without_numbers_begin_no_runs() -> None:
+    lines = journal(*[(10 * k, "a", k) for k in range(1, 9)])
+    lines["sequence"] = 0
+    rows, _ = ordered([arrival("a", k, 10 * k) for k in range(1, 9)], lines)
+    assert set(rows["kind"].tolist()) == {YAW_RATE}
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_stretches_are_ordered_as_the_whole_is(seed: int) -> None:
     """Lines up to a quarter of the horizon after their message or before it, in another order."""

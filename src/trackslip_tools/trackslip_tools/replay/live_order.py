@@ -148,7 +148,7 @@ class LiveOrder:
             row = self._parameters(lines[k], after_ns, is_first=is_first)
             if row >= 0:
                 found.append(_Start(k, row, self._unknown[self._rows["start"][row]], again=True))
-            elif is_first or lines["sequence"][k] == 0:
+            elif is_first or before[k] > 0 == lines["sequence"][k]:  # lines without numbers are no runs
                 found.append(_Start(k, -1, "" if is_first else _NO_PARAMETERS, again=not is_first))
         return found
 
