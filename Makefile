@@ -17,7 +17,7 @@ VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars drives test faults soak lint ament bench fuzz bags numbers figures docs clean
+.PHONY: help setup checks demo bars drives cases test faults soak lint ament bench fuzz bags numbers figures docs clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { \
@@ -42,6 +42,9 @@ bars: setup ## errors on drives like the demo's on four soils, with and without 
 
 drives: setup ## forty random drives of random machines, in and out of the laser's sight, against their bars (SEEDS=40)
 	@$(ENTER) exec $(VENV)/python -m trackslip_sim.drives.main $(if $(SEEDS),--seeds '$(SEEDS)')
+
+cases: setup ## drives with injected faults, scored beside those of a baseline, and their bars (ARGS='--only marmotte --json FILE')
+	@$(ENTER) exec $(VENV)/python scripts/fault_cases.py $(ARGS)
 
 # A module's tests run in one worker, and those with whole graphs (group graph) one by one: two more workers than
 # cores use what these wait for. A failed one of tests/graph is tried again and reported: a busy machine can stall
