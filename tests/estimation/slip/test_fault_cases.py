@@ -1,0 +1,236 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Drives with injected faults, scored beside a baseline; ``make cases`` prints all scores.
+
+The tests marked ``slow`` run every case. The others run some of them, and check what the scores rest on.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, drive
+from fixtures.fault_cases.bars import Bar, bars, geometric_mean, of_group
+from fixtures.fault_cases.case import GNSS, SECOND, Group, seconds
+from fixtures.fault_cases.catalogue import CATALOGUE
+from fixtures.fault_cases.drawn_cases import with_source
+from fixtures.fault_cases.gnss_errors import KINDS, gauss_markov
+from fixtures.fault_cases.injections import INJECTIONS, blank_sprockets
+from fixtures.fault_cases.running import (
+    BASELINE,
+    named_cases,
+    read_scores,
+    score_cases,
+    score_named,
+    write_scores,
+)
+from fixtures.fault_cases.scoring import Score
+
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets
+from trackslip_estimation.slip.records import to_records
+
+EVENT = 20.0  # s
+CLEAN = ("no harm: track error 5%, seed 0", "no harm: surge 30%, seed 0", "no harm: gyro scale 1.03, seed 0")
+GROSS = (
+    "drawn: outliers 30% in 20 m",
+    "drawn: all scattered from 29 s",
+    "drawn: silence, then one wrong fix",
+)
+UNKNOWN = ("drawn: heading unknown", "drawn: heading unknown, outliers 20%")
+
+slow = [pytest.mark.slow, pytest.mark.timeout(3600)]
+
+
+@pytest.fixture(scope="module")
+def baseline() -> dict[str, Score]:
+    return read_scores(BASELINE)
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[Measurement]:
+    recording = drive(Machine(duration=40.0, fix_noise=0.03, fix_stated=0.03))
+    return with_source(recording.measurements, GNSS)
+
+
+def same_records(given: list[Measurement], other: list[Measurement]) -> bool:
+    sources = {GNSS: 0, SECOND: 1, "imu/data_raw": 2}
+    return to_records(given, sources).tobytes() == to_records(other, sources).tobytes()
+
+
+def test_baseline_has_a_score_of_every_case(baseline: dict[str, Score]) -> None:
+    assert list(baseline) == list(CATALOGUE)
+
+
+@pytest.mark.parametrize("name", INJECTIONS)
+def test_injection_leaves_what_precedes_its_event(name: str, drawn: list[Measurement]) -> None:
+    injected = INJECTIONS[name].inject(drawn, EVENT, 0.03)
+    begin = injected.window[0]
+    of_first = [m for m in injected.measurements if m.source != SECOND]
+    before, after = ([m for m in ms if seconds(m) < begin] for ms in (drawn, of_first))
+    assert same_records(before, after)
+    assert not same_records(drawn, injected.measurements)
+    assert [m.stamp_ns for m in injected.measurements] == sorted(m.stamp_ns for m in injected.measurements)
+
+
+def test_permanent_jump_displaces_the_true_positions_too(drawn: list[Measurement]) -> None:
+    injected = INJECTIONS["jump (2, 1) for good"].inject(drawn, EVENT, 0.03)
+    moved = [
+        after.pose - before.pose
+        for before, after in zip(drawn, injected.measurements, strict=True)
+        if isinstance(before, PoseFix) and isinstance(after, PoseFix) and seconds(before) >= EVENT
+    ]
+    assert injected.jump == (EVENT, 2.0, 1.0)
+    assert np.allclose(moved, (2.0, 1.0, 0.0))
+
+
+def test_blanked_sprockets_leave_gaps_and_all_else(drawn: list[Measurement]) -> None:
+    blanked = blank_sprockets(drawn, 1.0, seed=0)
+    steps = np.diff([seconds(m) for m in blanked if isinstance(m, Sprockets)])
+    gaps = steps[steps > 0.5]
+    assert 4 <= len(gaps) <= 9
+    assert np.all(np.abs(gaps - 1.05) < 0.06)
+    others = [m for m in drawn if not isinstance(m, Sprockets)]
+    assert same_records(others, [m for m in blanked if not isinstance(m, Sprockets)])
+
+
+def test_gauss_markov_errors_have_their_deviation_and_correlation_time() -> None:
+    errors = gauss_markov(np.arange(0.0, 20_000.0), 2.0, 30.0, np.random.default_rng(0))
+    assert errors.std() == pytest.approx(2.0, rel=0.1)
+    correlation = np.mean(errors[:-30] * errors[30:]) / np.mean(errors**2)
+    assert correlation == pytest.approx(math.exp(-1.0), abs=0.07)
+
+
+@pytest.mark.parametrize("kind", [name for name, kind in KINDS.items() if kind.group is Group.WHITE])
+def test_white_errors_are_as_large_as_stated(kind: str) -> None:
+    errors, stated = KINDS[kind].draw(np.arange(0.0, 2000.0), np.random.default_rng(0))
+    assert np.std(errors / stated[:, np.newaxis]) == pytest.approx(1.0, rel=0.05)
+
+
+def test_scores_survive_their_file(baseline: dict[str, Score], tmp_path: Path) -> None:
+    file = tmp_path / "scores.json"
+    write_scores(file, baseline, "a command")
+    assert read_scores(file) == baseline
+
+
+def test_bars_compare_with_the_baseline_by_ratios(baseline: dict[str, Score]) -> None:
+    doubled = {name: replace(score, rmse=2.0 * score.rmse) for name, score in baseline.items()}
+    found = bars(doubled, baseline)
+    for key in ("multipath", "other", "worst", "worst_jump", "worst_clean", "correlated", "worst_white"):
+        assert found[key].value == pytest.approx(2.0), key
+    assert not found["worst"].is_met
+    assert geometric_mean((0.5, 2.0)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_drive_without_faults_is_within_a_hundredth_of_the_baseline(
+    name: str, baseline: dict[str, Score]
+) -> None:
+    score = score_named(name)
+    assert score.rmse <= 1.01 * baseline[name].rmse
+    assert score.gated == 0
+    assert score.live_equals_replay
+
+
+@pytest.mark.parametrize("name", GROSS)
+def test_gross_outliers_are_rejected(name: str, baseline: dict[str, Score]) -> None:
+    score = score_named(name)
+    assert score.rmse <= 1.5 * baseline[name].rmse
+    assert score.inconsistent <= 0.06
+    assert score.leaps == 0
+    assert score.live_equals_replay
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_unknown_heading_is_found(name: str, baseline: dict[str, Score]) -> None:
+    score = score_named(name)
+    assert score.rmse <= 1.5 * baseline[name].rmse
+    assert score.inconsistent <= 0.06
+    assert score.live_equals_replay
+
+
+@pytest.fixture(scope="module")
+def scores() -> dict[str, Score]:
+    """Of every case whose log is present."""
+    return dict(score_cases(named_cases(), jobs=2))
+
+
+@pytest.fixture(scope="module")
+def found(scores: dict[str, Score], baseline: dict[str, Score]) -> Mapping[str, Bar]:
+    return bars(scores, baseline)
+
+
+def assert_met(found: Mapping[str, Bar], *keys: str) -> None:
+    """Each of the bars is met; without their log the test is skipped."""
+    present = [found[key] for key in keys if key in found]
+    if not present:
+        pytest.skip("no log of the cases")
+    assert [bar for bar in present if not bar.is_met] == []
+
+
+class TestEveryCase:
+    """The bars over all cases."""
+
+    pytestmark = slow
+
+    def test_multipath_and_frozen_fixes_keep_a_seventh_of_the_error(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "multipath")
+
+    def test_other_faults_keep_two_thirds_of_the_error(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "other")
+
+    def test_no_case_but_a_permanent_jump_is_worse_by_half(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "worst", "heavy_tails")
+
+    def test_permanent_jumps_cost_three_times_at_most(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "worst_jump")
+
+    def test_truth_stays_inside_three_sigma_at_permanent_jumps(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "jumps_outside")
+
+    @pytest.mark.parametrize("machine", ["drawn", "marmotte", "warthog"])
+    def test_covariances_hold_in_the_windows_of_events(self, found: Mapping[str, Bar], machine: str) -> None:
+        assert_met(found, f"inconsistent_{machine}")
+
+    def test_gaussian_fixes_without_faults_stay_within_a_hundredth(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "clean", "worst_clean")
+
+    def test_correlated_errors_of_fixes_cost_a_tenth_less(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "correlated")
+
+    def test_white_errors_as_stated_cost_three_hundredths_at_most(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "white", "worst_white")
+
+    def test_estimates_are_consistent_with_every_receiver(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "receiver_nees", "receiver_heading_nees", "outage_nees")
+
+    def test_ordinary_receiver_on_a_mower_moves_neither_heading_nor_slip(
+        self, found: Mapping[str, Bar]
+    ) -> None:
+        assert_met(found, "mower_position", "mower_heading", "mower_slip")
+
+    def test_covariances_hold_with_an_ordinary_receiver_on_a_mower(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "mower_nees", "mower_heading_nees")
+
+    def test_outages_of_an_ordinary_receiver_are_bridged(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "outages", "outages_nees", "single_outages")
+
+    def test_rtk_on_a_mower_stays_exact(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "rtk_1_hz", "rtk_5_hz")
+
+    def test_rtk_on_a_mower_never_reverses_the_heading(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "rtk_heading")
+
+    def test_gyro_carries_the_heading_over_encoder_gaps(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "gaps_heading")
+
+    def test_covariances_hold_over_encoder_gaps(self, found: Mapping[str, Bar]) -> None:
+        assert_met(found, "gaps_nees")
+
+    def test_live_equals_replay_in_every_case(self, scores: dict[str, Score]) -> None:
+        assert [name for name, score in scores.items() if not score.live_equals_replay] == []
+
+    def test_no_fix_is_rejected_without_a_fault(self, scores: dict[str, Score]) -> None:
+        assert {name: s.gated for name, s in of_group(scores, Group.CLEAN).items() if s.gated} == {}
