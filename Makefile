@@ -17,7 +17,7 @@ VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars drives cases test faults soak lint ament bench fuzz bags numbers figures docs clean
+.PHONY: help setup checks demo bars drives cases test faults soak units lint ament bench fuzz bags numbers figures docs clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { \
@@ -65,6 +65,9 @@ ament: setup ## ROS's own linters, with the agreed configuration
 
 faults: checks ## a hundred faults of all sensors, of the GNSS receiver, and a hundred kills, in a row against the real nodes; half an hour
 	@$(ENTER) exec $(VENV)/python -m pytest -s -m soak
+
+units: checks ## the command of each systemd unit for half a minute in the read-only file system of its service
+	@$(ENTER) exec $(VENV)/python -m pytest -m slow tests/graph/test_units.py
 
 soak: setup ## the graph at ten times its speed, and what grows meanwhile; page in out/soak (DURATION=300, SPEED=10)
 	@$(ENTER) exec $(VENV)/python scripts/soak.py $(if $(DURATION),--duration '$(DURATION)') $(if $(SPEED),--speed '$(SPEED)')

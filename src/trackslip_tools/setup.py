@@ -12,6 +12,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        ("bin", ["bin/trackslip"]),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

@@ -180,3 +180,21 @@ def test_fast_dds_reads_the_profiles_that_set_up_names(programs: Any, tmp_path: 
     refused.wait()
     assert "XMLPARSER" not in accepted.stdout + accepted.stderr
     assert "XMLPARSER" in refused.stdout + refused.stderr
+
+
+@pytest.mark.skipif(find_spec("colcon_core") is None, reason="colcon is another python's")
+@pytest.mark.parametrize("layout", [[], ["--merge-install"]], ids=["isolated", "merged"])
+def test_command_is_on_the_path_after_a_build_by_hand(layout: list[str], tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "colcon", "--log-base", str(tmp_path / "log"), "build", *layout]
+    places = [f"--{place}-base={tmp_path / place}" for place in ("build", "install")]
+    packages = ["--base-paths", str(ROOT / "src" / "trackslip_tools")]
+    subprocess.run(
+        [*build, *places, *packages], check=True, capture_output=True, cwd=tmp_path, timeout=PATIENCE
+    )
+    script = f". {tmp_path / 'install' / 'setup.bash'} && command -v trackslip && trackslip --version"
+    place, version = from_nothing("bash", "-c", f"PATH={os.defpath}; {script}").splitlines()
+    assert Path(place).parent in {
+        tmp_path / "install" / "bin",
+        tmp_path / "install" / "trackslip_tools" / "bin",
+    }
+    assert version.startswith("trackslip ")
