@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drives recorded faster than real time: nothing is lost by skipping, by streaming, or by writing columns."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,20 @@ def test_skipped_ticks_change_nothing(
         "/heading",
         "/truth/soil",
     }
+
+
+def test_frame_of_the_machine_has_its_prefix_on_every_topic(tmp_path: Path) -> None:
+    p = replace(PARAMETERS, frame_prefix="digger1/")
+    record_drive(p, simulate(SCENARIO), tmp_path / "bag")
+    frames = {}
+    for topic, _, raw in messages(tmp_path / "bag"):
+        name = topic.removeprefix("/")
+        message = deserialize(raw, TOPICS[name].type_name)
+        frames[name] = getattr(message, "child_frame_id", "") or getattr(message, "header", message)
+    stated = {name: getattr(frame, "frame_id", frame) for name, frame in frames.items() if name != "vehicle"}
+    of_machine = {name for name, frame in stated.items() if frame == "digger1/base_link"}
+    assert of_machine >= {"sprockets", "hydraulics", *(name for name in stated if name.startswith("truth/"))}
+    assert "base_link" not in stated.values()
 
 
 def test_a_truth_in_pieces_gives_the_same_bag(

@@ -43,6 +43,7 @@ class CanDriverParameters(WithVehicle):
     can_host: str = parameter("host of socketcand; '' names none")
     can_bitrate: int = parameter("of adapters that python-can sets up; 0: as it is", unit="bit/s", ge=0)
     can_options: tuple[str, ...] = parameter("further settings of python-can, NAME=VALUE each; '' is none")
+    frame_prefix: str = parameter("before base_link, such as 'one/' where there are several machines")
     dbc_file: str = parameter("contract of the frames; a path, or a name in config/")
     roles_file: str = parameter("what its signals are for; a path, or a name in config/")
     time_offset: float = parameter("added to the stamp of every frame", unit="s")

@@ -10,7 +10,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from trackslip_common.nodes.launching import Launched, declared, nodes
+from trackslip_common.nodes.launching import Launched, declared, nodes, switch
 
 PACKAGE = "trackslip_estimation"
 LIVE = Launched("trackslip_tools", "live")
@@ -28,7 +28,7 @@ def generate_launch_description() -> LaunchDescription:
         ),
     )
     record = ("true", "record all topics; false where a recorder of its own runs")
-    arguments = declared(state_file=state_file, record=record)
+    arguments = declared([*EXECUTABLES, LIVE.executable], state_file=state_file, record=record)
     return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
 
 
@@ -36,8 +36,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
     state_file = _state_file(context)
     track_file = str(Path(state_file).with_name("box_localizer.json")) if state_file else ""
     own = {"slip_estimator": {"state_file": state_file}, "box_localizer": {"track_file": track_file}}
-    records = LaunchConfiguration("record").perform(context).lower() == "true"
-    wanted = EXECUTABLES if records else EXECUTABLES[:-1]
+    wanted = EXECUTABLES if switch(context, "record") else EXECUTABLES[:-1]
     launched = [Launched(PACKAGE, name, own.get(name, {})) for name in wanted]
     return nodes(context, [*launched, LIVE])
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The graph of ``make demo`` under ``ros2 launch``: emulated excavator, drivers, estimators, recorder."""
 
+from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
 
@@ -10,9 +11,9 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from trackslip_common.nodes.launching import Launched, declared, is_true, nodes
+from trackslip_common.nodes.launching import Launched, declared, nodes, number, switch, switched_on
 from trackslip_common.vehicle_files import ASSUMED
-from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
+from trackslip_sim.demo.graph import LIVE, DemoOptions, NodeSpec, demo_nodes
 
 _OWN = {
     "duration": ("40.0", "seconds of driving"),
@@ -25,21 +26,35 @@ _OWN = {
 
 def generate_launch_description() -> LaunchDescription:
     """The machine starts to drive some seconds after its key is turned; the bag is written here."""
-    return LaunchDescription([*declared(**_OWN), OpaqueFunction(function=_nodes)])
+    return LaunchDescription([*declared(_executables(), **_OWN), OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in (*_OWN, "vehicle", "gnss")}
+    given = {name: LaunchConfiguration(name).perform(context) for name in (*_OWN, "vehicle")}
     options = DemoOptions(
         devices=Path(given["devices"]),
         bag=Path.cwd() / f"trackslip_{datetime.now():%Y%m%d_%H%M%S}",
-        can_port=int(given["can_port"]),
-        duration=float(given["duration"]),
+        can_port=int(number(context, "can_port", int)),
+        duration=number(context, "duration", float),
         soil=given["soil"],
         scenario=given["scenario"],
         vehicle=given["vehicle"] or ASSUMED,
         autostart=True,
-        gnss=is_true(given["gnss"]),
+        laser=switch(context, "laser"),
+        gnss=switch(context, "gnss"),
     )
-    wanted = [Launched(node.package, node.executable, node.parameters) for node in demo_nodes(options)]
-    return nodes(context, [*wanted, Launched(LIVE.package, LIVE.executable)])
+    chosen = switched_on(context, _launched([*demo_nodes(options), LIVE]))
+    estimators = [one.executable for one in chosen if one.package == "trackslip_estimation"]
+    emulator, *others = chosen
+    waiting = emulator._replace(parameters={**emulator.parameters, "start_after": estimators})
+    return nodes(context, [waiting, *others])
+
+
+def _launched(specs: Iterable[NodeSpec]) -> list[Launched]:
+    return [Launched(node.package, node.executable, node.parameters) for node in specs]
+
+
+def _executables() -> list[str]:
+    """Of all nodes that there may be."""
+    everything = DemoOptions(Path(), Path(), 0, 0.0, "", "", ASSUMED, autostart=True, laser=True, gnss=True)
+    return [node.executable for node in (*demo_nodes(everything), LIVE)]

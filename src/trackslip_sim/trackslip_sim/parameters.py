@@ -10,6 +10,7 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import parameter
 from trackslip_common.vehicle_files import WithVehicle
 from trackslip_sim.devices.sick_device import SickDeviceParameters
+from trackslip_sim.machine.emulation import BODY_FRAME
 from trackslip_sim.machine.gnss_model import GnssParameters
 from trackslip_sim.machine.scan_model import SiteParameters
 from trackslip_sim.machine.sensors import SensorNoise
@@ -36,10 +37,18 @@ class EmulatorParameters(WithVehicle):
     seed: int = parameter("of all noise", ge=0)
     lead_in: float = parameter("standing after power-on", unit="s", ge=0.0)
     can_delay: float = parameter("from power-on to the first CAN frame", unit="s", ge=0.0)
+    start_after: tuple[str, ...] = parameter(
+        "nodes that must be active before the machine is switched on; '' names none"
+    )
+    frame_prefix: str = parameter("before base_link, such as 'one/' where there are several machines")
     device_directory: str = parameter("where the serial ports appear")
     can_interface: str = parameter("python-can interface")
     can_channel: str = parameter("device or multicast address")
     can_port: int = parameter("UDP port, for udp_multicast only", ge=1024, le=65535)
+
+    def body_frame(self) -> str:
+        """That of the machine, base_link, with its prefix."""
+        return self.frame_prefix + BODY_FRAME
 
     def mounted_gnss(self) -> GnssParameters:
         """The receiver, its antenna where the vehicle has it."""

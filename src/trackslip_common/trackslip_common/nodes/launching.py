@@ -3,28 +3,37 @@
 """What the launch files share: their arguments, and what each means for a node."""
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, EmitEvent, SetEnvironmentVariable
+from launch.events.process import ProcessExited, ShutdownProcess
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext
 from trackslip_common.config_files import config_file
+from trackslip_common.errors import ExitCode, InputError
 
-_COMMON = {
+_RESPAWN_DELAY = 2.0  # s, so that what ends at once does not fill log and processor
+_ARGUMENTS = {  # of those launch files whose nodes use them
     "vehicle": ("", "a name of config/vehicles, or a file (empty: pc05 is assumed)"),
     "params_file": ("", "ROS parameter file over the defaults of config/ and all other arguments"),
     "namespace": ("", "of all nodes and their topics, and before the frames odom and base_link"),
     "use_sim_time": ("false", "time from /clock, as a replay publishes it"),
     "log_level": ("info", "debug, info, warn, error or fatal"),
-    "respawn": ("false", "start a node that ended anew"),
+    "respawn": (
+        "false",
+        f"start a node that ended anew after {_RESPAWN_DELAY:g} s, unless it refused its input",
+    ),
     "laser": ("true", "scanner and box on the machine"),
     "imu": ("true", "inertial unit"),
     "hydraulics": ("true", "pressures: forces and soil"),
     "gnss": ("false", "satellite receiver"),
     "live": ("false", "serve the live page, at http://127.0.0.1:5006/ unless params_file says otherwise"),
 }
+_OF_EVERY_NODE = ("params_file", "namespace", "use_sim_time", "log_level", "respawn")
+_YES, _NO = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 _RANGE, _PEERS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("ROS_STATIC_PEERS", "")
 _PROFILES = {  # of Fast DDS 2 and 3, each by a variable of its own
     "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps.xml",
@@ -39,7 +48,8 @@ _OF_SWITCH = {
     "gnss_localizer": "gnss",
     "live": "live",
 }
-_WITH_PREFIX = ("slip_estimator", "soil_estimator")
+_OF_SOURCES = ("laser", "imu", "gnss")  # what the slip estimator may listen to
+_WITH_PREFIX = ("slip_estimator", "soil_estimator", "can_driver", "emulator")
 _WITH_VEHICLE = ("slip_estimator", "soil_estimator", "box_localizer", "can_driver", "emulator")
 
 
@@ -51,9 +61,14 @@ class Launched(NamedTuple):
     parameters: Mapping[str, Any] = {}
 
 
-def declared(**own: tuple[str, str]) -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
-    """Arguments of every launch file, its ``own``: name=(default, description), and who may look in."""
-    arguments = {**_COMMON, **own}
+def declared(
+    executables: Iterable[str], **own: tuple[str, str]
+) -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
+    """Arguments that a launch file of these nodes uses, and who may look in.
+
+    ``own`` are arguments of this file alone: name=(default, description).
+    """
+    arguments = {**{name: _ARGUMENTS[name] for name in _used_by(executables)}, **own}
     return [
         *(
             DeclareLaunchArgument(name, default_value=default, description=about)
@@ -61,6 +76,16 @@ def declared(**own: tuple[str, str]) -> list[DeclareLaunchArgument | SetEnvironm
         ),
         *_discovery(),
     ]
+
+
+def _used_by(executables: Iterable[str]) -> list[str]:
+    """Names of the arguments that have an effect on one of these nodes, in the order of their list."""
+    used = set(_OF_EVERY_NODE)
+    for executable in executables:
+        used |= {_OF_SWITCH[executable]} if executable in _OF_SWITCH else set()
+        used |= {"vehicle"} if executable in _WITH_VEHICLE else set()
+        used |= set(_OF_SOURCES) if executable == "slip_estimator" else set()
+    return [name for name in _ARGUMENTS if name in used]
 
 
 def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
@@ -84,26 +109,84 @@ def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
 
 
 def nodes(context: LaunchContext, wanted: Iterable[Launched]) -> list[Node]:
-    """Those of ``wanted`` that the switches say."""
-    given = {name: LaunchConfiguration(name).perform(context) for name in _COMMON}
-    switched_on = {name for name in _OF_SWITCH.values() if is_true(given[name])}
+    """Those of ``wanted`` that are switched on.
+
+    Raises:
+        InputError: the value of an argument is refused.
+    """
+    chosen = switched_on(context, wanted)
+    names = _used_by(one.executable for one in chosen)
+    given = {name: LaunchConfiguration(name).perform(context) for name in names}
+    given["params_file"] = _parameter_file(given["params_file"])
+    switches = {name: switch(context, name) for name in names if _is_switch(name)}
+    return [_node(one, given, switches) for one in chosen]
+
+
+def switched_on(context: LaunchContext, wanted: Iterable[Launched]) -> list[Launched]:
+    """Those of ``wanted`` whose switch is on, and those that have none.
+
+    Raises:
+        InputError: a switch is neither on nor off.
+    """
     return [
-        _node(one, given, switched_on)
+        one
         for one in wanted
-        if one.executable not in _OF_SWITCH or _OF_SWITCH[one.executable] in switched_on
+        if one.executable not in _OF_SWITCH or switch(context, _OF_SWITCH[one.executable])
     ]
 
 
-def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
-    parameters = {"use_sim_time": is_true(given["use_sim_time"]), **one.parameters}
+def switch(context: LaunchContext, name: str) -> bool:
+    """Whether the argument ``name`` is on.
+
+    Raises:
+        InputError: its text is neither on nor off.
+    """
+    text = LaunchConfiguration(name).perform(context)
+    if text.lower() not in (*_YES, *_NO):
+        raise InputError(f"{name}: '{text}' is refused; accepted: {', '.join((*_YES, *_NO))}")
+    return text.lower() in _YES
+
+
+def number(context: LaunchContext, name: str, kind: type[int] | type[float]) -> float:
+    """The value of the argument ``name``.
+
+    Raises:
+        InputError: its text is no such number.
+    """
+    text = LaunchConfiguration(name).perform(context)
+    try:
+        return kind(text)
+    except ValueError:
+        wanted = "a whole number" if kind is int else "a number"
+        raise InputError(f"{name}: '{text}' is refused; accepted: {wanted}") from None
+
+
+def _is_switch(name: str) -> bool:
+    return _ARGUMENTS[name][0] in ("true", "false")
+
+
+def _parameter_file(given: str) -> str:
+    """The path given, empty where none is. Launch itself only warns, and starts all nodes without it.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    path = Path(given).expanduser()
+    if given and not path.is_file():
+        raise InputError(f"params_file: '{given}' is not a file; accepted: the path of a ROS parameter file")
+    return str(path) if given else ""
+
+
+def _node(one: Launched, given: Mapping[str, str], switches: Mapping[str, bool]) -> Node:
+    parameters = {"use_sim_time": switches["use_sim_time"], **one.parameters}
     if one.executable in _WITH_VEHICLE and given["vehicle"]:
         parameters["vehicle"] = given["vehicle"]
     files = [given["params_file"]] if given["params_file"] else []
     receiver = []
     if one.executable == "slip_estimator":
-        parameters |= _sources(sensors)
-        receiver = [str(config_file("gnss.yaml"))] if "gnss" in sensors else []
-    if one.executable in _WITH_PREFIX and given["namespace"]:
+        parameters |= _sources({name for name in _OF_SOURCES if switches[name]})
+        receiver = [str(config_file("gnss.yaml"))] if switches["gnss"] else []
+    if one.executable in _WITH_PREFIX and given["namespace"].strip("/"):
         parameters["frame_prefix"] = given["namespace"].strip("/") + "/"
     return Node(
         package=one.package,
@@ -112,9 +195,21 @@ def _node(one: Launched, given: Mapping[str, str], sensors: set[str]) -> Node:
         namespace=given["namespace"],
         parameters=[*receiver, parameters, *files],
         arguments=["--ros-args", "--log-level", given["log_level"], "--enclave", _enclave(one, given)],
-        respawn=is_true(given["respawn"]),
         output="screen",
+        **(_respawn() if switches["respawn"] else {}),
     )
+
+
+def _respawn() -> dict[str, Any]:
+    """Launch starts a node anew whatever it ended with; what it refused once it would refuse for ever."""
+    return {"respawn": True, "respawn_delay": _RESPAWN_DELAY, "on_exit": _keep_ended}
+
+
+def _keep_ended(event: ProcessExited, _context: LaunchContext) -> EmitEvent | None:
+    """Within the delay of a respawn: the event that calls it off, where the node refused its input."""
+    if event.returncode != ExitCode.BAD_INPUT:
+        return None
+    return EmitEvent(event=ShutdownProcess(process_matcher=lambda action: action is event.action))
 
 
 def _enclave(one: Launched, given: Mapping[str, str]) -> str:
@@ -133,8 +228,3 @@ def _sources(sensors: set[str]) -> dict[str, Any]:
         "yaw_rate_sources": ["imu/data_raw" if "imu" in sensors else ""],
         **start,
     }
-
-
-def is_true(text: str) -> bool:
-    """Whether the text of an argument says yes."""
-    return text.lower() in ("true", "1", "yes", "on")

@@ -19,7 +19,7 @@ from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSam
 from trackslip_drivers.stamping import StampEvent
 from trackslip_drivers.transports.can_bus import CanBus, CanFrame
 
-_FRAME_ID = "base_link"
+_BODY_FRAME = "base_link"
 _MESSAGES = {
     SprocketSample: ("sprockets", conversions.blank_joint_state, conversions.fill_joint_state),
     HydraulicsSample: ("hydraulics", conversions.blank_track_hydraulics, conversions.fill_track_hydraulics),
@@ -49,9 +49,10 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         self._can = ExcavatorCan(self.settings, load_frames(self.settings), self.tally)
         self._bus_state = BusState.ACTIVE
         self._outputs: dict[type[Sample], tuple[PackedOutput, Any]] = {}
+        frame_id = self.settings.frame_prefix + _BODY_FRAME
         for kind in self._can.kinds:
             topic, blank, fill = _MESSAGES[kind]
-            self._outputs[kind] = (self.advertise_packed(topic, blank(make, _FRAME_ID)), fill)
+            self._outputs[kind] = (self.advertise_packed(topic, blank(make, frame_id)), fill)
 
     def where(self) -> str:
         """The bus."""

@@ -38,11 +38,12 @@ class DemoOptions:
     scenario: str
     vehicle: str  # a name of config/vehicles, or a file
     autostart: bool  # of the emulator: False where somebody else turns the key
-    gnss: bool = False  # a GNSS receiver with two antennas in place of the laser
+    laser: bool = True  # the scanner at the site, and the box on the machine
+    gnss: bool = False  # a GNSS receiver with two antennas
 
 
 def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
-    """The emulator, three drivers, the estimators and the recorder; poses from the laser, or from GNSS."""
+    """The emulator, the drivers, the estimators and the recorder; poses from the laser, GNSS, or both."""
     can = {**_CAN, "can_port": options.can_port}
     vehicle: dict[str, object] = {"vehicle": options.vehicle}
     emulator = {
@@ -56,11 +57,14 @@ def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
         "gnss.device.rate": RECEIVER_RATE if options.gnss else 0.0,
     }
     estimator = {**vehicle, **node_defaults("slip_estimator", "gnss.yaml")} if options.gnss else vehicle
+    if options.gnss and options.laser:
+        estimator = {**estimator, "pose_sources": ["box_pose", "gnss_pose"]}
     return [
         NodeSpec("trackslip_sim", "emulator", emulator),
         NodeSpec("trackslip_drivers", "can_driver", {**can, **vehicle}),
         NodeSpec("trackslip_drivers", "watson_imu", {"serial_port": str(options.devices / "watson")}),
-        *(_receiver(options) if options.gnss else _laser(options, vehicle)),
+        *(_laser(options, vehicle) if options.laser else ()),
+        *(_receiver(options) if options.gnss else ()),
         NodeSpec("trackslip_estimation", "slip_estimator", estimator),
         NodeSpec("trackslip_estimation", "soil_estimator", vehicle),
         NodeSpec("trackslip_estimation", "record", {"output": str(options.bag)}),

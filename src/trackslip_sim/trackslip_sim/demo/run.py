@@ -111,6 +111,7 @@ def _run(options: argparse.Namespace, domain: int, console: Console) -> int:
         soil=options.soil,
         scenario=options.scenario,
         autostart=False,
+        laser=not options.gnss,
         gnss=options.gnss,
     )
     os.environ["ROS_DOMAIN_ID"] = str(domain)

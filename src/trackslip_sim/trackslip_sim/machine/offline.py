@@ -45,7 +45,6 @@ from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_sim.devices.line import NEVER_NS
 from trackslip_sim.machine.bag_messages import Recording, Serialize, like, sensor_serializers
 from trackslip_sim.machine.emulation import (
-    BODY_FRAME,
     DRAIN_NS,
     FORCES_NS,
     SITE_FRAME,
@@ -138,7 +137,8 @@ class _Host:
         origin = {name: getattr(p.gnss, name) for name in ("latitude", "longitude", "altitude")}
         self._map = replace(gnss, **{f"datum_{name}": value for name, value in origin.items()})
         self._antenna = GnssLocalizer(self._map)
-        serializers = sensor_serializers(watson, BODY_FRAME) | self._truth_serializers()
+        self._body_frame = p.body_frame()
+        serializers = sensor_serializers(watson, self._body_frame) | self._truth_serializers()
         self.recording = Recording(bag, serializers)
         text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
         self.recording.add(VEHICLE, text, START_NS)
@@ -244,7 +244,7 @@ class _Host:
             self.recording.add("truth/attitude", now_ns, now_ns)
         if since_ns % SOIL_NS == 0:
             at = self._window.truth.at(self.excavator.sensors.time(now_ns))
-            soil = soil_message(make, at, now_ns, self._vehicle, BODY_FRAME)
+            soil = soil_message(make, at, now_ns, self._vehicle, self._body_frame)
             self.recording.add("truth/soil", soil, now_ns)
 
     def _record_swing(self, now_ns: int) -> None:
@@ -263,12 +263,15 @@ class _Host:
             return of_stamps
 
         slip, forces = (
-            stamped(make, f"trackslip_msgs/msg/{name}", BODY_FRAME) for name in ("TrackSlip", "TrackForces")
+            stamped(make, f"trackslip_msgs/msg/{name}", self._body_frame)
+            for name in ("TrackSlip", "TrackForces")
         )
         return {
-            "truth/odometry": like(certain_odometry(make, SITE_FRAME, BODY_FRAME), at(odometry_columns)),
-            "truth/attitude": like(certain_attitude(make, BODY_FRAME), at(attitude_columns)),
+            "truth/odometry": like(
+                certain_odometry(make, SITE_FRAME, self._body_frame), at(odometry_columns)
+            ),
+            "truth/attitude": like(certain_attitude(make, self._body_frame), at(attitude_columns)),
             "truth/track_slip": like(slip, at(track_slip_columns)),
-            "truth/swing": like(of_sensors.blank_swing(make, BODY_FRAME), at(swing_columns)),
+            "truth/swing": like(of_sensors.blank_swing(make, self._body_frame), at(swing_columns)),
             "truth/track_forces": like(forces, at(lambda truth: track_forces_columns(truth, self._vehicle))),
         }

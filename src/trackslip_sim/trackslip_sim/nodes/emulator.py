@@ -6,12 +6,15 @@ import queue
 import sys
 import threading
 import time
+from functools import partial
 from typing import Any
+
+from rclpy.clock import Clock, ClockType
 
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.failures import cause
-from trackslip_common.nodes.health import ERROR, OK, Health
+from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_common.vehicle_files import TOPIC as VEHICLE
@@ -19,7 +22,6 @@ from trackslip_common.vehicle_files import vehicle_text
 from trackslip_drivers.conversions import blank_swing, fill_swing
 from trackslip_sim.machine.cables import Cables
 from trackslip_sim.machine.emulation import (
-    BODY_FRAME,
     DRAIN_NS,
     FORCES_NS,
     SITE_FRAME,
@@ -42,15 +44,19 @@ from trackslip_sim.machine.truth_messages import (
     track_forces_columns,
     track_slip_columns,
 )
+from trackslip_sim.nodes.awaited import AwaitedNodes
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
+
+_LOOK = 0.2  # s, from one look at the nodes that it waits for to the next
 
 
 class EmulatorNode(TrackslipNode[EmulatorParameters]):
-    """``configure`` lays the cables, ``activate`` turns the key."""
+    """``configure`` lays the cables, ``activate`` turns the key, at once or when others are active."""
 
     def __init__(self) -> None:
         super().__init__(NODE, EmulatorParameters, *DEFAULT_FILES)
         self._cables: Cables | None = None
+        self._awaited = AwaitedNodes(self, ())
 
     def configure(self) -> None:
         """Compute the drive, open the bus and the ports."""
@@ -70,7 +76,28 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         self.subscribe(topic_class("emulator/fault"), "emulator/fault", self._on_fault)
 
     def activate(self) -> None:
-        """Power on."""
+        """Power on, once the nodes of ``start_after`` are active."""
+        self._awaited = AwaitedNodes(self, filter(None, self.settings.start_after))
+        if not self._awaited.missing:
+            self._power_on()
+            return
+        self.get_logger().info(self._waiting())
+        self._look = self.create_timer(
+            _LOOK, self._look_for_others, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def _look_for_others(self) -> None:
+        self._awaited.look()
+        if not self._awaited.missing:
+            self.destroy_timer(self._look)
+            self._power_on()
+
+    def _waiting(self) -> str:
+        return (
+            f"waiting for {', '.join(self._awaited.missing)} to be active before the machine is switched on"
+        )
+
+    def _power_on(self) -> None:
         self._machine.publish(make("std_msgs/msg/String", data=vehicle_text(self.settings.vehicle)))
         self._finished = False
         self._trouble = ""
@@ -83,6 +110,9 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
 
     def deactivate(self) -> None:
         """Power off."""
+        if self._awaited.missing:
+            self.destroy_timer(self._look)
+            self._awaited.close()
         if self._excavator is not None:
             self._stopping.set()
             self._thread.join()
@@ -95,6 +125,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
 
     def health(self) -> list[Health]:
         """What was emitted so far, and whether the drive is over."""
+        if self._awaited.missing:
+            return [Health(WARN, self._waiting())]
         if self._excavator is None or self._cables is None or not self.active:
             return [Health(OK, "inactive")]
         if self._trouble:
@@ -149,31 +181,33 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
 
     def _publish_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
         at, vehicle = self._truth.at(excavator.sensors.time(stamp_ns)), self._whole
+        body_frame = self.settings.body_frame()
         stamp = stamp_columns([stamp_ns])
-        odometry = certain_odometry(make, SITE_FRAME, BODY_FRAME)
+        odometry = certain_odometry(make, SITE_FRAME, body_frame)
         set_fields(odometry, {**stamp, **odometry_columns(at)})
         self._odometry.publish(odometry)
-        track_slip = stamped(make, "trackslip_msgs/msg/TrackSlip", BODY_FRAME)
+        track_slip = stamped(make, "trackslip_msgs/msg/TrackSlip", body_frame)
         set_fields(track_slip, {**stamp, **track_slip_columns(at)})
         self._track_slip.publish(track_slip)
         since_ns = stamp_ns - excavator.drive_start_ns
         if since_ns % SWING_NS < TRUTH_NS:
             self._publish_swing(excavator, stamp_ns)
         if since_ns % FORCES_NS < TRUTH_NS:
-            forces = stamped(make, "trackslip_msgs/msg/TrackForces", BODY_FRAME)
+            forces = stamped(make, "trackslip_msgs/msg/TrackForces", body_frame)
             set_fields(forces, {**stamp, **track_forces_columns(at, vehicle)})
             self._track_forces.publish(forces)
-            attitude = certain_attitude(make, BODY_FRAME)
+            attitude = certain_attitude(make, body_frame)
             set_fields(attitude, {**stamp, **attitude_columns(at)})
             self._attitude.publish(attitude)
         if since_ns % SOIL_NS < TRUTH_NS:
-            self._soil.publish(soil_message(make, at, stamp_ns, vehicle, BODY_FRAME))
+            self._soil.publish(soil_message(make, at, stamp_ns, vehicle, body_frame))
 
     def _publish_swing(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
         """The encoder has a computer of its own, which publishes what it reads."""
         samples = {"swing": excavator.sensors.swing, "truth/swing": excavator.sensors.true_swing}
+        blank = partial(blank_swing, make, self.settings.body_frame())
         for topic, publisher in self._swings.items():
-            publisher.publish(fill_swing(blank_swing(make, BODY_FRAME), samples[topic](stamp_ns)))
+            publisher.publish(fill_swing(blank(), samples[topic](stamp_ns)))
 
 
 def main() -> None:
