@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+
+if TYPE_CHECKING:
+    from _pytest.terminal import TerminalReporter  # pytest's own names it from 9 on
 
 pytest_plugins = [
     "fixtures.browser",
@@ -60,7 +64,7 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+def pytest_terminal_summary(terminalreporter: "TerminalReporter") -> None:
     """Why a test was run again, which passing then would hide."""
     for report in terminalreporter.getreports("rerun"):
         terminalreporter.section(f"first run of {report.nodeid}")
