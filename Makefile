@@ -86,8 +86,8 @@ bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--number
 numbers: setup ## the measured figures of docs/, written anew (ARGS='attitude swing': of these pages)
 	@$(ENTER) exec $(VENV)/python scripts/make_numbers.py $(ARGS)
 
-figures: setup ## the pictures of docs/figures
-	@$(ENTER) exec $(VENV)/python scripts/figures.py
+figures: setup ## the pictures of docs/figures (ARGS=--demo: that of the README alone)
+	@$(ENTER) exec $(VENV)/python scripts/figures.py $(ARGS)
 
 docs: setup ## pages of all packages' docstrings; HTML in out/docs, its links checked
 	@$(VENV)/python -m pip install -q -r requirements/docs.txt

@@ -1,11 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Draws figures of the thesis, from this project's code, into docs/figures (``make figures``)."""
+"""Draws the figures of the thesis and the picture of the demo into docs/figures (``make figures``)."""
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from heapq import merge
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,8 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
 from trackslip_common.soils import Soil, load_soils
 from trackslip_common.vehicle import Vehicle
 from trackslip_common.vehicle_files import load_vehicle
@@ -28,17 +32,24 @@ from trackslip_estimation.terramechanics.turning import (
     moment_with_centrifugal_force,
     triangular_moment,
 )
+from trackslip_sim.demo.picture import draw
 from trackslip_sim.demo.plots import COLOURS, DASHES, STYLE, label, panels, save
+from trackslip_sim.demo.results import evaluate
+from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.offline import START_NS, record_drive
+from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.study.slip.figures import runs
 from trackslip_sim.study.slip.parameters import load_study_parameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
+from trackslip_tools.cli.main import main as cli
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
 TABLE_6_1 = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 FAST_TURN = 1.37  # rad/s, one track braked
 NORMAL_MU_L = (0.5, 1.3)
+DEMO_SCENARIO, DEMO_SOIL, DEMO_DURATION = "thesis", "sand", 40.0  # s; what make demo does by default
 
 
 def figure_3_7(vehicle: Vehicle) -> Figure:
@@ -188,16 +199,43 @@ FIGURES: Mapping[str, Callable[[Vehicle], Figure]] = {
 }
 
 
+def draw_demo(file: Path) -> None:
+    """The picture of ``make demo``, of the same drive without its graph: no host is too busy for it.
+
+    Raises:
+        RuntimeError: the drive gave no estimates.
+    """
+    p = load_emulator_parameters({"duration": DEMO_DURATION, "scenario": DEMO_SCENARIO, "soil": DEMO_SOIL})
+    with tempfile.TemporaryDirectory() as folder:
+        sensed, estimated, whole = (Path(folder) / name for name in ("sensed", "estimated", "whole"))
+        record_drive(p, drive(p), sensed)
+        cli(["replay", str(sensed), "--output", str(estimated)])
+        with open_bag(sensed) as inputs, open_bag(estimated) as estimates, BagWriter(whole) as bag:
+            for message in merge(inputs.messages(), estimates.messages(), key=lambda m: m.log_time_ns):
+                bag.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
+        with open_bag(whole) as bag:
+            result = evaluate(bag, {}, {}, START_NS + round(p.lead_in * 1e9))
+    if result is None:
+        raise RuntimeError(f"{DEMO_SCENARIO} on {DEMO_SOIL}: no estimates")
+    draw(result, f"{result.vehicle}: {DEMO_SCENARIO}, {DEMO_SOIL}, {DEMO_DURATION:g} s", file)
+
+
 def main() -> None:
-    """Draw all figures."""
+    """Draw all figures, or the demo's picture alone."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder of the PNG files")
-    output: Path = parser.parse_args().output
+    parser.add_argument("--demo", action="store_true", help="the demo's picture alone")
+    options = parser.parse_args()
+    output: Path = options.output
     output.mkdir(parents=True, exist_ok=True)
+    draw_demo(output / "demo.png")
+    print(output / "demo.png")
+    if options.demo:
+        return
     vehicle = load_vehicle().whole()
     with style.context(STYLE):
-        for name, draw in FIGURES.items():
-            save(draw(vehicle), output / f"{name}.png")
+        for name, make_figure in FIGURES.items():
+            save(make_figure(vehicle), output / f"{name}.png")
             print(output / f"{name}.png")
         for name, figure in runs(load_study_parameters({}), load_slip_parameters()):
             save(figure, output / f"{name}.png")
