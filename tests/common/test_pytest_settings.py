@@ -5,6 +5,7 @@
 import os
 import subprocess
 import sys
+from configparser import ConfigParser
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,14 @@ def with_entry_point(folder: Path, name: str) -> str:
 @pytest.mark.parametrize("name", PLUGINS)
 def test_plugins_of_ros_are_not_loaded(name: str, request: pytest.FixtureRequest) -> None:
     assert request.config.pluginmanager.is_blocked(name)
+
+
+@pytest.mark.parametrize("file", SETTINGS[1:], ids=lambda file: file.parent.name)
+def test_settings_of_every_package_declare_the_markers_of_plugins_that_may_be_missing(file: Path) -> None:
+    settings = ConfigParser()
+    settings.read(file)
+    declared = {line.split(":")[0] for line in settings["pytest"]["markers"].splitlines() if line}
+    assert declared >= {"slow", "soak", "timeout", "xdist_group"}
 
 
 @pytest.mark.slow
