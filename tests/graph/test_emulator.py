@@ -12,7 +12,7 @@ SENSED = ("sprockets", "hydraulics")
 
 
 def test_machine_is_switched_on_once_all_nodes_that_it_waits_for_are_active(
-    real_time: Any, programs: Any, observer: Any, udp_port: int
+    programs: Any, observer: Any, udp_port: int
 ) -> None:
     space = ("-r", "__ns:=/digger1")
     can = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2", "can_port": udp_port}
