@@ -11,6 +11,9 @@ from trackslip_common.parameters import Parameters, parameter
 
 NODE = "live"
 DEFAULT_FILES = ("live.yaml",)
+_BACKLOG = (
+    4096  # connections that wait to be accepted: beyond them the kernel lets a client try again after 1 s
+)
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")
 _ACCEPTED = "accepted: what a browser has between // and the next /, such as 192.168.4.1:5006"
 
@@ -50,7 +53,7 @@ def bound(host: str, port: int) -> list[socket.socket]:
     from tornado.netutil import bind_sockets
 
     try:
-        return bind_sockets(port, address=host, reuse_port=False)
+        return bind_sockets(port, address=host, backlog=_BACKLOG, reuse_port=False)
     except OSError as error:
         raise InputError(
             f"the live page cannot be served at {host}, port {port} ({error.strerror}); "

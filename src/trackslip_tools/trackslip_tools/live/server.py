@@ -10,19 +10,22 @@ other origins).
 
 import asyncio
 import json
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-from tornado.httpserver import HTTPServer
 from tornado.iostream import StreamClosedError
-from tornado.web import Application, HTTPError, RequestHandler
+from tornado.web import Application, HTTPError, RequestHandler, stream_request_body
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
+from trackslip_common.errors import show
+from trackslip_tools.live.connections import BoundedServer
 from trackslip_tools.live.page import File
 from trackslip_tools.live.parameters import LiveParameters, bound
+from trackslip_tools.live.server_log import ServerLog
 
 MOST_PAGES = 24  # that are served at the same time
 _PING = 10  # s after which a page that does not answer is given up
@@ -39,12 +42,18 @@ _RULES = (  # for the browser: nothing from elsewhere, no script in the page, no
 class PageServer:
     """Serves from ``start`` to ``stop``; ``whole`` gives what a new page needs, from any thread.
 
+    ``log`` takes a line about what goes wrong with connections, once a second at most, from any thread.
+
     Raises:
         InputError: address, port or origins cannot be used.
     """
 
     def __init__(
-        self, files: Mapping[str, File], whole: Callable[[], dict[str, Any]], parameters: LiveParameters
+        self,
+        files: Mapping[str, File],
+        whole: Callable[[], dict[str, Any]],
+        parameters: LiveParameters,
+        log: Callable[[str], None] = lambda line: show(line, file=sys.stderr),
     ) -> None:
         parameters.allowed(parameters.port)  # refused before anything is opened
         self._sockets = bound(parameters.host, parameters.port)
@@ -54,6 +63,21 @@ class PageServer:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, name="page", daemon=True)
         self._pages: set[_Stream] = set()
+        self._log = ServerLog(log)
+        self._refused = 0  # requests
+        shared = {"server": self}
+        application = Application(
+            [(r"/stream", _Stream, shared), (r"/(.*)", _Files, shared)],
+            websocket_ping_interval=_PING,
+            websocket_max_message_size=_LARGEST_REQUEST,
+            log_function=lambda _: None,
+        )
+        self._http = BoundedServer(
+            application,
+            max_header_size=2 * _LARGEST_REQUEST,
+            max_body_size=_LARGEST_REQUEST,
+            streams=lambda: self.pages,
+        )
 
     @property
     def address(self) -> str:
@@ -64,6 +88,17 @@ class PageServer:
     def pages(self) -> int:
         """How many look."""
         return len(self._pages)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Name → number, for /diagnostics."""
+        return {
+            "pages": self.pages,
+            "connections": self._http.connections,
+            "connections displaced": self._http.displaced,
+            "requests refused": self._refused,
+            "server warnings": self._log.count,
+        }
 
     def start(self) -> None:
         """Begin to serve."""
@@ -85,23 +120,17 @@ class PageServer:
 
     def _serve(self) -> None:
         asyncio.set_event_loop(self._loop)
-        shared = {"server": self}
-        application = Application(
-            [(r"/stream", _Stream, shared), (r"/(.*)", _Files, shared)],
-            websocket_ping_interval=_PING,
-            websocket_max_message_size=_LARGEST_REQUEST,
-            log_function=lambda _: None,
-        )
-        server = HTTPServer(application, max_header_size=2 * _LARGEST_REQUEST, max_body_size=_LARGEST_REQUEST)
-        server.add_sockets(self._sockets)
+        self._log.attach()
+        self._http.listen_on(self._sockets)
         try:
             self._loop.run_forever()
         finally:
-            server.stop()
+            self._http.stop()
             for page in list(self._pages):
                 page.close()
-            self._loop.run_until_complete(server.close_all_connections())
+            self._loop.run_until_complete(self._http.close_all_connections())
             self._loop.close()
+            self._log.detach()
 
 
 def _encoded(frame: dict[str, Any]) -> str:
@@ -115,6 +144,7 @@ class _Handler(RequestHandler):
         self.server = server
 
     def prepare(self) -> None:
+        self.server._http.note_request(self.request.server_connection)
         if self.request.host.lower() not in self.server._allowed:
             raise HTTPError(403)
 
@@ -125,11 +155,16 @@ class _Handler(RequestHandler):
         self.set_header("Cross-Origin-Resource-Policy", "same-origin")
 
     def write_error(self, status_code: int, **_: Any) -> None:
+        self.server._refused += 1
         self.finish(f"{status_code}\n")
 
 
+@stream_request_body
 class _Files(_Handler):
     """The page and what belongs to it."""
+
+    def data_received(self, chunk: bytes) -> None:
+        """A body is read by nobody."""
 
     def get(self, name: str) -> None:
         file = self.server._files.get(name)
