@@ -28,12 +28,22 @@ def fixes(port):
     return asyncio.run(asyncio.wait_for(whole(), PATIENCE))["fixes"]
 
 
-@pytest.mark.parametrize("source", ["reference_pose", "rtk/pose"])
-def test_fixes_of_any_source_are_drawn_whatever_else_is_stated(programs, observer, source):
-    program = programs.node("live", port=0)
+def address_of(program):
+    """Port at which it serves."""
     printed = r"http://\S+:(\d+)/"
     program.until(lambda: re.search(printed, program.stdout + program.stderr), "the address")
     port, *_ = re.findall(printed, program.stdout + program.stderr)
+    return port
+
+
+def subscribed(observer):
+    """Topics that the node ``live`` listens to."""
+    return {name for name, _ in observer.node.get_subscriber_names_and_types_by_node("live", "/")}
+
+
+@pytest.mark.parametrize("source", ["reference_pose", "rtk/pose"])
+def test_fixes_of_any_source_are_drawn_whatever_else_is_stated(programs, observer, source):
+    port = address_of(programs.node("live", port=0))
     stated = observer.node.create_publisher(String, PARAMETERS, latched())
     names = ["no topic at all!", "rtk/pose"]
     stated.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
@@ -46,3 +56,14 @@ def test_fixes_of_any_source_are_drawn_whatever_else_is_stated(programs, observe
         return [3.0, 4.0] in fixes(port)
 
     observer.wait(drawn, "a fix on the page")
+
+
+def test_sources_that_are_stated_no_more_are_let_go(programs, observer):
+    address_of(programs.node("live", port=0))
+    observer.wait(lambda: "/box_pose" in subscribed(observer), "the node's subscriptions")
+    first = subscribed(observer)
+    stated = observer.node.create_publisher(String, PARAMETERS, latched())
+    for names in (["rtk/pose", "lidar/pose"], ["lidar/pose", "beacon/pose"], []):
+        stated.publish(String(data=parameters_text({"pose_sources": names}, "slip_estimator")))
+        expected = first | {f"/{name}" for name in names}
+        observer.wait(lambda expected=expected: subscribed(observer) == expected, f"{names}")

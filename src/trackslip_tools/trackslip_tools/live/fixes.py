@@ -12,6 +12,7 @@ from trackslip_common.config_files import node_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.sources import group_name
+from trackslip_tools.live import inputs
 from trackslip_tools.report.events import Events
 from trackslip_tools.report.lights import Level
 
@@ -33,8 +34,11 @@ class Fixes:
         self._lost: set[str] = set()
 
     def expect(self, timeouts: Mapping[str, float]) -> None:
-        """What is silent for longer than its timeout (s) counts as lost."""
+        """What is silent for longer than its timeout (s) counts as lost; sources not named are forgotten."""
         self.timeouts = dict(list(timeouts.items())[:_MOST_SOURCES])
+        known = {*inputs.POSES, *self.timeouts}
+        self._came_s = {source: at_s for source, at_s in self._came_s.items() if source in known}
+        self._lost &= known
 
     def add(self, source: str, x: float, y: float, now_s: float) -> None:
         """A fix."""

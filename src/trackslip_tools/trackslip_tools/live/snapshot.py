@@ -33,7 +33,8 @@ class Snapshot:
             Exception: it is not of the topic's type.
         """
         record = read(inputs.RECORDS.get(topic, PoseFields), message)
-        self._records[topic] = (record, now_s)
+        if topic in inputs.TYPES:  # of other sources of poses, nothing is drawn but the fixes
+            self._records[topic] = (record, now_s)
         if topic == SOIL:
             self.classes, self.reason = inputs.classes_of(message), str(message.reason)
         return record

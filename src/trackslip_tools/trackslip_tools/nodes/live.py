@@ -13,6 +13,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 
 from trackslip_common.errors import ExitCode
 from trackslip_common.nodes.base import TrackslipNode
@@ -30,6 +31,7 @@ from trackslip_tools.live.server import PageServer
 from trackslip_tools.live.state import PERIOD, LiveState
 
 _NICENESS = 5  # whoever drives goes first
+_SOURCES_PERIOD_S = 1.0  # between looks at which sources of poses are stated
 _MOST_WAITING = 200  # messages of a topic of which each counts
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -47,13 +49,17 @@ class LiveNode(TrackslipNode[LiveParameters]):
         self._files = files(f"Trackslip: {namespace or 'live'}")
         self._state = LiveState(namespace or "live", load_vehicle(), namespace)
         self._waiting: dict[str, deque[bytes]] = {}
+        self._sources: dict[str, Subscription | None] = {}  # of poses; None: no name of a topic
         for topic in inputs.TYPES:
             self._listen(topic)
-        self.create_timer(PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(PERIOD, self._tick, clock=steady)
+        self.create_timer(_SOURCES_PERIOD_S, self._follow_sources, clock=steady)
 
     def activate(self) -> None:
         """Open the port, and serve."""
-        self._server = PageServer(self._files, self._state.whole, self.settings)
+        log = self.get_logger().warning
+        self._server = PageServer(self._files, self._state.whole, self.settings, log)
         self._server.start()
         self.get_logger().info(f"the live page is at {self._server.address}")
 
@@ -66,22 +72,36 @@ class LiveNode(TrackslipNode[LiveParameters]):
     def health(self) -> list[Health]:
         """Where it serves, and to how many."""
         assert self._server is not None
-        return [Health(OK, f"serving {self._server.address}", {"pages": self._server.pages})]
+        return [Health(OK, f"serving {self._server.address}", self._server.counts)]
 
-    def _listen(self, topic: str) -> None:
+    def _listen(self, topic: str) -> Subscription:
         every = topic in inputs.EVERY_MESSAGE
         self._waiting[topic] = deque(maxlen=_MOST_WAITING if every else 1)
         qos = latched() if topic in inputs.LATCHED else best_effort() if every else _NEWEST
         full = f"/{topic}" if topic == DIAGNOSTICS else topic
         kind = message_class(inputs.TYPES.get(topic, inputs.POSE_TYPE))
-        self.create_subscription(kind, full, partial(self._keep, topic), qos, raw=True)
+        subscription: Subscription = self.create_subscription(
+            kind, full, partial(self._keep, topic), qos, raw=True
+        )
+        return subscription
+
+    def _follow_sources(self) -> None:
+        """Subscribe to the sources of poses that the slip estimator states now, and to no others."""
+        stated = self._state.pose_sources - inputs.TYPES.keys()
+        for topic in self._sources.keys() - stated:
+            subscription = self._sources.pop(topic)
+            if subscription is not None:
+                self.destroy_subscription(subscription)
+                del self._waiting[topic]
+        for topic in stated - self._sources.keys():
+            self._sources[topic] = None
+            try:
+                self._sources[topic] = self._listen(topic)
+            except InvalidTopicNameException as error:
+                self._waiting.pop(topic)
+                self.callback_failures.add(inputs.PARAMETERS, error)
 
     def _tick(self) -> None:
-        for topic in self._state.pose_sources - self._waiting.keys():
-            try:
-                self._listen(topic)
-            except InvalidTopicNameException as error:
-                self.callback_failures.add(inputs.PARAMETERS, error)
         for topic, waiting in self._waiting.items():
             while waiting:
                 self._take(topic, waiting.popleft())
@@ -91,7 +111,8 @@ class LiveNode(TrackslipNode[LiveParameters]):
             self._server.push(frame)
 
     def _keep(self, topic: str, data: bytes) -> None:
-        self._waiting[topic].append(data)
+        if topic in self._waiting:
+            self._waiting[topic].append(data)
 
     def _take(self, topic: str, data: bytes) -> None:
         try:
