@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live page in a real browser, with fingers: it follows, scrolls, comes back, and runs no one's code."""
 
+import itertools
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,12 +23,26 @@ ROWS = "rows => Bokeh.documents[0].get_model_by_name('line-0').data.value.length
 FOLLOWS = "frames => Number(document.documentElement.dataset.frames) > frames"
 
 
+COLOURS = """() => {
+  const found = []
+  const look = (selector, property) =>
+    document.querySelectorAll(selector).forEach(element => found.push(getComputedStyle(element)[property]))
+  for (const part of ["[data-fact]", "#clock", ".number", "#lights .name", "#lights .state", "#lights small",
+                      "#classes span", "#events li", "#events time"]) look(part, "color")
+  for (const part of ["#lights .light", "#events li"]) look(part, "borderLeftColor")
+  for (const part of [".gauge .fill", ".gauge .interval"]) look(part, "backgroundColor")
+  return found
+}"""
+SINCE = r"no data since \d\d:\d\d:\d\d \(\d+ s\)"
+
+
 class Machine:
     """Drives on, and is served; ``quiet``: what of it has ended."""
 
     def __init__(self, pages: dict[str, File], port: int = 0, name: str = "can_driver") -> None:
         self.state = LiveState(f"a test of {EVIL}", load_vehicle())
         self.quiet: set[str] = set()
+        self.sent: Callable[[dict[str, Any]], dict[str, Any]] = lambda frame: frame  # instead of a frame
         self.name = name
         self.server = PageServer(
             pages, self.state.whole, LiveParameters(host="127.0.0.1", port=port, origins=())
@@ -53,7 +69,8 @@ class Machine:
                 if node not in self.quiet:
                     status = messages.diagnostics(node, level, f"reason {EVIL}", **{"rate (Hz)": "100.0"})
                     self.state.process("diagnostics", status, now_s)
-            self.server.push(self.state.tick(now_s, 1e3 * time.time()))
+            if frame := self.sent(self.state.tick(now_s, 1e3 * time.time())):
+                self.server.push(frame)
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +102,12 @@ def follows(page: Any, frames: int) -> None:
     """Wait until so many more frames were shown."""
     before = page.evaluate("Number(document.documentElement.dataset.frames ?? 0)")
     page.wait_for_function(FOLLOWS, arg=before + frames)
+
+
+def is_grey(page: Any) -> bool:
+    """Whether no value and no light has a colour, nor is black."""
+    shades = [re.findall(r"\d+", colour)[:3] for colour in page.evaluate(COLOURS)]
+    return all(red == green == blue != "0" for red, green, blue in shades)
 
 
 def test_three_pages_follow_the_machine_at_the_same_time(opened: Any, complaints: list[str]) -> None:
@@ -151,18 +174,69 @@ def test_the_light_of_a_node_that_ends_turns(opened: Any, machine: Machine, comp
     assert complaints == []
 
 
-def test_the_page_says_that_the_server_is_gone_and_comes_back_by_itself(
+def test_page_is_grey_without_its_server_and_comes_back_by_itself(
     opened: Any, machine: Machine, pages: dict[str, File]
 ) -> None:
     page = opened(390)
+    coloured = set(page.evaluate(COLOURS))
+    assert not is_grey(page)
     port = machine.server.port
     machine.stop()
     page.wait_for_selector("#link.silent >> text=no data")
+    assert is_grey(page)
+    assert re.fullmatch(SINCE, page.locator("#link").inner_text())
+    frozen = page.locator("#lights").inner_text(), page.locator("#link").inner_text()[:22]
+    assert "s ago" in frozen[0]
+    page.wait_for_timeout(1500)
+    assert (page.locator("#lights").inner_text(), page.locator("#link").inner_text()[:22]) == frozen
     again = Machine(pages, port, name="another_driver")
     try:
         page.wait_for_selector(".light.ok >> text=another_driver")
         page.wait_for_selector("#link.ok")
         follows(page, 3)
+        assert set(page.evaluate(COLOURS)) == coloured
     finally:
         again.stop()
         machine.stop = lambda: None  # type: ignore[method-assign]  # it has ended already
+
+
+@pytest.mark.parametrize("sent", [{}, {"number": 1e9}], ids=["nothing", "frames that cannot be shown"])
+def test_page_is_grey_while_its_server_sends_nothing_that_is_shown(
+    sent: dict[str, Any], opened: Any, machine: Machine
+) -> None:
+    page = opened(1024)
+    machine.sent = lambda _: sent
+    page.wait_for_selector("#link.silent >> text=no data")
+    assert is_grey(page)
+    machine.sent = lambda frame: frame
+    page.wait_for_selector("#link.ok")
+    assert not is_grey(page)
+
+
+def test_last_values_stay_at_the_end_of_a_bag(opened: Any, machine: Machine, complaints: list[str]) -> None:
+    page = opened(1440)
+    follows(page, 20)
+    ended = machine.state.hold("end of the bag")
+    numbers = itertools.count(ended["number"] + 1000)
+    machine.sent = lambda _: ended | {"number": next(numbers)}
+    page.wait_for_selector("#link >> text=end of the bag")
+    texts = [
+        page.locator(part).inner_text() for part in ("#clock", "#lights", "dl >> nth=0", ".gauge >> nth=0")
+    ]
+    points = page.evaluate("Bokeh.documents[0].get_model_by_name('line-0').data.value.length")
+    follows(page, 30)  # four seconds
+    assert texts == [
+        page.locator(part).inner_text() for part in ("#clock", "#lights", "dl >> nth=0", ".gauge >> nth=0")
+    ]
+    assert "20.0 ± 2.0 %" in texts[-1]
+    assert page.evaluate("Bokeh.documents[0].get_model_by_name('line-0').data.value.length") == points
+    assert page.locator("#link.ended").inner_text() == "end of the bag"
+    assert not is_grey(page)
+    assert complaints == []
+
+
+def test_page_that_found_no_description_asks_again(open_page: OpenPage, machine: Machine) -> None:
+    page = open_page(390, machine.server.address)
+    page.route("**/page.json", lambda route: route.abort(), times=2)
+    page.goto(machine.server.address)
+    follows(page, 2)

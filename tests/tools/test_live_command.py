@@ -24,7 +24,8 @@ from trackslip_common.vehicle_files import load_vehicle
 from trackslip_tools.cli import main as cli
 from trackslip_tools.cli.live_command import with_estimates
 from trackslip_tools.live.bag import BagFeed
-from trackslip_tools.live.state import LiveState
+from trackslip_tools.live.state import PERIOD, LiveState
+from trackslip_tools.live.strips import ROWS
 
 BAG = Path(__file__).parents[2] / "bags" / "spot_turn_sand"
 
@@ -73,7 +74,18 @@ def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
     motions = {frame["facts"]["motion"] for frame in frames}
     assert "turning" in motions
     assert any(value is not None for row in shown["rows"] for value, _, _ in row)
-    assert feed.advance(wall_s + 100.0)["time"] == feed.advance(wall_s + 200.0)["time"]  # it stands still
+    last = frames[-1]
+    for _ in range(2 * ROWS):
+        frame = feed.advance(wall_s)
+        wall_s += PERIOD
+    assert frame["ended"] == "end of the bag"
+    assert frame["number"] == last["number"] + 2 * ROWS
+    for name in ("time", "facts", "lights", "outlines", "classes", "row"):  # they stay
+        assert frame[name] == last[name]
+    later = state.whole()
+    assert later["ended"] == frame["ended"]
+    for name in ("times", "rows", "trail", "fixes", "events"):
+        assert json.dumps(later[name]) == json.dumps(shown[name])
 
 
 def test_a_page_over_a_bag_had_no_vehicle_option(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ from trackslip_tools.live.clock import shown_ms
 from trackslip_tools.live.fixes import timeouts_of
 from trackslip_tools.live.state import LiveState
 
+_END = "end of the bag"
 _COMMANDS = (SET_POSE, POSE_SET)  # poses that nobody measured
 
 
@@ -41,6 +42,7 @@ class BagFeed:
         timeouts = timeouts_of(bag_parameters(bag))  # also where it starts after they were published
         state.expect({relative(source): timeout for source, timeout in timeouts.items()})
         self._playback = Playback(partial(played, bag, filters, self._topics), rate)
+        self._is_over = False  # and the last moment was shown
 
     @property
     def finished(self) -> bool:
@@ -48,9 +50,9 @@ class BagFeed:
         return self._playback.finished
 
     def advance(self, wall_s: float) -> dict[str, Any]:
-        """Play until now; the frame. After the end the time stands still."""
-        if self.finished:
-            return self._state.tick(self._now_s, shown_ms(self._playback.bag_ns))
+        """Play until now; the frame. After the end the time stands still, and all values stay."""
+        if self._is_over:
+            return self._state.hold(_END)
         newest: dict[str, Played] = {}
         for message in self._playback.due(wall_s):
             name = relative(message.topic)
@@ -60,6 +62,7 @@ class BagFeed:
                 newest[message.topic] = message
         for message in newest.values():
             self._process(message)
+        self._is_over = self.finished
         return self._state.tick(self._now_s, shown_ms(self._playback.bag_ns))
 
     @property

@@ -30,6 +30,7 @@ from trackslip_tools.report.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.report.plots import visible
 
 PERIOD = 0.125  # s between frames
+_NEWS = ("path", "trail", "new_fixes")  # of a frame: what has been gained since the one before it
 _CLASSES = 3  # of soil that are shown
 _JUDGE = "slip_estimator"  # name of its light
 _VIEW_PERIOD_S = 1.0  # between looks at what range of values the panels should show
@@ -102,6 +103,14 @@ class LiveState:
                 frame["views"] = finite(self._views)
             self._frame = frame
             return frame
+
+    def hold(self, reason: str) -> dict[str, Any]:
+        """The newest frame again, with the ``reason`` why nothing new comes: all values stay."""
+        with self._lock:
+            self._number += 1
+            kept = {name: value for name, value in self._frame.items() if name not in _NEWS}
+            self._frame = kept | {"number": self._number, "events": [], "ended": reason}
+            return self._frame
 
     def whole(self) -> dict[str, Any]:
         """The newest frame, and all that came before it as far as it is kept; empty before the first one."""

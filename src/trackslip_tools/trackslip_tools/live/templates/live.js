@@ -3,7 +3,8 @@
 // Shows the frames that the server sends. Whatever they hold is put on the page as text or number, never as
 // HTML, and nothing is ever sent.
 
-const PATIENCE = 2500 // ms without a frame, after which the page says so
+const PATIENCE = 2000 // ms without a frame that was shown, after which all is grey
+const WATCH = 250 // ms between looks whether it is so
 const GIVEN_UP = 5000 // ms after which it connects anew
 const RETRY = 500 // ms between attempts
 const KEPT = 1920 // rows of the strips
@@ -17,13 +18,16 @@ const NARROW = 760, LOW = 340 // pixels: on a narrow page the path is lower
 
 const by_id = id => document.getElementById(id)
 let models = null // function: name -> Bokeh model
-let run = null, number = 0, heard = performance.now(), event_number = 0
+let run = null, number = 0, event_number = 0
+let shown = performance.now(), shown_at = null // when a frame was shown last; its time, on the vehicle's clock
 let window_ms = 60000, across = null // across: m shown about the machine; null: the whole path
 let bounds = [Infinity, Infinity, -Infinity, -Infinity], machine = [[], []], views = []
 let lines = [], strips = [] // strips: {lines, rows that are not drawn yet, whether it is in view}
 
 async function begin() {
-  const page = await (await fetch("page.json")).json()
+  setInterval(watch, WATCH)
+  document.addEventListener("visibilitychange", watch) // timers of hidden pages are slow
+  const page = await described()
   const id = "live"
   const roots = Object.fromEntries(Object.entries(page.plots).map(([element, model]) => [model, element]))
   await Bokeh.embed.embed_items({[id]: page.document}, [{docid: id, roots, root_ids: Object.keys(roots)}])
@@ -38,37 +42,58 @@ async function begin() {
     for (const name in page.plots) if (models(name).title !== null) models(name).title.text_font_size = "12px"
   }
   connect()
-  setInterval(watch, 500)
 }
 
-let socket = null
+async function described() {
+  for (;;) {
+    try {
+      const answer = await fetch("page.json")
+      if (answer.ok) return await answer.json()
+    } catch {} // the server is not there at the moment
+    await new Promise(resolve => setTimeout(resolve, RETRY))
+  }
+}
+
+let socket = null, connected = 0
 
 function connect() {
+  connected = performance.now()
   const secure = location.protocol === "https:"
   const mine = socket = new WebSocket(`${secure ? "wss" : "ws"}://${location.host}/stream`)
   mine.onmessage = ({data}) => { if (mine === socket) show(JSON.parse(data)) }
-  mine.onclose = () => { if (mine === socket) setTimeout(connect, RETRY) }
+  mine.onclose = () => setTimeout(() => { if (mine === socket) connect() }, RETRY)
 }
 
 function watch() {
-  const quiet = performance.now() - heard
-  if (quiet > PATIENCE) tell_link(4, `no data for ${Math.round(quiet / 1000)} s`)
-  if (quiet > GIVEN_UP && socket.readyState === WebSocket.OPEN) socket.close()
+  const now = performance.now(), quiet = now - shown
+  if (quiet > PATIENCE) {
+    document.body.classList.add("outdated")
+    const since = shown_at === null ? "" : ` since ${clock(shown_at)}`
+    tell_link("silent", `no data${since} (${Math.floor(quiet / 1000)} s)`)
+  }
+  if (socket !== null && now - Math.max(shown, connected) > GIVEN_UP) {
+    socket.close()
+    connect()
+  }
 }
 
-function tell_link(level, text) {
+function tell_link(look, text) {
   const link = by_id("link")
-  link.className = `light ${LEVELS[level]}`
-  link.textContent = text
+  link.className = `light ${look}`
+  if (link.textContent !== text) link.textContent = text
 }
 
 function show(frame) {
-  heard = performance.now()
   if (frame.run !== undefined) show_whole(frame)
   else if (frame.number <= number || run === null) return
   else show_news(frame)
   number = frame.number
   show_now(frame)
+  shown = performance.now()
+  shown_at = frame.time
+  document.body.classList.remove("outdated")
+  if (frame.ended === undefined) tell_link("ok", "live")
+  else tell_link("ended", frame.ended)
   document.documentElement.dataset.frames = String(Number(document.documentElement.dataset.frames ?? 0) + 1)
 }
 
@@ -135,7 +160,7 @@ function columns(rows, k) {
 }
 
 function show_news(frame) {
-  for (const strip of strips) {
+  for (const strip of frame.ended === undefined ? strips : []) {
     strip.rows.push({time: frame.time, row: frame.row})
     if (strip.rows.length > KEPT) strip.rows.shift()
   }
@@ -153,7 +178,6 @@ function show_news(frame) {
 // What every frame has whole
 
 function show_now(frame) {
-  tell_link(0, "live")
   by_id("clock").textContent = clock(frame.time)
   for (const [name, text] of Object.entries(frame.facts)) {
     const element = document.querySelector(`[data-fact="${name}"]`)
