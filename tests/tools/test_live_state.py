@@ -79,6 +79,22 @@ def test_what_is_old_is_shown_no_more(state: LiveState) -> None:
     assert state.tick(60.0, 60e3)["outlines"]["machine"] == ([], [])
 
 
+def test_last_values_stay_when_nothing_more_comes(state: LiveState) -> None:
+    *_, last = drive(state, 2)
+    assert state.tick(60.0, 60e3)["facts"]["position"] == "–"
+    before = as_json(state.whole())
+    for number in range(before["number"] + 1, before["number"] + 4):
+        frame = as_json(state.hold("end of the bag"))
+        assert (frame["number"], frame["time"], frame["ended"]) == (number, 60_000, "end of the bag")
+        for name in ("facts", "row", "outlines"):
+            assert frame[name] == last[name]
+        assert frame["events"] == []
+    after = as_json(state.whole())
+    assert after["ended"] == "end of the bag"
+    for name in ("times", "rows", "trail", "events"):
+        assert after[name] == before[name]
+
+
 def test_the_vehicle_that_a_message_names_is_drawn(state: LiveState) -> None:
     small = as_json(drive(state, 1)[-1])["outlines"]["machine"]
     text = vehicle_text(load_vehicle("excavator_20t"))

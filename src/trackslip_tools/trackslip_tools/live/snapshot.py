@@ -23,6 +23,7 @@ class Snapshot:
 
     def __init__(self) -> None:
         self._records: dict[str, tuple[Any, float]] = {}
+        self.keeps_last = False  # whether records count as fresh for ever: nothing comes any more
         self.classes: dict[str, float] = {}  # soil → probability
         self.reason = ""  # why the soil cannot be identified
 
@@ -42,7 +43,7 @@ class Snapshot:
     def get(self, topic: str, now_s: float) -> Any | None:
         """The record of a topic; None where there is none, or an old one."""
         record, at_s = self._records.get(topic, (None, -np.inf))
-        return record if now_s - at_s <= _FRESH_OF.get(topic, _FRESH_S) else None
+        return record if self.keeps_last or now_s - at_s <= _FRESH_OF.get(topic, _FRESH_S) else None
 
     def columns(self, now_s: float) -> dict[str, Columns]:
         """What the panels take, of what is fresh."""

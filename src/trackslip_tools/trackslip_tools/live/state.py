@@ -23,14 +23,13 @@ from trackslip_tools.live.facts import facts_of
 from trackslip_tools.live.fixes import Fixes, timeouts_of_text
 from trackslip_tools.live.outlines import outlines_of
 from trackslip_tools.live.snapshot import Snapshot
-from trackslip_tools.live.strips import Strips
+from trackslip_tools.live.strips import Strips, row_of
 from trackslip_tools.live.trail import Trail
 from trackslip_tools.report.events import Event, Events
 from trackslip_tools.report.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.report.plots import visible
 
 PERIOD = 0.125  # s between frames
-_NEWS = ("path", "trail", "new_fixes")  # of a frame: what has been gained since the one before it
 _CLASSES = 3  # of soil that are shown
 _JUDGE = "slip_estimator"  # name of its light
 _VIEW_PERIOD_S = 1.0  # between looks at what range of values the panels should show
@@ -105,11 +104,14 @@ class LiveState:
             return frame
 
     def hold(self, reason: str) -> dict[str, Any]:
-        """The newest frame again, with the ``reason`` why nothing new comes: all values stay."""
-        with self._lock:
+        """A frame of the last values, however old they are, with the ``reason`` why no new ones come."""
+        with self._lock, np.errstate(invalid="ignore", over="ignore"):
+            now_s, time_ms = self._clock
             self._number += 1
-            kept = {name: value for name, value in self._frame.items() if name not in _NEWS}
-            self._frame = kept | {"number": self._number, "events": [], "ended": reason}
+            self._now.keeps_last = True
+            frame = self._momentary(self._lights.at(now_s), now_s, time_ms)
+            frame["row"] = finite(row_of(self._now.columns(now_s)))
+            self._frame = frame | {"events": [], "ended": reason}
             return self._frame
 
     def whole(self) -> dict[str, Any]:

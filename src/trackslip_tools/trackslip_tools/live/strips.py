@@ -44,6 +44,15 @@ LINES = lines_of()
 SHOWN: tuple[Quantity | Shape, ...] = (*QUANTITIES, *SHAPES)  # panel by panel
 
 
+def row_of(columns: Mapping[str, Columns]) -> FloatArray:
+    """(lines, 3) value, lower and upper of every line, of the topics that are there; nan for the others."""
+    row = np.full((len(LINES), _PARTS), np.nan)
+    for k, line in enumerate(LINES):
+        if line.topic in columns:
+            row[k] = _point(line, columns[line.topic])
+    return row
+
+
 class Strips:
     """A ring of rows; each holds value, lower and upper of every line, nan where there is none."""
 
@@ -55,10 +64,7 @@ class Strips:
     def add(self, time_ms: float, columns: Mapping[str, Columns]) -> FloatArray:
         """One moment, of the topics that are there; its row (lines, 3)."""
         at = self._count % len(self._times)
-        self._times[at], self._values[at] = time_ms, np.nan
-        for k, line in enumerate(LINES):
-            if line.topic in columns:
-                self._values[at, k] = _point(line, columns[line.topic])
+        self._times[at], self._values[at] = time_ms, row_of(columns)
         self._count += 1
         row: FloatArray = self._values[at]
         return row
