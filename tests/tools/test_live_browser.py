@@ -204,7 +204,7 @@ def test_page_is_grey_without_its_server_and_comes_back_by_itself(
 def test_page_is_grey_while_its_server_sends_nothing_that_is_shown(
     sent: dict[str, Any], opened: Any, machine: Machine
 ) -> None:
-    page = opened(1024)
+    page = opened(390)
     machine.sent = lambda _: sent
     page.wait_for_selector("#link.silent >> text=no data")
     assert is_grey(page)
@@ -214,7 +214,7 @@ def test_page_is_grey_while_its_server_sends_nothing_that_is_shown(
 
 
 def test_last_values_stay_at_the_end_of_a_bag(opened: Any, machine: Machine, complaints: list[str]) -> None:
-    page = opened(1440)
+    page = opened(390)
     follows(page, 20)
     ended = machine.state.hold("end of the bag")
     numbers = itertools.count(ended["number"] + 1000)
