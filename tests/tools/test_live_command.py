@@ -25,7 +25,6 @@ from trackslip_tools.cli import main as cli
 from trackslip_tools.cli.live_command import with_estimates
 from trackslip_tools.live.bag import BagFeed
 from trackslip_tools.live.state import PERIOD, LiveState
-from trackslip_tools.live.strips import ROWS
 
 BAG = Path(__file__).parents[2] / "bags" / "spot_turn_sand"
 
@@ -75,11 +74,11 @@ def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
     assert "turning" in motions
     assert any(value is not None for row in shown["rows"] for value, _, _ in row)
     last = frames[-1]
-    for _ in range(2 * ROWS):
+    for _ in range(20):
         frame = feed.advance(wall_s)
         wall_s += PERIOD
     assert frame["ended"] == "end of the bag"
-    assert frame["number"] == last["number"] + 2 * ROWS
+    assert frame["number"] == last["number"] + 20
     assert (frame["time"], frame["lights"]) == (last["time"], last["lights"])
     assert all(frame["facts"][name] == text for name, text in last["facts"].items() if text != "–")
     later = state.whole()
