@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """base_link in odom from scan to scan: check the scan, find the box near its track, give the fix.
 
-The localizer knows only its own fixes, so that they stay independent of any estimator's errors.
+Fixes come of scans alone, so that they stay independent of any estimator's errors. The odometry is asked
+only which of several things is the box, when it was out of sight (``association.py``).
 
 Time is what the stamps state. A stamp far ahead is refused until the next ones confirm it. Stamps that go
 back, once confirmed, start over: before the run's first scan, another run begins, at the initial pose; else
@@ -17,8 +18,10 @@ from numpy.typing import NDArray
 from trackslip_common.clock_monitor import StampStatus
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Box
+from trackslip_estimation.box.association import Association
 from trackslip_estimation.box.fit import posterior
 from trackslip_estimation.box.frames import Frames
+from trackslip_estimation.box.odometry import Odometry
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.quarters import NEGLIGIBLE, QUARTER_TURN, Headings, Mode, mixed
 from trackslip_estimation.box.scan import Scan
@@ -48,7 +51,7 @@ class BoxFix:
 
 
 class BoxLocalizer:
-    """Follows the box through scans given in order; its state depends on nothing else."""
+    """Follows the box through scans given in order; its state depends on nothing else but which is the box."""
 
     def __init__(self, parameters: BoxLocalizerParameters, box: Box, kept: Kept | None = None) -> None:
         """``kept`` is what a localizer left that ran before this one."""
@@ -66,21 +69,31 @@ class BoxLocalizer:
         """Where the box was found last, for the next localizer; None before the first fix."""
         if len(self._tracks) != 1 or self._tracks[0] is None:
             return None
-        return Kept(self._tracks[0], self._scan_ns)
+        return Kept(self._tracks[0], self._scan_ns, self._search.background, self._laser)
+
+    @property
+    def places(self) -> list[FloatArray]:
+        """Places (2,) of base_link in odom between which nothing is certain, m; none while it is."""
+        return self._association.places
 
     def reset(self) -> None:
         """Drop every scan: start again from the initial pose."""
         self._search = BoxSearch(self._parameters, self._box, self.tally)
+        self._association = Association(self._parameters)
         self._tracks: list[Track | None] = [None]  # to look at, in turn; None: the initial pose
         self._first_ns: int | None = None  # stamp of the run's first scan
         self._scan_ns = 0  # of its latest
         self._clock = self._new_clock()
 
-    def locate(self, scan: Scan) -> BoxFix | Rejection:
-        """The fix that one scan gives, or why it gives none."""
+    def locate(self, scan: Scan, odometry: Odometry | None = None) -> BoxFix | Rejection:
+        """The fix that one scan gives, or why it gives none.
+
+        ``odometry``: of the time of the scan, if there is one; it decides which thing is the box where the
+        localizer's own track cannot, and nothing else.
+        """
         scan = scan.counter_clockwise()
         refused = self._check_stamp(scan.stamp_ns) if scan.is_usable() else Reason.MALFORMED
-        found = refused or self._find(scan)
+        found = refused or self._find(scan, odometry)
         if isinstance(found, Reason):
             self.tally.add("scan", found)
             return Rejection(found)
@@ -108,6 +121,8 @@ class BoxLocalizer:
         if kept is not None and 0 <= stamp_ns - kept.scan_ns <= self._parameters.resume_time * 1e9:
             self._tracks = [kept.track]
             self.resumed = True
+            if np.allclose(kept.laser, self._laser, rtol=0.0, atol=1e-6):
+                self._search.background = kept.background
 
     def _start_over(self, stamp_ns: int) -> None:
         """Stamps have gone back: another run, or the same with the clock set."""
@@ -122,7 +137,13 @@ class BoxLocalizer:
         self._clock.check(stamp_ns)
         self.restarts += 1
 
-    def _find(self, scan: Scan) -> tuple[Expectation, Candidate] | Reason:
+    @property
+    def _laser(self) -> tuple[float, float, float]:
+        """Pose of the laser in odom, m and rad."""
+        p = self._parameters
+        return p.laser_x, p.laser_y, p.laser_yaw
+
+    def _find(self, scan: Scan, odometry: Odometry | None) -> tuple[Expectation, Candidate] | Reason:
         """The box near its track, and what was expected of it."""
         reasons = []
         angles = scan.angles()
@@ -132,9 +153,13 @@ class BoxLocalizer:
             else:
                 expected = track.expectation(scan.stamp_ns, self._parameters)
             found = self._search.find(scan.ranges, angles, expected)
-            if isinstance(found, Candidate):
-                return expected, found
-            reasons.append(found)
+            if isinstance(found, Reason):
+                reasons.append(found)
+                continue
+            chosen = self._association.choose(found, expected, odometry, scan.stamp_ns)
+            if chosen is not None:
+                return expected, chosen
+            reasons.append(Reason.UNCERTAIN)
         return max(reasons, key=list(Reason).index)
 
     def _accept(self, scan: Scan, expected: Expectation, found: Candidate) -> BoxFix:
@@ -144,7 +169,9 @@ class BoxLocalizer:
             self._modes(expected, found), float(expected.pose[2]), expected.yaw_variance, step
         )
         if weights[0] > 1.0 - NEGLIGIBLE:  # sure enough that this is the box, and the rest is not
-            self._search.background.update(scan.ranges, found.beams)
+            self._search.background = self._search.background.after(
+                scan.ranges, scan.angles(), found.beams, self._parameters.clearance
+            )
         stamp_ns = scan.time_ns(float(found.beams.indices.mean()))
         self._tracks = [self._continued(stamp_ns, modes[0], headings)]
         pose, covariance = mixed(modes, weights, expected.elapsed)

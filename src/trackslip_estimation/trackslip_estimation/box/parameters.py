@@ -35,6 +35,12 @@ class BoxLocalizerParameters(Parameters):
     top_yaw_rate: float = parameter(
         "standard deviation of the yaw rate; widens gate_yaw while no fix comes", unit="rad/s", gt=0.0
     )
+    clearance: float = parameter(
+        "distance about the machine within which nothing else looks like the box", unit="m", gt=0.0
+    )
+    proof_distance: float = parameter(
+        "what may be the box is it once it has driven this far", unit="m", gt=0.0
+    )
     coast_time: float = parameter(
         "time for which velocities last, beyond which the vehicle is sought where it was", unit="s", gt=0.0
     )

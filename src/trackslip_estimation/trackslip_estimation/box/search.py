@@ -45,6 +45,7 @@ class Reason(Enum):
     SIZE = "larger_than_the_box"
     SHAPE = "not_the_shape_of_the_box"
     GATE = "too_far_from_the_prediction"
+    UNCERTAIN = "one_of_several_places"  # found, and perhaps another thing
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +53,19 @@ class Candidate:
     """An object that can be the box.
 
     fits: within an eighth of a turn of the heading expected and, where that is in doubt, of a quarter turn
-    from it; distance: of the better from the place expected, m.
+    from it; place: (2,) of base_link in odom by the better, m; distance: from the place expected, m; is_new:
+    whether it is known not to have been there before, for the laser saw what is behind it, or the box.
     """
 
     beams: Beams
     fits: list[Optimum]
+    place: FloatArray
     distance: float
+    is_new: bool
 
 
 class BoxSearch:
-    """Fits the box to the objects of a scan. Remembers the background, and counts objects refused."""
+    """Fits the box to the objects of a scan before a background, and counts objects refused."""
 
     def __init__(self, p: BoxLocalizerParameters, box: Box, tally: Tally) -> None:
         self._parameters = p
@@ -69,15 +73,15 @@ class BoxSearch:
         self._frames = Frames(p, box)
         self.box = Rectangle(box.length, box.width)
         self.range_stddev = float(np.hypot(p.range_stddev, p.range_resolution / np.sqrt(12.0)))
-        self.background = Background()
+        self.background = Background.unknown()
 
-    def find(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> Candidate | Reason:
-        """The object most like the box near the expected pose, or how far the best of the others came.
+    def find(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> list[Candidate] | Reason:
+        """The objects near the expected pose that can be the box, or how far the best of the others came.
 
         What was there before is cut off: a post beside the box would lengthen or turn it.
         """
         reach = self.box.diagonal + 3.0 * self.range_stddev
-        known = self.background.holds(ranges, 3.0 * np.sqrt(2.0) * self.range_stddev)
+        known = self.background.holds(ranges, angles, self._margin)
         parts = [
             part
             for cluster in clusters(ranges, angles, self.range_stddev, self._parameters.grazing_angle)
@@ -97,9 +101,12 @@ class BoxSearch:
             else:
                 self._tally.add("object", outcome)
                 reasons.append(outcome)
-        if found:
-            return min(found, key=lambda candidate: candidate.distance)
-        return max(reasons, key=list(Reason).index)
+        return found or max(reasons, key=list(Reason).index)
+
+    @property
+    def _margin(self) -> float:
+        """Between two ranges of one thing, m."""
+        return float(3.0 * np.sqrt(2.0) * self.range_stddev)
 
     def _evaluate(
         self, indices: IndexArray, expected: Expectation, ranges: FloatArray, angles: FloatArray
@@ -119,12 +126,15 @@ class BoxSearch:
         is_explained = self._is_explained(best, self._parameters.fit_probability)
         if not is_explained or through > SEEN_THROUGH * len(beams.ranges):
             return Reason.SHAPE
-        difference = self._frames.odom_from_laser(best.pose) - expected.pose
+        pose = self._frames.odom_from_laser(best.pose)
+        difference = pose - expected.pose
         distance = float(np.hypot(difference[0], difference[1]))
         turned = abs(difference[2] - QUARTER_TURN * np.round(difference[2] / QUARTER_TURN))
         if distance > expected.reach or turned > expected.yaw_reach:
             return Reason.GATE
-        return Candidate(beams, fits, distance)
+        was_free = self.background.was_free(ranges, angles, self._margin)[indices]
+        is_new = 2 * int(np.count_nonzero(was_free)) > len(indices)
+        return Candidate(beams, fits, pose[:2], distance, is_new)
 
     def _near(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> BoolArray:
         """(N,) which beams end where the box may be."""

@@ -14,11 +14,12 @@ the vehicle is sought about where it was, ever wider:
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.quarters import CERTAIN, QUARTER_TURN, Headings, Mode, SideEvidence
 
@@ -125,10 +126,15 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What a localizer leaves to the next: its track, and the stamp of its latest scan."""
+    """What a localizer leaves to the next: its track, the stamp of its latest scan, and the background.
+
+    laser: (3,) where the background was seen from, in odom, m and rad.
+    """
 
     track: Track
     scan_ns: int
+    background: Background = field(default_factory=Background.unknown)
+    laser: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def initial_expectation(p: BoxLocalizerParameters) -> Expectation:

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The file that keeps the track of the box, for a localizer that is started again during a drive.
 
-Without it the box would be sought about the initial pose, where it no longer is. JSON, written beside itself
+Without it the box would be sought about the initial pose, where it no longer is. With the track it keeps the
+background, without which a thing that has stood there all the time could be the box. JSON, written beside itself
 and moved into place; a file that is no track is moved aside. It outlives the process and need not outlive
 the machine, so nothing waits for the disk.
 """
@@ -13,14 +14,22 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
 from trackslip_common.kept_files import move_aside, own_file
+from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.quarters import Headings, SideEvidence
+from trackslip_estimation.box.scan import FULL_TURN, MOST_BEAMS
 from trackslip_estimation.box.track import Kept, Track
 
-_VERSION = 2
-_LARGEST = 4096  # bytes
+FloatArray = NDArray[np.float64]
+
+_VERSION = 3
+_MILLIMETRES = 1000.0  # in a metre
+_FARTHEST = 10_000_000  # mm; what is beyond gave no return
+_NO_RETURN = -1
+_LARGEST = 4096 + 20 * MOST_BEAMS  # bytes
 _PERIOD_NS = 1_000_000_000  # of scans, from one writing to the next
 
 
@@ -37,6 +46,10 @@ def track_text(kept: Kept) -> str:
             "covariance": track.covariance.tolist(),
             "weights": track.headings.weights.tolist(),
             "evidence": [e.settled, e.mean, e.count, e.x, e.y],
+            "laser": kept.laser,
+            "beams": [kept.background.angle_min, kept.background.spacing],
+            "background": _to_millimetres(kept.background.ranges),
+            "free": _to_millimetres(kept.background.free),
         }
     )
 
@@ -50,16 +63,21 @@ def parse_track(text: str) -> Kept:
     try:
         tree: Any = json.loads(text)
         if tree["version"] != _VERSION:
-            raise InputError("it is of another version")
+            raise InputError(f"it is of version {str(tree['version'])[:9]!r}, and {_VERSION} is read")
         scan_ns, stamp_ns = int(tree["scan_ns"]), int(tree["stamp_ns"])
         mean = np.array(tree["mean"], dtype=np.float64).reshape(3, 2)
         covariance = np.array(tree["covariance"], dtype=np.float64).reshape(3, 2, 2)
         weights = np.array(tree["weights"], dtype=np.float64).reshape(4)
         settled, average, count, x, y = (float(value) for value in tree["evidence"])
         evidence = SideEvidence(settled, average, int(count), x, y)
+        laser_x, laser_y, laser_yaw = (float(value) for value in tree["laser"])
+        angle_min, spacing = (float(value) for value in tree["beams"])
+        ranges, free = (_from_millimetres(tree[name]) for name in ("background", "free"))
+        background = Background(angle_min, spacing, ranges, free)
     except (ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:
         raise InputError("it is no track of a box") from error
-    numbers = (mean, covariance, weights, np.array([settled, average, count, x, y]))
+    of_laser = np.array([laser_x, laser_y, laser_yaw, angle_min, spacing])
+    numbers = (mean, covariance, weights, np.array([settled, average, count, x, y]), of_laser)
     in_range = all(0 <= ns < 2**63 for ns in (stamp_ns, scan_ns))
     if not in_range or not all(np.isfinite(array).all() for array in numbers):
         raise InputError("it has values out of range")
@@ -68,7 +86,30 @@ def parse_track(text: str) -> Kept:
         raise InputError("its covariance is none")
     if weights.min() < 0.0 or not math.isclose(weights.sum(), 1.0, rel_tol=1e-6) or count < 0:
         raise InputError("its probabilities are none")
-    return Kept(Track(stamp_ns, mean, covariance, Headings(weights, evidence)), scan_ns)
+    is_geometry = max(abs(angle_min), abs(spacing)) <= FULL_TURN
+    if not is_geometry or len(ranges) != len(free) or len(ranges) > MOST_BEAMS:
+        raise InputError("its background is none")
+    track = Track(stamp_ns, mean, covariance, Headings(weights, evidence))
+    return Kept(track, scan_ns, background, (laser_x, laser_y, laser_yaw))
+
+
+def _to_millimetres(ranges: FloatArray) -> list[int | None]:
+    """Of each beam; none where nothing is known (NaN, −∞), ``_NO_RETURN`` where nothing returned."""
+    rounded = np.rint(np.clip(ranges * _MILLIMETRES, -np.inf, _FARTHEST + 1.0))
+    return [None if not mm >= 0.0 else int(mm) if mm <= _FARTHEST else _NO_RETURN for mm in rounded.tolist()]
+
+
+def _from_millimetres(numbers: list[int | None]) -> FloatArray:
+    """The ranges (N,), m.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+    ranges = np.array([math.nan if mm is None else float(mm) for mm in numbers], dtype=np.float64)
+    is_far = ranges == _NO_RETURN
+    if not np.all(np.isnan(ranges) | is_far | (ranges >= 0.0) & (ranges <= _FARTHEST)):
+        raise ValueError("a range is out of range")
+    return np.where(is_far, math.inf, ranges / _MILLIMETRES)
 
 
 class TrackFile:

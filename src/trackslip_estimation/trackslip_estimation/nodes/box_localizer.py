@@ -12,13 +12,18 @@ from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
+from trackslip_common.topics import ODOMETRY
 from trackslip_estimation.box.fit import compile_fit
-from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
+from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer, Rejection
+from trackslip_estimation.box.odometry import Odometry, OdometryBuffer
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
 from trackslip_estimation.box.scan import Scan
+from trackslip_estimation.box.search import Reason
 from trackslip_estimation.box.track_file import TrackFile
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import PoseFix
+
+UNCERTAIN = "box not certain, no pose is published: drive on, or clear the site of what looks like the box"
 
 
 class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
@@ -32,11 +37,14 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         compile_fit()
         self._file = TrackFile(self.settings.track_file)
         self._localizer = BoxLocalizer(self.settings, self.settings.vehicle.box, self._file.read())
+        self._odometry = OdometryBuffer(self._localizer.tally)
         self._fixes = 0
         self._scans = 0
+        self._is_uncertain = False  # which of several things the box is, in the latest scan
         self._news = (0, 0)
         self._poses = self.advertise(topic_class("box_pose"), "box_pose")
         self.subscribe(topic_class("scan"), "scan", self._on_scan)
+        self.subscribe_packed(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
 
     def health(self) -> list[Health]:
         """Fixes per scan, and why scans gave none."""
@@ -54,6 +62,9 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
             values["track file"] = self._file.failure
         if self._scans == scans:
             return [Health(WARN, "no scans; look at the scanner's driver", values)]
+        if self._fixes == fixes and self._is_uncertain:
+            values["places"] = "; ".join(f"{x:.2f} {y:.2f}" for x, y in self._localizer.places)
+            return [Health(WARN, UNCERTAIN, values)]
         if self._fixes == fixes:
             return [Health(WARN, "box not found; clear the view of the laser", values)]
         return [Health(OK, "running", values)]
@@ -62,12 +73,18 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         self._scans += 1
         ranges = np.asarray(message.ranges, dtype=np.float64)
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
-        fix = self._localizer.locate(Scan(stamp_ns_of(message), ranges, *geometry))
+        scan = Scan(stamp_ns_of(message), ranges, *geometry)
+        fix = self._localizer.locate(scan, self._odometry.at(scan.stamp_ns))
+        self._is_uncertain = fix == Rejection(Reason.UNCERTAIN)
         self._file.write(self._localizer.kept)
         if isinstance(fix, BoxFix):
             self._fixes += 1
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
             self._poses.publish(conversions.pose_with_covariance(make, pose, self.settings.map_frame))
+
+    def _on_odometry(self, message: Any) -> None:
+        odometry = conversions.pose_fix(message, ODOMETRY)
+        self._odometry.add(Odometry(odometry.stamp_ns, odometry.pose[:2], odometry.covariance[:2, :2]))
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ _ENDS = {  # topic → nodes that must have found each other on it, if all of th
     "heading": {"nmea_gnss", "slip_estimator", "record", "demo"},
     "gnss_pose": {"gnss_localizer", "slip_estimator", "record", "demo"},
     "hydraulics": {"can_driver", "soil_estimator", "record", "demo"},
-    "odometry": {"slip_estimator", "soil_estimator", "record", "demo"},
+    "odometry": {"slip_estimator", "soil_estimator", "box_localizer", "record", "demo"},
     "track_slip": {"slip_estimator", "soil_estimator", "record", "demo"},
     "track_forces": {"soil_estimator", "record"},
     "soil": {"soil_estimator", "record"},

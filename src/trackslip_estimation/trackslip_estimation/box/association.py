@@ -1,0 +1,173 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which of the things that look like the box it is, after an absence or a restart.
+
+Nothing but the box stands within the clearance of the machine. So a track of short ago tells it, and so does
+an odometry that is certain to within the clearance. Else it is the only thing that the odometry allows for and
+that was not there before. Where several are, or the one was there for all that is known, nothing is certain:
+each is followed, until one drives, and as far as the odometry does. What stands never does.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from trackslip_estimation.box.odometry import Odometry
+from trackslip_estimation.box.parameters import BoxLocalizerParameters
+from trackslip_estimation.box.search import Candidate
+from trackslip_estimation.box.track import Expectation
+
+FloatArray = NDArray[np.float64]
+
+FORGOTTEN_NS = 10_000_000_000  # without being seen
+RIVAL_NS = (
+    2_000_000_000  # after which what could be the box, and is not seen, no longer makes another doubtful
+)
+DIFFERENCE, SHARE = 0.3, 0.1  # m and of the distance: between what the box and the odometry have moved
+_NS = 1e-9  # s
+
+
+@dataclass
+class _Follower:
+    """Something that may be the box: where it was first and last, and where the odometry was first, m."""
+
+    first: FloatArray
+    last: FloatArray
+    seen_ns: int
+    odometry: FloatArray | None
+    likely_ns: int | None = None  # when it was allowed for last, and had not been there before
+
+    def follow(self, place: FloatArray, stamp_ns: int, odometry: Odometry | None) -> None:
+        """It was seen again. What moves unlike the odometry begins anew."""
+        self.last, self.seen_ns = place, stamp_ns
+        if odometry is None:
+            return
+        moved, driven = _apart(place, self.first), self.driven(odometry)
+        if driven is None or abs(moved - driven) > DIFFERENCE + SHARE * driven:
+            self.first, self.odometry = place, odometry.place
+
+    def driven(self, odometry: Odometry | None) -> float | None:
+        """How far the odometry is from where it was first, m."""
+        if odometry is None or self.odometry is None:
+            return None
+        return _apart(odometry.place, self.odometry)
+
+    def moved(self, odometry: Odometry | None) -> float:
+        """How far it is from where it was first, as far as the odometry is, too, if there is one, m."""
+        moved, driven = _apart(self.last, self.first), self.driven(odometry)
+        return moved if driven is None else min(moved, driven)
+
+    def is_likely(self, stamp_ns: int) -> bool:
+        """Whether it was of late."""
+        return self.likely_ns is not None and stamp_ns - self.likely_ns <= RIVAL_NS
+
+
+class Association:
+    """Chooses, scan by scan; remembers what it could not choose between."""
+
+    def __init__(self, p: BoxLocalizerParameters) -> None:
+        self._parameters = p
+        self._followers: list[_Follower] = []
+        self._chi2 = float(chdtri(2, 1.0 - p.fit_probability))
+
+    @property
+    def places(self) -> list[FloatArray]:
+        """Places (2,) of base_link, m, between which nothing is certain."""
+        return [follower.last for follower in self._followers]
+
+    def choose(
+        self,
+        candidates: Sequence[Candidate],
+        expected: Expectation,
+        odometry: Odometry | None,
+        stamp_ns: int,
+    ) -> Candidate | None:
+        """The box, if that is certain; at least one candidate."""
+        chosen = self._told(candidates, expected, odometry, stamp_ns)
+        if chosen is None:
+            chosen = self._followed(candidates, expected, odometry, stamp_ns)
+        if chosen is not None:
+            self._followers = []
+        return chosen
+
+    def _told(
+        self,
+        candidates: Sequence[Candidate],
+        expected: Expectation,
+        odometry: Odometry | None,
+        stamp_ns: int,
+    ) -> Candidate | None:
+        """The one where the track, or the odometry, has nothing but the box."""
+        nearest = min(candidates, key=lambda candidate: candidate.distance)
+        is_start = math.isinf(expected.elapsed)
+        if not is_start and expected.reach <= self._parameters.clearance:
+            return nearest
+        if odometry is None:
+            return nearest if is_start else None
+        S = self._covariance(odometry, stamp_ns)
+        if self._chi2 * np.linalg.eigvalsh(S)[1] > self._parameters.clearance**2:
+            return None
+        allowed = [c for c in candidates if self._is_allowed(c, odometry, stamp_ns)]
+        return min(allowed, key=lambda c: _apart(c.place, odometry.place), default=None)
+
+    def _followed(
+        self,
+        candidates: Sequence[Candidate],
+        expected: Expectation,
+        odometry: Odometry | None,
+        stamp_ns: int,
+    ) -> Candidate | None:
+        """The only one that can be the box, or the one that drives."""
+        followers = [self._follower(candidate, odometry, stamp_ns) for candidate in candidates]
+        self._followers = [f for f in self._followers if stamp_ns - f.seen_ns <= FORGOTTEN_NS]
+        likely = []
+        for candidate, follower in zip(candidates, followers, strict=True):
+            is_new = candidate.is_new or math.isinf(expected.elapsed)
+            if is_new and self._is_allowed(candidate, odometry, stamp_ns):
+                follower.likely_ns = stamp_ns
+                likely.append(candidate)
+        if len(likely) == 1 and sum(f.is_likely(stamp_ns) for f in self._followers) == 1:
+            return likely[0]
+        driving = [
+            candidate
+            for candidate, follower in zip(candidates, followers, strict=True)
+            if follower.moved(odometry) >= self._parameters.proof_distance
+        ]
+        return driving[0] if len(driving) == 1 else None
+
+    def _follower(self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int) -> _Follower:
+        """The one that follows a candidate, told of it."""
+        p = self._parameters
+        nearest = min(self._followers, key=lambda f: _apart(f.last, candidate.place), default=None)
+        if nearest is not None:
+            reach = p.gate_distance + p.top_speed * (stamp_ns - nearest.seen_ns) * _NS
+            if _apart(nearest.last, candidate.place) <= reach:
+                nearest.follow(candidate.place, stamp_ns, odometry)
+                return nearest
+        place = candidate.place
+        follower = _Follower(place, place, stamp_ns, None if odometry is None else odometry.place)
+        self._followers.append(follower)
+        return follower
+
+    def _is_allowed(self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int) -> bool:
+        """Whether the odometry, if there is one, may be there."""
+        if odometry is None:
+            return True
+        off = candidate.place - odometry.place
+        return bool(off @ np.linalg.solve(self._covariance(odometry, stamp_ns), off) <= self._chi2)
+
+    def _covariance(self, odometry: Odometry, stamp_ns: int) -> FloatArray:
+        """(2, 2) of a fix less the odometry, m²: within the gate and what is driven meanwhile it may be off."""
+        p = self._parameters
+        apart = p.top_speed * abs(stamp_ns - odometry.stamp_ns) * _NS
+        S: FloatArray = odometry.covariance + (p.gate_distance + apart) ** 2 / self._chi2 * np.eye(2)
+        return S
+
+
+def _apart(one: FloatArray, other: FloatArray) -> float:
+    """Of two places (2,), m."""
+    return float(np.hypot(one[0] - other[0], one[1] - other[1]))

@@ -1,0 +1,67 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where the odometry has base_link at the time of a scan."""
+
+import math
+from collections import deque
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.tally import Tally
+
+FloatArray = NDArray[np.float64]
+
+SPACING_NS = 50_000_000  # from one that is kept to the next
+KEPT = 60  # 3 s; a scan comes later than it was taken, by its way through the serial line
+MOST_APART_NS = 1_000_000_000  # between a scan and the odometry that stands for it
+
+
+class OdometryReason(Enum):
+    """Why an odometry is not used."""
+
+    MALFORMED = "malformed"
+
+
+class Odometry(NamedTuple):
+    """Place (2,) of base_link in map, m; its covariance (2, 2), m²."""
+
+    stamp_ns: int
+    place: FloatArray
+    covariance: FloatArray
+
+
+class OdometryBuffer:
+    """The latest few; those that are none are counted."""
+
+    def __init__(self, tally: Tally) -> None:
+        self._tally = tally
+        self._latest: deque[Odometry] = deque(maxlen=KEPT)
+
+    def add(self, odometry: Odometry) -> None:
+        """Keep one, if it is that long after the one before; stamps that go back begin anew."""
+        if not _is_usable(odometry):
+            self._tally.add("odometry", OdometryReason.MALFORMED)
+            return
+        since_ns = odometry.stamp_ns - self._latest[-1].stamp_ns if self._latest else SPACING_NS
+        if since_ns < -MOST_APART_NS:
+            self._latest.clear()
+        elif since_ns < SPACING_NS:
+            return
+        self._latest.append(odometry)
+
+    def at(self, stamp_ns: int) -> Odometry | None:
+        """The one nearest in time; None where there is none within ``MOST_APART_NS``."""
+        nearest = min(self._latest, key=lambda kept: abs(kept.stamp_ns - stamp_ns), default=None)
+        if nearest is None or abs(nearest.stamp_ns - stamp_ns) > MOST_APART_NS:
+            return None
+        return nearest
+
+
+def _is_usable(odometry: Odometry) -> bool:
+    """Whether its place is finite and its covariance is one."""
+    (xx, xy), (yx, yy) = odometry.covariance
+    is_finite = bool(np.isfinite(odometry.place).all()) and math.isfinite(xx + xy + yx + yy)
+    return is_finite and xx >= 0.0 and yy >= 0.0 and xy * yx <= xx * yy * (1.0 + 1e-9)

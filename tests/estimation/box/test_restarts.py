@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A localizer started again during a drive takes no other thing for the box."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from fixtures.box_restarts import DOWN, DRIVES, longest_wrong
+from fixtures.box_site import BOX, PARAMETERS, scan_of
+
+from trackslip_common.tally import Tally
+from trackslip_estimation.box.background import Background
+from trackslip_estimation.box.localizer import BoxLocalizer, Rejection
+from trackslip_estimation.box.odometry import Odometry, OdometryBuffer
+from trackslip_estimation.box.search import Reason
+
+LONGEST = 1.0  # s for which fixes may be off
+HIDDEN = {"round_the_laser": 60, "behind_a_container": 55, "far_off": 120}  # s: when the box is out of sight
+BACK = {"round_the_laser": 93.4, "behind_a_container": 70.9, "far_off": 174.2}  # s: when it is seen again
+SITE_DRIVE = DRIVES["behind_a_container"]
+SEEN_AGAIN = BACK["behind_a_container"]
+
+
+def restarted(drive, second, **given):
+    """The localizer, and its fixes."""
+    localizer = BoxLocalizer(PARAMETERS, BOX, drive.kept(second))
+    return localizer, drive.scored(localizer, second + DOWN, **given)
+
+
+def without_background(second):
+    """A localizer that knows the track alone."""
+    kept = dataclasses.replace(SITE_DRIVE.kept(second), background=Background.unknown())
+    return BoxLocalizer(PARAMETERS, BOX, kept)
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_restart_while_the_box_is_out_of_sight_follows_no_other_thing(name):
+    localizer, scored = restarted(DRIVES[name], HIDDEN[name])
+    assert localizer.resumed
+    assert longest_wrong(scored) <= LONGEST
+    assert scored[0].stamp == pytest.approx(BACK[name], abs=1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DRIVES)
+def test_restart_at_any_second_follows_no_other_thing(name):
+    drive = DRIVES[name]
+    wrong = {second: longest_wrong(restarted(drive, second)[1]) for second in drive.seconds}
+    assert {second: time for second, time in wrong.items() if time > LONGEST} == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DRIVES)
+def test_restart_at_any_second_loses_no_fix(name):
+    """That one which was never killed has."""
+    drive = DRIVES[name]
+    stamps = np.array([fix.stamp for fix in drive.scored(BoxLocalizer(PARAMETERS, BOX), 0.0)])
+    for second in drive.seconds:
+        due = np.sum(stamps >= second + DOWN)
+        assert len(restarted(drive, second)[1]) >= due - 2, second
+
+
+def test_background_survives_several_restarts_without_a_fix():
+    kept = SITE_DRIVE.kept(50)
+    for second in (52, 55, 58):
+        localizer = BoxLocalizer(PARAMETERS, BOX, kept)
+        for stamp, ranges in SITE_DRIVE.scans:
+            if second <= stamp < second + 2.0:
+                assert isinstance(localizer.locate(scan_of(stamp, ranges)), Rejection)
+        kept = localizer.kept
+    localizer = BoxLocalizer(PARAMETERS, BOX, kept)
+    assert longest_wrong(SITE_DRIVE.scored(localizer, 60.0)) <= LONGEST
+
+
+@pytest.mark.parametrize("change", ["laser", "beams"])
+def test_background_of_another_place_or_other_beams_is_not_used(change):
+    kept = SITE_DRIVE.kept(HIDDEN[SITE_DRIVE.name])
+    if change == "laser":
+        kept = dataclasses.replace(kept, laser=(kept.laser[0], kept.laser[1], kept.laser[2] + 0.01))
+    else:
+        background = dataclasses.replace(kept.background, angle_min=kept.background.angle_min + 0.002)
+        kept = dataclasses.replace(kept, background=background)
+    localizer = BoxLocalizer(PARAMETERS, BOX, kept)
+    scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN)
+    assert longest_wrong(scored) <= LONGEST
+    assert localizer.tally.by_source()["scan"][Reason.UNCERTAIN.value] > 50
+
+
+def test_track_without_background_gives_no_fix_until_the_box_has_driven():
+    localizer = without_background(HIDDEN[SITE_DRIVE.name])
+    scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN)
+    assert longest_wrong(scored) <= LONGEST
+    assert scored[0].stamp > SEEN_AGAIN + 2.0
+    driven = PARAMETERS.proof_distance / SITE_DRIVE.speed
+    assert scored[0].stamp < SEEN_AGAIN + driven + 8.0  # which it turns meanwhile
+
+
+def test_certain_odometry_finds_the_box_without_background():
+    localizer = without_background(HIDDEN[SITE_DRIVE.name])
+    odometry = SITE_DRIVE.odometry(0.1, off=(0.1, -0.1))
+    scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, odometry)
+    assert longest_wrong(scored) <= LONGEST
+    assert scored[0].stamp == pytest.approx(SEEN_AGAIN, abs=1.0)
+
+
+def test_thing_set_down_while_no_localizer_ran_contradicts_the_odometry():
+    """A crate in front of all that was there before: by the scans alone it is as good as the box."""
+    drive, second = SITE_DRIVE, 47
+    bare = drive.kept(second)
+    empty = np.full_like(bare.background.ranges, np.inf)
+    cleared = dataclasses.replace(
+        bare, background=dataclasses.replace(bare.background, ranges=empty, free=empty)
+    )
+    for stddev in (0.1, 0.5):
+        localizer = BoxLocalizer(PARAMETERS, BOX, cleared)
+        scored = drive.scored(localizer, second + DOWN, drive.odometry(stddev, off=(stddev, 0.0)))
+        assert longest_wrong(scored) <= LONGEST
+        assert scored[0].stamp == pytest.approx(SEEN_AGAIN, abs=1.0)
+
+
+def test_wrong_odometry_holds_the_fixes_back_only_until_the_machine_has_driven():
+    localizer = BoxLocalizer(PARAMETERS, BOX, SITE_DRIVE.kept(HIDDEN[SITE_DRIVE.name]))
+    wrong = SITE_DRIVE.odometry(0.05, off=(6.0, 3.0))
+    scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, wrong)
+    assert longest_wrong(scored) <= LONGEST
+    assert SEEN_AGAIN + 2.0 < scored[0].stamp < SEEN_AGAIN + 15.0
+
+
+def test_start_without_a_track_takes_nothing_that_the_odometry_contradicts():
+    """The file is lost: a crate stands where the drive began, and the machine is out of sight."""
+    localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=6.0, initial_reach=2.0), BOX)
+    scored = SITE_DRIVE.scored(localizer, 50.0, SITE_DRIVE.odometry(0.1))
+    assert scored == []
+    assert len(localizer.places) == 1
+    assert localizer.places[0] == pytest.approx((6.0, 0.0), abs=0.3)
+
+
+def test_odometry_that_is_none_is_counted_and_not_used():
+    tally = Tally()
+    buffer = OdometryBuffer(tally)
+    zero, eye = np.zeros(2), np.eye(2)
+    buffer.add(Odometry(10**9, zero, eye))
+    for place, covariance in (
+        (np.array((np.nan, 0.0)), eye),
+        (zero, np.full((2, 2), np.inf)),
+        (zero, -eye),
+        (zero, np.array(((1.0, 2.0), (2.0, 1.0)))),
+    ):
+        buffer.add(Odometry(2 * 10**9, place, covariance))
+    assert tally.by_source()["odometry"]["malformed"] == 4
+    assert buffer.at(2 * 10**9).stamp_ns == 10**9
+    assert buffer.at(2 * 10**9 + 1) is None
+    buffer.add(Odometry(5 * 10**8, zero, eye))  # not later: not kept
+    assert buffer.at(10**9).stamp_ns == 10**9
