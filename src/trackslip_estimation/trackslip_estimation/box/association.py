@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which of the things that look like the box it is, after an absence or a restart.
 
-Nothing but the box stands within the clearance of the machine. So a track of short ago tells it, and so does
-an odometry that is certain to within the clearance. Else it is the only thing that the odometry allows for and
-that was not there before. Where several are, or the one was there for all that is known, nothing is certain:
-each is followed, until one drives, and as far as the odometry does. What stands never does.
+Nothing that looks like the box stands within the clearance of the machine. A recent track therefore identifies
+the box, and so does an odometry that is certain to within the clearance. Else the box is the only candidate
+that the odometry's gate accepts and that was not there before. With several of these, or with none, nothing
+is certain, and no candidate is chosen. Each is followed until one drives, and as far as the odometry does.
 """
 
 import math
@@ -24,25 +24,23 @@ from trackslip_estimation.box.track import Expectation
 FloatArray = NDArray[np.float64]
 
 FORGOTTEN_NS = 10_000_000_000  # without being seen
-RIVAL_NS = (
-    2_000_000_000  # after which what could be the box, and is not seen, no longer makes another doubtful
-)
+RIVAL_NS = 2_000_000_000  # for which an unseen candidate still makes another one uncertain
 DIFFERENCE, SHARE = 0.3, 0.1  # m and of the distance: between what the box and the odometry have moved
 _NS = 1e-9  # s
 
 
 @dataclass
 class _Follower:
-    """Something that may be the box: where it was first and last, and where the odometry was first, m."""
+    """A candidate from scan to scan: its first and latest place, and the odometry's at the first, m."""
 
     first: FloatArray
     last: FloatArray
     seen_ns: int
     odometry: FloatArray | None
-    likely_ns: int | None = None  # when it was allowed for last, and had not been there before
+    likely_ns: int | None = None  # when the odometry's gate last accepted it, new as it is
 
     def follow(self, place: FloatArray, stamp_ns: int, odometry: Odometry | None) -> None:
-        """It was seen again. What moves unlike the odometry begins anew."""
+        """Add a place. A candidate that moves unlike the odometry starts again."""
         self.last, self.seen_ns = place, stamp_ns
         if odometry is None:
             return
@@ -62,12 +60,12 @@ class _Follower:
         return moved if driven is None else min(moved, driven)
 
     def is_likely(self, stamp_ns: int) -> bool:
-        """Whether it was of late."""
+        """Whether it was within ``RIVAL_NS``."""
         return self.likely_ns is not None and stamp_ns - self.likely_ns <= RIVAL_NS
 
 
 class Association:
-    """Chooses, scan by scan; remembers what it could not choose between."""
+    """Chooses the box among candidates, scan by scan; remembers those that it could not choose between."""
 
     def __init__(self, p: BoxLocalizerParameters) -> None:
         self._parameters = p
@@ -87,21 +85,21 @@ class Association:
         stamp_ns: int,
     ) -> Candidate | None:
         """The box, if that is certain; at least one candidate."""
-        chosen = self._told(candidates, expected, odometry, stamp_ns)
+        chosen = self._identified(candidates, expected, odometry, stamp_ns)
         if chosen is None:
             chosen = self._followed(candidates, expected, odometry, stamp_ns)
         if chosen is not None:
             self._followers = []
         return chosen
 
-    def _told(
+    def _identified(
         self,
         candidates: Sequence[Candidate],
         expected: Expectation,
         odometry: Odometry | None,
         stamp_ns: int,
     ) -> Candidate | None:
-        """The one where the track, or the odometry, has nothing but the box."""
+        """The candidate where the track, or the odometry, leaves no room for another thing."""
         nearest = min(candidates, key=lambda candidate: candidate.distance)
         is_start = math.isinf(expected.elapsed)
         if not is_start and expected.reach <= self._parameters.clearance:
@@ -111,8 +109,8 @@ class Association:
         S = self._covariance(odometry, stamp_ns)
         if self._chi2 * np.linalg.eigvalsh(S)[1] > self._parameters.clearance**2:
             return None
-        allowed = [c for c in candidates if self._is_allowed(c, odometry, stamp_ns)]
-        return min(allowed, key=lambda c: _apart(c.place, odometry.place), default=None)
+        accepted = [c for c in candidates if self._is_accepted(c, odometry, stamp_ns)]
+        return min(accepted, key=lambda c: _apart(c.place, odometry.place), default=None)
 
     def _followed(
         self,
@@ -121,13 +119,13 @@ class Association:
         odometry: Odometry | None,
         stamp_ns: int,
     ) -> Candidate | None:
-        """The only one that can be the box, or the one that drives."""
+        """The only likely candidate, or the only one that drives."""
         followers = [self._follower(candidate, odometry, stamp_ns) for candidate in candidates]
         self._followers = [f for f in self._followers if stamp_ns - f.seen_ns <= FORGOTTEN_NS]
         likely = []
         for candidate, follower in zip(candidates, followers, strict=True):
             is_new = candidate.is_new or math.isinf(expected.elapsed)
-            if is_new and self._is_allowed(candidate, odometry, stamp_ns):
+            if is_new and self._is_accepted(candidate, odometry, stamp_ns):
                 follower.likely_ns = stamp_ns
                 likely.append(candidate)
         if len(likely) == 1 and sum(f.is_likely(stamp_ns) for f in self._followers) == 1:
@@ -140,7 +138,7 @@ class Association:
         return driving[0] if len(driving) == 1 else None
 
     def _follower(self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int) -> _Follower:
-        """The one that follows a candidate, told of it."""
+        """The follower of a candidate, with its place added."""
         p = self._parameters
         nearest = min(self._followers, key=lambda f: _apart(f.last, candidate.place), default=None)
         if nearest is not None:
@@ -153,15 +151,15 @@ class Association:
         self._followers.append(follower)
         return follower
 
-    def _is_allowed(self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int) -> bool:
-        """Whether the odometry, if there is one, may be there."""
+    def _is_accepted(self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int) -> bool:
+        """Whether a candidate is inside the odometry's gate, if there is an odometry."""
         if odometry is None:
             return True
         off = candidate.place - odometry.place
         return bool(off @ np.linalg.solve(self._covariance(odometry, stamp_ns), off) <= self._chi2)
 
     def _covariance(self, odometry: Odometry, stamp_ns: int) -> FloatArray:
-        """(2, 2) of a fix less the odometry, m²: within the gate and what is driven meanwhile it may be off."""
+        """(2, 2) of a fix less the odometry, m²; the gate distance and the motion meanwhile are allowed for."""
         p = self._parameters
         apart = p.top_speed * abs(stamp_ns - odometry.stamp_ns) * _NS
         S: FloatArray = odometry.covariance + (p.gate_distance + apart) ** 2 / self._chi2 * np.eye(2)

@@ -57,7 +57,7 @@ class Background:
         return same
 
     def was_free(self, ranges: FloatArray, angles: FloatArray, margin: float) -> BoolArray:
-        """(N,) which beams end where nothing stood before, by more than ``margin``, m: what they hit is new."""
+        """(N,) which beams end more than ``margin``, m, before where they went: what they hit is new."""
         if not self._is_of(angles):
             return np.zeros(ranges.shape, np.bool_)
         with np.errstate(invalid="ignore"):  # ∞ - ∞
@@ -70,4 +70,4 @@ class Background:
             return False
         tolerance = SAME * self.spacing
         last = self.angle_min + self.spacing * (len(angles) - 1)
-        return abs(angles[0] - self.angle_min) < tolerance and abs(angles[-1] - last) < tolerance
+        return bool(abs(angles[0] - self.angle_min) < tolerance and abs(angles[-1] - last) < tolerance)

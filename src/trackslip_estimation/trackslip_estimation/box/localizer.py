@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """base_link in odom from scan to scan: check the scan, find the box near its track, give the fix.
 
-Fixes come of scans alone, so that they stay independent of any estimator's errors. The odometry is asked
-only which of several things is the box, when it was out of sight (``association.py``).
+Fixes are computed from scans alone, so that they stay independent of any estimator's errors. The odometry
+decides only which of several things is the box after an absence (``association.py``).
 
 Time is what the stamps state. A stamp far ahead is refused until the next ones confirm it. Stamps that go
 back, once confirmed, start over: before the run's first scan, another run begins, at the initial pose; else
@@ -51,7 +51,7 @@ class BoxFix:
 
 
 class BoxLocalizer:
-    """Follows the box through scans given in order; its state depends on nothing else but which is the box."""
+    """Follows the box through scans given in order; the odometry only decides which thing is the box."""
 
     def __init__(self, parameters: BoxLocalizerParameters, box: Box, kept: Kept | None = None) -> None:
         """``kept`` is what a localizer left that ran before this one."""

@@ -3,9 +3,9 @@
 """The file that keeps the track of the box, for a localizer that is started again during a drive.
 
 Without it the box would be sought about the initial pose, where it no longer is. With the track it keeps the
-background, without which a thing that has stood there all the time could be the box. JSON, written beside itself
-and moved into place; a file that is no track is moved aside. It outlives the process and need not outlive
-the machine, so nothing waits for the disk.
+background, without which a thing that has stood there all the time could be the box. JSON, written beside
+itself and moved into place; a file that is no track is moved aside. It outlives the process and need not
+outlive the machine, so nothing waits for the disk.
 """
 
 import json
@@ -63,7 +63,7 @@ def parse_track(text: str) -> Kept:
     try:
         tree: Any = json.loads(text)
         if tree["version"] != _VERSION:
-            raise InputError(f"it is of version {str(tree['version'])[:9]!r}, and {_VERSION} is read")
+            raise InputError(f"it is of version {str(tree['version'])[:9]!r}, not {_VERSION}")
         scan_ns, stamp_ns = int(tree["scan_ns"]), int(tree["stamp_ns"])
         mean = np.array(tree["mean"], dtype=np.float64).reshape(3, 2)
         covariance = np.array(tree["covariance"], dtype=np.float64).reshape(3, 2, 2)
@@ -103,8 +103,10 @@ def _from_millimetres(numbers: list[int | None]) -> FloatArray:
     """The ranges (N,), m.
 
     Raises:
-        ValueError: a number is out of range.
+        ValueError: there is no list, or a number is out of range.
     """
+    if not isinstance(numbers, list):
+        raise ValueError("no list")
     ranges = np.array([math.nan if mm is None else float(mm) for mm in numbers], dtype=np.float64)
     is_far = ranges == _NO_RETURN
     if not np.all(np.isnan(ranges) | is_far | (ranges >= 0.0) & (ranges <= _FARTHEST)):
