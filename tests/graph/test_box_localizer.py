@@ -8,13 +8,19 @@ import os
 from array import array
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rclpy
+from fixtures.box_site import BOX, PARAMETERS, SITE, standing
 
 from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import publisher_qos
+from trackslip_estimation.box.quarters import CERTAIN, Headings, SideEvidence
+from trackslip_estimation.box.track import Kept, Track
+from trackslip_estimation.box.track_file import TrackFile
 from trackslip_sim.machine.offline import record_drive
+from trackslip_sim.machine.scan_model import ANGLE_INCREMENT, ANGLE_MIN, SiteScanner
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
 from trackslip_sim.truth.simulate import simulate
@@ -76,6 +82,52 @@ def test_scan_of_impossible_geometry_is_counted_and_the_node_goes_on(programs, o
     observer.wait(lambda: values().get("scan: malformed") == str(len(bad)), "all to be counted")
     assert program.end()[0] == 0
     assert "failed" not in program.stderr
+
+
+def test_what_may_be_another_thing_is_no_pose_until_the_odometry_is_there(programs, observer, tmp_path):
+    """Started with a track of half a minute ago and no background, as if the laser had been moved."""
+    healths, poses = observer.healths(), observer.subscribe("box_pose")
+    scans, odometry = observer.publisher("scan"), observer.publisher("odometry")
+    headings = Headings(CERTAIN, SideEvidence())
+    track = Track.begun(10**9, np.zeros(3), np.full(3, 1e-4), headings, PARAMETERS)
+    file = tmp_path / "track.json"
+    TrackFile(str(file)).write(Kept(track, 30 * 10**9))
+    program = programs.node("box_localizer", track_file=str(file))
+    for topic in ("scan", "odometry"):
+        observer.wait_for_ends(topic, "observer", "box_localizer")
+    observer.wait(lambda: observer.state("box_localizer") == "active", "the localizer")
+    scanner, stamps = SiteScanner(SITE, BOX, seed=1), itertools.count(155)
+
+    def send_scan():
+        stamp = next(stamps) / 5
+        message = topic_class("scan")(angle_min=ANGLE_MIN, angle_increment=ANGLE_INCREMENT)
+        message.ranges = scanner.scan(stamp, standing(3.0, 1.0, 0.3)).tolist()
+        for sent in (message, topic_class("odometry")()):
+            sent.header.stamp.sec, sent.header.stamp.nanosec = int(stamp), int(stamp % 1.0 * 1e9)
+            if sent is message:
+                scans.publish(sent)
+            elif is_located:
+                sent.pose.pose.position.x, sent.pose.pose.position.y = 3.1, 0.9
+                sent.pose.covariance = (0.01 * np.eye(6)).ravel()
+                odometry.publish(sent)
+
+    def is_uncertain():
+        send_scan()
+        return any(health.message.startswith("box not certain") for health in healths)
+
+    def is_found():
+        send_scan()
+        return bool(poses)
+
+    is_located = False
+    observer.wait(is_uncertain, "a report that nothing is certain")
+    assert not poses
+    is_located = True
+    observer.wait(is_found, "a pose")
+    assert (poses[0].pose.pose.position.x, poses[0].pose.pose.position.y) == pytest.approx(
+        (3.0, 1.0), abs=0.2
+    )
+    assert program.end()[0] == 0
 
 
 def test_scans_of_ten_megabytes_are_refused_and_their_publisher_is_named(programs, observer):

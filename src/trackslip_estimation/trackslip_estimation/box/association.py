@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which of the things that look like the box it is, after an absence or a restart.
 
-Nothing that looks like the box stands within the clearance of the machine. A recent track therefore identifies
-the box, and so does an odometry that is certain to within the clearance. Else the box is the only candidate
-that the odometry's gate accepts and that was not there before. With several of these, or with none, nothing
-is certain, and no candidate is chosen. Each is followed until one drives, and as far as the odometry does.
+Nothing that looks like the box stands within the clearance of the machine. A recent track therefore
+identifies the box, and so does an odometry that is certain to within the clearance. Else the box is the only
+candidate that the odometry's gate accepts and that was not there before. With several of these, or with none,
+nothing is certain, and none is chosen. Each is followed until one drives, and as far as the odometry does.
 """
 
 import math
@@ -159,7 +159,7 @@ class Association:
         return bool(off @ np.linalg.solve(self._covariance(odometry, stamp_ns), off) <= self._chi2)
 
     def _covariance(self, odometry: Odometry, stamp_ns: int) -> FloatArray:
-        """(2, 2) of a fix less the odometry, m²; the gate distance and the motion meanwhile are allowed for."""
+        """(2, 2) of a fix less the odometry, m²; with the gate distance, and the motion meanwhile."""
         p = self._parameters
         apart = p.top_speed * abs(stamp_ns - odometry.stamp_ns) * _NS
         S: FloatArray = odometry.covariance + (p.gate_distance + apart) ** 2 / self._chi2 * np.eye(2)
