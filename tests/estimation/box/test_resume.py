@@ -88,6 +88,19 @@ def test_what_is_kept_is_the_track(drove):
     np.testing.assert_array_equal(again.covariance, track.covariance)
     np.testing.assert_array_equal(again.headings.weights, track.headings.weights)
     assert again.headings.evidence == track.headings.evidence
+    assert parsed.laser == (NEAR.laser_x, NEAR.laser_y, NEAR.laser_yaw)
+    for name in ("ranges", "free"):
+        seen = getattr(kept.background, name)
+        assert np.isfinite(seen).any()
+        np.testing.assert_allclose(getattr(parsed.background, name), seen, atol=5.1e-4)
+
+
+def test_file_of_an_older_version_is_refused_in_one_line(drove, tmp_path):
+    path = tmp_path / "kept.json"
+    path.write_text(json.dumps({**json.loads(track_text(drove[0].kept)), "version": 2}), encoding="utf-8")
+    file = TrackFile(str(path))
+    assert file.read() is None
+    assert file.failure == f"{path} is not used: it is of version '2', not 3"
 
 
 @given(
@@ -114,6 +127,11 @@ def test_any_other_text_is_refused(text):
         ("weights", [0.5, 0.5, 0.5, 0.5]),
         ("evidence", [0.0, 0.0, -1, 0.0, 0.0]),
         ("evidence", [0.0, 0.0, float("inf"), 0.0, 0.0]),
+        ("laser", [0.0, 0.0, float("nan")]),
+        ("beams", [0.0, 1e9]),
+        ("background", "12"),
+        ("background", [-2] * 361),
+        ("free", [1.0]),
     ],
 )
 def test_a_changed_value_is_refused(drove, tmp_path, key, value):
