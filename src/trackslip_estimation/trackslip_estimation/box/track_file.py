@@ -74,6 +74,8 @@ def parse_track(text: str) -> Kept:
         angle_min, spacing = (float(value) for value in tree["beams"])
         ranges, free = (_from_millimetres(tree[name]) for name in ("background", "free"))
         background = Background(angle_min, spacing, ranges, free)
+    except InputError:  # a ValueError, too
+        raise
     except (ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:
         raise InputError("it is no track of a box") from error
     of_laser = np.array([laser_x, laser_y, laser_yaw, angle_min, spacing])
