@@ -16,6 +16,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "src" / "trackslip_common"))  # nothing is installed yet
+
+from trackslip_common.whole_file import replacing  # noqa: E402 (found there)
+
 LOG = ROOT / "ros2_ws" / "setup.log"
 _POLL = 0.05  # s
 _asked: list[int] = []  # signals that came
@@ -152,10 +156,5 @@ def write_stamp(stamp: Path, digest: str, ros: str) -> None:
 
 def write_file(path: Path, text: str, mode: int = 0o644) -> None:
     """Writes a file whole or not at all: whoever reads meanwhile finds the old one or the new one."""
-    part = path.with_name(f"{path.name}.part")
-    with part.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    part.chmod(mode)
-    part.replace(path)
+    with replacing(path, text, mode, sync=True):
+        pass

@@ -109,3 +109,20 @@ def test_minutes_left_follow_the_rate_of_the_last_minute() -> None:
         if second == 90:
             assert watch.minutes_left == pytest.approx((10_000_000 - 90_000) / 60_000)
     assert watch.minutes_left is None
+
+
+def test_link_planted_in_the_place_of_the_metadata_is_not_followed(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("of another user", encoding="utf-8")
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write("/text", TEXT, DATA, 1)
+        for name in ("metadata.yaml", "metadata.yaml.tmp"):
+            (tmp_path / "bag" / name).symlink_to(victim)
+    assert victim.read_text(encoding="utf-8") == "of another user"
+    assert not (tmp_path / "bag" / "metadata.yaml").is_symlink()
+
+
+def test_recording_whose_recorder_was_killed_at_its_end_is_ours(tmp_path: Path) -> None:
+    path = recording(tmp_path / "bag")
+    (path / "metadata.yaml").rename(path / ".trackslip-0123456789abcdef.new")
+    assert is_recording(path)

@@ -16,7 +16,7 @@ from trackslip_sim.study.slip.results import Row
 from trackslip_tools.cli.outputs import PAGE, refuse_foreign
 from trackslip_tools.tuning.evidence import BEGINNINGS, JOURNAL, PARAMETERS
 from trackslip_tools.tuning.journal import Journal
-from trackslip_tools.whole_file import write_whole
+from trackslip_common.whole_file import write_whole
 
 Refuse = Callable[..., str]
 MINE = "years of work\n"
@@ -141,22 +141,6 @@ def test_a_journal_or_a_cache_larger_than_memory_was_read(tmp_path: Path, kept: 
         file.truncate(2**33)
     with pytest.raises(InputError, match=f"is no {kept}"):
         Journal(tmp_path / "large", (), ("a",)) if kept == "journal" else Cache(tmp_path / "large", Row)
-
-
-def test_a_full_disk_left_half_a_page_in_place_of_the_one_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def half(path: Path, content: bytes) -> int:
-        with path.open("wb") as file:
-            file.write(content[: len(content) // 2])
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    page = tmp_path / "report.html"
-    write_whole(page, "before")
-    monkeypatch.setattr(Path, "write_bytes", half)
-    with pytest.raises(OSError, match="No space left"):
-        write_whole(page, "after that")
-    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("report.html", "before")]
 
 
 def test_what_is_no_file_is_written_as_it_is(tmp_path: Path, mine: Path) -> None:

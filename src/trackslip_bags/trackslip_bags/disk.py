@@ -14,6 +14,7 @@ from typing import NamedTuple
 from mcap.stream_reader import StreamReader
 
 from trackslip_bags.metadata import METADATA
+from trackslip_common.whole_file import UNFINISHED
 
 LIBRARY = "trackslip record"  # by which each file of a recording names its writer
 _RESTING = 60.0  # s since it was written to, after which a file belongs to no recorder that runs
@@ -31,7 +32,7 @@ class Recorded(NamedTuple):
 
 def is_recording(folder: Path) -> bool:
     """Whether a directory is a bag that a recorder wrote, and nothing else: then it is ours."""
-    own = re.compile(rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?")
+    own = re.compile(rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?|{UNFINISHED.pattern}")
     try:
         files = list(folder.iterdir()) if folder.is_dir() and not folder.is_symlink() else []
     except OSError:

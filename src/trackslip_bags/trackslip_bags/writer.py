@@ -25,6 +25,7 @@ from mcap.writer import CompressionType, Writer
 from trackslip_bags.definitions import installed_schema, ros_distro
 from trackslip_bags.metadata import METADATA, Extent, Schema, Topic, metadata_text
 from trackslip_common.errors import InputError
+from trackslip_common.whole_file import replace_whole
 
 CHUNK_SPAN_NS = 500_000_000
 
@@ -183,11 +184,9 @@ class BagWriter:
         if self._file.closed:
             return
         self._file.close()
-        unfinished = self.path / f"{METADATA}.tmp"
         left = {n: replace(t, count=t.count - self._removed[n]) for n, t in self.topics.items()}
         text = metadata_text(left, self._extents, self.distro)
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(self.path / METADATA)
+        replace_whole(self.path / METADATA, text)
 
     def abandon(self) -> None:
         """Leave the file as a killed recorder would: for a disk that takes no more."""

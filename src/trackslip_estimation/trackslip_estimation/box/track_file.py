@@ -10,7 +10,6 @@ outlive the machine, so nothing waits for the disk.
 
 import json
 import math
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from trackslip_common.errors import InputError
 from trackslip_common.kept_files import move_aside, own_file
 from trackslip_estimation.box.background import Background
+from trackslip_common.whole_file import replacing
 from trackslip_estimation.box.quarters import Headings, SideEvidence
 from trackslip_estimation.box.scan import FULL_TURN, MOST_BEAMS
 from trackslip_estimation.box.track import Kept, Track
@@ -151,17 +151,13 @@ class TrackFile:
         if self._path is None or kept is None or abs(kept.scan_ns - self._written_ns) < _PERIOD_NS:
             return
         self._written_ns = kept.scan_ns
-        beside = self._path.with_name(f".{self._path.name}.new")
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            beside.write_text(track_text(kept), encoding="utf-8")
-            if self._is_foreign:
-                move_aside(self._path)
-            self._is_foreign = False
-            beside.replace(self._path)
+            with replacing(self._path, track_text(kept)):
+                if self._is_foreign:
+                    move_aside(self._path)
+                self._is_foreign = False
         except (OSError, ValueError) as error:  # ValueError: no path at all
-            with suppress(OSError, ValueError):
-                beside.unlink(missing_ok=True)
             self._fail(f"{self._path} is not written: {getattr(error, 'strerror', None) or error}")
             return
         self.failure = ""

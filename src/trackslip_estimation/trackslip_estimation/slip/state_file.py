@@ -9,10 +9,8 @@ its own. Another vehicle's is named after that vehicle, which finds it there whe
 """
 
 import hashlib
-import os
 import threading
 import time
-from contextlib import suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ import yaml
 
 from trackslip_common.errors import InputError
 from trackslip_common.kept_files import move_aside, own_file
+from trackslip_common.whole_file import replacing
 from trackslip_common.yaml_text import parse_yaml
 from trackslip_estimation.slip.learned import Learned, Meaning, OtherMachine, aged, from_tree, to_tree
 from trackslip_estimation.slip.learned_text import findings, lines_of
@@ -166,19 +165,13 @@ class StateFile:
 
     def _write(self, path: Path, learned: Learned, of: Meaning) -> None:
         """In its own thread."""
-        beside, now_s = path.with_name(f".{path.name}.new"), time.time()
+        now_s = time.time()
         try:
             text = state_text(learned, of, now_s)
             path.parent.mkdir(parents=True, exist_ok=True)
-            with beside.open("w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())  # the key may be turned at any time
-            self._move_aside(path)
-            beside.replace(path)
+            with replacing(path, text, sync=True):  # the key may be turned at any time
+                self._move_aside(path)
         except (OSError, ValueError) as error:  # ValueError: no path at all
-            with suppress(OSError, ValueError):
-                beside.unlink(missing_ok=True)
             self._fail(getattr(error, "strerror", None) or str(error))
             return
         with self._lock:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trackslip_common.errors import InputError
-from trackslip_tools.whole_file import write_whole
+from trackslip_common.whole_file import write_whole
 
 
 def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:

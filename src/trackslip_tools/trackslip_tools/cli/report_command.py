@@ -28,7 +28,7 @@ from trackslip_tools.report.panel import MOST_RUNS
 from trackslip_tools.report.recording import Recording, read_recording
 from trackslip_tools.report.run import Run
 from trackslip_tools.smoothing.smooth_bag import smooth_bag
-from trackslip_tools.whole_file import write_whole
+from trackslip_common.whole_file import write_whole
 
 EXAMPLE = "trackslip report out/demo/bag --params own --params tuned.yaml --output report.html"
 

@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files that are written beside their place: whole or not at all, and never through a link that lies there."""
+
+import ast
+import errno
+import os
+import secrets
+from pathlib import Path
+
+import pytest
+
+from trackslip_common.whole_file import UNFINISHED, replace_whole, replacing, write_whole
+
+SOURCES = Path(__file__).resolve().parents[2] / "src"
+VICTIM = "of another user\n"
+
+
+@pytest.fixture
+def victim(tmp_path: Path) -> Path:
+    path = tmp_path / "victim"
+    path.write_text(VICTIM, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Path:
+    """In a folder of its own."""
+    (tmp_path / "folder").mkdir()
+    return tmp_path / "folder" / "page"
+
+
+@pytest.mark.parametrize("name", [".page.new", ".page.tmp", "page.new", "page.tmp", "page.part"])
+def test_link_planted_beside_a_file_is_not_followed(page: Path, victim: Path, name: str) -> None:
+    planted = page.with_name(name)
+    planted.symlink_to(victim)
+    write_whole(page, "mine")
+    assert page.read_text(encoding="utf-8") == "mine"
+    assert victim.read_text(encoding="utf-8") == VICTIM
+    assert planted.is_symlink()
+
+
+@pytest.mark.parametrize("plant", ["link", "dangling link", "file"])
+def test_name_that_was_foreseen_is_not_written_to(
+    page: Path, victim: Path, monkeypatch: pytest.MonkeyPatch, plant: str
+) -> None:
+    monkeypatch.setattr(secrets, "token_hex", lambda count: "0" * 2 * count)
+    planted = page.with_name(".trackslip-0000000000000000.new")
+    assert UNFINISHED.fullmatch(planted.name)
+    if plant == "file":
+        planted.write_text(VICTIM, encoding="utf-8")
+    else:
+        planted.symlink_to(victim if plant == "link" else page.with_name("nothing"))
+    with pytest.raises(FileExistsError):
+        write_whole(page, "mine")
+    assert victim.read_text(encoding="utf-8") == VICTIM
+    assert [path.name for path in page.parent.iterdir()] == [planted.name]
+
+
+def test_failure_before_the_move_leaves_what_was_there(page: Path) -> None:
+    write_whole(page, "before")
+    with pytest.raises(KeyboardInterrupt), replacing(page, "after"):
+        raise KeyboardInterrupt
+    assert [(path.name, path.read_text()) for path in page.parent.iterdir()] == [("page", "before")]
+
+
+def test_full_disk_leaves_what_was_there(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    write_whole(page, "before")
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"), replacing(page, "after that", sync=True):
+        pytest.fail("it is not written yet")
+    assert [(path.name, path.read_text()) for path in page.parent.iterdir()] == [("page", "before")]
+
+
+def test_link_in_the_place_of_the_file_is_replaced(page: Path, victim: Path) -> None:
+    page.symlink_to(victim)
+    replace_whole(page, "mine")
+    assert not page.is_symlink()
+    assert victim.read_text(encoding="utf-8") == VICTIM
+
+
+def test_permissions_are_those_of_any_new_file(page: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        replace_whole(page, b"mine")
+    finally:
+        os.umask(before)
+    assert page.stat().st_mode & 0o777 == 0o640
+
+
+MOVES = {
+    "trackslip_common/whole_file.py",  # into place
+    "trackslip_common/kept_files.py",  # aside
+    "trackslip_estimation/slip/state_file.py",  # aside, to the name of its machine
+}
+
+
+def test_files_are_moved_into_place_by_one_module() -> None:
+    """``Path.replace`` and ``rename`` take one argument, ``str.replace`` two."""
+    moving = set()
+    for file in SOURCES.glob("*/*/**/*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+                continue
+            of_path = node.func.attr in ("replace", "rename") and len(node.args) == 1 and not node.keywords
+            of_system = ast.unparse(node.func) in ("os.replace", "os.rename", "shutil.move")
+            if of_path or of_system:
+                moving.add(file.relative_to(SOURCES).as_posix().partition("/")[2])
+    assert moving == MOVES
