@@ -246,7 +246,7 @@ def test_broken_contract_is_refused_in_one_line(tmp_path, old, new, message):
 def test_a_contract_larger_than_memory_was_read(tmp_path):
     with (tmp_path / "large.dbc").open("wb") as file:
         file.truncate(2**33)
-    with pytest.raises(InputError, match=r"large\.dbc: more than 16 MB; accepted: a DBC"):
+    with pytest.raises(InputError, match=r"large\.dbc: more than 8 MB; accepted: a DBC"):
         frame_set(tmp_path / "large.dbc")
 
 

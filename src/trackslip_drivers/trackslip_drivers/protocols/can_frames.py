@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 
-import cantools
-from cantools.database import Database, Message
+from cantools.database import Message
 from cantools.database.errors import Error as CantoolsError
 
 from trackslip_common.config_files import config_file
@@ -22,6 +21,7 @@ from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.can_parameters import NODE, CanDriverParameters
 from trackslip_drivers.protocols.can_binding import Binder
 from trackslip_drivers.protocols.can_codec import CHECKSUMS, Codec, Protection
+from trackslip_drivers.protocols.can_dbc import error_line, read_dbc
 from trackslip_drivers.protocols.can_roles import read_roles
 from trackslip_drivers.protocols.can_timing import (
     CountedFrames,
@@ -35,7 +35,6 @@ ERROR_FLAG = 1 << 29  # set beside the id by the transport for error frames
 STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
 BUS = "can"  # what a rejection is counted under when the frame cannot be named
 
-_LARGEST = 16_000_000  # bytes of a DBC
 _EXTENDED = 1 << 29  # ids below are data frames with 29 bits
 _FIRST_BROADCAST = 0xF0  # of the PDU format: below it, the next byte is an address
 _MOST_SENDERS = 256
@@ -59,7 +58,7 @@ class FrameSet:
     """
 
     def __init__(self, dbc: Path, roles: Path, vehicle: VehicleParameters) -> None:
-        database = _read(dbc)
+        database = read_dbc(dbc)
         given = read_roles(roles)
         self.roles = given.roles
         self.bindings = Binder(database, vehicle, dbc, roles).bind(given.roles)
@@ -126,28 +125,6 @@ def load_frames(p: CanDriverParameters) -> FrameSet:
         InputError: as ``FrameSet``.
     """
     return FrameSet(_file("dbc_file", p.dbc_file), _file("roles_file", p.roles_file), p.vehicle)
-
-
-def _read(dbc: Path) -> Database:
-    """A DBC; frames whose signals overlap or do not fit are in it too, for who knows whether they matter."""
-    try:
-        if dbc.stat().st_size > _LARGEST:
-            raise InputError(f"dbc_file {dbc}: more than {_LARGEST // 10**6} MB; accepted: a DBC")
-        try:
-            dbc.read_bytes().decode()
-            encoding = "utf-8-sig"
-        except UnicodeDecodeError:
-            encoding = None  # as tools for Windows write it, which cantools knows
-        database = cantools.database.load_file(dbc, encoding=encoding, strict=False)
-    except (OSError, UnicodeDecodeError, CantoolsError) as error:
-        raise InputError(f"dbc_file {dbc}: not a usable DBC ({_line(error)})") from error
-    if not isinstance(database, Database):
-        raise InputError(f"dbc_file {dbc}: not a DBC of CAN frames")
-    return database
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def _file(parameter: str, name: str) -> Path:
@@ -238,7 +215,7 @@ def _check_signals(where: str, message: Message) -> None:
         message.refresh(strict=True)
     except CantoolsError as error:
         accepted = "signals that fit in their frame, each with bits of its own"
-        raise InputError(f"{where}: {_line(error).rstrip('.')}; accepted: {accepted}") from error
+        raise InputError(f"{where}: {error_line(error).rstrip('.')}; accepted: {accepted}") from error
 
 
 def _check_protection(where: str, message: Message, protection: Protection) -> None:

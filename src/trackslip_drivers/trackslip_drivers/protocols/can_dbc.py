@@ -1,0 +1,176 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reads a DBC, after a look at its numbers: those of no frame take cantools hours, or all memory.
+
+cantools makes a text of as many characters as a frame and its start bits have bits, a list of all selectors in
+a range, a whole number of any exponent, and for each selector of a multiplexer all below it anew: of 30
+multiplexers in each other, each of two selectors, 2³⁰.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import cantools
+from cantools.database import Database
+from cantools.database.errors import Error as CantoolsError
+
+from trackslip_common.errors import InputError
+
+_LARGEST = 8_000_000  # bytes; a whole J1939 has some 4 million
+_LONGEST_FRAME = 1785  # bytes: the most that J1939 carries in packets; CAN FD has 64
+_MOST_BITS = 8 * _LONGEST_FRAME
+_MOST_SELECTORS = 20_000  # of all multiplexers, those in each other counted as often as they are reached
+_DEEPEST = 8  # multiplexers in each other
+_LARGEST_EXPONENT = 308  # of a double
+_LONGEST_NUMBER = 400  # digits, as 1.7E308 may be written
+
+_UNREAD = re.compile(r'"(?:\\"|[^"])*"|//.*?\n')  # texts and comments
+_FRAME = re.compile(r"\bBO_\s+(\d+)\s+(\w+)\s*:\s*(\w+)")
+_SIGNAL = re.compile(r"\bSG_\s+(\w+)(?:\s+(m?)(\d*)(M?))?\s*:\s*([-+]?\d+)\s*\|\s*([-+]?\d+)\s*@")
+_RANGES = re.compile(r"\bSG_MUL_VAL_\s+(\d+)\s+(\w+)\s+(\w+)\s+([^;]*);")
+_RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
+_CHOICES = re.compile(r'\bVAL_\s+(\d+)\s+(\w+)\s+([^;]*);')
+_CHOICE = re.compile(r'[-+]?\d+(?=\s*"")')
+_EXPONENT = re.compile(r"(?<![\w.])[-+]?\d+\.?\d*[eE][-+]?(\d+)")
+_DIGITS = re.compile(rf"\d{{{_LONGEST_NUMBER + 1},}}")
+
+
+class _Signal(NamedTuple):
+    """Of a frame, what multiplexing knows of it."""
+
+    name: str
+    is_multiplexer: bool
+    selector: int | None  # in whose presence it is there
+
+
+def read_dbc(path: Path) -> Database:
+    """A DBC; frames whose signals overlap or do not fit are in it too, for who knows whether they matter.
+
+    Raises:
+        InputError: it cannot be read, is none, or has numbers that are of no CAN bus.
+    """
+    where = f"dbc_file {path}"
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"{where}: more than {_LARGEST // 10**6} MB; accepted: a DBC")
+        content = path.read_bytes()
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("cp1252")  # as tools for Windows write it
+        _check(where, _UNREAD.sub(_blank, text))
+        return cantools.database.load_string(text, database_format="dbc", strict=False)
+    except InputError:
+        raise
+    except (OSError, UnicodeDecodeError, CantoolsError) as error:
+        raise InputError(f"{where}: not a usable DBC ({error_line(error)})") from error
+    except Exception as error:  # damaged text can raise anything in the parser
+        raise InputError(f"{where}: not a usable DBC ({type(error).__name__})") from error
+
+
+def error_line(error: Exception) -> str:
+    """An error's text in one line."""
+    return " ".join(str(error).split())
+
+
+def _blank(found: re.Match[str]) -> str:
+    """What stands for a text, or for a comment."""
+    return '""' if found[0].startswith('"') else " "
+
+
+def _check(where: str, text: str) -> None:
+    """Look at a text without strings and comments.
+
+    Raises:
+        InputError: a number in it is of no CAN bus.
+    """
+    if (digits := _DIGITS.search(text)) is not None:
+        raise InputError(f"{where}: a number of {len(digits[0])} digits; accepted: up to {_LONGEST_NUMBER}")
+    for number in _EXPONENT.finditer(text):
+        if int(number[1]) > _LARGEST_EXPONENT:
+            accepted = f"exponents up to {_LARGEST_EXPONENT}"
+            raise InputError(f"{where}: the number {number[0]} is of no quantity; accepted: {accepted}")
+    selectors = _selectors(where, text)
+    count = 0
+    heads = list(_FRAME.finditer(text))
+    for head, behind in zip(heads, [*(h.start() for h in heads[1:]), len(text)], strict=True):
+        frame = f"{where}: frame '{head[2]}'"
+        if not head[3].isdecimal() or int(head[3]) > _LONGEST_FRAME:
+            raise InputError(f"{frame} of {head[3]} bytes; accepted: 0 to {_LONGEST_FRAME}")
+        signals = [_signal(frame, found) for found in _SIGNAL.finditer(text, head.end(), behind)]
+        if any(signal.is_multiplexer for signal in signals):
+            count += _Multiplexing(frame, signals, selectors.get(head[1], {})).count()
+        if count > _MOST_SELECTORS:
+            accepted = f"up to {_MOST_SELECTORS} in a DBC, below each selector anew"
+            raise InputError(f"{frame}: too many selectors of multiplexers; accepted: {accepted}")
+
+
+def _signal(frame: str, found: re.Match[str]) -> _Signal:
+    name, multiplexed, selector, multiplexer, start, length = found.groups()
+    for what, value, least in (("start bit", int(start), 0), ("length", int(length), 1)):
+        if not least <= value <= _MOST_BITS:
+            raise InputError(
+                f"{frame}: signal '{name}': {what} {value}; accepted: {least} to {_MOST_BITS}, "
+                f"of up to {_LONGEST_FRAME} bytes"
+            )
+    own = int(selector) if multiplexed and selector else None
+    return _Signal(name, bool(multiplexer), own)
+
+
+_Selectors = Mapping[str, Mapping[str, frozenset[int]]]  # multiplexer → signal → its selectors; "" → choices
+
+
+def _selectors(where: str, text: str) -> Mapping[str, _Selectors]:
+    """By frame: those of ``SG_MUL_VAL_``, and as the signal '' the choices of ``VAL_``."""
+    found: defaultdict[str, dict[str, dict[str, frozenset[int]]]] = defaultdict(dict)
+    count = 0
+    for frame, signal, multiplexer, ranges in _RANGES.findall(text):
+        bounds = [(int(low), int(high)) for low, high in _RANGE.findall(ranges)]
+        count += sum(max(high - low + 1, 0) for low, high in bounds)
+        if count > _MOST_SELECTORS:
+            accepted = f"up to {_MOST_SELECTORS} in a DBC"
+            raise InputError(f"{where}: signal '{signal}': too many selectors of multiplexers; accepted: {accepted}")
+        own = frozenset(k for low, high in bounds for k in range(low, high + 1))
+        found[frame].setdefault(multiplexer, {})[signal] = own
+    for frame, signal, choices in _CHOICES.findall(text):
+        found[frame].setdefault(signal, {})[""] = frozenset(map(int, _CHOICE.findall(choices)))
+    return found
+
+
+class _Multiplexing:
+    """How often cantools makes what is below the multiplexers of a frame."""
+
+    def __init__(self, frame: str, signals: list[_Signal], selectors: _Selectors) -> None:
+        self._frame, self._selectors = frame, selectors
+        self._multiplexers = [signal.name for signal in signals if signal.is_multiplexer]
+        first = self._multiplexers[0] if len(self._multiplexers) == 1 else ""
+        own = {signal.name: signal.selector for signal in signals if signal.selector is not None}
+        self._below: dict[str, dict[str, frozenset[int]]] = {
+            name: dict(selectors.get(name, {})) for name in self._multiplexers
+        }
+        for name, selector in own.items() if first else ():
+            known = self._below[first].get(name, frozenset())
+            self._below[first][name] = known | {selector}
+        self._known: dict[str, int] = {}
+
+    def count(self) -> int:
+        """Of all multiplexers that lie in no other."""
+        inner = {name for below in self._below.values() for name in below}
+        return sum(self._count(name, 1) for name in self._multiplexers if name not in inner)
+
+    def _count(self, name: str, depth: int) -> int:
+        if depth > _DEEPEST:
+            accepted = f"up to {_DEEPEST} in each other"
+            raise InputError(f"{self._frame}: multiplexer '{name}' lies too deep; accepted: {accepted}")
+        if name not in self._known:
+            below = self._below[name]
+            ids = frozenset[int]().union(*below.values())
+            inner = (len(below[one]) * self._count(one, depth + 1) for one in self._inner(name))
+            self._known[name] = len(ids) + sum(inner)
+        return self._known[name]
+
+    def _inner(self, name: str) -> Iterator[str]:
+        return (one for one in self._below[name] if one in self._below)
