@@ -69,7 +69,8 @@ def clear_venv(ros: str) -> None:
         SetupError: it is not what an earlier set-up made, or something in it cannot be removed.
     """
     inside = list(VENV.iterdir()) if VENV.is_dir() else []
-    ours = not inside or any(path.name.lstrip(".").startswith("trackslip") for path in inside)  # a stamp may be lost
+    names = [path.name.lstrip(".") for path in inside]
+    ours = not inside or any(name.startswith("trackslip") for name in names)  # a stamp may be lost
     if not ours or (os.path.lexists(VENV) and not VENV.is_dir()):
         raise SetupError(f"{VENV} was not made by make setup, and stays; move it away and run this again")
     try:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are written beside their place: whole or not at all, and never through a link that lies there."""
+"""Files that are written beside their place: whole or not at all, never through a link that lies there."""
 
 import ast
 import errno

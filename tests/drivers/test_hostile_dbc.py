@@ -40,7 +40,10 @@ def chosen(count: int) -> str:
 
 
 HOSTILE = {
-    "start bit": (FRAME + PLAIN.replace("0|16", "999999999|16"), "frame 'F': signal 'S': start bit 999999999"),
+    "start bit": (
+        FRAME + PLAIN.replace("0|16", "999999999|16"),
+        "frame 'F': signal 'S': start bit 999999999",
+    ),
     "start bit below 0": (FRAME + PLAIN.replace("0|16", "-1|16"), "start bit -1; accepted: 0 to 14280"),
     "start bit on a line of its own": (
         FRAME + PLAIN.replace("0|16", "\n 999999999 // x\n|\n16"),
@@ -48,7 +51,10 @@ HOSTILE = {
     ),
     "length": (FRAME + PLAIN.replace("0|16", "0|100000"), "length 100000; accepted: 1 to 14280"),
     "length 0": (FRAME + PLAIN.replace("0|16", "0|0"), "length 0; accepted: 1"),
-    "bytes of a frame": (FRAME.replace("64", "999999999") + PLAIN, "frame 'F' of 999999999 bytes; accepted: 0 to"),
+    "bytes of a frame": (
+        FRAME.replace("64", "999999999") + PLAIN,
+        "frame 'F' of 999999999 bytes; accepted: 0 to",
+    ),
     "nested 30 times": (nested(30), "lies too deep; accepted: up to 8"),
     "names for selectors": (chosen(200), "too many selectors of multiplexers"),
     "range": (multiplexed("0-4294967295"), "signal 'S': too many selectors"),

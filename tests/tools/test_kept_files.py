@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results replace earlier results, and nothing else: a file that was named by mistake stays as it is."""
 
-import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -10,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from trackslip_common.errors import InputError
+from trackslip_common.whole_file import write_whole
 from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.engine import Study
 from trackslip_sim.study.slip.results import Row
 from trackslip_tools.cli.outputs import PAGE, refuse_foreign
 from trackslip_tools.tuning.evidence import BEGINNINGS, JOURNAL, PARAMETERS
 from trackslip_tools.tuning.journal import Journal
-from trackslip_common.whole_file import write_whole
 
 Refuse = Callable[..., str]
 MINE = "years of work\n"

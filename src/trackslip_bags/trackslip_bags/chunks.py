@@ -30,8 +30,8 @@ from trackslip_bags.mcap_index import (
     messages_in,
     parts_of,
 )
+from trackslip_bags.metadata import LATEST_NS
 from trackslip_bags.reader import Bag, absolute, require_one_type
-from trackslip_bags.recovery.salvage import LATEST_NS
 from trackslip_common.errors import InputError
 
 STRETCH_NS = 10_000_000_000  # of log time that is read at once

@@ -32,7 +32,9 @@ class Recorded(NamedTuple):
 
 def is_recording(folder: Path) -> bool:
     """Whether a directory is a bag that a recorder wrote, and nothing else: then it is ours."""
-    own = re.compile(rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?|{UNFINISHED.pattern}")
+    own = re.compile(
+        rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?|{UNFINISHED.pattern}"
+    )
     try:
         files = list(folder.iterdir()) if folder.is_dir() and not folder.is_symlink() else []
     except OSError:

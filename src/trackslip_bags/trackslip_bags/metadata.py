@@ -4,14 +4,23 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 import yaml
 
+from trackslip_common.yaml_text import is_unicode
+
 METADATA = "metadata.yaml"  # in the directory of each bag
 METADATA_VERSION = 9  # Jazzy, Kilted
 
-_NO_START_NS = 2**63 - 1  # rosbag2's starting time of what holds no messages
+MOST_TOPICS = 4096  # of a bag; recordings have up to some hundreds
+MOST_FILES = 10_000  # that one is split into
+_LARGEST = 16_000_000  # bytes of the text
+_TOPICS, _FILES = "topics_with_message_count", "relative_file_paths"
+
+LATEST_NS = 2**63 - 1  # in 2262: rosbag2's times are signed
+_NO_START_NS = LATEST_NS  # rosbag2's starting time of what holds no messages
 
 
 class Schema(NamedTuple):
@@ -71,8 +80,60 @@ def metadata_text(topics: Mapping[str, Topic], files: Mapping[str, Extent], dist
         "custom_data": None,
         "ros_distro": distro,
     }
-    text: str = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+    tree = {"rosbag2_bagfile_information": information}
+    text: str = yaml.dump(tree, Dumper=yaml.CSafeDumper, sort_keys=False)
     return text
+
+
+def check_metadata(bag: Path) -> None:
+    """Look at what a bag's ``metadata.yaml`` states, before a file that it names is opened.
+
+    Its times are of no consequence: the files state their own.
+
+    Raises:
+        ValueError: it is too large, names a file twice, or states topics of other kinds or too many.
+        OSError: it cannot be read.
+    """
+    path = bag / METADATA
+    if path.stat().st_size > _LARGEST:
+        raise ValueError(f"{METADATA} has more than {_LARGEST // 10**6} MB")
+    with path.open("rb") as file:
+        tree = yaml.load(file, Loader=yaml.CSafeLoader)
+    information = tree.get("rosbag2_bagfile_information") if isinstance(tree, dict) else None
+    if not isinstance(information, dict):
+        raise ValueError(f"{METADATA}: no rosbag2_bagfile_information")
+    topics, files = (information.get(name) for name in (_TOPICS, _FILES))
+    for name, found, most in ((_TOPICS, topics, MOST_TOPICS), (_FILES, files, MOST_FILES)):
+        if not isinstance(found, list) or len(found) > most:
+            size = f"{len(found)} entries" if isinstance(found, list) else "no list"
+            raise ValueError(f"{METADATA}: {name}: {size}; accepted: a list of up to {most}")
+    _check_topics(topics)
+    _check_files(bag, files)
+
+
+def _check_topics(topics: Iterable[Any]) -> None:
+    for topic in topics:
+        about = topic.get("topic_metadata") if isinstance(topic, dict) else None
+        if not isinstance(about, dict):
+            raise ValueError(f"{METADATA}: {topic!r:.40}; accepted: a topic with its topic_metadata")
+        count = topic.get("message_count")
+        if type(count) is not int or not 0 <= count < 2**63:
+            raise ValueError(f"{METADATA}: message_count: {count!r:.40}; accepted: a whole number, 0 or more")
+        for name in ("name", "type"):
+            if not isinstance(about.get(name), str) or not is_unicode(about[name]):
+                raise ValueError(f"{METADATA}: {name}: {about.get(name)!r:.40}; accepted: a text")
+
+
+def _check_files(bag: Path, files: Iterable[Any]) -> None:
+    """Each file is there once, whatever names it has."""
+    seen: set[tuple[int, int]] = set()
+    for name in files:
+        if not isinstance(name, str) or not name or "\0" in name:
+            raise ValueError(f"{METADATA}: {_FILES}: {name!r:.40}; accepted: names of files")
+        about = (bag / PurePath(name).name).stat()  # as rosbags looks for it
+        if (about.st_dev, about.st_ino) in seen:
+            raise ValueError(f"{METADATA}: {_FILES}: '{name:.200}' is there twice; accepted: each file once")
+        seen.add((about.st_dev, about.st_ino))
 
 
 def _total(extents: Iterable[Extent]) -> Extent:
@@ -90,7 +151,7 @@ def _topic(name: str, topic: Topic) -> dict[str, Any]:
             "name": name,
             "type": topic.type_name,
             "serialization_format": "cdr",
-            "offered_qos_profiles": yaml.safe_load(topic.qos_yaml),
+            "offered_qos_profiles": yaml.load(topic.qos_yaml, Loader=yaml.CSafeLoader),
             "type_description_hash": topic.schema.type_hash,
         },
         "message_count": topic.count,

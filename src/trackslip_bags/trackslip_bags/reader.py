@@ -15,7 +15,7 @@ from typing import Any
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 
-from trackslip_bags.metadata import METADATA
+from trackslip_bags.metadata import METADATA, check_metadata
 from trackslip_bags.namespace import InNamespace, require_in_namespace
 from trackslip_bags.sources import (
     BagMessage,
@@ -31,7 +31,6 @@ from trackslip_bags.types import decode, store_for
 from trackslip_common.errors import InputError, did_you_mean, listed
 
 _ROS1 = b"#ROSBAG"
-_LARGEST = 16_000_000  # bytes of metadata.yaml
 ACCEPTED = "a rosbag2 directory (metadata.yaml with .mcap or .db3), or an .mcap or .db3 file"
 
 
@@ -172,8 +171,8 @@ def _open(path: Path | str) -> Bag:
             f"bag '{path}' is of ROS 1: trackslip import makes one of ours of it (docs/import.md)"
         )
     try:
-        if (path / METADATA).exists() and (path / METADATA).stat().st_size > _LARGEST:
-            raise InputError(f"{METADATA} has more than {_LARGEST // 10**6} MB")
+        if (path / METADATA).exists():
+            check_metadata(path)
         whole = WholeBag(path)
         return Bag(path, [whole], files=whole.files)
     except Exception as error:  # noqa: BLE001 (foreign bytes can raise anything in the parsers)

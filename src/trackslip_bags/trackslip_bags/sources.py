@@ -13,6 +13,7 @@ from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 
 from trackslip_bags import unpacking
+from trackslip_bags.metadata import MOST_TOPICS
 from trackslip_bags.recovery.salvage import Salvage, salvage
 
 unpacking.limit_rosbags()
@@ -60,18 +61,18 @@ class WholeBag:
             unpacking.check_packed_file(packed)
         self._reader = Reader(path)
         self._reader.open()
-        try:
-            _check_stated(self._reader)
-        except ValueError:
+        if len(self._reader.connections) > MOST_TOPICS:
+            count = len(self._reader.connections)
             self._reader.close()
-            raise
+            raise ValueError(f"{count} topics; accepted: up to {MOST_TOPICS}")
         self._packed = self._reader.compression_mode == "message"
         if self._packed and isinstance(
             self._reader.storage, DirectoryReader
         ):  # rosbags does it without a limit
             self._reader.storage.metadata = self._reader.storage.metadata._replace(compression_mode=None)
-        self.start_ns = self._reader.start_time
-        self.end_ns = self._reader.end_time - 1
+        spans = [s.metadata for s in _storages(self._reader) if s.metadata.message_count]
+        self.start_ns = min((span.start_time for span in spans), default=0)
+        self.end_ns = max((span.end_time for span in spans), default=0) - 1
         self.files = () if self._packed else _mcap_files(self._reader)
 
     def topics(self) -> dict[str, TopicInfo]:
@@ -92,20 +93,6 @@ class WholeBag:
 
     def close(self) -> None:
         self._reader.close()
-
-
-def _check_stated(reader: Reader) -> None:
-    """What metadata states of times and topics is of the kinds that it should be; rosbags takes it as it is.
-
-    Raises:
-        ValueError: it is not.
-    """
-    wanted: list[tuple[object, type]] = [(reader.start_time, int), (reader.end_time, int)]
-    for c in reader.connections:
-        wanted += [(c.topic, str), (c.msgtype, str), (c.msgcount, int)]
-    for value, kind in wanted:
-        if not isinstance(value, kind):
-            raise ValueError(f"metadata: {value!r:.40}; accepted: {kind.__name__}")
 
 
 def _mcap_files(reader: Reader) -> tuple[Path, ...]:
@@ -152,9 +139,13 @@ def bag_files(path: Path) -> list[Path]:
     """The files of a bag without its metadata, split recordings in order: name_2 before name_10."""
     if not path.is_dir():
         return [path]
-    files = [file for pattern in ("*.mcap", "*.db3") for file in path.glob(pattern)]
+    files = [file for pattern in ("*.mcap", "*.db3") for file in path.glob(pattern) if file.is_file()]
     numbered = [(file.stem.rpartition("_")[2], file) for file in files]
-    return [file for _, file in sorted(numbered, key=lambda item: (len(item[0]), item))]
+    found: dict[tuple[int, int], Path] = {}
+    for _, file in sorted(numbered, key=lambda item: (len(item[0]), item)):
+        about = file.stat()
+        found.setdefault((about.st_dev, about.st_ino), file)  # a file with several links is read once
+    return list(found.values())
 
 
 def open_file(path: Path) -> tuple[Source | None, str]:

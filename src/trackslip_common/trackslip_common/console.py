@@ -2,11 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a program prints: beside a line of progress, and where stdout takes no more."""
 
+import io
 import os
 import sys
 from contextlib import suppress
 
 from trackslip_common.errors import ExitCode, printable
+
+
+def escape_unencodable() -> None:
+    """Have stdout and stderr escape what their encoding has not, by ``LC_ALL=C`` or on an old terminal."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def clear_line() -> None:

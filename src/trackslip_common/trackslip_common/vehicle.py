@@ -21,9 +21,9 @@ from trackslip_common.units import GRAVITY
 class Kinematics(Parameters):
     """What every vehicle must state: it is enough for pose and slips."""
 
-    rolling_radius: float = parameter("track travel per radian of sprocket r", unit="m", gt=0.0, le=2.0)
-    tread: float = parameter("distance B between the track centre lines", unit="m", gt=0.0, le=20.0)
-    contact_length: float = parameter("length l of one track on the ground", unit="m", gt=0.0, le=20.0)
+    rolling_radius: float = parameter("track travel per radian of sprocket r", unit="m", ge=0.005, le=2.0)
+    tread: float = parameter("distance B between the track centre lines", unit="m", ge=0.02, le=20.0)
+    contact_length: float = parameter("length l of one track on the ground", unit="m", ge=0.02, le=20.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +48,8 @@ class Mass(Parameters):
     """What presses on the ground, and where."""
 
     mass: float = parameter("mass m", unit="kg", ge=1.0, le=2e6)
-    yaw_inertia: float = parameter("moment of inertia I_z about the vertical", unit="kg m²", gt=0.0, le=1e9)
-    track_width: float = parameter("width b of one track", unit="m", gt=0.0, le=4.0)
+    yaw_inertia: float = parameter("moment of inertia I_z about the vertical", unit="kg m²", ge=1e-4, le=1e9)
+    track_width: float = parameter("width b of one track", unit="m", ge=0.002, le=4.0)
     centre_of_gravity: CentreOfGravity | None
     bucket: Bucket | None
 
@@ -63,20 +63,20 @@ class Mass(Parameters):
 class Hydraulics(Parameters):
     """Travel motors: from pressures to thrusts."""
 
-    motor_displacement: float = parameter("oil per motor turn V_m", unit="m³", gt=0.0, le=0.05)
-    gear_ratio: float = parameter("motor turns per sprocket turn n_g", gt=0.0, le=1e3)
-    motor_efficiency: float = parameter("pressure to torque η_m = η₀/η_V", gt=0.0, le=1.0)
-    volumetric_efficiency: float = parameter("flow to speed η_V", gt=0.0, le=1.0)
+    motor_displacement: float = parameter("oil per motor turn V_m", unit="m³", ge=1e-9, le=0.05)
+    gear_ratio: float = parameter("motor turns per sprocket turn n_g", ge=0.01, le=1e3)
+    motor_efficiency: float = parameter("pressure to torque η_m = η₀/η_V", ge=0.01, le=1.0)
+    volumetric_efficiency: float = parameter("flow to speed η_V", ge=0.01, le=1.0)
     relief_pressure: float = parameter("highest pressure over a motor", unit="Pa", ge=1e6, le=1e8)
-    pump_flow: float = parameter("flow of the pump of one track", unit="m³/s", gt=0.0, le=0.1)
+    pump_flow: float = parameter("flow of the pump of one track", unit="m³/s", ge=1e-9, le=0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SwingDrive(Parameters):
     """The motor that swings it."""
 
-    rate: float = parameter("fastest that it swings", unit="rad/s", gt=0.0, le=5.0)
-    acceleration: float = parameter("at which it starts and brakes", unit="rad/s²", gt=0.0, le=20.0)
+    rate: float = parameter("fastest that it swings", unit="rad/s", ge=1e-3, le=5.0)
+    acceleration: float = parameter("at which it starts and brakes", unit="rad/s²", ge=1e-3, le=20.0)
     backlash: float = parameter("play of pinion and ring gear, at the cab", unit="rad", ge=0.0, le=0.1)
 
 
@@ -95,8 +95,8 @@ class UpperStructure(Parameters):
 class Box(Parameters):
     """The upright box that a laser beside the machine sees."""
 
-    length: float = parameter("side along x", unit="m", gt=0.0, le=15.0)
-    width: float = parameter("side along y", unit="m", gt=0.0, le=15.0)
+    length: float = parameter("side along x", unit="m", ge=0.01, le=15.0)
+    width: float = parameter("side along y", unit="m", ge=0.01, le=15.0)
     x: float = parameter("its centre ahead of base_link", unit="m", ge=-20.0, le=20.0)
     y: float = parameter("its centre left of base_link", unit="m", ge=-20.0, le=20.0)
 
@@ -127,7 +127,7 @@ class Mounts(Parameters):
 class SwingEncoder(Parameters):
     """What measures the angle of the upper structure."""
 
-    stddev: float = parameter("of one reading", unit="rad", gt=0.0, le=1.0)
+    stddev: float = parameter("of one reading", unit="rad", ge=1e-6, le=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)

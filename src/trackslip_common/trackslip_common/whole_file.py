@@ -20,14 +20,17 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write the file of a user's option; through a link, into a device, or in a locked folder directly.
 
+    What of a text is no Unicode, as names of files may be, is written escaped.
+
     Raises:
         OSError: it cannot be written; what was there is as before.
     """
+    data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
     is_special = path.is_symlink() or (path.exists() and not path.is_file())
     if is_special or not os.access(path.parent, os.W_OK):
-        path.write_bytes(_bytes_of(content))
+        path.write_bytes(data)
         return
-    replace_whole(path, content)
+    replace_whole(path, data)
 
 
 def replace_whole(path: Path, content: str | bytes, mode: int = 0o666) -> None:
@@ -54,11 +57,11 @@ def replacing(path: Path, content: str | bytes, mode: int = 0o666, *, sync: bool
     Raises:
         OSError: it cannot be written; what was there is as before.
     """
-    data = _bytes_of(content)
+    data = content.encode() if isinstance(content, str) else content
     beside = path.with_name(f".trackslip-{secrets.token_hex(8)}.new")
     descriptor = os.open(beside, _NEW, mode)
     try:
-        with open(descriptor, "wb") as file:
+        with os.fdopen(descriptor, "wb") as file:
             file.write(data)
             file.flush()
             if sync:
@@ -69,7 +72,3 @@ def replacing(path: Path, content: str | bytes, mode: int = 0o666, *, sync: bool
         with suppress(OSError):
             beside.unlink(missing_ok=True)
         raise
-
-
-def _bytes_of(content: str | bytes) -> bytes:
-    return content.encode() if isinstance(content, str) else content

@@ -19,13 +19,13 @@ from mcap.stream_reader import breakup_chunk
 from mcap.well_known import MessageEncoding
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 
+from trackslip_bags.metadata import LATEST_NS, MOST_TOPICS
 from trackslip_bags.metadata import Schema as KnownSchema
 from trackslip_bags.unpacking import plain
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9  # bytes before the content of a record: what it is (1), its length (8)
 _LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
-LATEST_NS = 2**63 - 1  # rosbag2's times are signed
 _FORMATS = {
     "ros2msg": MessageDefinitionFormat.MSG,
     "ros2idl": MessageDefinitionFormat.IDL,
@@ -152,6 +152,9 @@ class DamagedFile:
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel) and record.message_encoding == MessageEncoding.CDR:
+            if record.id not in self.topics and len(self.topics) >= MOST_TOPICS:
+                self.bad_records += 1
+                return
             try:
                 self.topics[record.id] = _topic(record, self._schemas[record.schema_id])
             except (KeyError, UnicodeDecodeError):

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads a DBC, after a look at its numbers: those of no frame take cantools hours, or all memory.
 
-cantools makes a text of as many characters as a frame and its start bits have bits, a list of all selectors in
-a range, a whole number of any exponent, and for each selector of a multiplexer all below it anew: of 30
+cantools makes a text of as many characters as a start bit and a length say, a list of all selectors in a
+range, a whole number of any exponent, and for each selector of a multiplexer all below it anew: of 30
 multiplexers in each other, each of two selectors, 2³⁰.
 """
 
@@ -32,7 +32,7 @@ _FRAME = re.compile(r"\bBO_\s+(\d+)\s+(\w+)\s*:\s*(\w+)")
 _SIGNAL = re.compile(r"\bSG_\s+(\w+)(?:\s+(m?)(\d*)(M?))?\s*:\s*([-+]?\d+)\s*\|\s*([-+]?\d+)\s*@")
 _RANGES = re.compile(r"\bSG_MUL_VAL_\s+(\d+)\s+(\w+)\s+(\w+)\s+([^;]*);")
 _RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
-_CHOICES = re.compile(r'\bVAL_\s+(\d+)\s+(\w+)\s+([^;]*);')
+_CHOICES = re.compile(r"\bVAL_\s+(\d+)\s+(\w+)\s+([^;]*);")
 _CHOICE = re.compile(r'[-+]?\d+(?=\s*"")')
 _EXPONENT = re.compile(r"(?<![\w.])[-+]?\d+\.?\d*[eE][-+]?(\d+)")
 _DIGITS = re.compile(rf"\d{{{_LONGEST_NUMBER + 1},}}")
@@ -132,7 +132,9 @@ def _selectors(where: str, text: str) -> Mapping[str, _Selectors]:
         count += sum(max(high - low + 1, 0) for low, high in bounds)
         if count > _MOST_SELECTORS:
             accepted = f"up to {_MOST_SELECTORS} in a DBC"
-            raise InputError(f"{where}: signal '{signal}': too many selectors of multiplexers; accepted: {accepted}")
+            raise InputError(
+                f"{where}: signal '{signal}': too many selectors of multiplexers; accepted: {accepted}"
+            )
         own = frozenset(k for low, high in bounds for k in range(low, high + 1))
         found[frame].setdefault(multiplexer, {})[signal] = own
     for frame, signal, choices in _CHOICES.findall(text):

@@ -10,8 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Generic, TypeVar
 
-from trackslip_sim.study.cache import Cache, key_of
 from trackslip_common.whole_file import write_whole
+from trackslip_sim.study.cache import Cache, key_of
 from trackslip_tools.workers import Map
 from trackslip_tools.workers import workers as workers_of
 

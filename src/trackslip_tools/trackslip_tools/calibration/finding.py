@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One number found in the bags, or the reason why they do not show it."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,7 +35,9 @@ class Finding:
 
 
 def found(value: float, spread: float, unit: str, basis: str) -> Finding:
-    """A value, and half the width of its 95 % interval."""
+    """A value, and half the width of its 95 % interval; none where either is no finite number."""
+    if not (math.isfinite(value) and math.isfinite(spread)):
+        return refused("what was recorded determines no number", unit)
     return Finding(unit, float(value), (float(value - spread), float(value + spread)), basis)
 
 

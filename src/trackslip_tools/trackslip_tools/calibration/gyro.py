@@ -127,7 +127,7 @@ def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
     if turned < LEAST_TURN:
         return {"gyro_scale": _too_little(turned, "1"), late_of: _too_little(turned, "s")}
     (of_all, delay), (fit, _) = _fitted(pairs), _fitted([pair.averaged() for pair in pairs])
-    if of_all is None or fit is None:
+    if of_all is None or fit is None or not (of_all.values[0] and fit.values[0]):
         reason = "headings and gyro do not fit each other"
         return {"gyro_scale": refused(reason, "1"), late_of: refused(reason, "s")}
     basis = f"{sum(len(pair.t) for pair in pairs)} headings, {turned:.1f} rad turned"
@@ -149,7 +149,7 @@ def _fitted(pairs: Sequence[_Pair]) -> tuple[Fit | None, float]:
         times = [np.where(np.arange(len(pairs)) == k, design[:, 2:], 0.0) for k, design in enumerate(designs)]
         X = np.column_stack((np.concatenate(designs)[:, :2], np.concatenate(times)))
         fit = of_increments(X, data)
-        if fit is None or not sum(counts):
+        if fit is None or not sum(counts) or not fit.values[0]:
             return None, 0.0
         step = -float(fit.values[1] / fit.values[0])
         delay = min(max(delay + step, -_LARGEST_DELAY), _LARGEST_DELAY)

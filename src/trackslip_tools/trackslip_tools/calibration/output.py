@@ -9,10 +9,10 @@ from typing import Any
 import yaml
 
 from trackslip_common.errors import InputError
+from trackslip_common.whole_file import write_whole
 from trackslip_tools.calibration.calibrate import Calibration
 from trackslip_tools.calibration.finding import Finding
 from trackslip_tools.terminal_text import WIDTH, wrapped
-from trackslip_common.whole_file import write_whole
 
 BEGINNING = "# from "  # of the parameter file
 

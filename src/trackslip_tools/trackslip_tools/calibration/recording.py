@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag as arrays: what calibration needs of it, by stamp, in seconds from the bag's first message."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -53,12 +54,24 @@ class _Wanted(NamedTuple):
     topic: str  # "" for none
     kind: RecordClass
     values_of: Callable[[Rows], FloatArray]
+    limits: tuple[float, ...]  # of the first columns: no machine has more; of the others some have none
 
     def readings(self, rows: Rows) -> _Readings:
-        """Stamps and values of those that are numbers."""
-        values = self.values_of(rows)
-        sound = np.isfinite(values[:, :2]).all(axis=1)
+        """Stamps and values of those that a machine may have."""
+        with np.errstate(all="ignore"):  # of numbers beyond all squares
+            values = self.values_of(rows)
+        sound = (np.abs(values[:, : len(self.limits)]) <= self.limits).all(axis=1)
         return rows["stamp_ns"][sound], values[sound]
+
+
+_FASTEST = 1e3  # rad/s, of a sprocket
+_FASTEST_TURN = 100.0  # rad/s, of a gyro
+_FARTHEST, _LARGEST_VARIANCE = 1e8, 1e12  # m, m²
+_HIGHEST = 1e9  # Pa
+_MOST_ANGLE = 1e9  # rad, of a sprocket since it was first read
+_LONGEST_NS = (
+    100 * 86_400 * 1_000_000_000
+)  # from the stamps that most messages have; beyond it is another clock
 
 
 class Series(NamedTuple):
@@ -83,6 +96,7 @@ class Recording:
     hydraulics: Series  # left, right: Pa; left, right spool (nan where there is none)
     motion: NDArray[np.int64]  # (n,) Motion at each sprocket sample
     compass: Series | None = None  # heading rad (continuous), its variance: of a heading source
+    left_out: Mapping[str, int] = field(default_factory=dict)  # topic → readings that are none
 
     @property
     def headings(self) -> Series:
@@ -123,21 +137,21 @@ def read_recording(
         InputError: the bag lacks the sprockets, or a topic is of a type that does not serve.
     """
     require_topics(bag, [SPROCKETS])
-    shown = _compass(bag, *compass) if compass else _Wanted("", PoseFields, _poses)
-    driven, turns, fixes, oil, turned = _series(
-        bag,
-        advance,
-        _Wanted(SPROCKETS, SprocketFields, _sprockets),
-        _Wanted(gyro, ImuFields, _rates),
-        _Wanted(poses, PoseFields, _poses),
-        _Wanted(HYDRAULICS, HydraulicsFields, _hydraulics),
-        shown,
+    of_poses = (_FARTHEST, _FARTHEST, _FARTHEST, _LARGEST_VARIANCE, _LARGEST_VARIANCE)
+    wanted = (
+        _Wanted(SPROCKETS, SprocketFields, _sprockets, (_FASTEST,) * 2),
+        _Wanted(gyro, ImuFields, _rates, (_FASTEST_TURN,) * 3),
+        _Wanted(poses, PoseFields, _poses, of_poses),
+        _Wanted(HYDRAULICS, HydraulicsFields, _hydraulics, (_HIGHEST,) * 2),
+        _compass(bag, *compass) if compass else _Wanted("", PoseFields, _poses, of_poses),
     )
+    (driven, turns, fixes, oil, turned), left_out = _series(bag, advance, wanted)
     driven = _integrated(driven)
     fixes.values[:, 2] = np.unwrap(fixes.values[:, 2])
     turned.values[:, 0] = np.unwrap(turned.values[:, 0])
     seen = turned if len(turned.t) else None
-    return Recording(bag.path.name, driven, turns, fixes, oil, motions(driven, limits), seen)
+    found = motions(driven, limits)
+    return Recording(bag.path.name, driven, turns, fixes, oil, found, seen, left_out)
 
 
 def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Wanted:
@@ -153,7 +167,7 @@ def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Wanted:
         there = rows["absent"] != ABSENT
         return np.column_stack((np.where(there, headings_of(rows), np.nan), variances))
 
-    return _Wanted(topic, OrientationFields if is_imu else QuaternionFields, values)
+    return _Wanted(topic, OrientationFields if is_imu else QuaternionFields, values, (_FARTHEST,) * 2)
 
 
 def motions(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
@@ -177,9 +191,15 @@ def _motions(t: FloatArray, angles: FloatArray, records: Any, found: NDArray[np.
         found[k] = motion[0].motion
 
 
-def _series(bag: Bag, advance: Callable[[float], None], *wanted: _Wanted) -> list[Series]:
-    """Topics by stamp, the first of each stamp; readings that are no numbers are left out."""
+def _series(
+    bag: Bag, advance: Callable[[float], None], wanted: Sequence[_Wanted]
+) -> tuple[list[Series], dict[str, int]]:
+    """Topics by stamp, the first of each stamp; and by topic, how many readings are none and left out.
+
+    None are those that no machine has, and those of another clock than most of the first topic.
+    """
     parts = [[one.readings(np.empty(0, dtype_of(one.kind)))] for one in wanted]
+    counts: Counter[str] = Counter()
     reached_ns = bag.start_ns
     for stretch in read_tables(bag, [one.topic for one in wanted if one.topic]):
         newest_ns = max((int(table.log_times_ns.max()) for table in stretch.values()), default=reached_ns)
@@ -189,7 +209,16 @@ def _series(bag: Bag, advance: Callable[[float], None], *wanted: _Wanted) -> lis
         for one, own in zip(wanted, parts, strict=True):
             if one.topic in tables:
                 own.append(one.readings(_rows(bag, one, tables[one.topic])))
-    return [_in_order(parts.pop(0), bag.start_ns) for _ in wanted]
+                counts[one.topic] += len(tables[one.topic]) - len(own[-1][0])
+    series, usual_ns = [], None
+    for one in wanted:
+        stamps_ns, values = (np.concatenate(columns) for columns in zip(*parts.pop(0), strict=True))
+        if usual_ns is None and len(stamps_ns):
+            usual_ns = int(np.median(stamps_ns))
+        near = np.abs((stamps_ns - (usual_ns or 0)).astype(np.float64)) <= _LONGEST_NS
+        counts[one.topic] += int((~near).sum())
+        series.append(_in_order(stamps_ns[near], values[near], bag.start_ns))
+    return series, {topic: count for topic, count in counts.items() if count}
 
 
 def _rows(bag: Bag, wanted: _Wanted, table: TopicTable) -> Rows:
@@ -199,12 +228,12 @@ def _rows(bag: Bag, wanted: _Wanted, table: TopicTable) -> Rows:
     return table.rows(wanted.kind)
 
 
-def _in_order(parts: list[_Readings], start_ns: int) -> Series:
-    stamps_ns, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    if (np.diff(stamps_ns) <= 0).any():
-        stamps_ns, first = np.unique(stamps_ns, return_index=True)
+def _in_order(stamps_ns: NDArray[np.int64], values: FloatArray, start_ns: int) -> Series:
+    t = (stamps_ns - start_ns) * 1e-9
+    if (np.diff(t) <= 0.0).any():
+        t, first = np.unique(t, return_index=True)
         values = values[first]
-    return Series((stamps_ns - start_ns) * 1e-9, values)
+    return Series(t, values)
 
 
 def _sprockets(rows: Rows) -> FloatArray:
@@ -233,7 +262,7 @@ def _hydraulics(rows: Rows) -> FloatArray:
 def _integrated(readings: Series) -> Series:
     """Angles: the positions, or where any is missing the integral of the speeds."""
     t, values = readings
-    if np.isfinite(values[:, 2:]).all():
+    if (np.abs(values[:, 2:]) <= _MOST_ANGLE).all():
         return Series(t, values[:, 2:])
     steps = values[1:, :2] * np.diff(t)[:, np.newaxis]
     return Series(t, np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0))))

@@ -42,7 +42,8 @@ class Fit(NamedTuple):
 
     def spread(self, index: int = 0) -> float:
         """Half the width of a coefficient's 95 % interval."""
-        return half_width(math.sqrt(self.covariance[index, index]), self.dof)
+        variance = float(self.covariance[index, index])
+        return half_width(math.sqrt(variance), self.dof) if variance >= 0.0 else math.nan
 
 
 class Increments(NamedTuple):

@@ -48,7 +48,7 @@ def gyro_delay(recordings: Sequence[Recording]) -> Finding:
     for _ in range(_ROUNDS):
         fit, step, unexplained = _against_sprockets(turning, late)
         late += step
-    if fit is None:
+    if fit is None or not fit.values[0]:
         return refused("the drive is too short", "s")
     if unexplained > _WEAK:
         return refused(f"the yaw rate follows the tracks badly: {unexplained:.0%} of it is left over", "s")

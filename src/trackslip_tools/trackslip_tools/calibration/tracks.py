@@ -90,7 +90,7 @@ def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
         reason = f"{len(turned)} turns of {_SHORTEST_TURN:g} s with the gyro recorded; needed: {LEAST_TURNS}"
         return Turns(refused(reason, "1"), float("nan"))
     fit = clustered(differences[:, np.newaxis], turned, np.arange(len(turned)))
-    if fit is None:
+    if fit is None or not fit.values[0]:
         return Turns(refused("one turn outweighs all others", "1"), float("nan"))
     basis = f"{len(turned)} turns, {np.abs(turned).sum():.1f} rad"
     return Turns(found(fit.values[0], fit.spread(), "1", basis), float(np.std(turned / differences, ddof=1)))

@@ -72,6 +72,9 @@ def run(args: argparse.Namespace) -> int:
                 require_topics(bag, filter(None, (args.gyro, args.poses)))
                 moved_on = in_shares(advance, bag.duration_s)
                 recordings.append(read_recording(bag, gyro, poses, p.motion, compass, moved_on))
+            for topic, count in recordings[-1].left_out.items():
+                why = "no numbers of a machine, or stamped by another clock"
+                show(f"note: {path}: {count} messages of {topic} are left out: {why}", file=sys.stderr)
     with counted(None, "calibrating"):
         result = calibrate(recordings, p, (gyro, poses), hard_ground=args.hard_ground, everything=args.all)
     names = [str(path) for path in args.bags]

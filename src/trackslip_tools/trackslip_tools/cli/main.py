@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from trackslip_common.console import end_of_output
+from trackslip_common.console import end_of_output, escape_unencodable
 from trackslip_common.errors import ExitCode, InputError, did_you_mean
 from trackslip_common.start import collect_garbage_seldom, repeat_lost_interrupts, was_interrupted
 from trackslip_tools.cli.commands import Command, commands
@@ -40,6 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     if argv is None:  # a process of its own
         _open_closed_output()
+        escape_unencodable()
         repeat_lost_interrupts()
         collect_garbage_seldom()
         atexit.register(gc.freeze)  # else all that it holds is looked through before it ends: 0.3 s

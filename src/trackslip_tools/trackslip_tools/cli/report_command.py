@@ -9,6 +9,7 @@ from pathlib import Path
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.errors import ExitCode, InputError, show
+from trackslip_common.whole_file import write_whole
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import fleet_command, replay_options, worker_options
@@ -28,7 +29,6 @@ from trackslip_tools.report.panel import MOST_RUNS
 from trackslip_tools.report.recording import Recording, read_recording
 from trackslip_tools.report.run import Run
 from trackslip_tools.smoothing.smooth_bag import smooth_bag
-from trackslip_common.whole_file import write_whole
 
 EXAMPLE = "trackslip report out/demo/bag --params own --params tuned.yaml --output report.html"
 
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
             recordings[path] = runs[-1].recording
     page = _page(runs, limits)
     _write(args.output, page)
-    show(f"report: {args.output} ({len(page.encode()) / 1e6:.1f} MB)")
+    show(f"report: {args.output} ({len(page) / 1e6:.1f} MB)")
     return ExitCode.DONE if not all(one.replay.no_estimate for one in runs) else ExitCode.FAILED
 
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from trackslip_common.errors import InputError
+from trackslip_common.whole_file import write_whole
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.table import COLUMNS, names
-from trackslip_common.whole_file import write_whole
 
 INDEX = "index.html"
 

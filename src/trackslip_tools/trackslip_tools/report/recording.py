@@ -28,6 +28,9 @@ SCAN = "scan"
 _NUMBERS = {FORCES: ForceFields, SOIL: SoilFields, TRUE_SOIL: SoilFields}
 _SCANS = 60  # of a bag, evenly spread: enough to see walls and the way of the box
 _CELL = 0.04  # m; of points closer together one is shown
+_MOST_RANGES = 5000  # of a scan
+_FARTHEST = 1000.0  # m, from a laser
+_MOST_TURNS = 100.0  # rad
 _FEW = 5  # messages that make no rate
 _GAP_PERIODS, _LEAST_GAP = 5.0, 0.1  # a gap: longer than so many usual periods, and than so many s
 
@@ -140,13 +143,13 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
             logged[name].append(table.log_times_ns)
             if name in numbers:
                 numbers[name].add_table(table)
-            elif name == SCAN:
+            elif name == SCAN and table.type_name == TOPICS[SCAN].type_name:
                 scans.add(table)
             elif name == DIAGNOSTICS and table.type_name == TOPICS[DIAGNOSTICS].type_name:
                 _add_lights(lights, table, bag.start_ns)
     none = [np.empty(0, np.int64)]
     times = {name: np.concatenate(none + logged.pop(name)) for name in sorted(logged)}
-    laser, points = _laser_view(scans.chosen)
+    laser, points = scans.view()
     return Recording(
         path=str(bag.path),
         start_ns=bag.start_ns,
@@ -170,35 +173,43 @@ def _add_lights(lights: LightLog, table: TopicTable, start_ns: int) -> None:
 
 
 class _Scans:
-    """Some of so many scans, evenly spread."""
+    """What the laser saw in some of so many scans, evenly spread, by the site's numbers in ``config/``."""
 
     def __init__(self, count: int) -> None:
-        self.chosen: list[Any] = []
         self._stride = -(-count // _SCANS) or 1
         self._seen = 0
+        self._site: BoxNodeParameters | None = None
+        self._clouds: list[FloatArray] = []  # (n, 2) m from the laser
 
     def add(self, table: TopicTable) -> None:
         """More of them."""
+        if self._site is None:
+            self._site = load_parameters(BoxNodeParameters, NODE, DEFAULT_FILES)
         first = (-self._seen - 1) % self._stride
-        self.chosen += map(table.message, range(first, len(table), self._stride))
+        for k in range(first, len(table), self._stride):
+            self._clouds.append(_cloud(table.message(k), self._site.laser_yaw))
         self._seen += len(table)
+
+    def view(self) -> tuple[FloatArray | None, FloatArray]:
+        """The laser's place, and the points (n, 2) that it saw, m in odom; None where there is no scan."""
+        if self._site is None or not self._clouds:
+            return None, np.empty((0, 2))
+        place, points = np.array((self._site.laser_x, self._site.laser_y)), np.concatenate(self._clouds)
+        _, first = np.unique(np.round(points / _CELL), axis=0, return_index=True)
+        return place, place + points[np.sort(first)]
+
+
+def _cloud(scan: Any, laser_yaw: float) -> FloatArray:
+    """(n, 2) points of one scan in the axes of odom, m from the laser; those of no direction are left out."""
+    ranges = np.asarray(scan.ranges[:_MOST_RANGES], dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        angles = laser_yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    seen = (
+        (ranges > scan.range_min) & (ranges < min(scan.range_max, _FARTHEST)) & (np.abs(angles) < _MOST_TURNS)
+    )
+    angles, ranges = angles[seen], ranges[seen]
+    return np.asarray(ranges[:, np.newaxis] * np.stack((np.cos(angles), np.sin(angles)), axis=-1))
 
 
 def _seconds(stamps_ns: Sequence[int] | NDArray[np.int64], start_ns: int) -> FloatArray:
     return np.asarray((np.asarray(stamps_ns, dtype=np.int64) - start_ns) * 1e-9, dtype=np.float64)
-
-
-def _laser_view(scans: list[Any]) -> tuple[FloatArray | None, FloatArray]:
-    """The laser's place and the points (n, 2) that it saw, by the site's numbers in ``config/``."""
-    if not scans:
-        return None, np.empty((0, 2))
-    p = load_parameters(BoxNodeParameters, NODE, DEFAULT_FILES)
-    clouds = []
-    for scan in scans:
-        ranges = np.asarray(scan.ranges, dtype=np.float64)
-        seen = np.isfinite(ranges) & (ranges > scan.range_min) & (ranges < scan.range_max)
-        angles = p.laser_yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(seen)
-        clouds.append(ranges[seen, np.newaxis] * np.stack((np.cos(angles), np.sin(angles)), axis=-1))
-    place = np.array((p.laser_x, p.laser_y))
-    _, first = np.unique(np.round(np.concatenate(clouds) / _CELL), axis=0, return_index=True)
-    return place, place + np.concatenate(clouds)[np.sort(first)]

@@ -12,11 +12,11 @@ import yaml
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
+from trackslip_common.whole_file import write_whole
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_tools.tuning.plan import changed, expanded
 from trackslip_tools.tuning.task import Score
 from trackslip_tools.tuning.tuner import Tuning
-from trackslip_common.whole_file import write_whole
 
 PARAMETERS, TABLE, NUMBERS, JOURNAL = "slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl"
 

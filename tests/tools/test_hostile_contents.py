@@ -1,0 +1,265 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags whose messages, metadata or names are hostile: each command ends with its result, or with one line.
+
+``scripts/hostile_recordings.py`` (``make fuzz``) has thousands of such bags.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from mcap.writer import Writer
+
+from trackslip_bags.messages import make
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import ExitCode
+from trackslip_tools.cli.main import main
+
+WriteBag = Callable[..., Path]
+GYRO, TEXT = "imu/data_raw", "std_msgs/msg/String"
+VEHICLE = "{{name: x, kinematics: {{rolling_radius: 0.159, tread: {tread}, contact_length: 1.0}}}}"
+
+
+def changed(lines: list[Any], topic: str, change: Callable[[Any], None], every: int) -> list[Any]:
+    """The lines, with each so manieth message of a topic changed."""
+    found, seen = [], 0
+    for line in lines:
+        if line.topic == topic:
+            seen += 1
+            if seen % every == 0:
+                line = line._replace(message=deepcopy(line.message))
+                change(line.message)
+        found.append(line)
+    return found
+
+
+def set_rate(value: float) -> Callable[[Any], None]:
+    def change(message: Any) -> None:
+        message.angular_velocity.z = value
+
+    return change
+
+
+def set_stamp(sec: int, nanosec: int = 0) -> Callable[[Any], None]:
+    def change(message: Any) -> None:
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *(set_rate(value) for value in (float("nan"), float("inf"), 1e308, -1e30)),
+        *(set_stamp(sec) for sec in (-(2**31), -1, 0, 2**31 - 1)),
+    ],
+    ids=["nan", "inf", "1e308", "-1e30", "1901", "1969", "1970", "2038"],
+)
+def test_gyro_readings_that_are_none_are_left_out_of_a_calibration(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, capsys: pytest.CaptureFixture[str], change: Any
+) -> None:
+    path = write_bag(tmp_path / "bag", changed(lines, GYRO, change, 40))
+    output = tmp_path / "calibration.yaml"
+    assert main(["calibrate", str(path), "--all", "--output", str(output)]) in (0, 1)
+    shown = capsys.readouterr()
+    assert f"2 messages of {GYRO} are left out" in shown.err
+    assert "nan" not in shown.out
+    assert not output.exists() or ".nan" not in output.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("command", ["smooth", "replay"])
+def test_estimates_before_1970_are_written(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, command: str
+) -> None:
+    def earlier(message: Any) -> None:
+        message.header.stamp.sec -= 1_700_001_000
+
+    early = lines
+    for topic in {line.topic for line in lines}:
+        early = changed(early, topic, earlier, 1)
+    path = write_bag(tmp_path / "bag", early)
+    assert main([command, str(path), "--output", str(tmp_path / "out")]) == ExitCode.DONE
+    with open_bag(tmp_path / "out") as made:
+        assert made.message_count > 0
+        assert made.start_ns == 0
+
+
+def test_scan_of_another_type_is_no_laser(tmp_path: Path, lines: list[Any], write_bag: WriteBag) -> None:
+    scan = lines[0]._replace(topic="scan", type_name=TEXT, message=make(TEXT, data="hello"))
+    path = write_bag(tmp_path / "bag", [scan, *lines])
+    assert main(["report", str(path), "--output", str(tmp_path / "report.html")]) == ExitCode.DONE
+
+
+@pytest.mark.parametrize("ranges", [0, 3, 1_000_000])
+@pytest.mark.parametrize("angle", [float("nan"), float("inf"), 1e30, 0.01])
+def test_scan_of_no_direction_has_no_points(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, ranges: int, angle: float
+) -> None:
+    content = {
+        "ranges": np.full(ranges, 3.0),
+        "angle_min": angle,
+        "angle_increment": angle,
+        "range_max": 80.0,
+    }
+    kind = "sensor_msgs/msg/LaserScan"
+    message = make(kind, header=lines[0].message.header, **content)
+    path = write_bag(
+        tmp_path / "bag", [lines[0]._replace(topic="scan", type_name=kind, message=message), *lines]
+    )
+    assert main(["report", str(path), "--stop", "1", "--output", str(tmp_path / "report.html")]) in (0, 1)
+
+
+@pytest.mark.parametrize("command", ["info", "replay", "report", "smooth", "calibrate"])
+def test_vehicle_of_no_size_in_a_bag_is_refused(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, refuse: Callable[..., str], command: str
+) -> None:
+    text = make(TEXT, data=VEHICLE.format(tread="1.0e-30"))
+    path = write_bag(
+        tmp_path / "bag", [lines[0]._replace(topic="vehicle", type_name=TEXT, message=text), *lines]
+    )
+    options = ["--output", tmp_path / "report.html"] if command == "report" else []
+    assert "kinematics.tread: 1e-30 is out of range; accepted: >= 0.02" in refuse(command, path, *options)
+
+
+def test_name_that_is_no_unicode_in_a_vehicle_is_refused(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, refuse: Callable[..., str]
+) -> None:
+    text = VEHICLE.format(tread="0.73").replace("name: x", 'name: "\\ud800"')
+    message = make(TEXT, data=text)
+    path = write_bag(tmp_path / "bag", [lines[0]._replace(topic="vehicle", type_name=TEXT, message=message)])
+    assert "half of a surrogate pair" in refuse("info", path)
+
+
+def change_metadata(bag: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    path = bag / "metadata.yaml"
+    tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    change(tree["rosbag2_bagfile_information"])
+    path.write_text(yaml.safe_dump(tree), encoding="utf-8")
+
+
+@pytest.mark.parametrize("ns", [-(2**63), -1, 2**62, 2**63 - 1, 10**30])
+@pytest.mark.parametrize("command", ["info", "report"])
+def test_times_of_a_bag_are_those_of_its_files(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, command: str, ns: int
+) -> None:
+    def absurd(information: dict[str, Any]) -> None:
+        information["starting_time"]["nanoseconds_since_epoch"] = ns
+        information["duration"]["nanoseconds"] = ns
+
+    path = write_bag(tmp_path / "bag", lines)
+    with open_bag(path) as bag:
+        stated = bag.start_ns, bag.end_ns, bag.message_count
+    change_metadata(path, absurd)
+    with open_bag(path) as bag:
+        assert (bag.start_ns, bag.end_ns, bag.message_count) == stated
+        assert not bag.damage
+    options = ["--stop", "1", "--output", str(tmp_path / "report.html")] if command == "report" else []
+    assert main([command, str(path), *options]) == ExitCode.DONE
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_file_that_the_metadata_name_2000_times_is_read_once(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, linked: bool
+) -> None:
+    def again(information: dict[str, Any]) -> None:
+        (own,) = information["relative_file_paths"]
+        names = [f"link_{k}.mcap" for k in range(2000)] if linked else [own] * 2000
+        for name in names if linked else ():
+            (path / name).symlink_to(own)
+        information["relative_file_paths"] = [own, *names]
+
+    path = write_bag(tmp_path / "bag", lines[:20])
+    change_metadata(path, again)
+    with open_bag(path) as bag:
+        assert bag.message_count == 20
+        assert len(bag.sources) == 1
+        assert "is there twice; accepted: each file once" in bag.damage
+        assert len(list(bag.messages())) == 20
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("topics_with_message_count", [{"topic_metadata": {"name": "/a", "type": "b"}, "message_count": -1}]),
+        ("topics_with_message_count", [{"topic_metadata": {"name": 1, "type": "b"}, "message_count": 1}]),
+        ("topics_with_message_count", [None]),
+        ("topics_with_message_count", "x"),
+        ("relative_file_paths", [1]),
+        ("relative_file_paths", [""]),
+        ("relative_file_paths", ["\0"]),
+        ("relative_file_paths", None),
+    ],
+)
+def test_bag_with_absurd_metadata_is_read_without_them(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, name: str, value: Any
+) -> None:
+    path = write_bag(tmp_path / "bag", lines[:20])
+    change_metadata(path, lambda information: information.update({name: value}))
+    with open_bag(path) as bag:
+        assert "metadata.yaml" in bag.damage
+        assert bag.damage.isprintable()
+        assert bag.message_count == 20
+
+
+@pytest.mark.parametrize("has_metadata", [False, True])
+def test_bag_of_more_topics_than_any_has_is_read_as_far_as_that(tmp_path: Path, has_metadata: bool) -> None:
+    """One of 60 000 schemas took ``recover`` more than a minute."""
+    file = tmp_path / "bag.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        for k in range(20_000):
+            schema = writer.register_schema(f"a/msg/B{k}", "ros2msg", b"int32 x")
+            channel = writer.register_channel(f"/t{k}", "cdr", schema)
+            if k % 5000 == 0:
+                writer.add_message(channel, 10**18 + k, b"\0\1\0\0\1\0\0\0", 10**18 + k)
+        writer.finish()  # type: ignore[no-untyped-call]
+    if has_metadata:
+        topics = [{"topic_metadata": {"name": f"/t{k}"}, "message_count": 0} for k in range(20_000)]
+        information = {"topics_with_message_count": topics, "relative_file_paths": [file.name]}
+        (tmp_path / "metadata.yaml").write_text(yaml.dump({"rosbag2_bagfile_information": information}))
+    with open_bag(tmp_path if has_metadata else file) as bag:
+        assert (len(bag.topics), bag.message_count) == (4096, 1)
+        assert "unusable records" in bag.damage
+    assert main(["recover", str(file), "--output", str(tmp_path / "recovered")]) == ExitCode.DONE
+    with open_bag(tmp_path / "recovered") as bag:
+        assert (len(bag.topics), bag.message_count, bag.damage) == (4096, 1, "")
+
+
+@pytest.mark.parametrize("name", [b"b\xff\xfe", "\u2028".encode(), b"a\nb"])
+def test_bag_of_any_name_is_worked_with(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag, capsys: pytest.CaptureFixture[str], name: bytes
+) -> None:
+    path = write_bag(tmp_path / "bag", lines).rename(tmp_path / os.fsdecode(name))
+    out = tmp_path / "out"
+    out.mkdir()
+    for words in (
+        "info BAG",
+        f"replay BAG --stop 1 --json {out}/replay.json",
+        f"report BAG --stop 1 --output {out}/report.html",
+        f"calibrate BAG --all --output {out}/calibration.yaml --json {out}/calibration.json",
+        f"recover BAG --output {out}/recovered",
+    ):
+        assert main([str(path) if word == "BAG" else word for word in words.split()]) in (0, 1)
+    shown = capsys.readouterr()
+    assert all(line.isprintable() for line in (shown.out + shown.err).split("\n"))
+    assert all(file.read_bytes().decode() for file in out.iterdir() if file.is_file())
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
+def test_output_in_an_encoding_without_our_signs_is_escaped(bag: Path, encoding: str) -> None:
+    command = [sys.executable, "-m", "trackslip_tools.cli.main", "calibrate", str(bag)]
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(command, capture_output=True, env=environment, check=False)
+    assert done.returncode in (0, 1)
+    assert not done.stderr
+    assert "turning_efficiency" in done.stdout.decode(encoding)
+    assert ("\\u2013" in done.stdout.decode(encoding)) == (encoding != "cp1252")
