@@ -10,6 +10,7 @@ OUTPUT ?=
 LIVE ?=
 RUNS ?=
 FILES ?=
+BAGS ?=
 SPEED ?=
 SEEDS ?=
 ARGS ?=
@@ -76,8 +77,9 @@ bench: setup ## speed of filters and drivers on this machine
 	@$(VENV)/python -m pip install -q -r requirements/bench.txt
 	@$(ENTER) exec $(VENV)/python scripts/bench.py
 
-fuzz: setup ## hostile files for every reader (FILES=500 each), then random bytes into every decoder (RUNS=1000000 per byte parser)
+fuzz: setup ## hostile files for every reader (FILES=500 each), hostile bags for every command (BAGS=246), then random bytes into every decoder (RUNS=1000000 per byte parser)
 	@$(ENTER) $(VENV)/python scripts/hostile_files.py $(if $(FILES),--files '$(FILES)')
+	@$(ENTER) $(VENV)/python scripts/hostile_recordings.py $(if $(BAGS),--bags '$(BAGS)')
 	@$(ENTER) exec $(VENV)/python scripts/fuzz.py $(if $(RUNS),--runs '$(RUNS)')
 
 bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--numbers: only what replays of them give)

@@ -9,8 +9,6 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from trackslip_common.yaml_text import is_unicode
-
 METADATA = "metadata.yaml"  # in the directory of each bag
 METADATA_VERSION = 9  # Jazzy, Kilted
 
@@ -102,13 +100,16 @@ def check_metadata(bag: Path) -> None:
     information = tree.get("rosbag2_bagfile_information") if isinstance(tree, dict) else None
     if not isinstance(information, dict):
         raise ValueError(f"{METADATA}: no rosbag2_bagfile_information")
-    topics, files = (information.get(name) for name in (_TOPICS, _FILES))
-    for name, found, most in ((_TOPICS, topics, MOST_TOPICS), (_FILES, files, MOST_FILES)):
-        if not isinstance(found, list) or len(found) > most:
-            size = f"{len(found)} entries" if isinstance(found, list) else "no list"
-            raise ValueError(f"{METADATA}: {name}: {size}; accepted: a list of up to {most}")
-    _check_topics(topics)
-    _check_files(bag, files)
+    _check_topics(_listed(information, _TOPICS, MOST_TOPICS))
+    _check_files(bag, _listed(information, _FILES, MOST_FILES))
+
+
+def _listed(information: Mapping[str, Any], name: str, most: int) -> list[Any]:
+    found = information.get(name)
+    if not isinstance(found, list) or len(found) > most:
+        size = f"{len(found)} entries" if isinstance(found, list) else "no list"
+        raise ValueError(f"{METADATA}: {name}: {size}; accepted: a list of up to {most}")
+    return found
 
 
 def _check_topics(topics: Iterable[Any]) -> None:
@@ -120,7 +121,7 @@ def _check_topics(topics: Iterable[Any]) -> None:
         if type(count) is not int or not 0 <= count < 2**63:
             raise ValueError(f"{METADATA}: message_count: {count!r:.40}; accepted: a whole number, 0 or more")
         for name in ("name", "type"):
-            if not isinstance(about.get(name), str) or not is_unicode(about[name]):
+            if not isinstance(about.get(name), str):
                 raise ValueError(f"{METADATA}: {name}: {about.get(name)!r:.40}; accepted: a text")
 
 

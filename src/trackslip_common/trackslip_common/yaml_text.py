@@ -49,8 +49,6 @@ class _Loader(Composer, yaml.CSafeLoader):
             self._values += self._values_of[node]
         else:
             self._values += 1
-            if isinstance(node, yaml.ScalarNode) and not is_unicode(node.value):
-                raise _refused(event, "half of a surrogate pair, which is no text")
             _check_keys(node)
             self._values_of[node] = self._values - before
         if self._values > _MOST:
@@ -88,11 +86,6 @@ def parse_yaml(text: str, where: str) -> Any:
         is_text = isinstance(error, (yaml.YAMLError, ValueError))
         reason = " ".join(str(error).split()) if is_text else "a value that is not of its tag"
         raise InputError(f"{where}: not YAML ({reason})") from error
-
-
-def is_unicode(text: str) -> bool:
-    """Whether a text can be written: by its escapes YAML may hold halves of surrogate pairs."""
-    return not any("\ud800" <= c <= "\udfff" for c in text)
 
 
 def _check_keys(node: yaml.Node) -> None:

@@ -62,13 +62,16 @@ def read_dbc(path: Path) -> Database:
         except UnicodeDecodeError:
             text = content.decode("cp1252")  # as tools for Windows write it
         _check(where, _UNREAD.sub(_blank, text))
-        return cantools.database.load_string(text, database_format="dbc", strict=False)
+        database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except InputError:
         raise
     except (OSError, UnicodeDecodeError, CantoolsError) as error:
         raise InputError(f"{where}: not a usable DBC ({error_line(error)})") from error
     except Exception as error:  # damaged text can raise anything in the parser
         raise InputError(f"{where}: not a usable DBC ({type(error).__name__})") from error
+    if not isinstance(database, Database):
+        raise InputError(f"{where}: not a DBC of CAN frames")
+    return database
 
 
 def error_line(error: Exception) -> str:

@@ -229,7 +229,7 @@ def _rows(bag: Bag, wanted: _Wanted, table: TopicTable) -> Rows:
 
 
 def _in_order(stamps_ns: NDArray[np.int64], values: FloatArray, start_ns: int) -> Series:
-    t = (stamps_ns - start_ns) * 1e-9
+    t: FloatArray = np.asarray((stamps_ns - start_ns) * 1e-9, dtype=np.float64)
     if (np.diff(t) <= 0.0).any():
         t, first = np.unique(t, return_index=True)
         values = values[first]

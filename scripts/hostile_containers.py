@@ -1,0 +1,536 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that are hostile around their messages: metadata, records of MCAP, names of files, others beside."""
+
+import os
+import struct
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import yaml
+from mcap.writer import CompressionType, IndexType, Writer
+
+from hostile_messages import Family, good, write
+
+_INFORMATION = "rosbag2_bagfile_information"
+_TIMES: tuple[Any, ...] = (
+    -1,
+    0,
+    1,
+    -(2**63),
+    2**62,
+    2**63 - 2,
+    2**63 - 1,
+    2**63,
+    10**30,
+    1.5,
+    1e300,
+    "x",
+    None,
+    [],
+    {},
+    True,
+)
+_COUNTS: tuple[Any, ...] = (-1, 0, 1, 2**62, 10**30, 1.5, "x", None, [])
+_WORDS: tuple[Any, ...] = (
+    "",
+    "x",
+    "\x1b[2J",
+    "a" * 100_000,
+    "\udcff",
+    1,
+    None,
+    [],
+    {},
+    "/",
+    "std_msgs/msg/String",
+    "a/b/c/d",
+)
+_FIELDS: dict[tuple[Any, ...], tuple[Any, ...]] = {
+    ("version",): (-1, 0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 99, 10**30, "x", None, 1.5),
+    ("storage_identifier",): ("sqlite3", *_WORDS),
+    ("duration", "nanoseconds"): _TIMES,
+    ("starting_time", "nanoseconds_since_epoch"): _TIMES,
+    ("message_count",): _COUNTS,
+    ("duration",): (None, 1, "x", [], {}),
+    ("starting_time",): (None, 1, "x", [], {}),
+    ("compression_format",): ("zstd", "lz4", *_WORDS),
+    ("compression_mode",): ("FILE", "file", "MESSAGE", "message", *_WORDS),
+    ("topics_with_message_count",): (None, 1, "x", [], {}, [1], [{}], [None]),
+    ("topics_with_message_count", 0, "message_count"): _COUNTS,
+    ("topics_with_message_count", 0, "topic_metadata"): (None, 1, "x", [], {}),
+    ("topics_with_message_count", 0, "topic_metadata", "name"): _WORDS,
+    ("topics_with_message_count", 0, "topic_metadata", "type"): _WORDS,
+    ("topics_with_message_count", 0, "topic_metadata", "serialization_format"): ("cbor", *_WORDS),
+    ("topics_with_message_count", 0, "topic_metadata", "offered_qos_profiles"): (
+        *(
+            "",
+            "x",
+            "[" * 5000,
+            [],
+            [1],
+            {},
+            None,
+            [{}],
+            [{"history": 99}],
+            [{"depth": -1}],
+            "- history: 3\n" * 9000,
+        ),
+    ),
+    ("topics_with_message_count", 0, "topic_metadata", "type_description_hash"): _WORDS,
+    ("relative_file_paths",): (
+        None,
+        1,
+        "x",
+        [],
+        {},
+        [1],
+        [None],
+        [""],
+        ["."],
+        [".."],
+        ["/"],
+        ["metadata.yaml"],
+    ),
+    ("relative_file_paths", 0): (
+        *(
+            "/dev/zero",
+            "/etc/passwd",
+            "../../../../etc/passwd",
+            "\0",
+            "a" * 5000,
+            "x.db3",
+            "x.mcap",
+            "bag_0.mcap/",
+            "~",
+        ),
+    ),
+    ("files",): (None, 1, "x", [], {}, [1], [{}], [None]),
+    ("files", 0, "path"): ("/dev/zero", "../x", 1, None, "\0"),
+    ("files", 0, "duration", "nanoseconds"): _TIMES,
+    ("files", 0, "starting_time", "nanoseconds_since_epoch"): _TIMES,
+    ("files", 0, "message_count"): _COUNTS,
+    ("custom_data",): (1, "x", [], {"a": "b" * 100_000}, [None], {1: 2}),
+    ("ros_distro",): (1, None, [], "a" * 100_000, "\x1b[2J"),
+}
+
+
+def metadata() -> Family:
+    """One value of ``metadata.yaml``, and texts that are none."""
+    for names, values in _FIELDS.items():
+        for value in values:
+
+            def swap(tree: dict[str, Any], names: tuple[Any, ...] = names, value: Any = value) -> None:
+                branch: Any = tree[_INFORMATION]
+                for name in names[:-1]:
+                    branch = branch[name]
+                branch[names[-1]] = value
+
+            yield f"metadata.{'.'.join(map(str, names))}={value!r:.40}", partial(_with_tree, swap)
+    for name in (
+        "version",
+        "duration",
+        "starting_time",
+        "message_count",
+        "relative_file_paths",
+        "storage_identifier",
+    ):
+
+        def drop(tree: dict[str, Any], name: str = name) -> None:
+            del tree[_INFORMATION][name]
+
+        yield f"metadata without {name}", partial(_with_tree, drop)
+    for count in (2, 100, 2000, 20_000):
+
+        def repeat(tree: dict[str, Any], count: int = count) -> None:
+            tree[_INFORMATION]["relative_file_paths"] *= count
+            tree[_INFORMATION]["files"] *= count
+
+        def topics(tree: dict[str, Any], count: int = count) -> None:
+            tree[_INFORMATION]["topics_with_message_count"] *= count
+
+        yield f"metadata with one file {count} times", partial(_with_tree, repeat)
+        yield f"metadata with topics {count} times", partial(_with_tree, topics)
+        for form in ("./" * count + "bag_0.mcap", "x/../" * min(count, 100) + "bag_0.mcap"):
+
+            def dotted(tree: dict[str, Any], form: str = form, count: int = count) -> None:
+                own = tree[_INFORMATION]["relative_file_paths"]
+                tree[_INFORMATION]["relative_file_paths"] = (
+                    own + ["./" * k + own[0] for k in range(min(count, 200))] + [form]
+                )
+
+            yield f"metadata with one file as {form[:9]} {count}", partial(_with_tree, dotted)
+    texts = {
+        "empty": b"",
+        "zeros": bytes(4096),
+        "not utf8": b"\xff\xfe\x80",
+        "word": b"x",
+        "list": b"- 1",
+        "null": b"~",
+        "brackets": b"[" * 100_000,
+        "flow": b"{" * 3000,
+        "digits": b"a: " + b"9" * 5000,
+        "large": b"# " + b"x" * 17_000_000,
+        "large list": b"rosbag2_bagfile_information:\n" + b"  - x\n" * 800_000,
+        "tag": b"!!python/object:os.system ls",
+        "bomb": b"a: &a [x,x]\n" + b"".join(b"b%d: &b%d [*a,*a]\n" % (k, k) for k in range(20)),
+        "documents": b"---\n" * 5000,
+        "itself": b"rosbag2_bagfile_information: &a {version: *a}",
+        "tab": b"\t",
+        "bomb of nine": _bomb(),
+    }
+    for name, text in texts.items():
+        yield f"metadata={name}", partial(_with_text, text)
+
+
+def _bomb() -> bytes:
+    rows = ["a0: &a0 [x,x,x,x,x,x,x,x,x]"] + [
+        f"a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)
+    ]
+    return "\n".join(rows).encode()
+
+
+def _with_tree(change: Callable[[dict[str, Any]], None], folder: Path) -> Path:
+    bag = write(good(), folder)
+    tree = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
+    change(tree)
+    yaml.Dumper.ignore_aliases = lambda *_: True  # type: ignore[method-assign]
+    text = yaml.dump(tree, sort_keys=False, Dumper=yaml.Dumper)
+    (bag / "metadata.yaml").write_bytes(text.encode("utf-8", "surrogateescape"))
+    return bag
+
+
+def _with_text(text: bytes, folder: Path) -> Path:
+    bag = write(good(), folder)
+    (bag / "metadata.yaml").write_bytes(text)
+    return bag
+
+
+# --- MCAP
+
+
+def damages() -> Family:
+    """The file cut, with bytes changed, holes, tails."""
+    ways: dict[str, Callable[[bytearray], bytes]] = {
+        "twice": lambda b: bytes(b + b),
+        "head twice": lambda b: bytes(b[: len(b) // 2] + b),
+        "tail": lambda b: bytes(b) + bytes(100_000),
+        "long record": lambda b: bytes(b[:8]) + b"\x01" + (2**63).to_bytes(8, "little") + bytes(b[17:]),
+        "no magic at the end": lambda b: bytes(b[:-8]),
+        "reversed": lambda b: bytes(b[::-1]),
+    }
+    for share in (0.0, 0.001, 0.02, 0.1, 0.3, 0.6, 0.95, 0.97, 0.99, 0.999):
+        ways[f"cut at {share:g}"] = partial(_cut, share)
+        ways[f"zeros at {share:g}"] = partial(_over, share, bytes(5000))
+        ways[f"ones at {share:g}"] = partial(_over, share, b"\xff" * 9)
+    for name, way in ways.items():
+        for bare in (False, True):
+
+            def made(folder: Path, way: Callable[[bytearray], bytes] = way, bare: bool = bare) -> Path:
+                bag = write(good(), folder)
+                (file,) = bag.glob("*.mcap")
+                file.write_bytes(way(bytearray(file.read_bytes())))
+                if bare:
+                    (bag / "metadata.yaml").unlink()
+                return bag
+
+            yield f"damage={name}{' bare' * bare}", made
+
+
+def _cut(share: float, content: bytearray) -> bytes:
+    return bytes(content[: int(share * len(content))])
+
+
+def _over(share: float, piece: bytes, content: bytearray) -> bytes:
+    at = int(share * len(content))
+    content[at : at + len(piece)] = piece
+    return bytes(content)
+
+
+def records() -> Family:
+    """MCAP files of strange records."""
+    writers: dict[str, Callable[[Writer], None]] = {
+        "60000 schemas": lambda w: _many(w, schemas=60_000, channels=1),
+        "60000 channels": lambda w: _many(w, schemas=1, channels=60_000),
+        "20000 of both": lambda w: _many(w, schemas=20_000, channels=20_000),
+        "3000 topics with a message": lambda w: _many(w, schemas=3000, channels=3000, messages=3000),
+        "a message on each of 60000": lambda w: _many(w, schemas=1, channels=60_000, messages=60_000),
+        "schemas of 100 kB": lambda w: _many(w, schemas=500, channels=500, size=100_000),
+        "one schema of 50 MB": lambda w: _many(w, schemas=1, channels=1, size=50_000_000),
+        "400000 empty messages": lambda w: _many(w, schemas=1, channels=1, messages=400_000, content=b""),
+        "a message of 200 MB": lambda w: _many(
+            w, schemas=1, channels=1, messages=1, content=bytes(200_000_000)
+        ),
+        "ten messages of 60 MB": lambda w: _many(
+            w, schemas=1, channels=1, messages=10, content=bytes(60_000_000)
+        ),
+        "a message of 200 MB of text": lambda w: _text(w, 200_000_000),
+        "an array of 10^7 values": _large_array,
+        "attachments": _attachments,
+        "metadata records": _metadata_records,
+        "definition of itself": lambda w: _defined(w, "a/msg/B x\n" + "=" * 80 + "\nMSG: a/B\na/B y"),
+        "definition of long arrays": lambda w: _defined(w, "float64[1000000000] x"),
+        "definition of nested arrays": lambda w: _defined(w, _nested(9)),
+        "definition of other fields": lambda w: _defined(w, "int32 x"),
+        "definition of no fields": lambda w: _defined(w, ""),
+        "definition of garbage": lambda w: _defined(w, "\x1b[2J ]] [["),
+        "definition of 10000 fields": lambda w: _defined(
+            w, "".join(f"float64 f{k}\n" for k in range(10_000))
+        ),
+        "definition with deep types": lambda w: _defined(w, _deep(300)),
+        "definition with sequences of sequences": lambda w: _defined(w, "string[<=5] x\nwstring y\nchar[] z"),
+        "definition in idl": lambda w: _defined(
+            w, "module a { module msg { struct B { double x; }; }; };", "ros2idl"
+        ),
+        "definition in protobuf": lambda w: _defined(w, "x", "protobuf"),
+        "definition of nobody": lambda w: _defined(w, "", ""),
+    }
+    for name, fill in writers.items():
+        for packed in (CompressionType.ZSTD, CompressionType.NONE):
+            if packed == CompressionType.NONE and "MB" in name:
+                continue
+            yield f"mcap={name} {packed.name}", partial(_mcap, fill, packed)
+    for name, indexes in (
+        ("no", IndexType.NONE),
+        ("attachment", IndexType.ATTACHMENT),
+        ("chunk", IndexType.CHUNK),
+    ):
+        yield f"mcap={name} index", partial(_mcap, _good, CompressionType.ZSTD, indexes)
+    yield "mcap=no chunks", partial(_mcap, _good, CompressionType.NONE, IndexType.ALL, chunks=False)
+    yield "mcap=tiny chunks", partial(_mcap, _good, CompressionType.NONE, IndexType.ALL, size=1)
+    yield "mcap=other encoding", partial(_mcap, partial(_good, encoding="ros1"), CompressionType.NONE)
+    yield "mcap=no schema", partial(_mcap, partial(_good, no_schema=True), CompressionType.NONE)
+    yield "mcap=100000 empty chunks", _empty_chunks
+    yield "mcap=200000 schemas bare", _bare_schemas
+
+
+def _mcap(
+    fill: Callable[[Writer], None], packed: CompressionType, indexes: IndexType = IndexType.ALL,
+    folder: Path = Path(), *, chunks: bool = True, size: int = 1 << 20,
+) -> Path:  # fmt: skip
+    file = folder / "bag.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream, compression=packed, index_types=indexes, use_chunking=chunks, chunk_size=size)
+        writer.start("ros2")
+        fill(writer)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return file
+
+
+def _many(
+    writer: Writer,
+    *,
+    schemas: int,
+    channels: int,
+    messages: int = 0,
+    size: int = 10,
+    content: bytes = b"\0\1\0\0\1\0\0\0\0",
+) -> None:
+    text = b"string data\n" + b"#" * size
+    known = [
+        writer.register_schema("std_msgs/msg/String" if k == 0 else f"a/msg/B{k}", "ros2msg", text)
+        for k in range(schemas)
+    ]
+    made = [writer.register_channel(f"/t{k}", "cdr", known[k % schemas]) for k in range(channels)]
+    for k in range(messages):
+        writer.add_message(made[k % channels], 10**18 + k, content, 10**18 + k)
+
+
+def _text(writer: Writer, size: int) -> None:
+    raw = b"\0\1\0\0" + struct.pack("<I", size + 1) + b"x" * size + b"\0"
+    schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+    for topic in ("/vehicle", "/slip_estimator/parameters", "/diagnostics"):
+        writer.add_message(writer.register_channel(topic, "cdr", schema), 10**18, raw, 10**18)
+
+
+def _large_array(writer: Writer) -> None:
+    raw = next(line for line in good() if line.topic == "/scan").raw
+    schema = writer.register_schema(
+        "sensor_msgs/msg/LaserScan", "ros2msg", _definition("sensor_msgs/msg/LaserScan")
+    )
+    channel = writer.register_channel("/scan", "cdr", schema)
+    length = raw.rindex(struct.pack("<I", 0)) if struct.pack("<I", 0) in raw else len(raw)
+    for k in range(3):
+        writer.add_message(
+            channel, 10**18 + k, raw[:length] + struct.pack("<I", 10**7) + bytes(4 * 10**7), 10**18 + k
+        )
+    _good(writer)
+
+
+def _definition(type_name: str) -> bytes:
+    from trackslip_bags.writer import own_schema
+
+    return own_schema(type_name).data
+
+
+def _attachments(writer: Writer) -> None:
+    for k in range(2000):
+        writer.add_attachment(k, k, f"a{k}", "text/plain", bytes(1000))
+    writer.add_attachment(1, 1, "\x1b[2J", "x", bytes(50_000_000))
+    _good(writer)
+
+
+def _metadata_records(writer: Writer) -> None:
+    for k in range(20_000):
+        writer.add_metadata(f"m{k}", {"a": "b" * 100})
+    _good(writer)
+
+
+def _defined(writer: Writer, text: str, encoding: str = "ros2msg") -> None:
+    """Each topic by its good name, with this as the definition of its type."""
+    types = sorted({line.type_name for line in good()})
+    schemas = {
+        name: writer.register_schema(name, encoding, text.replace("a/msg/B", name).encode()) for name in types
+    }
+    channels: dict[str, int] = {}
+    for line in good()[:2000]:
+        if line.topic not in channels:
+            channels[line.topic] = writer.register_channel(line.topic, "cdr", schemas[line.type_name])
+        writer.add_message(channels[line.topic], line.log_ns, line.raw, line.log_ns)
+
+
+def _nested(depth: int) -> str:
+    parts = [f"a/C{k}[1000] x" if k < depth else "float64[1000] x" for k in range(depth + 1)]
+    return "a/C0[1000] x\n" + "".join(
+        "=" * 80 + f"\nMSG: a/C{k}\n{part.replace(f'C{k}[', f'C{k + 1}[')}\n" for k, part in enumerate(parts)
+    )
+
+
+def _deep(depth: int) -> str:
+    parts = "".join("=" * 80 + f"\nMSG: a/C{k}\na/C{k + 1} x\n" for k in range(depth))
+    return f"a/C0 x\n{parts}" + "=" * 80 + f"\nMSG: a/C{depth}\nfloat64 x\n"
+
+
+def _good(writer: Writer, encoding: str = "cdr", *, no_schema: bool = False) -> None:
+    channels: dict[str, int] = {}
+    for line in good()[:4000]:
+        if line.topic not in channels:
+            schema = (
+                0
+                if no_schema
+                else writer.register_schema(line.type_name, "ros2msg", _definition(line.type_name))
+            )
+            channels[line.topic] = writer.register_channel(line.topic, encoding, schema)
+        writer.add_message(channels[line.topic], line.log_ns, line.raw, line.log_ns)
+
+
+_MAGIC = b"\x89MCAP0\r\n"
+
+
+def _record(opcode: int, content: bytes) -> bytes:
+    return bytes([opcode]) + struct.pack("<Q", len(content)) + content
+
+
+def _empty_chunks(folder: Path) -> Path:
+    file = folder / "bag.mcap"
+    chunk = _record(6, struct.pack("<QQQI", 5, 6, 0, 0) + struct.pack("<I", 0) + struct.pack("<Q", 0))
+    file.write_bytes(
+        _MAGIC + _record(1, struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)) + chunk * 100_000
+    )
+    return file
+
+
+def _bare_schemas(folder: Path) -> Path:
+    file, text = folder / "bag.mcap", b"string data"
+    with file.open("wb") as stream:
+        stream.write(_MAGIC + _record(1, struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)))
+        for k in range(200_000):
+            name = b"std_msgs/msg/String%d" % (k % 60_000)
+            parts = (
+                struct.pack("<H", k % 65535 + 1),
+                *(struct.pack("<I", len(x)) + x for x in (name, b"ros2msg", text)),
+            )
+            stream.write(_record(3, b"".join(parts)))
+            topic = b"/t%d" % k
+            words = *(struct.pack("<I", len(x)) + x for x in (topic, b"cdr")), struct.pack("<I", 0)
+            stream.write(_record(4, struct.pack("<HH", k % 65535, k % 65535 + 1) + b"".join(words)))
+    return file
+
+
+# --- names, and what lies beside
+
+
+def names() -> Family:
+    """Directories and files of strange names, and what is in a directory of a bag and none of its files."""
+    texts = {
+        "not utf8": b"b\xff\xfe",
+        "steering": b"\x1b[2J",
+        "line": b"a\nb",
+        "space": b" ",
+        "quote": b"'\"$(ls)",
+        "long": b"x" * 240,
+        "dots": b"...",
+        "wide": "\u2028\U0001f69c".encode(),
+        "hidden": b".bag",
+        "suffix": b"bag.mcap",
+        "yaml": b"metadata.yaml",
+        "dash": b"-x",
+        "percent": b"%s%n",
+        "braces": b"{0}",
+        "cp1252": b"M\xe4rz",
+    }
+    for name, text in texts.items():
+
+        def renamed(folder: Path, text: bytes = text) -> Path:
+            path = folder / os.fsdecode(text)
+            return write(good(), folder).rename(path)
+
+        def file_renamed(folder: Path, text: bytes = text) -> Path:
+            bag = write(good(), folder)
+            (file,) = bag.glob("*.mcap")
+            file.rename(bag / os.fsdecode(text[:200] + b".mcap"))
+            (bag / "metadata.yaml").unlink()
+            return bag
+
+        def bare(folder: Path, text: bytes = text) -> Path:
+            bag = write(good(), folder)
+            (file,) = bag.glob("*.mcap")
+            return file.rename(folder / os.fsdecode(text[:200] + b".mcap"))
+
+        yield f"name={name}", renamed
+        yield f"name of the file={name}", file_renamed
+        yield f"name of a bare file={name}", bare
+    beside: dict[str, Callable[[Path], object]] = {
+        "loop": lambda bag: _link(bag, "x.mcap", 1),
+        "link to nothing": lambda bag: _link(bag, "nothing", 1),
+        "folder.mcap": lambda bag: (bag / "x.mcap").mkdir(),
+        "pipe": lambda bag: os.mkfifo(bag / "x.mcap"),
+        "zeros": lambda bag: (bag / "x.mcap").symlink_to("/dev/zero"),
+        "empty file": lambda bag: (bag / "x.mcap").touch(),
+        "text": lambda bag: (bag / "x.db3").write_text("x"),
+        "2000 links to it": lambda bag: _link(bag, "bag_0.mcap", 2000),
+        "packed zeros": lambda bag: (bag / "x.mcap.zstd").write_bytes(_packed_zeros()),
+        "folders": lambda bag: (bag / "/".join("d" * 100)).mkdir(parents=True),
+    }
+    for name, add in beside.items():
+        for bare_ in (False, True):
+
+            def made(folder: Path, add: Callable[[Path], object] = add, bare_: bool = bare_) -> Path:
+                bag = write(good(), folder)
+                add(bag)
+                if bare_:
+                    (bag / "metadata.yaml").unlink()
+                return bag
+
+            yield f"beside={name}{' bare' * bare_}", made
+    yield "a folder of folders", lambda folder: folder
+    yield "no folder", lambda folder: folder / "nothing"
+
+
+def _link(bag: Path, target: str, count: int) -> None:
+    for name in ("x.mcap", *(f"y_{k}.mcap" for k in range(count - 1))):
+        (bag / name).symlink_to(target)
+
+
+def _packed_zeros() -> bytes:
+    import zstandard
+
+    packer = zstandard.ZstdCompressor().compressobj()
+    return b"".join(packer.compress(bytes(1 << 20)) for _ in range(1000)) + packer.flush()
+
+
+def families() -> Iterator[Callable[[], Family]]:
+    """All of this module."""
+    yield from (metadata, damages, records, names)

@@ -1,0 +1,579 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags whose messages are hostile: contents, stamps, types, missing topics, parameters and vehicles.
+
+Each family gives names and what makes the bag of that name; ``hostile_recordings.py`` has the others.
+"""
+
+import dataclasses
+import io
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import redirect_stdout
+from functools import cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import yaml
+
+from trackslip_bags.messages import deserialize, header, make, serialize
+from trackslip_bags.reader import open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import config_directory, parameters_text
+from trackslip_common.parameters import flat_fields, to_flat
+from trackslip_common.topics import DIAGNOSTICS, TOPICS
+from trackslip_common.vehicle_files import load_vehicle, vehicle_text
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_tools.cli.main import main
+
+TEXT = "std_msgs/msg/String"
+LAST_S = 7.0  # of the good recording: a straight, and turns
+_THINNED = ("/truth/", "/odometry", "/track_slip", "/attitude", "/imu/mag")  # of which a few do as well
+_S = 1_000_000_000
+_BAG = Path(__file__).resolve().parent.parent / "bags" / "slalom_sand"
+
+Made: TypeAlias = Callable[[Path], Path]  # writes a bag into a folder, and says what to hand over
+Family: TypeAlias = Iterator[tuple[str, Made]]
+
+
+class Line(NamedTuple):
+    """One message."""
+
+    topic: str
+    type_name: str
+    raw: bytes
+    log_ns: int
+
+
+@cache
+def good() -> tuple[Line, ...]:
+    """A short recording with every topic of a live one: sensors, estimates, journal, lights, parameters."""
+    with TemporaryDirectory(prefix="trackslip_hostile_") as folder:
+        output = Path(folder) / "estimates"
+        with redirect_stdout(io.StringIO()):
+            main(["replay", str(_BAG), "--stop", str(LAST_S), "--output", str(output)])
+        found = []
+        for path in (_BAG, output):
+            with open_bag(path) as bag:
+                stop_ns = bag.start_ns + round(LAST_S * 1e9)
+                found += [
+                    Line(m.topic, m.type_name, m.raw, m.log_time_ns)
+                    for m in bag.messages(None, None, stop_ns)
+                ]
+    begin_ns = min(line.log_ns for line in found)
+    soil = parameters_text(to_flat(load_soil_parameters()), "soil_estimator")
+    found.append(_text("/soil_estimator/parameters", soil, begin_ns))
+    found = [line for k, line in enumerate(found) if not line.topic.startswith(_THINNED) or k % 7 == 0]
+    known = {line.topic for line in found}
+    if "/vehicle" not in known:
+        found.append(_text("/vehicle", vehicle_text(load_vehicle()), begin_ns))
+    for k in range(round(LAST_S)):
+        values = [make("diagnostic_msgs/msg/KeyValue", key="rate", value=str(k))]
+        status = make(
+            "diagnostic_msgs/msg/DiagnosticStatus", level=k % 3, name="slip_estimator: x", values=values
+        )
+        stamped = header(begin_ns + k * _S, "")
+        array = make(TOPICS[DIAGNOSTICS].type_name, header=stamped, status=[status])
+        found.append(Line("/diagnostics", array.__msgtype__, serialize(array), begin_ns + k * _S))
+    return tuple(sorted(found, key=lambda line: line.log_ns))
+
+
+def _text(topic: str, text: str, log_ns: int) -> Line:
+    return Line(topic, TEXT, serialize(make(TEXT, data=text)), log_ns)
+
+
+def write(lines: Iterable[Line], folder: Path, name: str = "bag") -> Path:
+    """A bag of these lines, in their order."""
+    with BagWriter(folder / name) as bag:
+        for line in lines:
+            bag.write(line.topic, line.type_name, line.raw, line.log_ns)
+    return folder / name
+
+
+@cache
+def first() -> dict[str, Line]:
+    """The first message of each topic of the good recording."""
+    return {line.topic: line for line in reversed(good())}
+
+
+def topics() -> list[str]:
+    """All of the good recording."""
+    return sorted(first())
+
+
+@cache
+def stamped_topics() -> list[str]:
+    """Topics whose messages have a header."""
+    return [topic for topic in topics() if hasattr(_message(first()[topic]), "header")]
+
+
+def _message(line: Line) -> Any:
+    """The message of a line, to be changed."""
+    return deserialize(line.raw, line.type_name)
+
+
+def without(*names: str) -> Iterator[Line]:
+    """The good recording but for some topics."""
+    return (line for line in good() if line.topic not in names)
+
+
+# --- contents
+
+NUMBERS: dict[str, float] = {
+    "nan": math.nan,
+    "inf": math.inf,
+    "minus_inf": -math.inf,
+    "1e308": 1e308,
+    "minus_1e308": -1e308,
+    "1e155": 1e155,
+    "1e30": 1e30,
+    "1e12": 1e12,
+    "denormal": 5e-324,
+    "minus_1": -1.0,
+    "zero": 0.0,
+}
+
+
+def _with_numbers(
+    message: Any, value: float, which: Callable[[str], bool] = lambda _: True, at: str = ""
+) -> None:
+    """Every float of a message, within a message too, becomes this one."""
+    for field in dataclasses.fields(message):
+        name, held = f"{at}.{field.name}", getattr(message, field.name)
+        if dataclasses.is_dataclass(held) and field.name != "stamp":
+            _with_numbers(held, value, which, name)
+        elif isinstance(held, float) and which(name):
+            setattr(message, field.name, value)
+        elif isinstance(held, np.ndarray) and held.dtype.kind == "f" and which(name):
+            with np.errstate(over="ignore"):
+                setattr(message, field.name, np.full_like(held, value))
+
+
+def _changed(topic: str, change: Callable[[Any, int], Any], every: int, folder: Path) -> Path:
+    """The good recording, in which each so manieth message of a topic is changed."""
+    lines, seen = [], 0
+    for line in good():
+        if line.topic == topic:
+            if seen % every == every // 2:
+                line = line._replace(raw=serialize(change(_message(line), seen)))
+            seen += 1
+        lines.append(line)
+    return write(lines, folder)
+
+
+def contents() -> Family:
+    """All floats of a topic's messages: in one message of fifty, and in all of them."""
+    for topic in stamped_topics():
+        for name, value in NUMBERS.items():
+
+            def change(message: Any, _: int, value: float = value) -> Any:
+                _with_numbers(message, value)
+                return message
+
+            for every in (1, 50):
+                yield f"contents{topic}={name} each {every}", partial(_changed, topic, change, every)
+
+
+def fields() -> Family:
+    """One field of all messages of a topic."""
+    for topic in stamped_topics():
+        for path in _floats(_message(first()[topic])):
+            for name in ("nan", "1e308", "1e30", "minus_1"):
+
+                def change(message: Any, _: int, path: str = path, value: float = NUMBERS[name]) -> Any:
+                    _with_numbers(message, value, lambda at: at == path)
+                    return message
+
+                yield f"field{topic}{path}={name}", partial(_changed, topic, change, 1)
+
+
+def _floats(message: Any, at: str = "") -> Iterator[str]:
+    for field in dataclasses.fields(message):
+        name, held = f"{at}.{field.name}", getattr(message, field.name)
+        if dataclasses.is_dataclass(held) and field.name != "stamp":
+            yield from _floats(held, name)
+        elif isinstance(held, float) or (isinstance(held, np.ndarray) and held.dtype.kind == "f"):
+            yield name
+
+
+# --- stamps
+
+_STAMPS: dict[str, Callable[[int, int, int], tuple[int, int]]] = {
+    "zero": lambda _s, _ns, _k: (0, 0),
+    "least": lambda _s, _ns, _k: (-(2**31), 0),
+    "most": lambda _s, _ns, _k: (2**31 - 1, 999_999_999),
+    "negative": lambda s, ns, _k: (-s - 1, ns),
+    "before_1970": lambda s, ns, _k: (s - 2_000_000_000, ns),
+    "in_2060": lambda s, ns, _k: (min(s + 1_100_000_000, 2**31 - 1), ns),
+    "nanosec_beyond": lambda s, _ns, _k: (s, 2**32 - 1),
+    "one_for_all": lambda _s, _ns, _k: (1_700_000_000, 5),
+    "backwards": lambda s, ns, _k: (3_400_000_000 - s if s > 1_700_000_000 else 20 - s, 999_999_999 - ns),
+    "in_turn": lambda s, ns, k: ((s, ns), (-(2**31), 0), (2**31 - 1, 0))[k % 3],
+    "a_day_later": lambda s, ns, _k: (s + 86400, ns),
+    "truncated": lambda s, _ns, _k: (s, 0),
+}
+
+
+def stamps() -> Family:
+    """Stamps of a topic, one in fifty or all; and of all topics together."""
+    for name, of in _STAMPS.items():
+
+        def change(message: Any, k: int, of: Callable[[int, int, int], tuple[int, int]] = of) -> Any:
+            stamp = message.header.stamp
+            sec, nanosec = of(int(stamp.sec), int(stamp.nanosec), k)
+            stamp.sec, stamp.nanosec = max(-(2**31), min(sec, 2**31 - 1)), nanosec
+            return message
+
+        for topic in stamped_topics():
+            for every in (1, 50):
+                yield f"stamps{topic}={name} each {every}", partial(_changed, topic, change, every)
+
+        def together(folder: Path, change: Callable[[Any, int], Any] = change) -> Path:
+            known = set(stamped_topics())
+            return write(
+                (
+                    line._replace(raw=serialize(change(_message(line), k))) if line.topic in known else line
+                    for k, line in enumerate(good())
+                ),
+                folder,
+            )
+
+        yield f"stamps={name}", together
+
+
+def log_times() -> Family:
+    """When messages were logged; their stamps stay."""
+    lines = good()
+    begin = lines[0].log_ns
+    ways: dict[str, Callable[[int, int], int]] = {
+        "zero": lambda _, __: 0,
+        "one_for_all": lambda _, __: begin,
+        "backwards": lambda t, _: 2 * begin + 20 * _S - t,
+        "latest": lambda t, _: 2**63 - 1 - 20 * _S + t - begin,
+        "beyond_signed": lambda t, k: 2**64 - 1 if k == 50 else t,
+        "all_beyond_signed": lambda t, _: 2**63 + t - begin,
+        "a_century_between": lambda t, k: t + 100 * 365 * 86400 * _S * (k > 500),
+        "first_at_zero": lambda t, k: 0 if k == 0 else t,
+        "last_in_2262": lambda t, k: 2**63 - 1 if k == len(lines) - 1 else t,
+        "at_random": lambda t, k: begin + (t - begin) * 7919 * (k + 1) % (20 * _S),
+    }
+    for name, way in ways.items():
+
+        def made(folder: Path, way: Callable[[int, int], int] = way) -> Path:
+            return write((line._replace(log_ns=way(line.log_ns, k)) for k, line in enumerate(lines)), folder)
+
+        yield f"log_times={name}", made
+
+
+# --- lists, texts, bytes
+
+
+def sequences() -> Family:
+    """Lists of messages: none, cut, too long; texts that are strange."""
+    joints = [topic for topic in topics() if _type(topic) == "sensor_msgs/msg/JointState"]
+    long_name = "x" * 200_000
+    for topic in joints:
+        for name, count in (("none", 0), ("one", 1), ("three", 3), ("many", 5000)):
+
+            def positions(message: Any, _: int, count: int = count) -> Any:
+                message.position = np.resize(message.position, count)
+                return message
+
+            def velocities(message: Any, _: int, count: int = count) -> Any:
+                message.velocity = np.resize(message.velocity, count)
+                return message
+
+            def names(message: Any, _: int, count: int = count) -> Any:
+                message.name = (list(message.name) * count)[:count]
+                return message
+
+            for what, change in (("positions", positions), ("velocities", velocities), ("names", names)):
+                for every in (1, 3):
+                    yield (
+                        f"sequences{topic}={what} {name} each {every}",
+                        partial(_changed, topic, change, every),
+                    )
+
+        def twice(message: Any, _: int) -> Any:
+            message.name = [message.name[0]] * len(message.name)
+            return message
+
+        yield f"sequences{topic}=one name twice", partial(_changed, topic, twice, 1)
+    for topic in stamped_topics():
+        for name, text in (
+            ("long", long_name),
+            ("steering", "\x1b[2J\0\n\u2028"),
+            ("empty", ""),
+            ("map", "map"),
+        ):
+
+            def frame(message: Any, k: int, text: str = text) -> Any:
+                message.header.frame_id = text + str(k) * (text == "map")
+                return message
+
+            yield f"frames{topic}={name}", partial(_changed, topic, frame, 1 if text != long_name else 40)
+    for name, count in {"none": 0, "one": 1, "many": 100_000}.items():
+
+        def ranges(message: Any, _: int, count: int = count) -> Any:
+            message.ranges = np.full(count, 3.0, np.float32)
+            return message
+
+        yield f"scan=ranges {name}", partial(_changed, "/scan", ranges, 20)
+    for name, value in NUMBERS.items():
+
+        def angles(message: Any, _: int, value: float = value) -> Any:
+            with np.errstate(over="ignore"):
+                message.angle_min = message.angle_increment = float(np.float32(value))
+            return message
+
+        yield f"scan=angles {name}", partial(_changed, "/scan", angles, 1)
+    for name, text in {
+        "words": "x: y",
+        "long": long_name,
+        "steering": "\x1b[2J",
+        "digits": "9" * 4000,
+    }.items():
+
+        def values(message: Any, _: int, text: str = text) -> Any:
+            for status in message.status:
+                status.name = status.message = status.hardware_id = text
+                status.values = [make("diagnostic_msgs/msg/KeyValue", key=text, value=text)] * 50
+                status.level = 255
+            return message
+
+        yield f"diagnostics={name}", partial(_changed, "/diagnostics", values, 1)
+
+
+def raw_bytes() -> Family:
+    """Messages that are not of their type."""
+    ways: dict[str, Callable[[bytes], bytes]] = {
+        "empty": lambda _: b"",
+        "header": lambda raw: raw[:4],
+        "cut": lambda raw: raw[: len(raw) * 2 // 3],
+        "longer": lambda raw: raw + bytes(64),
+        "big_endian": lambda raw: b"\0\0\0\0" + raw[4:],
+        "parameter_list": lambda raw: b"\0\3\0\0" + raw[4:],
+        "no_cdr": lambda raw: b"\xff" * len(raw),
+        "huge_lengths": lambda raw: raw[:12] + b"\xff\xff\xff\x7f" + raw[16:],
+        "not_utf8": lambda raw: raw[:12] + (5).to_bytes(4, "little") + b"\xff\xfe\x80\x81\0" + raw[24:],
+    }
+    for topic in topics():
+        for name, way in ways.items():
+            for every in (1, 7):
+
+                def made(folder: Path, topic: str = topic, way: Any = way, every: int = every) -> Path:
+                    own = [line for line in good() if line.topic == topic][::every]
+                    chosen = set(map(id, own))
+                    return write(
+                        (line._replace(raw=way(line.raw)) if id(line) in chosen else line for line in good()),
+                        folder,
+                    )
+
+                yield f"bytes{topic}={name} each {every}", made
+
+
+# --- topics and types
+
+
+def _type(topic: str) -> str:
+    return first()[topic].type_name
+
+
+def kinds() -> Family:
+    """Every topic of the list with messages of another type; the good ones too, or instead."""
+    begin_ns = good()[0].log_ns
+    others: list[Any] = [make(TEXT, data="hello"), make(TEXT, data=""), make("sensor_msgs/msg/JointState")]
+    others += [make("sensor_msgs/msg/LaserScan"), make("nav_msgs/msg/Odometry"), make("std_msgs/msg/Empty")]
+    for topic in sorted({*(f"/{name}" for name in TOPICS), *topics(), "/reference_pose", "/tf_static"}):
+        for other in others:
+            own = Line(topic, other.__msgtype__, serialize(other), begin_ns)
+            if topic in first() and _type(topic) == own.type_name:
+                continue
+            yield f"kinds{topic}={own.type_name}", partial(_with_others, own)
+
+
+def _with_others(other: Line, folder: Path) -> Path:
+    """The good recording with this message in place of all that its topic has, once a second."""
+    others = [other._replace(log_ns=other.log_ns + k * _S) for k in range(9)]
+    return write([*others, *without(other.topic)], folder)
+
+
+def absences() -> Family:
+    """Topics that are missing, empty, alone, or have one message or two."""
+    for topic in topics():
+        for count in (0, 1, 2, 3):
+            yield f"{count} of{topic}", partial(_few, topic, count)
+        yield f"alone{topic}", partial(_alone, topic)
+        yield f"empty{topic}", partial(_empty, topic)
+    yield "nothing", partial(write, ())
+    sample, fix = first()["/sprockets"], first()["/box_pose"]
+    few = good()[:9]
+    added: dict[str, Callable[[], Iterable[Line]]] = {
+        "one sample": lambda: [sample],
+        "one sample and fix": lambda: [sample, fix],
+        "one sample a thousand times": lambda: [sample] * 1000,
+        "all twice": lambda: (line for line in good() for _ in range(2)),
+        "every hundredth": lambda: good()[::100],
+        "long names": lambda: [*(line._replace(topic="/" + "x" * 60_000) for line in few), *good()],
+        "names that steer": lambda: [
+            *(line._replace(topic=f"/\x1b[2J\n{k}") for k, line in enumerate(few)),
+            *good(),
+        ],
+        "relative names": lambda: (line._replace(topic=line.topic.lstrip("/")) for line in good()),
+        "names in a namespace": lambda: (line._replace(topic=f"/a/b/c{line.topic}") for line in good()),
+        "2000 topics": lambda: [*(sample._replace(topic=f"/t{k}") for k in range(2000)), *good()],
+        "name of nothing": lambda: [sample._replace(topic=""), *good()],
+    }
+    for name, lines in added.items():
+        yield f"topics={name}", partial(_written, lines)
+
+
+def _written(lines: Callable[[], Iterable[Line]], folder: Path) -> Path:
+    return write(lines(), folder)
+
+
+def _few(topic: str, count: int, folder: Path) -> Path:
+    own = [line for line in good() if line.topic == topic][:count]
+    return write(sorted([*own, *without(topic)], key=lambda line: line.log_ns), folder)
+
+
+def _alone(topic: str, folder: Path) -> Path:
+    return write((line for line in good() if line.topic == topic), folder)
+
+
+def _empty(topic: str, folder: Path) -> Path:
+    """A topic that is known, and has no message."""
+    with BagWriter(folder / "bag") as bag:
+        bag.add_topic(topic, _type(topic))
+        for line in without(topic):
+            bag.write(line.topic, line.type_name, line.raw, line.log_ns)
+    return folder / "bag"
+
+
+# --- parameters and vehicles
+
+_SIZES = (1e-300, 1e-30, 1e-12, 1e-6, 1e-3, 1e3, 1e6, 1e12, 1e30, 1e300, -1.0, 0.0, math.nan, math.inf)
+_OTHERS: tuple[Any, ...] = (True, None, "x", [], {}, [1.0], 10**400, "\x1b[2J", "x" * 100_000)
+
+
+def vehicles() -> Family:
+    """One number of the vehicle in the bag, and texts that are none."""
+    text = vehicle_text(load_vehicle())
+    for name, value in to_flat(load_vehicle()).items():
+        for size in _SIZES if isinstance(value, float) else _OTHERS:
+            yield (
+                f"vehicle.{name}={size!r:.40}",
+                partial(_carrying, "/vehicle", _set(text, name.split("."), size)),
+            )
+    for name, factor in (("tread", 1e-30), ("rolling_radius", 1e-30), ("contact_length", 1e-30)):
+        small = (
+            f"name: x\nkinematics: {{rolling_radius: 0.1, tread: 0.7, contact_length: 1.0, {name}: {factor}}}"
+        )
+        yield f"vehicle alone.{name}={factor}", partial(_carrying, "/vehicle", _unique(small, name))
+    small = "name: x\nkinematics: {rolling_radius: 1.0e-30, tread: 1.0e-30, contact_length: 1.0e-30}"
+    yield "vehicle alone=1e-30", partial(_carrying, "/vehicle", small)
+    for vehicle in sorted((config_directory() / "vehicles").glob("*.yaml")):
+        other = vehicle_text(load_vehicle(vehicle.stem))
+        yield f"vehicle is {vehicle.stem}", partial(_carrying, "/vehicle", other)
+    yield from _texts("/vehicle", text)
+
+
+def _unique(text: str, name: str) -> str:
+    """Without the first of two values of a name in braces."""
+    head, _, tail = text.partition("{")
+    pairs = dict(pair.split(": ") for pair in tail.rstrip("}").split(", "))
+    assert name in pairs
+    return head + "{" + ", ".join(f"{key}: {value}" for key, value in pairs.items()) + "}"
+
+
+def parameters() -> Family:
+    """Parameters in the bag: each at the ends of what is accepted, and texts that are none."""
+    p = load_slip_parameters()
+    text = parameters_text(to_flat(p), "slip_estimator")
+    low: dict[str, Any] = {}
+    high: dict[str, Any] = {}
+    for name, kind, spec in flat_fields(p):
+        if name.startswith("vehicle."):
+            continue
+        values: list[Any] = list(spec.choices)
+        if kind is float:
+            least = (
+                1e-30
+                if spec.gt == 0.0
+                else spec.gt
+                if spec.gt is not None
+                else spec.ge
+                if spec.ge is not None
+                else -1e30
+            )
+            most = spec.le if spec.le is not None else spec.lt if spec.lt is not None else 1e30
+            values = [least, most]
+            low[name], high[name] = least, most
+        elif kind is bool:
+            values = [True, False]
+        elif not values:
+            values = [0, -1, 2**62, "", "nothing", ["sprockets"], ["nothing"], []]
+        for value in values:
+            yield (
+                f"parameters.{name}={value!r:.40}",
+                partial(_carrying, "/slip_estimator/parameters", _given(p, {name: value})),
+            )
+    yield "parameters=all low", partial(_carrying, "/slip_estimator/parameters", _given(p, low))
+    yield "parameters=all high", partial(_carrying, "/slip_estimator/parameters", _given(p, high))
+    yield from _texts("/slip_estimator/parameters", text)
+    yield from _texts("/soil_estimator/parameters", text.replace("slip_", "soil_"))
+
+
+def _given(p: SlipEstimatorParameters, values: dict[str, Any]) -> str:
+    return parameters_text({**to_flat(p), **values}, "slip_estimator")
+
+
+def _set(text: str, names: Sequence[str], value: Any) -> str:
+    tree = yaml.safe_load(text)
+    branch = tree
+    for name in names[:-1]:
+        branch = branch[name]
+    branch[names[-1]] = value
+    return str(yaml.safe_dump(tree))
+
+
+def _carrying(topic: str, text: str, folder: Path) -> Path:
+    """The good recording with this text on a topic."""
+    return write([_text(topic, text, good()[0].log_ns), *without(topic)], folder)
+
+
+def _texts(topic: str, good_text: str) -> Family:
+    """What is no YAML, or not of a form."""
+    texts = {
+        "empty": "",
+        "word": "x",
+        "number": "1",
+        "list": "[1]",
+        "null": "~",
+        "brackets": "[" * 5000,
+        "steering": "\x1b[2J: \0",
+        "twice": good_text * 2,
+        "half": good_text[: len(good_text) // 2],
+        "long": "x: " + "y" * 2_000_000,
+        "aliases": "a: &a [*a]",
+        "bomb": "a: &a [x,x]\n" + "".join(f"b{k}: &b{k} [*a,*a]\n" for k in range(9)),
+        "tag": "!!python/object:os.system ls",
+        "nested": "slip_estimator: {ros__parameters: {a: {b: {c: 1}}}}",
+        "section": "slip_estimator: 1",
+        "words": "slip_estimator: {ros__parameters: x}",
+        "numbers as names": "{1: 2, null: 3, 1.5: 2}",
+        "nothing known": "slip_estimator: {ros__parameters: {x: 1}}",
+        "base": "base: pc05",
+        "base of a file": "base: /etc/passwd",
+        "vehicle": "slip_estimator: {ros__parameters: {vehicle: /etc/passwd}}",
+    }
+    for name, text in texts.items():
+        yield f"text{topic}={name}", partial(_carrying, topic, text)
+
+
+FAMILIES_OF_MESSAGES: tuple[Callable[[], Family], ...] = (
+    *(contents, fields, stamps, log_times, sequences, raw_bytes, kinds, absences, vehicles, parameters),
+)

@@ -1,0 +1,208 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Gives hostile bags to every command that takes one: part of ``make fuzz``.
+
+A bag is hostile in one way of a family: its messages, stamps, types, topics, parameters, metadata, records,
+names. Of each family some are drawn, the same for the same ``--seed``. Each command runs in a process of its
+own. A finding is a traceback, an exit code that is none, a line that steers a terminal, more than 60 s of a
+processor, or more than 1 GB. To see one again:
+``.venv/bin/python scripts/hostile_recordings.py 'scan=angles nan' --command report``.
+"""
+
+import argparse
+import contextlib
+import io
+import os
+import random
+import re
+import resource
+import shutil
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+from hostile_containers import families
+from hostile_messages import FAMILIES_OF_MESSAGES, Made, good, write
+from trackslip_tools.cli.main import main as trackslip
+
+BAGS = 246
+LONGEST_S = 60
+MOST_MB = 1000
+_CODES = (0, 1, 2)
+_PLAN = """objective: likelihood
+evaluations: 20
+seed: 0
+parameters:
+  turning.efficiency: {low: 5.0e-4, high: 0.5, scale: log}
+
+"""
+COMMANDS = {
+    "info": "info BAG",
+    "recover": "recover BAG --output OUT/recovered",
+    "replay": "replay BAG --output OUT/estimates --json OUT/replay.json",
+    "report": "report BAG --smooth --output OUT/report.html",
+    "smooth": "smooth BAG --output OUT/smoothed --json OUT/smooth.json",
+    "calibrate": "calibrate BAG --all --output OUT/calibration.yaml --json OUT/calibrate.json",
+    "tune": "tune BAG --plan OUT/plan.yaml --output OUT/tuned --workers 1",
+}
+
+
+class Run(NamedTuple):
+    """What one command did with one bag."""
+
+    bag: str
+    command: str
+    problem: str  # empty where nothing is wrong
+    seconds: float  # of a processor
+    megabytes: int
+
+
+def main() -> int:
+    """Make the bags, run the commands; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--bags", type=int, default=BAGS, help="that are drawn of all (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the draw (%(default)s)")
+    parser.add_argument("--command", choices=COMMANDS, action="append", help="this one alone")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="(%(default)s)")
+    parser.add_argument("names", nargs="*", metavar="REGEX", help="bags whose names it matches, all of them")
+    args = parser.parse_args()
+    known = made_by_name()
+    chosen = [name for name in known if any(re.search(one, name) for one in args.names)] or drawn(
+        args.bags, args.seed
+    )
+    commands = args.command or list(COMMANDS)
+    began, runs = time.monotonic(), list[Run]()
+    with ProcessPoolExecutor(
+        args.workers, get_context("spawn"), initializer=_begin, initargs=(commands,)
+    ) as pool:
+        for done in as_completed([pool.submit(_work, name, commands) for name in chosen]):
+            runs += done.result()
+            for run in done.result():
+                if run.problem:
+                    print(f"FOUND {run.command} of '{run.bag}': {run.problem}", flush=True)
+    slowest, largest = max(runs, key=lambda run: run.seconds), max(runs, key=lambda run: run.megabytes)
+    wrong = [run for run in runs if run.problem]
+    print(
+        f"{len(chosen)} bags of {len(known)}, {len(runs)} runs in {time.monotonic() - began:.0f} s; "
+        f"{len(wrong)} found in {len({run.bag for run in wrong})} bags; "
+        f"slowest {slowest.seconds:.0f} s ({slowest.command} of '{slowest.bag}'), "
+        f"largest {largest.megabytes} MB ({largest.command} of '{largest.bag}')"
+    )
+    return int(bool(wrong))
+
+
+@cache
+def made_by_name() -> dict[str, Made]:
+    """Every hostile bag."""
+    return {name: made for family in (*FAMILIES_OF_MESSAGES, *families()) for name, made in family()}
+
+
+def drawn(count: int, seed: int) -> list[str]:
+    """So many bags, of each family as many as of another while there are any."""
+    draw = random.Random(seed)
+    by_family = [[name for name, _ in family()] for family in (*FAMILIES_OF_MESSAGES, *families())]
+    for names in by_family:
+        draw.shuffle(names)
+    chosen: list[str] = []
+    while any(by_family) and len(chosen) < count:
+        for names in by_family:
+            if names and len(chosen) < count:
+                chosen.append(names.pop())
+    return chosen
+
+
+def _begin(commands: Sequence[str]) -> None:
+    """In a worker: what every command needs is loaded, and compiled, before its children are made."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        bag = write(good(), Path(folder))
+        for command in commands:
+            trackslip(_words(command, bag, Path(folder)))
+
+
+def _words(command: str, bag: Path, output: Path) -> list[str]:
+    (output / "plan.yaml").write_text(_PLAN, encoding="utf-8")
+    words = COMMANDS[command].replace("OUT", str(output)).split()
+    return [str(bag) if word == "BAG" else word for word in words]
+
+
+def _work(name: str, commands: Sequence[str]) -> list[Run]:
+    """All commands over one bag."""
+    folder = Path(tempfile.mkdtemp(prefix="trackslip_hostile_"))
+    try:
+        (folder / "in").mkdir()
+        bag = made_by_name()[name](folder / "in")
+        return [_run(name, command, bag, folder / command) for command in commands]
+    finally:
+        shutil.rmtree(os.fsencode(folder), ignore_errors=True)
+
+
+def _run(name: str, command: str, bag: Path, output: Path) -> Run:
+    output.mkdir()
+    words = _words(command, bag, output)
+    sys.stdout.flush()
+    child = os.fork()
+    if child == 0:
+        _be_a_command(words, output)
+    _, status, used = os.wait4(child, 0)
+    seconds, megabytes = used.ru_utime + used.ru_stime, used.ru_maxrss // 1024
+    said = [
+        (output / stream).read_text(encoding="utf-8", errors="replace") for stream in ("stdout", "stderr")
+    ]
+    return Run(
+        name,
+        command,
+        _problem(os.waitstatus_to_exitcode(status), said, seconds, megabytes),
+        seconds,
+        megabytes,
+    )
+
+
+def _problem(code: int, said: Sequence[str], seconds: float, megabytes: int) -> str:
+    """What is wrong with how a command ended; empty where nothing is."""
+    if "Traceback" in said[1]:
+        return "\n" + said[1]
+    if code not in _CODES:
+        return f"exit code {code}, {seconds:.0f} s, {megabytes} MB"
+    if code == 2 and len(said[1].splitlines()) < 1:
+        return "refused without a word"
+    for text in said:
+        if not all(line.isprintable() for line in text.split("\n")):
+            return f"not printable: {text!r:.500}"
+    if "Warning" in said[1]:
+        return said[1]
+    if seconds > LONGEST_S:
+        return f"{seconds:.0f} s"
+    return f"{megabytes} MB" if megabytes > MOST_MB else ""
+
+
+def _be_a_command(words: Sequence[str], output: Path) -> None:
+    """In a child: the command, its words in two files; never returns."""
+    code = 70
+    try:
+        resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S + 5, LONGEST_S + 5))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        for stream, name in ((sys.stdout, "stdout"), (sys.stderr, "stderr")):
+            os.dup2(os.open(output / name, os.O_WRONLY | os.O_CREAT, 0o600), stream.fileno())
+        try:
+            code = trackslip(words)
+        except SystemExit as error:
+            code = error.code if isinstance(error.code, int) else 70
+        except BaseException:  # noqa: BLE001 (that is what is looked for)
+            traceback.print_exc()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(code)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
