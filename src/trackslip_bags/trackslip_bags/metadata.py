@@ -15,6 +15,7 @@ METADATA_VERSION = 9  # Jazzy, Kilted
 MOST_TOPICS = 4096  # of a bag; recordings have up to some hundreds
 MOST_FILES = 10_000  # that one is split into
 _LARGEST = 16_000_000  # bytes of the text
+_TIMES = (("starting_time", "nanoseconds_since_epoch"), ("duration", "nanoseconds"))
 _TOPICS, _FILES = "topics_with_message_count", "relative_file_paths"
 
 LATEST_NS = 2**63 - 1  # in 2262: rosbag2's times are signed
@@ -86,10 +87,10 @@ def metadata_text(topics: Mapping[str, Topic], files: Mapping[str, Extent], dist
 def check_metadata(bag: Path) -> None:
     """Look at what a bag's ``metadata.yaml`` states, before a file that it names is opened.
 
-    Its times are of no consequence: the files state their own.
+    Its times are not used, for the files state their own; but absurd ones show that it is damaged.
 
     Raises:
-        ValueError: it is too large, names a file twice, or states topics of other kinds or too many.
+        ValueError: it is too large, names a file twice, or states topics or times that no bag has.
         OSError: it cannot be read.
     """
     path = bag / METADATA
@@ -100,6 +101,11 @@ def check_metadata(bag: Path) -> None:
     information = tree.get("rosbag2_bagfile_information") if isinstance(tree, dict) else None
     if not isinstance(information, dict):
         raise ValueError(f"{METADATA}: no rosbag2_bagfile_information")
+    for group, name in _TIMES:
+        stated = information.get(group)
+        time_ns = stated.get(name) if isinstance(stated, dict) else stated
+        if type(time_ns) is not int or not 0 <= time_ns <= LATEST_NS:
+            raise ValueError(f"{METADATA}: {group}: {time_ns!r:.40}; accepted: {name}, 0 to {LATEST_NS}")
     _check_topics(_listed(information, _TOPICS, MOST_TOPICS))
     _check_files(bag, _listed(information, _FILES, MOST_FILES))
 

@@ -23,7 +23,7 @@ from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType, Writer
 
 from trackslip_bags.definitions import installed_schema, ros_distro
-from trackslip_bags.metadata import LATEST_NS, METADATA, Extent, Schema, Topic, metadata_text
+from trackslip_bags.metadata import METADATA, Extent, Schema, Topic, metadata_text
 from trackslip_common.errors import InputError
 from trackslip_common.whole_file import replace_whole
 
@@ -122,7 +122,7 @@ class BagWriter:
     ) -> None:
         """Append one serialized (CDR) message as it is; its topic is added where it is new.
 
-        Bags have no times before 1970 or after 2262: such a message is logged at the nearest one.
+        Bags have no times before 1970: such a message is logged at the first one that they have.
 
         Raises:
             InputError: as ``add_topic``.
@@ -131,8 +131,8 @@ class BagWriter:
         if known is None or known.type_name != type_name:
             self.add_topic(topic, type_name)
             known = self.topics[topic]
-        publish_time_ns = min(max(log_time_ns if publish_time_ns is None else publish_time_ns, 0), LATEST_NS)
-        log_time_ns = min(max(log_time_ns, 0), LATEST_NS)
+        publish_time_ns = max(log_time_ns if publish_time_ns is None else publish_time_ns, 0)
+        log_time_ns = max(log_time_ns, 0)
         if self._chunk_start_ns is None:
             self._chunk_start_ns = log_time_ns
         elif abs(log_time_ns - self._chunk_start_ns) >= CHUNK_SPAN_NS:  # either way: clocks get set
