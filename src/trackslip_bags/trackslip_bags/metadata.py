@@ -106,6 +106,7 @@ def check_metadata(bag: Path) -> None:
         time_ns = stated.get(name) if isinstance(stated, dict) else stated
         if type(time_ns) is not int or not 0 <= time_ns <= LATEST_NS:
             raise ValueError(f"{METADATA}: {group}: {time_ns!r:.40}; accepted: {name}, 0 to {LATEST_NS}")
+    _listed({"files": [], **information}, "files", MOST_FILES)
     _check_topics(_listed(information, _TOPICS, MOST_TOPICS))
     _check_files(bag, _listed(information, _FILES, MOST_FILES))
 
