@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
 from trackslip_common.kept_files import move_aside, own_file
-from trackslip_estimation.box.background import Background
 from trackslip_common.whole_file import replacing
+from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.quarters import Headings, SideEvidence
 from trackslip_estimation.box.scan import FULL_TURN, MOST_BEAMS
 from trackslip_estimation.box.track import Kept, Track
