@@ -78,6 +78,9 @@ bench: setup ## speed of filters and drivers on this machine
 	@$(ENTER) exec $(VENV)/python scripts/bench.py
 
 fuzz: setup ## hostile files for every reader (FILES=500 each), hostile bags for every command (BAGS=246), then random bytes into every decoder (RUNS=1000000 per byte parser)
+fuzz: setup ## random measurements and messages for the estimators, hostile files for every reader (FILES=500 each), then random bytes into every decoder (RUNS=1000000 per byte parser)
+	@$(ENTER) $(VENV)/python scripts/random_steps.py
+	@$(ENTER) $(VENV)/python scripts/fuzz_messages.py
 	@$(ENTER) $(VENV)/python scripts/hostile_files.py $(if $(FILES),--files '$(FILES)')
 	@$(ENTER) $(VENV)/python scripts/hostile_recordings.py $(if $(BAGS),--bags '$(BAGS)')
 	@$(ENTER) exec $(VENV)/python scripts/fuzz.py $(if $(RUNS),--runs '$(RUNS)')

@@ -41,14 +41,16 @@ def compiled(function: F) -> F:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = _cache_directory(file, function.__module__)
     try:
-        return cast(F, numba.njit(cache=True, nogil=True, no_cfunc_wrapper=True)(function))
+        return cast(
+            F, numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+        )
     finally:
         numba.config.CACHE_DIR = before
 
 
 def inlined(function: F) -> F:
     """Compile as part of the one function that calls it."""
-    return cast(F, numba.njit(nogil=True, inline="always")(function))
+    return cast(F, numba.njit(nogil=True, error_model="numpy", inline="always")(function))
 
 
 @cache

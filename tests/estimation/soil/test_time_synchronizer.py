@@ -216,3 +216,10 @@ def test_pairs_that_wait_are_bounded_and_go_on_in_order() -> None:
 
 def tiny(given: SoilInput, t: int) -> SoilInput:
     return replace(given, stamp_ns=1000 * t)
+
+
+@pytest.mark.parametrize("twist", [(1000.0, 0.0, 0.0), (0.0, -30.0, 0.0), (0.0, 0.0, 11.0)])
+def test_speed_of_no_tracked_vehicle_is_out_of_range(twist: tuple[float, float, float]) -> None:
+    inbox = Inbox()
+    assert inbox.add(Odometry(0, np.array(twist), np.eye(3) * 1e-4, HERE)) is Rejection.OUT_OF_RANGE
+    assert inbox.rejected == {("odometry", Rejection.OUT_OF_RANGE): 1}

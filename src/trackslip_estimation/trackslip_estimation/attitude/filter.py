@@ -66,6 +66,8 @@ _LOST = 0.3  # rad, beyond which a roll or pitch is not known any more
 _SURPRISE = 25.0  # ν²/S beyond which a sample counts for less
 _UNKNOWN_ACCELERATION = 1.0  # m/s², of a machine whose tracks nobody hears of
 _RATE_UNKNOWN = 1.0  # (rad/s)², variance beyond which a rate says nothing (an axis that was not measured)
+_FORCE_UNKNOWN = 1e6  # (m/s²)², variance beyond which a force says nothing
+_LEAST = 1e-12  # (m/s²)², of a force
 _SCALE_TIME = 1.0  # s, for which a gyro that shows too much does so to one side
 
 
@@ -117,7 +119,8 @@ def _has_rates(imu: Any) -> bool:
     return (
         imu.lost == 0
         and math.isfinite(p + q)
-        and max(imu.rate_variances[0], imu.rate_variances[1]) < _RATE_UNKNOWN
+        and 0.0 <= imu.rate_variances[0] < _RATE_UNKNOWN
+        and 0.0 <= imu.rate_variances[1] < _RATE_UNKNOWN
     )
 
 
@@ -139,10 +142,17 @@ def force_of(imu: Any) -> tuple[float, float, float]:
 
 
 @compiled
+def has_force(imu: Any) -> bool:
+    """Whether the IMU shows a specific force, with a variance."""
+    x, y, z = imu.force
+    return bool(math.isfinite(x + y + z) and 0.0 < imu.force_variance < _FORCE_UNKNOWN)
+
+
+@compiled
 def _follow_force(a: Any, dt: float) -> bool:
     """Low-pass the force; whether there is one that may tell the tilt."""
     force = force_of(a.sample)
-    if a.sample.levels == 0 or a.sample.lost == 1 or not math.isfinite(force[0] + force[1] + force[2]):
+    if a.sample.levels == 0 or a.sample.lost == 1 or not has_force(a.sample):
         return False
     share = 1.0 if a.seen == 0 or dt > LONGEST else -math.expm1(-dt / _MEAN_TIME)
     for i in range(3):
@@ -219,7 +229,7 @@ def _level_by(a: Any, motion: tuple[float, float], n: Any) -> None:
 def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: Any) -> None:
     """Update with one axis, whose noise is learned of the innovation where that is no doubt of the tilt."""
     P, dt = a.covariance[:], a.span.time
-    stated = a.sample.force_variance / a.span.samples
+    stated = max(a.sample.force_variance, _LEAST) / a.span.samples
     H = h.reshape((1, SIZE))
     predicted = sandwich(H, P)[0, 0]
     noise = max(a.noise[axis], stated)

@@ -27,6 +27,7 @@ from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wr
 _NONE, _NO_COVARIANCE = int(AttitudeRefusal.NO_ORIENTATION), int(AttitudeRefusal.NO_COVARIANCE)
 _NO_ROTATION, _GATED = int(AttitudeRefusal.NO_ROTATION), int(AttitudeRefusal.ORIENTATION_GATED)
 SWING_UNKNOWN = int(AttitudeRefusal.SWING_UNKNOWN)
+_LEAST = 1e-12  # rad², of an orientation
 _LARGEST = math.pi**2  # rad², variance of an angle that may be any
 _ROUNDING = 0.1  # of the norm squared of a quaternion
 _SHORTEST = 1e-3  # s between orientations
@@ -50,6 +51,7 @@ def use_orientation(a: Any, n: Any) -> int:
     up_y = (imu.sin * imu.up[0] + imu.cos * imu.up[1]) / size
     roll, pitch = math.atan2(up_y, imu.up[2] / size), -math.asin(min(max(up_x, -1.0), 1.0))
     R = imu.turn_variance * np.outer(np.array((up_x, up_y)), np.array((up_x, up_y)))
+    of_x, of_y = max(of_x, _LEAST), max(of_y, _LEAST)
     R[ROLL, ROLL] += imu.cos**2 * of_x + imu.sin**2 * of_y
     R[PITCH, PITCH] += imu.sin**2 * of_x + imu.cos**2 * of_y
     again = 1.0

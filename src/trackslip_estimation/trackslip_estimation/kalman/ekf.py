@@ -128,25 +128,22 @@ def correct_knowing(
     they are. They keep mean and variance (Schmidt), and P has what is unknown of them. The same number twice:
     one state; −1: none.
     """
-    (H, R), n, HP = given, x.size, _shared_with(P, given[0])
-    K = HP.copy()
+    (H, R), n, v = given, x.size, _shared_with(P, given[0])
+    K = v.copy()
     if known[0] >= 0:
         _take_as_known(P, H, K, known)
     alone = R
+    S = R
     for k in range(n):
         alone += H[k] * K[k]
+        S += H[k] * v[k]
     for k in range(n):
         K[k] /= alone
         x[k] += K[k] * innovation
-        for j in range(n):
-            P[k, j] -= K[k] * HP[j]
-    rest = _shared_with(P, H)  # of (I − K H) P
-    for k in range(n):
-        rest[k] = K[k] * R - rest[k]
+        v[k] -= 0.5 * S * K[k]
     for k in range(n):
         for j in range(k + 1):
-            both = P[k, j] + P[j, k] + rest[k] * K[j] + rest[j] * K[k]
-            P[k, j] = P[j, k] = both / 2.0
+            P[k, j] = P[j, k] = P[k, j] - K[k] * v[j] - v[k] * K[j]
 
 
 @inlined

@@ -19,19 +19,27 @@ def estimator_health(
 ) -> Health:
     """``silent``: seconds since a sprocket sample came, None before the first one."""
     p, now_ns = estimator.parameters, estimator.newest_ns or 0
-    values = {**counts, "restarts": estimator.restarts, "attitude": estimator.attitude}
+    values = {**counts, "restarts": estimator.restarts, "divergences": estimator.divergences}
+    values["attitude"] = estimator.attitude
     values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
     values |= {found.form.label: found.sentence for found in findings(estimator.learned, estimator.meaning)}
     if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
         return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
     if not estimator.started:
         wanted = "sprockets" if silent is None else "a fix on " + ", ".join(named(p.pose_sources))
-        return Health(WARN, f"waiting for {wanted}", values)
+        return Health(WARN, f"{_diverged(watch, now_ns)}waiting for {wanted}", values)
     if estimator.frozen:
         return Health(WARN, "frozen: poses are ignored", values)
+    if watch.has_diverged(now_ns):
+        return Health(WARN, f"{_diverged(watch, now_ns)}running again", values)
     lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost(now_ns).items()]
     return (
         Health(WARN, f"nothing accepted of {', '.join(lost)}", values)
         if lost
         else Health(OK, "running", values)
     )
+
+
+def _diverged(watch: SourceWatch, now_ns: int) -> str:
+    """What to put before the state of an estimate that began anew lately."""
+    return "re-initialised, the estimate was not finite; " if watch.has_diverged(now_ns) else ""

@@ -121,8 +121,9 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._watch.add(report)
         if report.outcome is not Outcome.ACCEPTED:
             self.tally.add(report.source, report.outcome)
-        if report.attitude is not None:
-            self.tally.add(report.source, report.attitude)
+        for reason in (report.fault, report.attitude):
+            if reason is not None:
+                self.tally.add(report.source, reason)
 
     def _publish_report(self, report: Report) -> None:
         if report.source not in self._reports:

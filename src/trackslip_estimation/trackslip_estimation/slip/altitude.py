@@ -32,6 +32,7 @@ from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
 from trackslip_estimation.slip.models.model import SWING
 from trackslip_estimation.slip.own_errors import lasts
+from trackslip_estimation.slip.usable import HIGHEST
 
 FloatArray = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ def use_altitude(state: Any, measurement: Any, c: Any) -> int:
     source, a, variance = measurement.source, state.attitude, measurement.altitude_variance
     if c.use_altitude[source] == 0 or a.known == 0 or variance >= UNOBSERVED:
         return 0
-    if not (math.isfinite(measurement.altitude) and variance > 0.0):
+    if not (abs(measurement.altitude) < HIGHEST and variance > 0.0):
         return _NONE
     dt = min(max((measurement.stamp_ns - a.climb.used_ns) * 1e-9, _SHORTEST), _LONGEST)
     expected, h = _expected(state, source, c)

@@ -21,6 +21,7 @@ from trackslip_estimation.slip.measurements import (
     FREEZE,
     RESET,
     Command,
+    Fault,
     Input,
     Measurement,
     Outcome,
@@ -120,6 +121,11 @@ class SlipEstimator:
         return int(self.window.status["restarts"][0])
 
     @property
+    def divergences(self) -> int:
+        """How often the estimate began anew because its state was not finite."""
+        return int(self.window.status["divergences"][0])
+
+    @property
     def newest_ns(self) -> int | None:
         """The time of the estimate: newest stamp of the sprockets, or of what carries on in their silence."""
         clock = self.window.status["clock"][0]
@@ -139,7 +145,8 @@ class SlipEstimator:
         """What is known by now of machine and ground; None where nothing was learned yet."""
         if not self.started:
             return self._start
-        return learned_of(self.window.states[self.window.count - 1], self.meaning, self.sources)
+        found = learned_of(self.window.states[self.window.count - 1], self.meaning, self.sources)
+        return found if found.is_finite else self._start
 
     def apply_command(self, command: Command | Reload) -> Report:
         """Reset, forget, freeze or unfreeze, or use new values of parameters.
@@ -207,9 +214,9 @@ class SlipEstimator:
 
 def make_step(result: Any, source: str) -> Step:
     """What a record of ``RESULT`` says, or the tuple of its fields, which is faster to look at."""
-    stamp_ns, outcome, dof, nis, gate, attitude, published, estimate = result
-    refusal = AttitudeRefusal(attitude) if attitude else None
-    report = Report(source, int(stamp_ns), Outcome(outcome), float(nis), float(gate), int(dof), refusal)
+    stamp_ns, outcome, dof, nis, gate, attitude, fault, published, estimate = result
+    refusal, lack = AttitudeRefusal(attitude) if attitude else None, Fault(fault) if fault else None
+    report = Report(source, int(stamp_ns), Outcome(outcome), float(nis), float(gate), int(dof), refusal, lack)
     return report, make_estimate(estimate) if published else None
 
 

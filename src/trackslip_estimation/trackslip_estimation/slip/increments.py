@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
 FloatArray = NDArray[np.float64]
 
 TWIST, POSE_GROWTH, DECLARED = range(3)  # where the covariance comes from
 _SMALL = 1e-9  # rad
-_UNIT = 0.01  # by which the norm of a quaternion may differ from 1
 
 
 @compiled
@@ -58,25 +58,10 @@ def variances_stated(before: Any, measurement: Any, T: float, c: Any) -> FloatAr
             linear[k] = (noise[0, 0] + noise[0, 1] - before.noise[0, 0] - before.noise[0, 1]) / (2.0 * T * T)
             angular[k] = (noise[1, 2] - before.noise[1, 2]) / (T * T)
     for k in range(3):
-        linear[k] = linear[k] if linear[k] > 0.0 else declared[0]
-        angular[k] = angular[k] if angular[k] > 0.0 else declared[1]
+        linear[k] = max(linear[k], LEAST_VARIANCE) if linear[k] > 0.0 else declared[0]
+        angular[k] = max(angular[k], LEAST_VARIANCE) if angular[k] > 0.0 else declared[1]
     of_turn = angular[2]
     return np.array((linear[0] + lever[1] ** 2 * of_turn, linear[1] + lever[0] ** 2 * of_turn, of_turn))
-
-
-@compiled
-def is_pose(measurement: Any) -> bool:
-    """Whether it holds a pose, and variances: none negative, zero where there is none."""
-    largest, norm = 1e9, 0.0
-    for k in range(3):
-        if not abs(measurement.value[k]) < largest:
-            return False
-        for row in range(2):
-            if not 0.0 <= measurement.noise[row, k] < largest**2:
-                return False
-    for k in range(4):
-        norm += measurement.turn[k] ** 2
-    return bool(abs(norm - 1.0) < _UNIT)
 
 
 @compiled

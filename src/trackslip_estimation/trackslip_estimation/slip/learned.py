@@ -56,6 +56,12 @@ class Learned:
     fix_weights: Mapping[str, FloatArray]  # (FIX_FACTORS,) ln of the weights of f, of sources that gave fixes
 
     @property
+    def is_finite(self) -> bool:
+        """Whether all of it is: nothing else may be started from, or kept."""
+        numbers = (self.mean, self.stddev, self.correlations, self.track_weights, *self.fix_weights.values())
+        return all(bool(np.isfinite(own).all()) for own in numbers)
+
+    @property
     def covariance(self) -> FloatArray:
         """P (n, n)."""
         return np.asarray(self.correlations * np.outer(self.stddev, self.stddev))

@@ -119,11 +119,21 @@ def run_whole(rest: Records, start: Window, config: ConfigRecord) -> Window:
 
 
 def _run(window: Window, measurements: Records, config: ConfigRecord) -> None:
-    """The states after (m,) measurements, from that of the first entry."""
+    """The states after (m,) measurements, from that of the first entry.
+
+    Raises:
+        InputError: the estimate diverges.
+    """
     count = len(measurements) + 1
     window.measurements[1:count] = measurements
     window.status["started"], window.status["count"], window.status["known"] = True, count, 1
+    before = int(window.status["divergences"][0])
     process(window, _NO_ARRIVALS, _NO_RESULTS, config)
+    if window.status["divergences"][0] > before:
+        raise InputError(
+            f"measurements: the estimate diverges between {measurements['stamp_ns'][0]} and "
+            f"{measurements['stamp_ns'][-1]} ns; leave out the source that it follows there"
+        )
 
 
 def _end_of_block(rest: Records, first: int) -> int:

@@ -148,18 +148,31 @@ class Outcome(IntEnum):
     GATED = 1  # its innovation lies outside the gate
     TOO_LATE = 2  # older than the history, or than the start of the estimate
     DUPLICATE = 3  # same source and stamp as one before
-    INVALID = 4  # holds nan or infinity, or a variance that is not positive
+    INVALID = 4  # not finite, beyond physical limits, or no usable covariance: see ``usable.Fault``
     WAITING = 5  # no estimate yet: it starts with the first fix
     AHEAD = 6  # far ahead of the sprockets, or a sprocket sample that the next ones must confirm
     JUMPED = 7  # used, but the sprocket positions jump: its measured speeds count
     RESTARTED = 8  # the clock went back: the estimate begins anew with this sample
     FROZEN = 9  # poses are not wanted now
     BEGUN = 10  # odometry that begins anew: there is no pose before it to compare with
+    DIVERGED = 11  # the estimate was not finite any more: it begins anew
 
     @property
     def refused(self) -> bool:
         """Whether the measurement has not touched the state."""
         return self not in (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.RESTARTED)
+
+
+class Fault(IntEnum):
+    """Why a measurement is invalid; 0 where it is not."""
+
+    NOT_FINITE = 1  # nan or infinite
+    OUT_OF_RANGE = 2  # beyond physical limits
+    VARIANCE_NOT_POSITIVE = 3
+    VARIANCE_OUT_OF_RANGE = 4  # beyond what a sensor that shows anything has
+    COVARIANCE_INDEFINITE = 5  # asymmetric, or with a negative eigenvalue
+    COVARIANCE_NEARLY_SINGULAR = 6  # one of its directions is as good as certain beside the others
+    NO_ROTATION = 7  # a quaternion of another length than 1
 
 
 @dataclass(frozen=True)
@@ -173,3 +186,4 @@ class Report:
     gate: float = float("nan")  # its limit
     dof: int = 0
     attitude: AttitudeRefusal | None = None  # why orientation or altitude were not used, where wanted
+    fault: Fault | None = None  # what an invalid measurement lacks

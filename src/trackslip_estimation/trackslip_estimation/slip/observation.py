@@ -32,6 +32,7 @@ from trackslip_estimation.slip.models.dispatch import (
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, YAW, X
 from trackslip_estimation.slip.motion import rounding, steady_speeds
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
 FloatArray = NDArray[np.float64]
 
@@ -44,12 +45,16 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
         rate, variance = observed_rate(measurement, state, c)
         return np.array((rate,)), np.array(((variance,),))
     if kind == HEADING:
-        variance = max(measurement.noise[0, 0], c.heading_floor[source] ** 2)
+        variance = max(measurement.noise[0, 0], c.heading_floor[source] ** 2, LEAST_VARIANCE)
         return np.array((measurement.value[0] - compass_offset(state, source, c),)), np.array(((variance,),))
     if kind == ON_SWING:
-        return measurement.value[:1] - c.heading_offset[source], measurement.noise[:1, :1].copy()
+        variance = max(measurement.noise[0, 0], LEAST_VARIANCE)
+        return measurement.value[:1] - c.heading_offset[source], np.array(((variance,),))
     if kind == SLIPS:
-        return measurement.value[:2].copy(), measurement.noise[:2, :2].copy()
+        z, R = measurement.value[:2].copy(), measurement.noise[:2, :2].copy()
+        for i in range(2):
+            R[i, i] = max(R[i, i], LEAST_VARIANCE)
+        return z, R
     rows = 3 if shows_heading(measurement, c) else 2
     z, R = measurement.value[:rows].copy(), measurement.noise[:rows, :rows].copy()
     raise_to_floors(R, rows, source, c)
@@ -64,7 +69,7 @@ def observed(measurement: Any, state: Any, c: Any) -> tuple[FloatArray, FloatArr
 def observed_rate(measurement: Any, state: Any, c: Any) -> tuple[float, float]:
     """z and R of a yaw rate."""
     scale = c.rate_scale[measurement.source]
-    variance = measurement.noise[0, 0] / (scale * scale)
+    variance = max(measurement.noise[0, 0] / (scale * scale), LEAST_VARIANCE)
     if state.coasting:  # a gyro then shows nothing of its bias
         variance += c.unseen_yaw_rate**2
     return measurement.value[0] / scale, variance
@@ -75,7 +80,7 @@ def raise_to_floors(R: FloatArray, rows: int, source: int, c: Any) -> None:
     """The variances of a fix, of which ``rows`` are used, no less than the floors of its source."""
     for i in range(rows):
         floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
-        R[i, i] = max(R[i, i], floor * floor)
+        R[i, i] = max(R[i, i], floor * floor, LEAST_VARIANCE)
 
 
 @compiled

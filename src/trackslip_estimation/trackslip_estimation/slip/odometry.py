@@ -46,6 +46,7 @@ from trackslip_estimation.slip.odometry_errors import (
     unseen_errors,
 )
 from trackslip_estimation.slip.update import width_of
+from trackslip_estimation.slip.usable import FASTEST, FASTEST_TURN
 
 FloatArray = NDArray[np.float64]
 
@@ -97,7 +98,10 @@ def use_odometry(state: Any, measurement: Any, c: Any, update: Any) -> None:
     if before.known and before.frame == measurement.frame and before.coasting == state.coasting:
         if c.odometry_gap[source] >= T:
             z, stated = increment(before, measurement, T, c), variances_stated(before, measurement, T, c)
-            _use(state, (z, np.diag(stated), T), measurement, c, update)
+            if max(abs(z[0]), abs(z[1])) < FASTEST and abs(z[2]) < FASTEST_TURN:
+                _use(state, (z, np.diag(stated), T), measurement, c, update)
+            else:
+                update.outcome = _GATED
         else:
             update.outcome = _BEGUN
     else:

@@ -15,6 +15,7 @@ from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
 from trackslip_estimation.slip.motion import rounding
 
 FloatArray = NDArray[np.float64]
+_MOST_SHARED = 0.7  # correlation of the place with what is open of two speeds
 
 
 @compiled
@@ -86,11 +87,14 @@ def add_count_rounding(state: Any, drive: tuple[float, float, float], c: Any, D:
 def shared_with_pose(state: Any, since_ns: int, T: float, open_: FloatArray) -> FloatArray:
     """C: the pose has moved by T times what ``open_`` (3,) are the variances of; none where a fix came since.
 
-    A gyro may have shown what the yaw rate leaves open: that has none.
+    A gyro may have shown what the yaw rate leaves open: that has none. The place shares no more than it errs
+    by.
     """
-    C = np.zeros((state.mean.size, 3))
+    C, P = np.zeros((state.mean.size, 3)), state.covariance
     if state.fixed_ns <= since_ns:
         cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
-        C[X, 0], C[Y, 0] = cos * T * open_[0], sin * T * open_[0]
-        C[X, 1], C[Y, 1] = -sin * T * open_[1], cos * T * open_[1]
+        for k, (x, y) in enumerate(((cos, sin), (-sin, cos))):
+            along = max(x * x * P[X, X] + 2.0 * x * y * P[X, Y] + y * y * P[Y, Y], 0.0)
+            shared = min(T * open_[k], _MOST_SHARED * math.sqrt(along * open_[k]))
+            C[X, k], C[Y, k] = x * shared, y * shared
     return C

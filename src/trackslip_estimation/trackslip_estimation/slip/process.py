@@ -17,11 +17,12 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.observation import fill_outputs
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
+from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.start import begin
 from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.swing import fill_swing
 from trackslip_estimation.slip.tilt import fill_tilt
-from trackslip_estimation.slip.usable import is_usable
+from trackslip_estimation.slip.usable import fault_of
 from trackslip_estimation.slip.window import (
     Records,
     Window,
@@ -41,6 +42,7 @@ _NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be 
 _ACCEPTED, _TOO_LATE, _DUPLICATE = int(Outcome.ACCEPTED), int(Outcome.TOO_LATE), int(Outcome.DUPLICATE)
 _INVALID, _WAITING, _AHEAD = int(Outcome.INVALID), int(Outcome.WAITING), int(Outcome.AHEAD)
 _JUMPED, _RESTARTED, _FROZEN = int(Outcome.JUMPED), int(Outcome.RESTARTED), int(Outcome.FROZEN)
+_DIVERGED = int(Outcome.DIVERGED)
 _STAMP_AHEAD, _STAMP_BEHIND = int(StampStatus.AHEAD), int(StampStatus.BEHIND)
 _STAMP_BACK = int(StampStatus.BACK)
 
@@ -63,8 +65,13 @@ def process(window: Window, arrivals: Records, results: Records, config: Any) ->
             states[k] = states[k - 1]
             closes = measurements[closing if closing < count else k]
             step(states[k], closes, measurements[k], c, window.updates[k])
+            if not is_sound(states[k], c.size):
+                clear(window)
+                status.divergences += 1
+                outcome, entry = _DIVERGED, 0
+                break
         if taken > 0:
-            _tell(window, outcome, entry, was_head_ns, results[taken - 1], c)
+            _tell(window, arrival, (outcome, entry), was_head_ns, results[taken - 1], c)
         if taken == arrivals.size or (is_full(window) and not trim(window, c)):
             return taken
         was_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
@@ -87,10 +94,13 @@ def _take(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
 
 
 @inlined
-def _tell(window: Window, outcome: int, entry: int, was_head_ns: int, result: Any, c: Any) -> None:
-    """What became of the arrival, once all states are known."""
-    status = window.status[0]
+def _tell(
+    window: Window, measurement: Any, became: tuple[int, int], was_head_ns: int, result: Any, c: Any
+) -> None:
+    """What became of the arrival, its outcome so far and its entry, once all states are known."""
+    status, (outcome, entry) = window.status[0], became
     result.published, result.dof, result.attitude = False, 0, 0
+    result.fault = 0 if outcome != _INVALID else fault_of(measurement, c)
     result.nis = result.gate = np.nan
     if entry > 0:
         update = window.updates[entry]
@@ -106,7 +116,7 @@ def _tell(window: Window, outcome: int, entry: int, was_head_ns: int, result: An
 def _check(window: Window, measurement: Any, c: Any) -> int:
     """What its numbers and its stamp say; a clock that goes back clears the window."""
     status = window.status[0]
-    if not is_usable(measurement, c):
+    if fault_of(measurement, c) > 0:
         return _INVALID
     if status.frozen and measurement.kind in (POSE, HEADING) and measurement.source != MANUAL:
         return _FROZEN

@@ -248,6 +248,7 @@ RESULT = np.dtype(
         ("nis", np.float64),
         ("gate", np.float64),
         ("attitude", np.int64),
+        ("fault", np.int64),  # ``measurements.Fault`` of one that is invalid; 0: none
         ("published", np.bool_),
         ("estimate", ESTIMATE),  # where published
     ],

@@ -19,6 +19,7 @@ class SourceWatch:
 
     def __init__(self, timeouts_ns: Mapping[str, int]) -> None:
         """``timeouts_ns``: of each source that is expected."""
+        self._diverged_ns: int | None = None
         self.expect(timeouts_ns)
         self.clear()
 
@@ -33,8 +34,10 @@ class SourceWatch:
 
     def add(self, report: Report) -> None:
         """One more report."""
-        if report.outcome is Outcome.RESTARTED:
+        if report.outcome in (Outcome.RESTARTED, Outcome.DIVERGED):
             self.clear()
+        if report.outcome is Outcome.DIVERGED:
+            self._diverged_ns = report.stamp_ns
         if report.outcome.refused or report.stamp_ns == 0:  # commands have no time
             return
         for source in self._timeouts_ns:  # all are due from the start on
@@ -42,6 +45,10 @@ class SourceWatch:
         self._taken_ns[report.source] = max(report.stamp_ns, self._taken_ns.get(report.source, 0))
         if report.dof:
             self._innovations[report.source].append(report)
+
+    def has_diverged(self, now_ns: int) -> bool:
+        """Whether the estimate was not finite at some time in the last seconds, and began anew."""
+        return self._diverged_ns is not None and now_ns - self._diverged_ns < _WINDOW_NS
 
     def lost(self, now_ns: int) -> dict[str, float]:
         """Source → seconds since something of it was last accepted, where that is beyond its timeout."""

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How an estimate begins: with which measurement, and in which state; compiled into ``process``."""
 
-import math
 from typing import Any
 
 from trackslip_common.clock_monitor import NEVER_NS
@@ -19,7 +18,7 @@ from trackslip_estimation.slip.odometry import begin_odometry
 from trackslip_estimation.slip.own_errors import begin_erring
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCKETS
 from trackslip_estimation.slip.sprockets import remember, stand_still
-from trackslip_estimation.slip.usable import is_gaussian
+from trackslip_estimation.slip.usable import has_heading
 from trackslip_estimation.slip.window import Window, drop, insert, is_at, place_of
 
 _LEAN = 0.2  # rad, standard deviation of the tilt of ground that nobody has seen
@@ -65,8 +64,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance
     if measurement.kind == POSE:
         source = measurement.source
-        has_heading = is_gaussian(measurement.value, measurement.noise, 3)
-        rows = 3 if has_heading and measurement.noise[YAW, YAW] <= math.pi**2 else 2
+        rows = 3 if has_heading(measurement) else 2
         P[:3, :3] = 0.0
         P[YAW, YAW] = c.initial_covariance[YAW, YAW]
         x[:rows], P[:rows, :rows] = measurement.value[:rows], measurement.noise[:rows, :rows]

@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.attitude.records import SIZE as ATTITUDE_SIZE
 from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import sandwich
+from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
 from trackslip_estimation.slip.alignment import (
     UNKNOWN_HEADING,
@@ -92,6 +94,10 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         hear(state, measurement, c)
         _use(state, measurement, c, update)
         _follow_ground(state, update)
+    if measurement.kind != SPROCKETS:
+        make_positive(state.covariance, update.prior_covariance, c.size)
+        if state.attitude.known == 1:
+            make_positive(state.attitude.covariance, state.attitude.covariance, ATTITUDE_SIZE)
 
 
 @inlined

@@ -14,10 +14,11 @@ import math
 from typing import Any
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.attitude.filter import climb, force_of, rise_of, use_sample
+from trackslip_estimation.attitude.filter import climb, force_of, has_force, rise_of, use_sample
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL
 from trackslip_estimation.slip.altitude import downward
 from trackslip_estimation.slip.levers import UNKNOWN_SWING, swing_lever
+from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_twist
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE, YAW, X, Y
 
@@ -97,14 +98,16 @@ def fill_tilt(state: Any, estimate: Any) -> None:
         tilt.force[:], tilt.force_variance = 0.0, 0.0
         estimate.rise, estimate.rise_variance = 0.0, 0.0
         return
-    force = force_of(a.sample)
+    force, feels = force_of(a.sample), has_force(a.sample)
     for i in range(3):
+        variance = a.sample.rate_variances[i]
         tilt.tilt[i], tilt.rates[i] = a.mean[ROLL + i], a.rates[i]
-        tilt.rate_variances[i], tilt.force[i] = a.sample.rate_variances[i], force[i]
+        tilt.rate_variances[i] = variance if 0.0 <= variance < UNOBSERVED else UNOBSERVED
+        tilt.force[i] = force[i] if feels else 0.0
         for j in range(3):
             tilt.covariance[i, j] = a.covariance[ROLL + i, ROLL + j]
     tilt.covariance[HEIGHT, HEIGHT] += _of_place(state)
-    tilt.force_variance = a.sample.force_variance
+    tilt.force_variance = a.sample.force_variance if feels else UNOBSERVED
     v_x, v_y, P = estimate.twist[0], estimate.twist[1], a.covariance
     estimate.rise = rise_of(a.mean, v_x, v_y)
     estimate.rise_variance = v_x**2 * P[PITCH, PITCH] + v_y**2 * P[ROLL, ROLL]

@@ -1,6 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which measurements are such: numbers within reason, and covariances that are some; compiled."""
+"""Validity checks of measurements: finite, within physical limits, covariance positive definite; compiled.
+
+    R     covariance of a measurement, its part that is used          (m, m)
+    C     its correlations, R_ij / √(R_ii R_jj)                       (m, m)
+    d_k   pivots of C = L D Lᵀ: share of a variance that the others leave open
+
+All limits stand here. What lies beyond them is no measurement of a ground vehicle, and would cost the filter
+digits that it needs: 64 bits hold numbers to 1e-16 of the largest.
+"""
 
 import math
 from typing import Any
@@ -9,47 +17,163 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.increments import is_pose
-from trackslip_estimation.slip.records import MANUAL, ODOMETRY, POSE, SLIPS, SPROCKETS
+from trackslip_estimation.slip.measurements import Fault
+from trackslip_estimation.slip.records import (
+    HEADING,
+    MANUAL,
+    ODOMETRY,
+    ON_SWING,
+    SLIPS,
+    SPROCKETS,
+    YAW_RATE,
+)
 
 FloatArray = NDArray[np.float64]
 
-_LARGEST = 1e9  # m, rad, rad/s: beyond it is no measurement, and its square no number to reckon with
+
+FARTHEST = 1e8  # m, of a place; the Earth is 4e7 m round
+HIGHEST = 1e5  # m, of an altitude
+LARGEST_ANGLE = 1e3  # rad, of a heading
+LARGEST_COUNT = 1e9  # rad, of a sprocket position: a year of driving is 3e8
+FASTEST_TURN = 100.0  # rad/s; gyros reach 35
+FASTEST = 100.0  # m/s, of what odometry saw move
+LARGEST_FORCE = 1e4  # m/s²
+LARGEST_SLIP = 1e3
+FARTHEST_STDDEV = 1e4  # m
+LEAST_VARIANCE = 1e-12  # of any unit: no sensor is better than 1e-6
+_LARGEST_ANGLE_VARIANCE = 1e6  # rad²: drivers send that for an angle that they do not know
+_LARGEST_SLIP_VARIANCE = 1e6
+_LARGEST_ODOMETRY_VARIANCE = 1e12  # of a pose that drifts: only its growth is used
+_SINGULAR = 1e-10  # least d_k
 _ROUNDING = 1e-9  # of a correlation of 1
+_UNIT = 0.01  # by which the norm of a quaternion, squared, may differ from 1
+
+_NOT_FINITE, _OUT_OF_RANGE = int(Fault.NOT_FINITE), int(Fault.OUT_OF_RANGE)
+_NOT_POSITIVE, _VARIANCE_OUT_OF_RANGE = int(Fault.VARIANCE_NOT_POSITIVE), int(Fault.VARIANCE_OUT_OF_RANGE)
+_INDEFINITE, _NEARLY_SINGULAR = int(Fault.COVARIANCE_INDEFINITE), int(Fault.COVARIANCE_NEARLY_SINGULAR)
+_NO_ROTATION = int(Fault.NO_ROTATION)
 
 
 @compiled
-def is_usable(measurement: Any, c: Any) -> bool:
-    """Whether its numbers are such, and none beyond reason."""
-    if measurement.kind == SPROCKETS:
-        left, right = measurement.left_angle, measurement.right_angle
-        return (
-            abs(measurement.left_speed) < _LARGEST
-            and abs(measurement.right_speed) < _LARGEST
-            and ((math.isnan(left) and math.isnan(right)) or (abs(left) < _LARGEST and abs(right) < _LARGEST))
-        )
-    if measurement.kind == ODOMETRY:
-        return is_pose(measurement)
-    rows = 1
-    if measurement.kind == SLIPS:
-        rows = 2
-    elif measurement.kind == POSE:
-        rows = 3 if measurement.source == MANUAL or c.use_heading[measurement.source] == 1 else 2
-    return is_gaussian(measurement.value, measurement.noise, rows)
+def fault_of(measurement: Any, c: Any) -> int:
+    """``Fault`` of a record of ``MEASUREMENT``; 0 where it has none."""
+    z, R, kind = measurement.value, measurement.noise, measurement.kind
+    if kind == SPROCKETS:
+        return _of_sprockets(measurement)
+    if kind == ODOMETRY:
+        return _of_odometry(measurement)
+    if kind == SLIPS:
+        fault = max(_of_number(z[0], LARGEST_SLIP), _of_number(z[1], LARGEST_SLIP))
+        return fault if fault > 0 else _of_covariance(R, 2, _LARGEST_SLIP_VARIANCE)
+    if kind == YAW_RATE:
+        return max(_of_imu(measurement), _of_variance(R[0, 0], FASTEST_TURN**2))
+    if kind in (HEADING, ON_SWING):
+        return max(_of_number(z[0], LARGEST_ANGLE), _of_variance(R[0, 0], _LARGEST_ANGLE_VARIANCE))
+    return _of_pose(measurement, c)
 
 
 @compiled
-def is_gaussian(mean: FloatArray, covariance: FloatArray, rows: int) -> bool:
-    """Whether the first ``rows`` are numbers with a covariance: symmetric, no negative variance anywhere."""
+def has_heading(measurement: Any) -> bool:
+    """Whether a pose has a heading at all: a number, with a variance of an angle that is known."""
+    variance = measurement.noise[2, 2]
+    return bool(abs(measurement.value[2]) < LARGEST_ANGLE and 0.0 < variance <= math.pi**2) and (
+        _of_covariance(measurement.noise, 3, FARTHEST_STDDEV**2) == 0
+    )
+
+
+@compiled
+def _of_number(value: float, largest: float) -> int:
+    if not math.isfinite(value):
+        return _NOT_FINITE
+    return 0 if abs(value) < largest else _OUT_OF_RANGE
+
+
+@compiled
+def _of_optional(value: float, largest: float) -> int:
+    """Of what an IMU may not have; not finite where it has not."""
+    return _OUT_OF_RANGE if math.isfinite(value) and not abs(value) < largest else 0
+
+
+@compiled
+def _of_variance(variance: float, largest: float) -> int:
+    if not math.isfinite(variance):
+        return _NOT_FINITE
+    if not variance > 0.0:
+        return _NOT_POSITIVE
+    return 0 if variance <= largest else _VARIANCE_OUT_OF_RANGE
+
+
+@compiled
+def _of_sprockets(measurement: Any) -> int:
+    left, right = measurement.left_angle, measurement.right_angle
+    fault = max(
+        _of_number(measurement.left_speed, LARGEST_COUNT), _of_number(measurement.right_speed, LARGEST_COUNT)
+    )
+    if fault == 0 and not (math.isnan(left) and math.isnan(right)):
+        fault = max(_of_number(left, LARGEST_COUNT), _of_number(right, LARGEST_COUNT))
+    return fault
+
+
+@compiled
+def _of_imu(measurement: Any) -> int:
+    fault = _of_number(measurement.value[0], FASTEST_TURN)
+    for k in range(3):
+        if k > 0:
+            fault = max(fault, _of_optional(measurement.value[k], FASTEST_TURN))
+        fault = max(fault, _of_optional(measurement.acceleration[k], LARGEST_FORCE))
+    return fault
+
+
+@compiled
+def _of_pose(measurement: Any, c: Any) -> int:
+    """Of a fix: of its heading only where that is used."""
+    z, R, source = measurement.value, measurement.noise, measurement.source
+    fault = max(_of_number(z[0], FARTHEST), _of_number(z[1], FARTHEST))
+    if fault > 0:
+        return fault
+    rows = 2
+    if source == MANUAL or c.use_heading[source] == 1:
+        fault = max(_of_number(z[2], LARGEST_ANGLE), _of_variance(R[2, 2], math.inf))
+        rows = 3 if source == MANUAL or R[2, 2] <= c.heading_ceiling[source] ** 2 else 2
+    return fault if fault > 0 else _of_covariance(R, rows, FARTHEST_STDDEV**2)
+
+
+@compiled
+def _of_odometry(measurement: Any) -> int:
+    """A pose, and variances: none negative, zero where there is none."""
+    norm = 0.0
+    for k in range(3):
+        fault = _of_number(measurement.value[k], FARTHEST)
+        for row in range(2):
+            variance = measurement.noise[row, k]
+            if variance != 0.0:
+                fault = max(fault, _of_variance(variance, _LARGEST_ODOMETRY_VARIANCE))
+        if fault > 0:
+            return fault
+    for k in range(4):
+        norm += measurement.turn[k] ** 2
+    return 0 if abs(norm - 1.0) < _UNIT else _NO_ROTATION
+
+
+@compiled
+def _of_covariance(R: FloatArray, rows: int, largest: float) -> int:
+    """Of the first ``rows``: symmetric, positive definite, and well enough for numbers of 64 bits."""
     for i in range(rows):
-        if not (abs(mean[i]) < _LARGEST and 0.0 < covariance[i, i] < _LARGEST**2):
-            return False
-    r = np.eye(3)
+        fault = _of_variance(R[i, i], largest)
+        if fault > 0:
+            return fault
+    C = np.eye(3)
     for i in range(rows):
         for j in range(i):
-            deviations = math.sqrt(covariance[i, i]) * math.sqrt(covariance[j, j])
-            r[i, j], r[j, i] = covariance[i, j] / deviations, covariance[j, i] / deviations
-            if not (abs(r[i, j] - r[j, i]) <= _ROUNDING and abs(r[i, j]) <= 1.0 + _ROUNDING):
-                return False
-    determinant = 1.0 + 2.0 * r[1, 0] * r[2, 0] * r[2, 1] - r[1, 0] ** 2 - r[2, 0] ** 2 - r[2, 1] ** 2
-    return bool(determinant >= -_ROUNDING)
+            deviations = math.sqrt(R[i, i]) * math.sqrt(R[j, j])
+            C[i, j], C[j, i] = R[i, j] / deviations, R[j, i] / deviations
+            if not math.isfinite(C[i, j] + C[j, i]):
+                return _NOT_FINITE
+            if abs(C[i, j] - C[j, i]) > _ROUNDING:
+                return _INDEFINITE
+    second = 1.0 - C[1, 0] ** 2
+    determinant = second - C[2, 0] ** 2 - C[2, 1] ** 2 + 2.0 * C[1, 0] * C[2, 0] * C[2, 1]
+    largest_pair = max(abs(C[1, 0]), max(abs(C[2, 0]), abs(C[2, 1])))
+    if largest_pair > 1.0 + _ROUNDING or determinant < -_ROUNDING:
+        return _INDEFINITE
+    return 0 if second >= _SINGULAR and determinant >= _SINGULAR * second else _NEARLY_SINGULAR

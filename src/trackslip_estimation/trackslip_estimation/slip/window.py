@@ -28,6 +28,7 @@ WINDOW = np.dtype(
         ("known", np.int64),  # of these, once started: how many have their state
         ("restarts", np.int64),  # since the clock went back, not those a user asked for
         ("published_ns", np.int64),  # stamp of the newest estimate
+        ("divergences", np.int64),  # how often a state was not finite, and the estimate began anew
         ("clock", CLOCK),
     ],
     align=True,

@@ -43,8 +43,19 @@ VALUES: list[Any] = [
 SOIL_INPUT = np.dtype([("source", "i8"), *VALUES])
 
 _ROUNDING = 1e-9
+_LARGEST = 1e12  # of any unit: beyond it is no number to reckon with
+# Physical limits, beyond which an input is no measurement of a tracked vehicle
+_FASTEST = 20.0  # m/s; the fastest ones drive 22
+_FASTEST_TURN = 10.0  # rad/s
+_FARTHEST = 1e8  # m, rad; the Earth is 4e7 m round
 _STEEPEST = 1.5  # rad: beyond it nothing stands on its tracks
-_LARGEST = 1e12  # Pa, m/s, …: beyond it is no measurement
+_LARGEST_ANGLE = 1e3  # rad, of the swing, and of its standard deviation where nobody knows it
+_LARGEST_PRESSURE = 1e9  # Pa; what a transducer shows at a broken wire is for ``pressure_watch``
+_LARGEST_SPOOL = 2.0  # of −1 … 1
+_LARGEST_SLIP = 1e9  # of a track that hardly turns while the machine slides
+_LARGEST_TWIST_VARIANCE = 1e4  # (m/s)², (rad/s)²
+_LARGEST_POSE_VARIANCE = 1e10  # m², rad²
+_LARGEST_TILT_VARIANCE = 10.0  # rad²
 
 
 @dataclass(frozen=True)
@@ -168,36 +179,6 @@ def copy_input(source: Any, to: Any) -> None:
             to.pose_covariance[i, j] = source.pose_covariance[i, j]
 
 
-@compiled
-def is_valid(given: Any) -> bool:
-    """Whether a ``SOIL_INPUT`` holds numbers, and the covariance of v_x and yaw rate can be one."""
-    if given.source == IS_HYDRAULICS:
-        has_none = math.isnan(given.spools[0]) and math.isnan(given.spools[1])  # not measured: never closed
-        return _are_numbers(given.pressures) and (has_none or _are_numbers(given.spools))
-    if given.source == IS_SLIPS:
-        return _are_numbers(given.slips)
-    if given.source == IS_SWING:
-        return bool(abs(given.swing) < _LARGEST and 0.0 <= given.swing_stddev < _LARGEST)
-    C = given.twist_covariance
-    for i in range(3):
-        if not (_are_numbers(C[i]) and _are_numbers(given.pose_covariance[i])):
-            return False
-    for k in range(2):
-        if not (abs(given.tilt[k]) < _STEEPEST and 0.0 <= given.tilt_variance[k] < _LARGEST):
-            return False
-    limit = C[0, 0] * C[2, 2] * (1.0 + _ROUNDING)
-    is_covariance = C[0, 0] >= 0.0 and C[2, 2] >= 0.0 and C[0, 2] ** 2 <= limit
-    return is_covariance and _are_numbers(given.twist) and _are_numbers(given.pose)
-
-
-@compiled
-def _are_numbers(values: FloatArray) -> bool:
-    for k in range(len(values)):  # noqa: SIM110 (numba knows no all() of a generator)
-        if not abs(values[k]) < _LARGEST:
-            return False
-    return True
-
-
 class Rejection(Enum):
     """Why an input was not used."""
 
@@ -207,11 +188,80 @@ class Rejection(Enum):
     AHEAD = "far ahead of the others"
     UNPAIRED = "odometry and track_slip are not both there"
     RESTARTED = "the clock went back: all begins anew"
+    OUT_OF_RANGE = "beyond physical limits"
+    DIVERGED = "the estimate was not finite any more: all begins anew"
 
 
 # Of compiled code: the place of each in ``Rejection``
-INVALID, DUPLICATE, TOO_LATE, AHEAD, UNPAIRED, RESTARTED = range(6)
+INVALID, DUPLICATE, TOO_LATE, AHEAD, UNPAIRED, RESTARTED, OUT_OF_RANGE, DIVERGED = range(8)
 ACCEPTED = -1
+
+
+@compiled
+def fault_of(given: Any) -> int:
+    """INVALID or OUT_OF_RANGE, where a ``SOIL_INPUT`` is one of both; else ACCEPTED."""
+    if given.source == IS_HYDRAULICS:
+        has_none = math.isnan(given.spools[0]) and math.isnan(given.spools[1])  # not measured: never closed
+        of_spools = ACCEPTED if has_none else _of_numbers(given.spools, _LARGEST_SPOOL)
+        return _worse(_of_numbers(given.pressures, _LARGEST_PRESSURE), of_spools)
+    if given.source == IS_SLIPS:
+        return _of_numbers(given.slips, _LARGEST_SLIP)
+    if given.source == IS_SWING:
+        return _worse(
+            _of_number(given.swing, _LARGEST_ANGLE), _of_variance(given.swing_stddev, _LARGEST_ANGLE)
+        )
+    C, P = given.twist_covariance, given.pose_covariance
+    fault = _worse(_of_number(given.twist[0], _FASTEST), _of_number(given.twist[1], _FASTEST))
+    fault = _worse(fault, _of_number(given.twist[2], _FASTEST_TURN))
+    fault = _worse(fault, _of_numbers(given.pose, _FARTHEST))
+    for k in range(3):
+        fault = _worse(fault, _of_variance(C[k, k], _LARGEST_TWIST_VARIANCE))
+        fault = _worse(fault, _of_variance(P[k, k], _LARGEST_POSE_VARIANCE))
+        for j in range(3):
+            fault = _worse(fault, _of_number(C[k, j], _LARGEST_TWIST_VARIANCE))
+            fault = _worse(fault, _of_number(P[k, j], _LARGEST_POSE_VARIANCE))
+    for k in range(2):
+        fault = _worse(fault, _of_number(given.tilt[k], _STEEPEST))
+        fault = _worse(fault, _of_variance(given.tilt_variance[k], _LARGEST_TILT_VARIANCE))
+    if fault == ACCEPTED and not _is_covariance(C):
+        return INVALID
+    return fault
+
+
+@compiled
+def _is_covariance(C: FloatArray) -> bool:
+    """Whether that of v_x and yaw rate can be one."""
+    product = C[0, 0] * C[2, 2]
+    same = abs(C[0, 2] - C[2, 0]) <= _ROUNDING * math.sqrt(product)
+    return bool(same and C[0, 2] ** 2 <= product * (1.0 + _ROUNDING))
+
+
+@compiled
+def _worse(one: int, other: int) -> int:
+    """INVALID before OUT_OF_RANGE before ACCEPTED."""
+    if one == INVALID or other == INVALID:
+        return INVALID
+    return max(one, other)
+
+
+@compiled
+def _of_numbers(values: FloatArray, largest: float) -> int:
+    fault = ACCEPTED
+    for k in range(len(values)):
+        fault = _worse(fault, _of_number(values[k], largest))
+    return fault
+
+
+@compiled
+def _of_number(value: float, largest: float) -> int:
+    if not abs(value) < _LARGEST:
+        return INVALID
+    return ACCEPTED if abs(value) <= largest else OUT_OF_RANGE
+
+
+@compiled
+def _of_variance(variance: float, largest: float) -> int:
+    return _of_number(variance, largest) if variance >= 0.0 else INVALID
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ class SoilEstimator:
                 yield SoilOutputs(self._state.forces[:count].copy())
             if reason == step.OPEN:
                 yield from self._finish(self._known)
-            elif reason == step.RESTART:
+            elif reason in (step.RESTART, step.DIVERGED):
                 self._begin_anew()
 
     def _begin_anew(self) -> None:

@@ -29,7 +29,8 @@ from trackslip_estimation.soil.ground_load import (
     set_load,
 )
 from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, WATCH, Doubt, PressureFault
-from trackslip_estimation.soil.records import FORCES, RESTARTED
+from trackslip_estimation.soil.records import DIVERGED as REJECTED_DIVERGED
+from trackslip_estimation.soil.records import FORCES, IS_ODOMETRY, RESTARTED
 from trackslip_estimation.soil.reserve import Reserve, thrust_reserve
 from trackslip_estimation.soil.slip_seed import SEEDER, is_seed_due
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
@@ -58,7 +59,8 @@ _BRIEF = len(PressureFault)  # a doubt that has not lasted; it names nothing
 _AT_REST = _BRIEF + 1
 
 # Why the loop stopped
-PROCESSED, FULL, RESTART, OPEN = range(4)  # no input left; no more room; the clock went back; see ``OPEN``
+# No input left; no more room; the clock went back; the sample in hand is open; the state is not finite
+PROCESSED, FULL, RESTART, OPEN, DIVERGED = range(5)
 
 KNOWN = np.dtype(
     [
@@ -144,6 +146,9 @@ def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any
             if not known.is_open:
                 time_synchronizer.pop_oldest(synchronizer, p.moments, known.sample)
                 _step(known, state.faults, p)
+                if not _is_sound(known):
+                    synchronizer.state[0].rejected[IS_ODOMETRY, REJECTED_DIVERGED] += 1
+                    return Stop(DIVERGED, first, known.forces)
                 known.is_open = known.gathered != GATHERING or known.soil_due or known.seed_due
                 if known.is_open:
                     return Stop(OPEN, first, known.forces)
@@ -196,6 +201,15 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
     known.seed_due = is_seed_due(known.seeder, sample, known.thrust, p)
     known.soil_due = _passes(before_ns, sample.stamp_ns, p.soil_period)
     known.forces_due = _passes(before_ns, sample.stamp_ns, p.forces_period)
+
+
+@compiled
+def _is_sound(known: Any) -> bool:
+    """The last guard: whether all that the next sample depends on is finite."""
+    total = known.thrust.force.sum() + known.thrust.variance.sum() + known.offsets.mean.sum()
+    total += known.offsets.variance.sum() + known.mu.sum() + known.mu_variance.sum()
+    total += known.dynamics.mean.sum() + known.dynamics.covariance.sum()
+    return bool(math.isfinite(total))
 
 
 @compiled

@@ -22,7 +22,6 @@ from trackslip_estimation.soil.records import (
     ACCEPTED,
     AHEAD,
     DUPLICATE,
-    INVALID,
     IS_HYDRAULICS,
     IS_ODOMETRY,
     IS_SWING,
@@ -34,7 +33,7 @@ from trackslip_estimation.soil.records import (
     VALUES,
     Rejection,
     copy_input,
-    is_valid,
+    fault_of,
 )
 from trackslip_estimation.soil.stamp_clock import (
     BACK,
@@ -120,13 +119,12 @@ def new_synchronizer(awaits_swings: bool) -> TimeSynchronizer:
 def add(synchronizer: TimeSynchronizer, given: Any, p: Any) -> int:
     """Put one input in its place; ACCEPTED, or why it has none. After RESTARTED all begins anew."""
     state = synchronizer.state[0]
-    if not is_valid(given):
-        rejection = INVALID
-    elif given.source == IS_HYDRAULICS:
+    rejection = fault_of(given)
+    if rejection == ACCEPTED and given.source == IS_HYDRAULICS:
         rejection = _add_to(state.readings, state.reading_clock, synchronizer.buffers[_READINGS], given, p)
-    elif given.source == IS_SWING:
+    elif rejection == ACCEPTED and given.source == IS_SWING:
         rejection = _add_to(state.swings, state.swing_clock, synchronizer.buffers[_SWINGS], given, p)
-    else:
+    elif rejection == ACCEPTED:
         rejection = _add_half(synchronizer, given, p)
     if rejection != ACCEPTED:
         state.rejected[given.source, rejection] += 1

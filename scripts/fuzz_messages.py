@@ -1,0 +1,296 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages with any numbers in them, on every topic that the slip and the soil estimator subscribe to.
+
+``make fuzz`` takes a hundred thousand of each topic, ``make test`` some. Good messages of a machine
+come between them. None raises; what is published is finite; what is refused is counted with its reason,
+and changes nothing; and the good messages are used.
+"""
+
+import math
+import struct
+import sys
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from rclpy.serialization import deserialize_message, serialize_message
+
+from trackslip_common.make import header
+from trackslip_common.nodes.messages import make, message_class, packed_topic
+from trackslip_common.packed import PackedMessage
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT, SWING_STDDEV_JOINT
+from trackslip_estimation.nodes.estimator_health import estimator_health
+from trackslip_estimation.nodes.soil_health import soil_health
+from trackslip_estimation.slip import conversions
+from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
+from trackslip_estimation.slip.local_odometry import LocalOdometry
+from trackslip_estimation.slip.measurements import (
+    SET_POSE,
+    Fault,
+    Outcome,
+    PoseFix,
+    Sprockets,
+    YawRate,
+)
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.source_watch import SourceWatch
+from trackslip_estimation.slip.sources import Refusal
+from trackslip_estimation.soil import conversions as soil_conversions
+from trackslip_estimation.soil.records import Hydraulics, Odometry, PoseWithCovariance, Slips, Swing
+from trackslip_estimation.soil.soil_estimator import SoilEstimator
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+
+COUNT = 100_000  # messages of a topic
+_SENTINEL = 0.1234567890123
+_PERIOD_NS = 10_000_000  # from one good sample to the next
+_LOOK = 1000  # periods
+_VALUES = np.array(
+    (math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -1.0, 1e-300, -1e-300, 5e-324, 1e300, -1e300, 1.7e308)
+)
+PARAMETERS: dict[str, Any] = {
+    "vehicle": "pc05_cab",
+    "pose_sources": ["box_pose", "gnss_pose"],
+    "heading_sources": ["heading"],
+    "odometry_sources": ["visual_odometry"],
+    "slip_sources": ["slip_seed"],
+    "sources.imu_data_raw.use_orientation": True,
+    "sources.gnss_pose.use_altitude": True,
+}
+
+
+class Topic(NamedTuple):
+    """What comes on a topic, and how an estimator takes it."""
+
+    type_name: str
+    convert: Callable[[Any], Any]
+    names: tuple[str, ...] = ()  # of joints
+    packed: bool = True
+
+
+class Findings(NamedTuple):
+    """What the messages did."""
+
+    counts: Counter[str]  # what became of them
+    faults: list[str]  # what must not be
+
+
+class Mutator:
+    """Messages of a topic with any numbers in them."""
+
+    def __init__(self, topic: Topic, rng: np.random.Generator) -> None:
+        fields = {
+            "header": header(make, 0, "base_link"),
+            **({"name": list(topic.names)} if topic.names else {}),
+        }
+        message, self._kind = make(topic.type_name, **fields), message_class(topic.type_name)
+        _fill(message, _SENTINEL, len(topic.names))
+        self._raw, wanted = bytes(serialize_message(message)), struct.pack("<d", _SENTINEL)
+        self._places = [at for at in range(len(self._raw)) if self._raw.startswith(wanted, at)]
+        self._topic, self._rng, self._packed = topic, rng, packed_topic(self._kind)
+
+    def measured(self, stamp_ns: int) -> Any:
+        """One, converted."""
+        raw = bytearray(self._raw)
+        if self._rng.random() < 0.02:
+            stamp_ns = int(self._rng.integers(-(2**31), 2**31)) * 1_000_000_000
+        struct.pack_into("<iI", raw, 4, *divmod(stamp_ns, 1_000_000_000))
+        for at, value in zip(self._places, _numbers(self._rng, len(self._places)), strict=True):
+            struct.pack_into("<d", raw, at, value)
+        if self._topic.packed:
+            return self._topic.convert(PackedMessage(bytes(raw), self._packed))
+        return self._topic.convert(deserialize_message(bytes(raw), self._kind))
+
+
+def _fill(message: Any, value: float, joints: int) -> None:
+    for name, text in message.get_fields_and_field_types().items():
+        found = getattr(message, name)
+        if text == "double":
+            setattr(message, name, value)
+        elif text.startswith("double["):
+            setattr(message, name, np.full(len(found), value))
+        elif text == "sequence<double>":
+            setattr(message, name, [value] * joints)
+        elif hasattr(found, "get_fields_and_field_types"):
+            _fill(found, value, joints)
+
+
+def _numbers(rng: np.random.Generator, n: int) -> list[float]:
+    """``n`` numbers: plausible ones, of any size, or none at all."""
+    largest = 308.0 if rng.random() < 0.3 else 6.0
+    values = 10.0 ** rng.uniform(-largest, largest, n) * rng.choice((-1.0, 1.0), n)
+    tame = rng.random(n) < rng.choice((0.0, 0.5, 0.95))
+    values[tame] = np.abs(0.1 * rng.normal(size=int(tame.sum())))
+    special = rng.random(n) < rng.choice((0.0, 0.0, 0.05, 0.5))
+    values[special] = rng.choice(_VALUES, int(special.sum()))
+    found: list[float] = values.tolist()
+    return found
+
+
+def slip_topics() -> dict[str, Topic]:
+    """Those of the slip estimator with all kinds of sources."""
+    p = load_slip_parameters(PARAMETERS)
+    pose, joints, imu = (
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "sensor_msgs/msg/JointState",
+        "sensor_msgs/msg/Imu",
+    )
+    compass, camera, gyro = (
+        p.compasses()["heading"],
+        p.odometries()["visual_odometry"],
+        p.gyros()["imu/data_raw"],
+    )
+    sprockets = LEFT_SPROCKET, RIGHT_SPROCKET
+    return {
+        "sprockets": Topic(joints, lambda m: conversions.sprockets(m, "sprockets"), sprockets),
+        "imu/data_raw": Topic(imu, lambda m: conversions.yaw_rate(m, "imu/data_raw", gyro)),
+        "box_pose": Topic(pose, lambda m: conversions.pose_fix(m, "box_pose")),
+        "gnss_pose": Topic(pose, lambda m: conversions.pose_fix(m, "gnss_pose")),
+        SET_POSE: Topic(pose, lambda m: conversions.pose_fix(m, SET_POSE), packed=False),
+        "slip_seed": Topic("trackslip_msgs/msg/TrackSlip", lambda m: conversions.slip_fix(m, "slip_seed")),
+        "swing": Topic(joints, lambda m: conversions.swing_angle(m, "swing", 1e-4), (SWING_JOINT,)),
+        "heading": Topic(
+            imu, lambda m: conversions.heading_fix(m, "heading", compass.stddev**2), packed=False
+        ),
+        "visual_odometry": Topic(
+            "nav_msgs/msg/Odometry", lambda m: conversions.odometry_pose(m, "visual_odometry", camera)
+        ),
+    }
+
+
+def soil_topics() -> dict[str, Topic]:
+    """Those of the soil estimator."""
+    joints = SWING_JOINT, SWING_STDDEV_JOINT
+    return {
+        "hydraulics": Topic("trackslip_msgs/msg/TrackHydraulics", soil_conversions.hydraulics),
+        "odometry": Topic("nav_msgs/msg/Odometry", soil_conversions.odometry),
+        "track_slip": Topic("trackslip_msgs/msg/TrackSlip", soil_conversions.slips),
+        "swing/estimate": Topic("sensor_msgs/msg/JointState", soil_conversions.swing, joints, packed=False),
+    }
+
+
+def fuzz_slip(count: int, seed: int = 0) -> Findings:
+    """``count`` messages of each topic of the slip estimator, between good ones of a machine that stands."""
+    rng, p = np.random.default_rng(seed), load_slip_parameters(PARAMETERS)
+    estimator, watch, local = SlipEstimator(p), SourceWatch(p.timeouts_ns()), LocalOdometry()
+    mutators = {name: Mutator(topic, rng) for name, topic in slip_topics().items()}
+    counts, faults = Counter[str](), list[str]()
+    origin, R = np.zeros(3), np.diag((1e-4, 1e-4, 1e-4))
+    for k in range(1, count + 1):
+        now_ns = k * _PERIOD_NS
+        good: list[Any] = [
+            Sprockets("sprockets", now_ns, 0.0, 0.0, (0.0, 0.0)),
+            YawRate("imu/data_raw", now_ns, 0.0, 1e-4),
+        ]
+        if k % 10 == 0:
+            good += [PoseFix(SET_POSE, now_ns, origin, R), PoseFix("box_pose", now_ns + 1, origin, R)]
+        for given in good:
+            report, estimate = estimator.process(given)
+            watch.add(report)
+            wanted = (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.WAITING)
+            if not isinstance(given, YawRate) and report.outcome not in wanted and estimator.started:
+                faults.append(f"period {k}: a good measurement of {report.source} is {report.outcome.name}")
+            _look_at(estimate, local, k, faults)
+        for name, mutator in mutators.items():
+            given = mutator.measured(now_ns + int(rng.integers(2, _PERIOD_NS)))
+            if isinstance(given, Refusal):
+                counts[f"{name} {given.name}"] += 1
+                continue
+            before = _newest(estimator)
+            report, estimate = estimator.process(given)
+            watch.add(report)
+            reason = report.fault or report.outcome
+            counts[f"{name} {reason.name}"] += 1
+            if (report.outcome is Outcome.INVALID) != isinstance(reason, Fault):
+                faults.append(f"period {k}: a message on {name} is invalid without a reason")
+            if report.outcome is Outcome.INVALID and _newest(estimator) != before:
+                faults.append(f"period {k}: an invalid message on {name} changed the estimate")
+            _look_at(estimate, local, k, faults)
+        if k % _LOOK == 0:
+            estimator_health(estimator, watch, 0.0, counts)
+    if estimator.divergences:
+        faults.append(f"the estimate diverged {estimator.divergences} times")
+    return Findings(counts, faults)
+
+
+def _newest(estimator: SlipEstimator) -> bytes:
+    count = estimator.window.count
+    return estimator.window.states[count - 1].tobytes() if estimator.started else b""
+
+
+def _look_at(estimate: Estimate | None, local: LocalOdometry, period: int, faults: list[str]) -> None:
+    """Whether all that is published of it is finite."""
+    if estimate is None:
+        return
+    for message in (
+        conversions.odometry(make, estimate, "map", "base_link"),
+        conversions.odometry(make, local.after(estimate), "odom", "base_link"),
+        conversions.track_slip(make, estimate, "base_link"),
+        conversions.attitude(make, estimate, "base_link"),
+        conversions.swing(make, estimate, "base_link"),
+    ):
+        if not _is_finite(message):
+            faults.append(f"period {period}: {type(message).__name__} is not finite")
+
+
+def _is_finite(message: Any) -> bool:
+    """Whether all float64 of a message are, but for a reserve that is not known."""
+    for name, text in message.get_fields_and_field_types().items():
+        found = getattr(message, name)
+        if "double" in text and not name.endswith("thrust_reserve") and not np.isfinite(found).all():
+            return False
+        if hasattr(found, "get_fields_and_field_types") and not _is_finite(found):
+            return False
+    return True
+
+
+def fuzz_soil(count: int, seed: int = 0) -> Findings:
+    """``count`` messages of each topic of the soil estimator, between good ones of a machine that drives."""
+    rng, p = np.random.default_rng(seed), load_soil_parameters({"vehicle": PARAMETERS["vehicle"]})
+    estimator = SoilEstimator(p)
+    mutators = [Mutator(topic, rng) for topic in soil_topics().values()]
+    counts, faults, published = Counter[str](), list[str](), 0
+    twist, C, P = np.array((0.3, 0.0, 0.0)), np.diag((1e-4, 1e-4, 1e-4)), np.diag((1e-2, 1e-2, 1e-3))
+    for k in range(1, count + 1):
+        now_ns = k * _PERIOD_NS
+        pose = PoseWithCovariance(np.array((3e-3 * k, 0.0, 0.0)), P)
+        good = [
+            Hydraulics(now_ns, 5e6, 5e6, 0.5, 0.5),
+            Odometry(now_ns, twist, C, pose),
+            Slips(now_ns, np.array((0.1, 0.1, 0.0)), Motion.STRAIGHT),
+            Swing(now_ns, 0.0, 0.01),
+        ]
+        bad = [mutator.measured(now_ns + int(rng.integers(1, _PERIOD_NS))) for mutator in mutators]
+        for given in (*good, *bad):
+            outputs = estimator.advance(given)
+            published += len(outputs)
+            for output in outputs:
+                if not _is_finite(soil_conversions.message_of(make, output, "base_link")):
+                    faults.append(f"period {k}: {type(output).__name__} is not finite")
+        if k % _LOOK == 0:
+            soil_health(estimator, 0.0, counts)
+            if not published:
+                faults.append(f"period {k}: nothing was published since the last look")
+            published = 0
+    for (source, reason), n in estimator.tally.total.items():
+        counts[f"{source} {reason}"] += n
+    return Findings(counts, faults)
+
+
+def main() -> int:
+    """``fuzz_messages.py COUNT``: so many of each topic; the exit code is 1 where anything was found."""
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else COUNT
+    found_any = False
+    for name, fuzz in (("slip", fuzz_slip), ("soil", fuzz_soil)):
+        found = fuzz(count)
+        what = ", ".join(f"{text} {n}" for text, n in sorted(found.counts.items()))
+        print(f"{name} estimator, {count} messages of each topic: {what}")
+        print("\n".join(found.faults[:20]) or "nothing found", flush=True)
+        found_any |= bool(found.faults)
+    return 1 if found_any else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

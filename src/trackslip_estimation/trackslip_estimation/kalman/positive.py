@@ -1,0 +1,52 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A covariance kept symmetric and positive definite after its update; compiled, in place.
+
+P      covariance after an update                          (n, n)
+P⁻     covariance before it                                (n, n)
+d_k    pivots of the factorisation L D Lᵀ of P, the variance of each state given those before it
+ε_k    least pivot: what rounding leaves of the variance of a state
+
+An update subtracts from P what it has learned. Rounding leaves of that about 1e-16 of the larger P⁻:
+where the difference is smaller, P may have a negative eigenvalue. The factorisation shows it: a pivot
+below ε_k. Then the variance of that state is raised until its pivot is ε_k, and it shares with the
+states after it only what those before it explain (a modified Cholesky factorisation, after Gill &
+Murray). So the estimate claims no more than numbers of 64 bits can hold. A P that is positive definite
+stays as it is.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.compiled import compiled
+
+_OF_VARIANCE = 1e-12  # ε_k, as a share of a state's variance
+_OF_BEFORE = 1e-14  # and of its variance before the update
+
+
+@compiled
+def make_positive(P: Any, before: Any, n: int) -> None:
+    """Make the first ``n`` states of P positive definite and exactly symmetric, where they are not.
+
+    ``before``: P⁻. Numbers that are not finite stay so.
+    """
+    U = np.empty((n, n))  # D Lᵀ
+    for i in range(n):
+        for j in range(i, n):
+            both = 0.5 * (P[i, j] + P[j, i])
+            P[i, j] = P[j, i] = U[i, j] = both
+    for k in range(n):
+        variance = P[k, k]
+        least = max(_OF_VARIANCE * variance, _OF_BEFORE * before[k, k])
+        if not U[k, k] > least:
+            P[k, k] += least - U[k, k]
+            for j in range(k + 1, n):
+                P[k, j] = P[j, k] = P[k, j] - U[k, j]
+            continue
+        over = 1.0 / U[k, k]
+        for i in range(k + 1, n):
+            share = U[k, i] * over
+            if share != 0.0:
+                for j in range(i, n):
+                    U[i, j] -= share * U[k, j]

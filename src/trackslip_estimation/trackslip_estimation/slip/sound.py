@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The last guard: whether a state can be gone on from; compiled.
+
+``usable`` keeps out what would break a state, and ``kalman.positive`` keeps its covariance positive definite.
+Should a state be broken nevertheless, ``process`` counts a divergence and begins anew, as after a reset.
+"""
+
+from typing import Any
+
+from trackslip_common.compiled import compiled
+
+
+@compiled
+def is_sound(state: Any, n: int) -> bool:
+    """Whether means and variances of the ``n`` states, and of the attitude, are finite, no variance negative.
+
+    What else is not finite makes one of them so in the next step.
+    """
+    a, adaptation, positive = state.attitude, state.adaptation, True
+    total, variances = adaptation.track_variance + adaptation.rate_factor, 0.0
+    for k in range(n):
+        total += state.mean[k]
+        variances += state.covariance[k, k]
+        positive &= state.covariance[k, k] >= 0.0
+    if a.known == 1:
+        for k in range(a.mean.size):
+            total += a.mean[k]
+            variances += a.covariance[k, k]
+            positive &= a.covariance[k, k] >= 0.0
+    return bool(positive and (total - total) + (variances - variances) == 0.0)

@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers at the edge of what can be held: the estimate stays finite, its covariance positive definite."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import random_steps
+from trackslip_estimation.nodes.estimator_health import estimator_health
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned import to_tree
+from trackslip_estimation.slip.measurements import (
+    RESET,
+    Command,
+    Fault,
+    Measurement,
+    Outcome,
+    PoseFix,
+    Sprockets,
+    YawRate,
+)
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.source_watch import SourceWatch
+
+FloatArray = NDArray[np.float64]
+
+MS = 1_000_000
+S = 1000 * MS
+R = np.diag((1e-4, 1e-4, 1e-4))
+
+
+def fix(stamp_ns: int, covariance: FloatArray = R, x: float = 0.0) -> PoseFix:
+    """At the origin, or ahead of it."""
+    return PoseFix("box_pose", stamp_ns, np.array((x, 0.0, 0.0)), covariance)
+
+
+def standing(end_ns: int, **changed: Any) -> SlipEstimator:
+    """An estimator of a machine that has stood since 0 s."""
+    estimator = SlipEstimator(load_slip_parameters(changed))
+    found: list[Measurement] = [fix(0)]
+    for stamp_ns in range(10 * MS, end_ns + 1, 10 * MS):
+        found += [sample(stamp_ns), YawRate("imu/data_raw", stamp_ns, 0.0, 1e-4)]
+        found += [fix(stamp_ns)] if stamp_ns % (100 * MS) == 0 else []
+    estimator.process_all(found)
+    return estimator
+
+
+def sample(stamp_ns: int) -> Sprockets:
+    return Sprockets("sprockets", stamp_ns, 0.0, 0.0, (0.0, 0.0))
+
+
+def turned(variances: tuple[float, float], degrees: float) -> FloatArray:
+    """A fix's covariance, its axes rotated."""
+    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    axes = np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
+    return np.asarray(axes @ np.diag((*variances, 1e-4)) @ axes.T)
+
+
+def correlated(variance: float, correlation: float) -> FloatArray:
+    """One variance in x and y."""
+    covariance = np.diag((variance, variance, 1e-4))
+    covariance[0, 1] = covariance[1, 0] = correlation * variance
+    return covariance
+
+
+# The fewest of 10⁵ steps; ``make fuzz`` takes 10⁷
+@pytest.mark.parametrize("machine", range(len(random_steps.MACHINES)))
+def test_random_steps_leave_finite_numbers_and_a_positive_covariance(machine: int) -> None:
+    episodes = range(machine, 56, len(random_steps.MACHINES))
+    found = [random_steps.episode(number) for number in episodes]
+    assert sum(episode.steps for episode in found) >= 12_500
+    assert [fault for episode in found for fault in episode.faults] == []
+    outcomes = sum(episode.outcomes for episode in found)
+    assert outcomes[Outcome.ACCEPTED] > 0.5 * outcomes.sum()
+    assert outcomes[Outcome.INVALID] > 0.05 * outcomes.sum()
+
+
+@pytest.mark.parametrize(
+    ("covariance", "fault"),
+    [
+        (correlated(1e12, 1.0), Fault.VARIANCE_OUT_OF_RANGE),
+        (turned((1e11, 1e-4), 30.0), Fault.VARIANCE_OUT_OF_RANGE),
+        (turned((1e13, 1.0), 30.0), Fault.VARIANCE_OUT_OF_RANGE),
+        (turned((1e7, 1e-6), 30.0), Fault.COVARIANCE_NEARLY_SINGULAR),
+        (correlated(1.0, 1.0), Fault.COVARIANCE_NEARLY_SINGULAR),
+        (correlated(1.0, 1.1), Fault.COVARIANCE_INDEFINITE),
+        (np.diag((1.0, 0.0, 1.0)), Fault.VARIANCE_NOT_POSITIVE),
+        (np.diag((np.nan, 1.0, 1.0)), Fault.NOT_FINITE),
+        (np.diag((np.inf, 1.0, 1.0)), Fault.NOT_FINITE),
+    ],
+)
+def test_ill_conditioned_fix_is_refused_with_its_reason_and_the_next_one_is_used(
+    covariance: FloatArray, fault: Fault
+) -> None:
+    estimator = standing(S)
+    before = estimator.window.states[estimator.window.count - 1].tobytes()
+    report, _ = estimator.process(fix(S + MS, covariance))
+    assert (report.outcome, report.fault) == (Outcome.INVALID, fault)
+    assert estimator.window.states[estimator.window.count - 1].tobytes() == before
+    report, _ = estimator.process(fix(S + 2 * MS))
+    assert (report.outcome, report.fault) == (Outcome.ACCEPTED, None)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0])
+def test_fix_that_knows_one_direction_alone_is_used(degrees: float) -> None:
+    """1e6 stands for a direction that nobody observes, as a laser's along a corridor."""
+    estimator = standing(S)
+    report, _ = estimator.process(fix(S + MS, turned((1e6, 1e-4), degrees)))
+    assert report.outcome is Outcome.ACCEPTED
+
+
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    [
+        (YawRate("imu/data_raw", S + MS, 101.0, 1e-4), Fault.OUT_OF_RANGE),
+        (YawRate("imu/data_raw", S + MS, 0.0, 1e5), Fault.VARIANCE_OUT_OF_RANGE),
+        (YawRate("imu/data_raw", S + MS, 0.0, 1e-4, tilt_rates=(1e3, 0.0)), Fault.OUT_OF_RANGE),
+        (YawRate("imu/data_raw", S + MS, 0.0, 1e-4, acceleration=(0.0, 0.0, 1e5)), Fault.OUT_OF_RANGE),
+        (fix(S + MS, x=1e9), Fault.OUT_OF_RANGE),
+    ],
+)
+def test_what_no_ground_vehicle_does_is_refused(given: Measurement, fault: Fault) -> None:
+    report, _ = standing(S).process(given)
+    assert (report.outcome, report.fault) == (Outcome.INVALID, fault)
+
+
+@pytest.mark.parametrize("variance", [1e-300, 1e-20, 1e-12])
+def test_variance_below_what_any_sensor_has_counts_as_the_least(variance: float) -> None:
+    estimator = standing(S)
+    for given in (
+        YawRate("imu/data_raw", S + MS, 0.0, variance),
+        fix(S + 2 * MS, np.diag(np.full(3, variance))),
+    ):
+        assert estimator.process(given)[0].outcome is Outcome.ACCEPTED
+        P = estimator.window.states[estimator.window.count - 1]["covariance"][:14, :14]
+        assert np.isfinite(P).all()
+        assert np.linalg.eigvalsh(P)[0] > 0.0
+
+
+@pytest.mark.parametrize("start", ["first_fix", "initial_pose"])
+@pytest.mark.parametrize("field", ["mean", "covariance"])
+def test_estimate_that_is_not_finite_begins_again_and_says_so(field: str, start: str) -> None:
+    estimator = standing(S, start=start)
+    watch = SourceWatch(estimator.parameters.timeouts_ns())
+    estimator.window.states[field][: estimator.window.count] = np.nan
+    report, estimate = estimator.process(YawRate("imu/data_raw", S + MS, 0.0, 1e-4))
+    watch.add(report)
+    assert (report.outcome, estimate, estimator.divergences) == (Outcome.DIVERGED, None, 1)
+    health = estimator_health(estimator, watch, 0.0, {})
+    assert "not finite" in health.message
+    assert health.values["divergences"] == 1
+    given = [fix(S + 5 * MS), sample(S + 10 * MS), fix(S + 11 * MS), sample(S + 20 * MS)]
+    reports = [estimator.process(measurement) for measurement in given]
+    assert reports[2][0].outcome is Outcome.ACCEPTED
+    last = reports[-1][1]
+    assert last is not None
+    assert np.isfinite(last.pose).all()
+    assert estimator.divergences == 1
+
+
+def test_reset_keeps_nothing_that_is_not_finite() -> None:
+    estimator = standing(S)
+    estimator.window.states["mean"][: estimator.window.count] = np.nan
+    assert estimator.learned is None  # the state file then keeps what it has
+    estimator.apply_command(Command(RESET))
+    for given in (fix(S), sample(S + MS), sample(S + 11 * MS)):
+        assert estimator.process(given)[0].outcome is Outcome.ACCEPTED
+    assert estimator.learned is not None
+    assert estimator.learned.is_finite
+    assert np.isfinite(estimator.estimate().pose).all()
+    assert "nan" not in str(to_tree(estimator.learned, estimator.meaning))
+
+
+def test_replay_of_a_diverged_estimate_ends_with_the_same_bits() -> None:
+    """One by one and all at once, from a state that was made to break."""
+    ends = []
+    given = [
+        sample(S + 10 * MS),
+        fix(S + 11 * MS),
+        sample(S + 20 * MS),
+        replace(fix(S + 21 * MS), source="box_pose"),
+    ]
+    for at_once in (False, True):
+        estimator = standing(S)
+        estimator.window.states["mean"][: estimator.window.count] = np.nan
+        steps = estimator.process_all(given) if at_once else [estimator.process(m) for m in given]
+        ends.append([report.outcome for report, _ in steps])
+        ends.append(estimator.window.states[estimator.window.count - 1].tobytes())
+    assert ends[:2] == ends[2:]

@@ -1,0 +1,18 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages with any numbers in them on every topic; ``make fuzz`` takes a hundred thousand of each."""
+
+import fuzz_messages
+
+
+def test_messages_of_any_numbers_leave_the_slip_estimate_finite() -> None:
+    found = fuzz_messages.fuzz_slip(400)
+    assert found.faults == []
+    assert all(any(text.startswith(name) for text in found.counts) for name in fuzz_messages.slip_topics())
+
+
+def test_messages_of_any_numbers_leave_the_soil_estimate_finite() -> None:
+    found = fuzz_messages.fuzz_soil(2000)
+    assert found.faults == []
+    assert all(found.counts[f"{name} holds nan or infinity"] > 0 for name in fuzz_messages.soil_topics())
+    assert found.counts["odometry beyond physical limits"] > 0
