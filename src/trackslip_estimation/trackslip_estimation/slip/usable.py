@@ -42,6 +42,7 @@ LARGEST_SLIP = 1e3
 FARTHEST_STDDEV = 1e4  # m
 LEAST_VARIANCE = 1e-12  # of any unit: no sensor is better than 1e-6
 _LARGEST_ANGLE_VARIANCE = 1e6  # rad²: drivers send that for an angle that they do not know
+_UNKNOWN_HEADING = 1e18  # rad², the largest number that stands for a heading that a fix does not know
 _LARGEST_SLIP_VARIANCE = 1e6
 _LARGEST_ODOMETRY_VARIANCE = 1e12  # of a pose that drifts: only its growth is used
 _SINGULAR = 1e-10  # least d_k
@@ -126,16 +127,16 @@ def _of_imu(measurement: Any) -> int:
 
 @compiled
 def _of_pose(measurement: Any, c: Any) -> int:
-    """Of a fix: of its heading only where that is used."""
+    """Of a fix: of its heading only where its source shows one, which may be as good as unknown."""
     z, R, source = measurement.value, measurement.noise, measurement.source
     fault = max(_of_number(z[0], FARTHEST), _of_number(z[1], FARTHEST))
+    fault = max(fault, _of_variance(R[0, 0], FARTHEST_STDDEV**2), _of_variance(R[1, 1], FARTHEST_STDDEV**2))
     if fault > 0:
         return fault
-    rows = 2
-    if source == MANUAL or c.use_heading[source] == 1:
-        fault = max(_of_number(z[2], LARGEST_ANGLE), _of_variance(R[2, 2], math.inf))
-        rows = 3 if source == MANUAL or R[2, 2] <= c.heading_ceiling[source] ** 2 else 2
-    return fault if fault > 0 else _of_covariance(R, rows, FARTHEST_STDDEV**2)
+    if source != MANUAL and c.use_heading[source] != 1:
+        return _of_covariance(R, 2, FARTHEST_STDDEV**2)
+    fault = _of_number(z[2], LARGEST_ANGLE)
+    return fault if fault > 0 else _of_covariance(R, 3, _UNKNOWN_HEADING)
 
 
 @compiled
