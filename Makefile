@@ -77,8 +77,7 @@ bench: setup ## speed of filters and drivers on this machine
 	@$(VENV)/python -m pip install -q -r requirements/bench.txt
 	@$(ENTER) exec $(VENV)/python scripts/bench.py
 
-fuzz: setup ## hostile files for every reader (FILES=500 each), hostile bags for every command (BAGS=246), then random bytes into every decoder (RUNS=1000000 per byte parser)
-fuzz: setup ## random measurements and messages for the estimators, hostile files for every reader (FILES=500 each), then random bytes into every decoder (RUNS=1000000 per byte parser)
+fuzz: setup ## random measurements and messages for the estimators, hostile files for every reader (FILES=500 each), hostile bags for every command (BAGS=246), then random bytes into every decoder (RUNS=1000000 per byte parser)
 	@$(ENTER) $(VENV)/python scripts/random_steps.py
 	@$(ENTER) $(VENV)/python scripts/fuzz_messages.py
 	@$(ENTER) $(VENV)/python scripts/hostile_files.py $(if $(FILES),--files '$(FILES)')
