@@ -26,7 +26,7 @@ WriteBag = Callable[..., Path]
         ("--set slip_estimator.vehicle=3", "vehicle: 3 is not text; accepted: excavator_20t, pc05"),
         (
             "--set slip_estimator.vehicle.kinematics.tread=0",
-            "kinematics.tread: 0.0 is out of range; accepted: > 0",
+            "kinematics.tread: 0.0 is out of range; accepted: >= 0.02 and <= 20 m",
         ),
         ("--set slip_estimator.gate_probability=1.5", "1.5 is out of range; accepted: > 0 and < 1"),
         ("--set slip_estimator.history_window=.nan", "nan is out of range"),

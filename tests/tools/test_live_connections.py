@@ -247,6 +247,8 @@ def test_out_of_descriptors_accepting_pauses(
 
 
 def test_server_logs_one_line_a_second(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING, logger="tornado")  # distributed, once imported, raises it
+    caplog.set_level(logging.WARNING, logger="tornado.general")
     now_s, lines = [0.0], list[str]()
     log = ServerLog(lines.append, lambda: now_s[0])
     log.attach()

@@ -85,6 +85,8 @@ def parse_yaml(text: str, where: str) -> Any:
     except _WRONG as error:
         is_text = isinstance(error, (yaml.YAMLError, ValueError))
         reason = " ".join(str(error).split()) if is_text else "a value that is not of its tag"
+        if "maximum nesting depth" in reason:  # PyYAML's own limit, from 6.0.4 on
+            reason = f"nested too deep; accepted: up to {_DEEPEST} levels"
         raise InputError(f"{where}: not YAML ({reason})") from error
 
 

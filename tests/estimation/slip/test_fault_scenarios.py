@@ -108,7 +108,7 @@ def test_nan(log: Log, kind: type) -> None:
     assert found.recovery(BEGIN + 3.0) < 0.5
 
 
-@pytest.mark.parametrize("jump", [(3.0, -2.0, 0.5), (0.5, 0.0, 0.0), (0.0, 0.0, np.pi), (1e8, 0.0, 0.0)])
+@pytest.mark.parametrize("jump", [(3.0, -2.0, 0.5), (0.5, 0.0, 0.0), (0.0, 0.0, np.pi), (9e7, 0.0, 0.0)])
 def test_spike(log: Log, jump: tuple[float, float, float]) -> None:
     """One fix wide of the mark: gated, no trace."""
     found = run(log, changed(log, PoseFix, BEGIN + 0.2, lambda m: replace(m, pose=m.pose + np.array(jump))))
@@ -117,12 +117,12 @@ def test_spike(log: Log, jump: tuple[float, float, float]) -> None:
 
 
 def test_gyro_spikes(log: Log) -> None:
-    """3 s of a loose plug, ±100 rad/s every third sample: gated, no trace."""
+    """3 s of a loose plug, ±99 rad/s every third sample: gated, no trace."""
     turns = iter(range(10**6))
 
     def loose(m: YawRate) -> YawRate:
         k = next(turns)
-        return replace(m, rate=100.0 * (-1) ** k) if k % 3 == 0 else m
+        return replace(m, rate=99.0 * (-1) ** k) if k % 3 == 0 else m
 
     found = run(log, changed(log, YawRate, BEGIN + 3.0, loose))
     assert set(found.counts) == {("imu/data_raw", "GATED")}
