@@ -94,8 +94,9 @@ def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
     estimator = SlipEstimator(p)
     log = make_log(to_records(drive, estimator.sources), p)
     estimator.process_records(log.begin)
-    states = run_whole(log.rest, estimator.window, estimator.config).states[1:]  # what the sprockets did
-    c, start = estimator.config[0], estimator.window.states[0]
+    window = run_whole(log.rest, estimator.window, estimator.config)
+    states = window.best[1 : window.count]  # what the sprockets did
+    c, start = estimator.config[0], estimator.window.best[0]
     size = int(c["size"])
     their = kalman.ExtendedKalmanFilter(size, 1)
     their.x, their.P = start["mean"][:size].copy(), start["covariance"][:size, :size].copy()

@@ -103,7 +103,7 @@ def learned(machine: Machine) -> tuple[FloatArray, FloatArray]:
     estimator = SlipEstimator(P)
     given = sorted(measurements(recorded(machine)), key=lambda m: m.stamp_ns)
     estimator.process_records(to_records(given, estimator.sources))
-    last = estimator.window.states[int(estimator.window.status["count"][0]) - 1]
+    last = estimator.window.best[int(estimator.window.status["count"][0]) - 1]
     return last["mean"], last["covariance"]
 
 

@@ -20,7 +20,7 @@ def run(machine: Machine, **changed: object) -> Any:
     """The last state, a record of ``STATE``."""
     estimator = SlipEstimator(parameters(**changed))
     estimator.process_all(drive(machine).measurements)
-    return estimator.window.states[estimator.window.count - 1]
+    return estimator.window.best[estimator.window.count - 1]
 
 
 def track_error(state: Any) -> float:
@@ -107,7 +107,7 @@ def test_yaw_rates_alone_do_not_teach_the_scale_of_the_gyro() -> None:
     kept = [m for k, m in enumerate(recorded) if k <= first or not isinstance(m, PoseFix)]
     estimator = SlipEstimator(parameters())
     estimator.process_all(kept)
-    state = estimator.window.states[estimator.window.count - 1]
+    state = estimator.window.best[estimator.window.count - 1]
     assert state["mean"][GYRO_SCALE] == 0.0
     assert np.sqrt(state["covariance"][GYRO_SCALE, GYRO_SCALE]) == pytest.approx(0.02)
 
@@ -121,7 +121,7 @@ def test_what_was_found_is_the_same_however_late_the_fixes_come() -> None:
     for estimator, arrivals in zip(estimators, (recorded, [*recorded[:3], *late]), strict=True):
         unique = [m for k, m in enumerate(arrivals) if all(m is not other for other in arrivals[:k])]
         estimator.process_records(to_records(unique, estimator.sources))
-    last = [e.window.states[e.window.count - 1] for e in estimators]
+    last = [e.window.best[e.window.count - 1] for e in estimators]
     assert last[0].tobytes() == last[1].tobytes()
 
 
@@ -132,6 +132,6 @@ def test_one_wild_yaw_rate_says_little_of_the_noise() -> None:
     wild[k] = YawRate(calm[k].source, calm[k].stamp_ns, 30.0, 2.5e-5)
     estimator = SlipEstimator(parameters())
     outcomes = [report.outcome for report, _ in estimator.process_all(wild)]
-    state = estimator.window.states[estimator.window.count - 1]
+    state = estimator.window.best[estimator.window.count - 1]
     assert outcomes[k] is Outcome.GATED
     assert track_error(state) < 0.03  # its NIS counts up to a limit

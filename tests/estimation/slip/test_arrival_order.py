@@ -236,7 +236,7 @@ def test_what_has_the_stamp_of_the_start_may_come_after_it(drive: Callable[..., 
     assert [o for o, _ in processed(other, [sample, fix])] == [Outcome.WAITING, Outcome.ACCEPTED]
     for estimator in (one, other):
         processed(estimator, found[2:])
-    ends = [e.window.states[e.window.count - 1] for e in (one, other)]
+    ends = [e.window.best[e.window.count - 1] for e in (one, other)]
     assert_same_bits(*ends)
 
 
@@ -284,9 +284,9 @@ def test_a_window_that_is_full_is_enlarged_and_changes_nothing(drive: Callable[.
     found = drive([(6.0, 1.0, 2.0, 0.0, 0.2, 0.0)], step_ms=5, gyro_every=1).measurements
     long = {"history_window": 4.5}
     estimator, single = SlipEstimator(load_slip_parameters(long)), SlipEstimator(load_slip_parameters(long))
-    capacity = len(estimator.window.states)
+    capacity = len(estimator.window.best)
     steps = estimator.process_all(found)
-    assert len(estimator.window.states) > capacity < estimator.window.count
+    assert len(estimator.window.best) > capacity < estimator.window.count
     for m, (report, _) in zip(found, steps, strict=True):
         assert single.process(m)[0].outcome is report.outcome
     assert_same(estimator.estimate(), single.estimate())
@@ -295,13 +295,13 @@ def test_a_window_that_is_full_is_enlarged_and_changes_nothing(drive: Callable[.
 def test_settled_states_go_but_for_the_one_that_the_window_stands_on(drive: Callable[..., Any]) -> None:
     found = measurements(drive, "first_fix")
     estimator = SlipEstimator(parameters("first_fix"))
-    capacity = len(estimator.window.states)
+    capacity = len(estimator.window.best)
     for _ in range(4):  # many a drive, each after the other
         processed(estimator, found)
         found = [replace(m, stamp_ns=m.stamp_ns + 3_100 * MS) for m in found]
     trim(estimator.window, estimator.config[0])
     stamps = estimator.window.measurements["stamp_ns"][: estimator.window.count]
     horizon = (estimator.newest_ns or 0) - WINDOW_MS * MS
-    assert len(estimator.window.states) == capacity
+    assert len(estimator.window.best) == capacity
     assert (np.diff(stamps) >= 0).all()
     assert stamps[0] < horizon <= stamps[1]

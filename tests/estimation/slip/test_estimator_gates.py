@@ -137,7 +137,7 @@ def kappas(found: list[Measurement], **changes: Any) -> tuple[FloatArray, list[O
     for m in found:
         report, _ = estimator.process(m)
         if isinstance(m, YawRate) and m.stamp_ns > 20 * S:
-            learned.append(estimator.window.states[estimator.window.count - 1]["mean"][EFFICIENCY])
+            learned.append(estimator.window.best[estimator.window.count - 1]["mean"][EFFICIENCY])
             outcomes.append(report.outcome)
     return np.array(learned), outcomes
 

@@ -20,7 +20,7 @@ def delays(machine: Machine) -> tuple[np.ndarray, np.ndarray, list[float]]:
     errors = np.array([e.pose for e in published])[:, :2] - recorded.poses[1:, :2]
     nees = [v @ np.linalg.solve(e.pose_covariance[:2, :2], v) for v, e in zip(errors, published, strict=True)]
     window = estimator.window
-    states = window.states[: window.count]
+    states = window.best[: window.count]
     found = states["mean"][:, FIX_DELAY], np.sqrt(states["covariance"][:, FIX_DELAY, FIX_DELAY])
     return STAMP_ERROR * found[0], STAMP_ERROR * found[1], nees
 

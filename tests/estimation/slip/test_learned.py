@@ -104,7 +104,7 @@ def test_an_estimator_starts_from_what_was_learned(driven: list[Measurement], le
     assert bits(estimator.learned or known(0)) == bits(learned)
     first = next(k for k, m in enumerate(driven) if isinstance(m, PoseFix))
     estimator.process_all(driven[: first + 1])
-    state = estimator.window.states[0]
+    state = estimator.window.best[0]
     places = list(OF.places.values())
     np.testing.assert_array_equal(state["mean"][places], learned.mean)
     np.testing.assert_array_equal(state["covariance"][np.ix_(places, places)], learned.covariance)
@@ -120,7 +120,7 @@ def test_a_second_run_begins_where_the_first_ended(learned: Learned) -> None:
     for start in (None, learned):
         estimator = SlipEstimator(P, learned=start)
         estimator.process_all(again)
-        state = estimator.window.states[estimator.window.count - 1]
+        state = estimator.window.best[estimator.window.count - 1]
         errors.append(abs(1.0 + state["mean"][GYRO_SCALE] - 0.97))
     assert errors[1] < 0.6 * errors[0]
 

@@ -92,7 +92,7 @@ def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any
     """Where the live estimator ends, and what it made of each."""
     estimator = SlipEstimator(p)
     outcomes = [report.outcome for report, _ in map(estimator.process, found)]
-    return estimator.window.states[estimator.window.count - 1], outcomes
+    return estimator.window.best[estimator.window.count - 1], outcomes
 
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
@@ -151,8 +151,8 @@ def test_blocks_of_any_size_give_the_same_bits(
     run = ran(log, p)
     assert len(list(run_log(log, p))) >= len(log.rest) / size
     assert_same_bits(run.measurements, log.rest)
-    assert_same_bits(run.states, whole.states[1:])
-    assert_same_bits(run.updates, whole.updates[1:])
+    assert_same_bits(run.states, whole.best[1 : whole.count])
+    assert_same_bits(run.updates, whole.updates[1 : whole.count])
 
 
 def test_a_sprocket_sample_says_no_more_than_it_drove(drive: Callable[..., Any]) -> None:
@@ -208,7 +208,7 @@ def test_many_runs_are_each_that_one_run(drive: Callable[..., Any]) -> None:
     for one, job in zip(together, jobs, strict=True):
         for mine, its in zip(one, ran(*job), strict=True):
             assert_same_bits(mine, its)
-    assert len({one.states["mean"].tobytes() for one in together}) == 12
+    assert len({one.best["mean"].tobytes() for one in together}) == 12
 
 
 def test_order_and_repeats_do_not_matter(drive: Callable[..., Any]) -> None:
@@ -227,7 +227,7 @@ def test_everything_is_taken_where_nothing_is_gated(drive: Callable[..., Any]) -
     estimator.config["gate_limits"] = np.inf
     whole = run_whole(log.rest, estimator.window, estimator.config)
     assert (whole.updates["outcome"][1:] == Outcome.ACCEPTED).all()
-    assert np.isfinite(whole.states["mean"]).all()
+    assert np.isfinite(whole.best["mean"][: whole.count]).all()
 
 
 def test_a_log_without_a_start_is_refused(drive: Callable[..., Any]) -> None:

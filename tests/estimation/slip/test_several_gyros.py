@@ -37,7 +37,7 @@ def test_each_finds_its_bias(model: str, filter_: str) -> None:
     given, end = shown(1)
     estimator = SlipEstimator(p)
     estimator.process_all(given)
-    state = estimator.window.states[estimator.window.count - 1]
+    state = estimator.window.best[estimator.window.count - 1]
     places = {GYRO: GYRO_BIAS, SECOND: int(make_config(p)[0]["own_errors"][estimator.sources[SECOND]])}
     for source, place in places.items():
         deviation = np.sqrt(state["covariance"][place, place])

@@ -185,7 +185,7 @@ def test_order_of_arrival_and_log_do_not_matter(drive: Callable[..., Any], model
     late, in_order = SlipEstimator(p), SlipEstimator(p)
     late.process_all(given)
     in_order.process_all(sorted(given, key=lambda m: m.stamp_ns))
-    end, other = (e.window.states[e.window.count - 1] for e in (late, in_order))
+    end, other = (e.window.best[e.window.count - 1] for e in (late, in_order))
     np.testing.assert_array_equal(end["mean"], other["mean"])
     blocks = run_log(make_log(to_records(given, late.sources), p), p)
     seeds = []

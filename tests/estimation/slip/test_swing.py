@@ -78,7 +78,7 @@ def test_nothing_above_costs_nothing() -> None:
             np.testing.assert_array_equal(a.pose_covariance, b.pose_covariance)
             np.testing.assert_array_equal(a.outputs.slips, b.outputs.slips)
             assert a.outputs.swing is None
-    last = own.window.states[own.window.count - 1]
+    last = own.window.best[own.window.count - 1]
     assert not last["mean"][BELOW:].any()
     assert not last["covariance"][BELOW:].any()
 
@@ -123,14 +123,14 @@ def test_no_bias_is_learned_of_a_slew() -> None:
     given = [m for m in truth.measurements if not isinstance(m, PoseFix) or m is first]
     own = SlipEstimator(load_slip_parameters(WITHOUT))
     own.process_all(given)
-    last, prior = own.window.states[own.window.count - 1], own.config[0]["prior_variance"]
+    last, prior = own.window.best[own.window.count - 1], own.config[0]["prior_variance"]
     assert last["covariance"][GYRO_BIAS, GYRO_BIAS] > 0.98 * prior[GYRO_BIAS]
     assert abs(last["mean"][GYRO_BIAS]) < 2e-4
     assert abs(last["mean"][YAW]) < 3.0 * math.sqrt(last["covariance"][YAW, YAW])
     below = {"vehicle.sensors.mounts.imu": "undercarriage", "vehicle.sensors.mounts.box": "undercarriage"}
     rest = SlipEstimator(load_slip_parameters(WITHOUT, below))
     rest.process_all([m for m in given if m.stamp_ns < 30 * 10**9])
-    at_rest = rest.window.states[rest.window.count - 1]
+    at_rest = rest.window.best[rest.window.count - 1]
     assert at_rest["covariance"][GYRO_BIAS, GYRO_BIAS] < 0.1 * prior[GYRO_BIAS]
 
 

@@ -43,7 +43,7 @@ class Track:
     def __init__(self) -> None:
         estimator = SlipEstimator(load_slip_parameters({"sprocket_timeout": 1.0, "max_sprocket_speed": 1e9}))
         self._config = estimator.config
-        self._state = estimator.window.states[:1].copy()
+        self._state = estimator.window.best[:1].copy()
 
     def add(self, ms: int, speeds: tuple[float, float], angles: tuple[float, float] | None = None) -> None:
         remember(self._state[0], self.sample(ms, speeds, angles)[0], self._config[0])

@@ -290,3 +290,23 @@ def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R
         total += mass
         factor += mass * n.fix_factors[j]
     a.fix_factors[source] = factor / total
+
+
+@compiled
+def density_of_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any) -> float:
+    """ln of the density of an innovation (m,), over all f that may be: P (m, m) predicted, R (m, m) stated."""
+    n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
+    count = _OF_GAUSSIAN[m - 1]
+    is_known, best, highest = np.any(w), -math.inf, -math.inf
+    found, prior = np.zeros(FIX_FACTORS), np.zeros(FIX_FACTORS)
+    for j in range(FIX_FACTORS):
+        prior[j] = w[j] if is_known else n.fix_prior[j]
+        L = root(P + n.fix_factors[j] * R)
+        nis = weighted_square(L, innovation)
+        found[j] = prior[j] - (log_determinant(L) + (_HEAVY + m) * math.log(1.0 + count / _HEAVY * nis)) / 2.0
+        best, highest = max(best, found[j]), max(highest, prior[j])
+    total = mass = 0.0
+    for j in range(FIX_FACTORS):
+        total += math.exp(found[j] - best)
+        mass += math.exp(prior[j] - highest)
+    return best - highest + math.log(total / mass) - m * math.log(2.0 * math.pi / count) / 2.0

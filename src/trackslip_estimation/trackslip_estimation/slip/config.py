@@ -13,7 +13,7 @@ from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.parameters import constants as attitude_constants
 from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANTS
 from trackslip_estimation.kalman import chi_square
-from trackslip_estimation.slip import adaptation
+from trackslip_estimation.slip import adaptation, events
 from trackslip_estimation.slip.coasting import motion_limits
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
 from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SENSOR_ERRORS, SIZE, SWING
@@ -76,6 +76,10 @@ CONFIG = np.dtype(
         ("compass", np.int64, (MOST_SOURCES,)),  # 0 or 1: whether it is a source of headings
         ("repeat_times", np.float64, (MOST_SOURCES,)),  # s, for which fixes err alike by where they are
         ("standing_share", np.float64, (MOST_SOURCES,)),
+        ("events", events.CONSTANTS),
+        ("fault_rate", np.float64, (MOST_SOURCES,)),  # 1/s
+        ("jump_rate", np.float64, (MOST_SOURCES,)),  # 1/s
+        ("offsets", np.int64, (MOST_SOURCES,)),  # place of the offset of its places, or headings; −1: none
         ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
         ("lean_errors", np.int64),  # place of the two of the tilt, over its standard deviation; −1: none
         ("lean_stddev", np.float64),  # of what lasts of it, rad
@@ -111,6 +115,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["speed_limit"], c["yaw_rate_limit"] = limits.speed, limits.yaw_rate
     c["unseen_yaw_rate"] = limits.yaw_rate if p.model == "free_slips" else 0.0
     c["adaptation"] = adaptation.constants(p.adaptation)
+    c["events"] = events.constants(p.events)
     c["max_gap"] = p.max_gap
     c["window_ns"] = round(p.history_window * 1e9) if window_ns is None else window_ns
     c["clock"] = (round(p.max_gap * 1e9), p.jump_confirmations, c["sprocket_timeout_ns"])
@@ -154,7 +159,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int])
     tail = 1.0 - p.gate_probability
     c["gate_limits"] = [np.inf, *(chi_square.limit(dof, tail) for dof in (1, 2, 3))]
     c["gate_relaxation"], c["gate_confirmations"] = p.gate_relaxation, p.gate_confirmations
-    c["rate_scale"] = c["timeouts_ns"] = 1
+    c["rate_scale"] = c["timeouts_ns"] = c["fault_rate"] = c["jump_rate"] = 1
     for name, timeout_ns in p.timeouts_ns().items():
         c["timeouts_ns"][numbers[name]] = timeout_ns
     for name, pose in p.poses().items():
@@ -165,12 +170,16 @@ def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int])
         c["heading_ceiling"][k] = pose.heading_ceiling
         c["standing_share"][k] = pose.standing_share
         c["use_altitude"][k] = pose.use_altitude
+        c["fault_rate"][k], c["jump_rate"][k] = pose.fault_rate, pose.jump_rate
     for name, compass in p.compasses().items():
         k = numbers[name]
         c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
         c["stamp_errors"][k], c["compass"][k] = compass.stamp_error, 1
+        c["fault_rate"][k], c["jump_rate"][k] = compass.fault_rate, compass.jump_rate
     for name, angle in p.angles().items():
-        c["heading_offset"][numbers[name]] = angle.offset
+        k = numbers[name]
+        c["heading_offset"][k] = angle.offset
+        c["fault_rate"][k], c["jump_rate"][k] = angle.fault_rate, angle.jump_rate
     above = [numbers[name] for name, source in p.mounted().items() if source.above]
     c["above"][above] = 1
     for name, pose in p.poses().items():
@@ -203,7 +212,13 @@ def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, in
     bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
     errors = dict.fromkeys(list(p.gyros())[1:], bias)
     errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
-    place, c["lean_errors"] = SENSOR_ERRORS, -1
+    place, c["lean_errors"], c["offsets"] = SENSOR_ERRORS, -1, -1
+    for name in p.poses():
+        c["offsets"][numbers[name]] = place
+        place += 2
+    for name in p.compasses():
+        c["offsets"][numbers[name]] = place
+        place += 1
     for name, (variance, walk) in errors.items():
         c["own_errors"][numbers[name]] = place
         c["prior_variance"][place] = c["prior_covariance"][place, place] = variance

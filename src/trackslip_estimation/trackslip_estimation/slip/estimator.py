@@ -95,13 +95,15 @@ class SlipEstimator:
         parameters: SlipEstimatorParameters,
         window_ns: int | None = None,
         learned: Learned | None = None,
+        script: Records | None = None,
     ) -> None:
         """``window_ns``: how late a measurement may come, where it is not the parameters' history window.
 
         ``learned``: what was learned before of this machine, with parameters of the same ``Meaning.machine``.
+        ``script``: (n,) of ``EVENT``: then there is one branch, and these are its only events.
         """
         self._window_ns, self._start = window_ns, learned
-        self.window: Window = make_window(_CAPACITY)
+        self.window: Window = make_window(_CAPACITY, script)
         self._use(parameters)
         self.process_records(to_records((), self.sources))  # compiles now, not at the first measurement
 
@@ -137,7 +139,7 @@ class SlipEstimator:
         if not self.started:
             return "flat: no estimate yet"
         return attitude_text(
-            self.window.states[self.window.count - 1]["attitude"], self.parameters.tilt_source
+            self.window.best[self.window.count - 1]["attitude"], self.parameters.tilt_source
         )
 
     @property
@@ -145,7 +147,7 @@ class SlipEstimator:
         """What is known by now of machine and ground; None where nothing was learned yet."""
         if not self.started:
             return self._start
-        found = learned_of(self.window.states[self.window.count - 1], self.meaning, self.sources)
+        found = learned_of(self.window.best[self.window.count - 1], self.meaning, self.sources)
         return found if found.is_finite else self._start
 
     def apply_command(self, command: Command | Reload) -> Report:

@@ -1,16 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixes: gate, noise and update; compiled. Arguments as in ``update``.
+"""Measurements that are weighed under one branch of the bank: evidence, noise and update; compiled.
 
-    z, R   a fix, and its noise as it is used     (m,), (m, m)
-    x, P   the state in the coordinates of the fix: its place is that of the sensor, its stamp error ago, with
-           what lasts of the fix's error
+    z, R   measurement, its noise as it is used                          (m,), (m, m)
+    x, P   state in the coordinates of the measurement: its place is that of the sensor, its stamp error ago,
+           with what lasts of the source's error
+    ν, S   innovation and its covariance                                 (m,), (m, m)
+    p      share of the source's measurements that are outliers          1
 
-What is refused leaves mean and covariance as they were. As tracks start, or turn back, fixes teach nothing of
-their delay: the soil under them gives way first, which looks alike.
+A measurement has two explanations inside a branch: it is sound, with a likelihood of Student's t over the
+noise-factor masses, or it is an outlier of any size. The more likely one decides whether it is used: that is
+the gate. ``update.evidence`` is the log of that likelihood, by which the bank weighs the branch. As tracks
+start, or turn back, fixes do not correct their delay: the soil under them gives way first, which looks alike.
 """
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,192 +23,175 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import ekf
 from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
-from trackslip_estimation.slip.adaptation import learn_from_fix, repeats, shared_error
-from trackslip_estimation.slip.alignment import (
-    UNKNOWN_HEADING,
-    compass_agrees,
-    forget_refused,
-    hold_place,
-    insists,
-    keep_refused,
-    realign,
-)
+from trackslip_estimation.slip.adaptation import density_of_fix, learn_from_fix, repeats, shared_error
+from trackslip_estimation.slip.events import AREA, IS_IGNORED, IS_OFFSET, IS_REPEATING, IS_SCATTERING
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, YAW, X, Y
 from trackslip_estimation.slip.models.shear import starts
-from trackslip_estimation.slip.models.swing import may_swing, open_swing
-from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import observed
-from trackslip_estimation.slip.own_errors import lasts, meet_quality, to_erring, white
-from trackslip_estimation.slip.slides import find_slide
+from trackslip_estimation.slip.own_errors import lasts, meet_quality, to_erring, to_offset, white
 from trackslip_estimation.slip.stands import count_fix, stands_still
-from trackslip_estimation.slip.traction import along_heading, changed_slip, goes_on, widen_slip
 
 FloatArray = NDArray[np.float64]
 
-_GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
+_GATED = int(Outcome.GATED)
+_LOG_TURN = math.log(2.0 * math.pi)
+_SIZES = 7.0  # ln of the largest over the smallest error of an outlier: any size is as likely, by its logarithm
+_SHARE_MEMORY = 0.05  # of a measurement in the share of outliers
+_OUTLIER_SHARE, _SOUND_SHARE = 0.5, 0.002  # that one measurement shows
+_SAME = 1e-3  # m, standard deviation of a fix that repeats the one before
+
+
+class Weighed(NamedTuple):
+    """What became of a measurement under one branch."""
+
+    used: bool
+    R: FloatArray  # (m, m) as it counts
+    alone: bool  # else it is one more of its standstill
+
+
+@compiled
+def log_density_of_any_size(squared: float) -> float:
+    """ln of the density of a place (2,) that errs by ``squared`` m², any size being as likely by its logarithm."""
+    return -math.log(2.0 * math.pi * _SIZES * squared)
 
 
 @inlined
 def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
-    """Update with a pose: in full inside the gate g, with less weight up to the soft gate, not at all beyond.
-
-    In between R grows until the innovation is as large as g allows. Silence widens P, never the gate; what is
-    refused moves the pose where it agrees with others that were (``alignment``).
-    """
+    """Weigh a pose, and update with it; arguments as in ``update``."""
     source = measurement.source
     z, stated = observed(measurement, state, c)
-    m, limit = z.size, c.gate_limits[z.size]
+    m, fault = z.size, state.fault[source]
     if lasts(source, c):
         meet_quality(state, update, source, stated, c)
     x, P, shift = state.mean[: c.size].copy(), state.covariance.copy(), stamp_shift(state, source, c)
     to_sensor(x, P, state.attitude.level, source, 1.0, c)
     to_delayed(x, P, shift, 1.0)
-    update.dof, update.gate = m, c.adaptation.soft_gate * limit
-    finds_heading = state.aligning and (m <= YAW or c.above[source] == 1)
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
-    whole, alone = _noise(state, source, (_innovation(z, x), P[:m, :m].copy(), stated), finds_heading, c)
+    if fault == IS_OFFSET:
+        to_offset(x, P, source, 1.0, c)
+    innovation = _innovation(z, x)
+    again = _compare_with_last(state, measurement, z, update)
+    density = _density_of_outlier(innovation, P, stated, m)
+    if fault == IS_REPEATING:
+        _weigh_repeat(again, m, c, update)
+        return
+    if fault == IS_SCATTERING:
+        update.evidence, update.outcome = -math.log(AREA) - (_LOG_TURN if m > YAW else 0.0), _GATED
+        return
+    whole, used, alone = weigh(state, measurement, innovation, P[:m, :m].copy(), stated, density, c, update)
     to_erring(x, P, source, whole, 1.0, c)
     innovation, R = _innovation(z, x), white(whole, source, c)
-    if not finds_heading:
-        _follow_traction(state, source, (innovation, known * R), P, update, c)
-    root_of_S = root(P[:m, :m] + R)
-    nis = weighted_square(root_of_S, innovation)
-    update.nis, update.log_determinant = nis, log_determinant(root_of_S)
-    refused, inside = finds_heading or nis > update.gate, not finds_heading and nis <= limit
-    if inside:
-        state.consistent_ns[source] = measurement.stamp_ns
-    elif _insists(state, measurement, (x, P), (z, whole, R), refused, c):
-        update.follows = False
+    _whiten(state, innovation, P, R, update)
+    if not used:
         return
-    if finds_heading and _holds(state, source, innovation[:YAW], (P[:YAW, :YAW], R[:YAW, :YAW]), update, c):
-        state.consistent_ns[source] = measurement.stamp_ns
-        return
-    if refused:
-        update.outcome = _GATED
-        return
-    if nis > limit:
-        R += (nis / limit - 1.0) * (P[:m, :m] + R)
+    R = inflated(innovation, P[:m, :m], R, c.gate_limits[m])
     R *= min(known, shared_error(P[:m, :m], R))
     count_fix(state, source, alone, R, c)
     kept = FIX_DELAY if has_velocity_errors(c) and starts(state, c) else -1
     ekf.correct_keeping(x, P, innovation, (np.eye(m, x.size), R), kept)
-    state.runs[source].pulled += along_heading(state, innovation) - along_heading(state, z - x[:m])
     to_erring(x, P, source, whole, -1.0, c)
+    if fault == IS_OFFSET:
+        to_offset(x, P, source, -1.0, c)
+        update.outcome = _GATED
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
     to_sensor(x, P, state.attitude.level, source, -1.0, c)
     state.mean[: c.size], state.covariance[:] = x, P
-    state.aligning = state.aligning and P[YAW, YAW] > UNKNOWN_HEADING**2
-    if inside:
-        forget_refused(state, True)
 
 
-@inlined
-def _holds(
+@compiled
+def weigh(
     state: Any,
-    source: int,
+    measurement: Any,
     innovation: FloatArray,
-    variances: tuple[FloatArray, FloatArray],
-    update: Any,
+    predicted: FloatArray,
+    stated: FloatArray,
+    density_of_outlier: float,
     c: Any,
-) -> bool:
-    """Whether a fix is inside its gate while no heading is known: it moves the place, and nothing else.
+    update: Any,
+) -> tuple[FloatArray, bool, bool]:
+    """R (m, m) of a measurement, whether it is used, and whether it counts alone; fills in ``update``.
 
-    ``variances``: P and R (2, 2) of the sensor's place.
+    ``predicted``, ``stated``: covariance of the prediction, and R as its source states it, (m, m).
     """
-    shift, after = np.zeros(YAW), variances[0].copy()
-    nis, logarithm = ekf.correct(shift, after, innovation, np.eye(YAW), variances[1].copy())
-    gate = c.adaptation.soft_gate * c.gate_limits[YAW]
-    if nis > gate:
-        return False
-    update.nis, update.log_determinant, update.gate = nis, logarithm, gate
-    update.dof, update.follows = YAW, False
-    lever = c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
-    for i in range(YAW):
-        after[i, i] += lever
-    hold_place(state, shift, after)
-    return True
+    source, m, a = measurement.source, innovation.size, state.adaptation
+    limit, share, fault = c.gate_limits[m], state.outlier_share[source], state.fault[source]
+    evidence = math.log(1.0 - share) + density_of_fix(a, source, innovation, predicted, stated, c)
+    L = root(predicted + a.fix_factors[source] * stated)
+    update.dof, update.gate = m, limit
+    update.nis, update.log_determinant = weighted_square(L, innovation), log_determinant(L)
+    alone = not stands_still(state, source, c) or update.nis > limit
+    outside = math.log(share) + density_of_outlier
+    is_outlier = fault == IS_IGNORED or (outside > evidence and not np.isinf(limit))
+    shown = _OUTLIER_SHARE if is_outlier else _SOUND_SHARE
+    state.outlier_share[source] += _SHARE_MEMORY * (shown - share)
+    if is_outlier:
+        update.evidence, update.outcome = outside, _GATED
+        return a.fix_factors[source] * stated, False, alone
+    if has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit and alone:
+        learn_from_fix(a, source, innovation, predicted, stated, c)
+        if lasts(source, c) or c.repeat_times[source] > 0.0:  # that it is followed well shows nothing
+            a.fix_factors[source] = max(a.fix_factors[source], 1.0)
+    update.evidence = evidence
+    if update.nis <= limit:
+        state.consistent_ns[source] = measurement.stamp_ns
+    return a.fix_factors[source] * stated, True, alone
+
+
+@compiled
+def inflated(innovation: FloatArray, predicted: FloatArray, R: FloatArray, limit: float) -> FloatArray:
+    """R so large that the NIS is no more than ``limit``: the soft gate."""
+    nis = weighted_square(root(predicted + R), innovation)
+    return R + (nis / limit - 1.0) * (predicted + R) if nis > limit else R
 
 
 @compiled
 def _innovation(z: FloatArray, x: FloatArray) -> FloatArray:
-    """(m,) ν of a fix: it measures the first numbers of the state as they are."""
+    """(m,) ν of a fix: it measures the first states as they are."""
     nu = z - x[: z.size]
     if z.size > YAW:
         nu[YAW] = wrap(nu[YAW])
     return nu
 
 
-@inlined
-def _follow_traction(
-    state: Any, source: int, shown: tuple[FloatArray, FloatArray], P: FloatArray, update: Any, c: Any
-) -> None:
-    """P and the prior with a change of slip that a run of fixes may show; ``shown``: ν and R of this one."""
-    nu, R = shown
-    m = nu.size
-    predicted = P[:m, :m].copy()
-    if weighted_square(root(predicted + R), nu) > update.gate:
-        return
-    changed = changed_slip(state, source, (along_heading(state, nu), predicted, R), c)
-    if changed[0] != 0.0:
-        widen_slip(state, P, changed)
-        widen_slip(state, update.prior_covariance[:], changed)
+@compiled
+def _compare_with_last(state: Any, measurement: Any, z: FloatArray, update: Any) -> float:
+    """Squared distance to the source's fix before, m²; the fix becomes the last one."""
+    last, source = state.last_fix[measurement.source], measurement.source
+    again = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
+    update.repeated = 1 if z[X] == last[X] and z[Y] == last[Y] else 0
+    last[X], last[Y], state.last_ns[source] = z[X], z[Y], measurement.stamp_ns
+    return float(again)
 
 
-@inlined
-def _insists(
-    state: Any,
-    measurement: Any,
-    known: tuple[FloatArray, FloatArray],
-    fix: tuple[FloatArray, FloatArray, FloatArray],
-    refused: bool,
-    c: Any,
-) -> bool:
-    """Whether a fix outside its gate, with others that were refused, moved the pose.
-
-    ``known``: x and P; ``fix``: z, R as stated, and without what lasts of its error.
-    """
-    source, (x, P), (z, whole, R) = measurement.source, known, fix
-    m, limit = z.size, c.gate_limits[z.size]
-    if may_swing(state, source, c):
-        forget_refused(state, False)  # how it swings is no way that was driven
-        silent_ns = measurement.stamp_ns - state.consistent_ns[source]
-        if refused and not state.aligning and silent_ns > c.timeouts_ns[source]:
-            open_swing(state.covariance, c)
-        return False
-    keep_refused(state, (x[X], x[Y]), (z[X], z[Y]), (whole[X, X] + whole[Y, Y]) / 2.0)
-    heading_fits = m <= YAW or _innovation(z, x)[YAW] ** 2 <= limit * (P[YAW, YAW] + R[YAW, YAW])
-    at_rest = heading_fits and insists(state, source, measurement.stamp_ns, c)
-    shown = heading_fits if m > YAW else compass_agrees(state, measurement.stamp_ns, c)
-    moved = (shown and find_slide(state, c)) or realign(state, at_rest, shown, c)
-    if moved:
-        state.consistent_ns[source] = measurement.stamp_ns
-    return bool(moved)
+@compiled
+def _density_of_outlier(innovation: FloatArray, P: FloatArray, R: FloatArray, m: int) -> float:
+    """ln of the density of a fix that is an outlier: of any size, not smaller than what is expected."""
+    squared = innovation[X] ** 2 + innovation[Y] ** 2
+    expected = P[X, X] + P[Y, Y] + R[X, X] + R[Y, Y]
+    return log_density_of_any_size(max(squared, expected)) - (_LOG_TURN if m > YAW else 0.0)
 
 
-@inlined
-def _noise(
-    state: Any,
-    source: int,
-    shown: tuple[FloatArray, FloatArray, FloatArray],
-    finds_heading: bool,
-    c: Any,
-) -> tuple[FloatArray, bool]:
-    """R of a fix, whose factor is learned from it; whether it counts alone, or as one more of its stand.
+@compiled
+def _weigh_repeat(again: float, m: int, c: Any, update: Any) -> None:
+    """Evidence of a source that repeats itself, by the squared distance to its fix before."""
+    limit = c.gate_limits[YAW]
+    update.dof, update.gate, update.nis = YAW, limit, again / _SAME**2
+    squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
+    heading = _LOG_TURN if m > YAW else 0.0
+    update.evidence = -(squared + 4.0 * math.log(_SAME)) / 2.0 - _LOG_TURN - heading
+    update.outcome = _GATED
 
-    ``shown``: its innovation, the covariance of that without R, and R as stated.
-    """
-    innovation, predicted, stated = shown
-    factors, limit = state.adaptation.fix_factors, c.gate_limits[innovation.size]
-    nis = weighted_square(root(predicted + factors[source] * stated), innovation)
-    alone = not stands_still(state, source, c) or nis > limit
-    inside = nis <= c.adaptation.soft_gate * limit
-    same_side = goes_on(state.runs[source], along_heading(state, innovation))
-    if has_velocity_errors(c) and not finds_heading and inside and alone and not same_side:
-        learn_from_fix(state.adaptation, source, innovation, predicted, stated, c)
-        if lasts(source, c) or c.repeat_times[source] > 0.0:  # that it is followed well shows nothing
-            factors[source] = max(factors[source], 1.0)
-    return factors[source] * stated, alone
+
+@compiled
+def _whiten(state: Any, innovation: FloatArray, P: FloatArray, R: FloatArray, update: Any) -> None:
+    """Innovation along and across the heading, over its standard deviation, for the CUSUM."""
+    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    S = P[:YAW, :YAW] + R[:YAW, :YAW]
+    along = cos * cos * S[X, X] + 2.0 * cos * sin * S[X, Y] + sin * sin * S[Y, Y]
+    across = sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]
+    update.whitened[0] = (cos * innovation[X] + sin * innovation[Y]) / math.sqrt(along)
+    update.whitened[1] = (cos * innovation[Y] - sin * innovation[X]) / math.sqrt(across)

@@ -7,7 +7,7 @@ measurements. Blocks keep it in bounded memory; machine code holds no lock, so t
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,8 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.process import process
-from trackslip_estimation.slip.records import MEASUREMENT, RESULT, SPROCKETS
-from trackslip_estimation.slip.window import Records, Window, make_window
+from trackslip_estimation.slip.records import EVENT, HISTORY, MEASUREMENT, RESULT, SPROCKETS
+from trackslip_estimation.slip.window import SPARE, Records, Window, enlarged, keep_tail, make_window
 
 _BLOCK = 256  # entries: their states and updates, 3 MB, stay near the processor
 _NO_ARRIVALS, _NO_RESULTS = np.empty(0, MEASUREMENT), np.empty(0, RESULT)
@@ -34,25 +34,26 @@ class Log(NamedTuple):
 
 
 class Block(NamedTuple):
-    """A stretch of a run; the first entry is the last of the block before, or the start."""
+    """A stretch of a run; the entries before ``begin`` are carried over from the block before."""
 
-    first: int  # number in ``Log.rest`` of the entry after the first one
+    first: int  # number in ``Log.rest`` of its first entry
+    begin: int  # its first entry in the window
     window: Window  # is used again for the next block
 
     @property
     def measurements(self) -> Records:
-        """(m,) those of the block, without the first entry."""
-        return self.window.measurements[1 : self.window.count]
+        """(m,) those of the block."""
+        return self.window.measurements[self.begin : self.window.count]
 
     @property
     def states(self) -> Records:
-        """(m,) the states after them."""
-        return self.window.states[1 : self.window.count]
+        """(m,) the states after them, of the most probable branch."""
+        return self.window.best[self.begin : self.window.count]
 
     @property
     def updates(self) -> Records:
         """(m,) what became of them."""
-        return self.window.updates[1 : self.window.count]
+        return self.window.updates[self.begin : self.window.count]
 
 
 def make_log(arrivals: Records, p: SlipEstimatorParameters) -> Log:
@@ -86,47 +87,89 @@ def stamp_order(measurements: Records) -> NDArray[np.int64]:
     return np.lexsort(keys).astype(np.int64, copy=False)
 
 
-def run_log(log: Log, p: SlipEstimatorParameters) -> Iterator[Block]:
+def run_log(log: Log, p: SlipEstimatorParameters, script: Records | None = None) -> Iterator[Block]:
     """The estimator that the parameters choose over a log, block by block; each ends at a sprocket sample.
 
     From those that the log was made with they may differ in all but what is a measurement at all.
+    ``script``: (n,) of ``EVENT``, the only events of the run.
     """
-    estimator = SlipEstimator(p)
+    start, config = begin_log(log, p, script)
+    return run_blocks(log.rest, start, config)
+
+
+def begin_log(log: Log, p: SlipEstimatorParameters, script: Records | None = None) -> tuple[Window, ConfigRecord]:
+    """The window at the start of a log, and the record of the parameters; ``script`` as in ``run_log``."""
+    estimator = SlipEstimator(p, script=script)
     estimator.process_records(log.begin)
-    return run_blocks(log.rest, estimator.window, estimator.config)
+    return estimator.window, estimator.config
 
 
 def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[Block]:
     """Runs over measurements in the order of their stamps, from the first entry of ``start``."""
-    window = make_window(_BLOCK + 1)
-    window.measurements[0], window.states[0] = start.measurements[0], start.states[0]
+    window = _begin(start, _BLOCK)
     first = 0
     while first < len(rest):
         last = _end_of_block(rest, first)
-        count = last - first + 1
-        _run(window, rest[first:last], config)
-        yield Block(first, window)
-        window.measurements[0], window.states[0] = window.measurements[count - 1], window.states[count - 1]
+        begin, count = window.count, window.count + last - first
+        while len(window.measurements) < count + SPARE:
+            window = enlarged(window)
+        _extend(window, rest[first:last], config)
+        yield Block(first, begin, window)
+        keep_tail(window)
         first = last
 
 
 def run_whole(rest: Records, start: Window, config: ConfigRecord) -> Window:
     """``run_blocks`` in one block: all states at once, for logs that are short."""
-    window = make_window(len(rest) + 1)
-    window.measurements[0], window.states[0] = start.measurements[0], start.states[0]
-    _run(window, rest, config)
+    window = _begin(start, len(rest))
+    _extend(window, rest, config)
     return window
 
 
-def _run(window: Window, measurements: Records, config: ConfigRecord) -> None:
-    """The states after (m,) measurements, from that of the first entry.
+def script_of(log: Log, p: SlipEstimatorParameters) -> Records:
+    """(n,) of ``EVENT``: what the bank finds that happened in a log, by its most probable branch at the end.
+
+    A run with this script has the states of that branch.
+    """
+    found: list[Any] = []
+    for block in run_log(log, p):
+        branch = block.window.branches[0, block.window.count - 1]
+        count = int(branch["events"])
+        del found[count:]
+        for n in range(max(count - HISTORY, 0), count):
+            event = branch["history"][n % HISTORY].copy()
+            if n < len(found) and found[n] == event:
+                continue
+            del found[n:]
+            found.append(event)
+    script = np.zeros(len(found), EVENT)
+    for n, event in enumerate(found):
+        script[n] = event
+    order = script["stamp_ns"], script["kind"], script["of"], script["after"]
+    return script[np.lexsort(order[::-1])]
+
+
+def _begin(start: Window, entries: int) -> Window:
+    """A window with room for so many entries after the first one of ``start``."""
+    script = start.script if start.status["scripted"][0] else None
+    window = make_window(entries + 1 + SPARE, script)
+    window.status["played"] = window.status["begun"] = start.status["played"]
+    window.measurements[0], window.counts[0] = start.measurements[0], start.counts[0]
+    window.states[:, 0], window.branches[:, 0] = start.states[:, 0], start.branches[:, 0]
+    window.status["started"], window.status["count"], window.status["known"] = True, 1, 1
+    return window
+
+
+def _extend(window: Window, measurements: Records, config: ConfigRecord) -> None:
+    """The states after (m,) further measurements.
 
     Raises:
         InputError: the estimate diverges.
     """
-    count = len(measurements) + 1
-    window.measurements[1:count] = measurements
-    window.status["started"], window.status["count"], window.status["known"] = True, count, 1
+    known = window.count
+    count = known + len(measurements)
+    window.measurements[known:count] = measurements
+    window.status["count"], window.status["known"] = count, known
     before = int(window.status["divergences"][0])
     process(window, _NO_ARRIVALS, _NO_RESULTS, config)
     if window.status["divergences"][0] > before:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.levers import add
-from trackslip_estimation.slip.models.model import GYRO_BIAS, X, Y
+from trackslip_estimation.slip.models.model import GYRO_BIAS, X, Y, YAW
 
 FloatArray = NDArray[np.float64]
 
@@ -63,9 +63,10 @@ def meet_quality(state: Any, update: Any, source: int, R: FloatArray, c: Any) ->
     stddev, before = math.sqrt((R[X, X] + R[Y, Y]) / 2.0), state.fix_stddevs[source]
     state.fix_stddevs[source] = stddev
     if before > 0.0 and max(stddev / before, before / stddev) > _OTHER_QUALITY:
-        update.renewed = c.own_errors[source]
-        _renew(state.mean, state.covariance, update.renewed)
-        _renew(update.prior_mean, update.prior_covariance, update.renewed)
+        own = c.own_errors[source]
+        update.renewed |= 3 << own
+        _renew(state.mean, state.covariance, own)
+        _renew(update.prior_mean, update.prior_covariance, own)
 
 
 @compiled
@@ -105,3 +106,18 @@ def begin_erring(x: FloatArray, P: FloatArray, source: int, c: Any) -> None:
     R = P[: Y + 1, : Y + 1].copy()
     P[: Y + 1, : Y + 1] = white(R, source, c)
     to_erring(x[:], P[:], source, R, -1.0, c)
+
+
+@compiled
+def to_offset(x: FloatArray, P: FloatArray, source: int, sign: float, c: Any) -> None:
+    """The state with what a source shows that has an offset (place, or heading), for what is; or back (−1)."""
+    own = c.offsets[source]
+    if own < 0:
+        return
+    if c.compass[source] == 1:
+        x[YAW] += sign * x[own]
+        add(P, YAW, own, sign)
+        return
+    for axis in (X, Y):
+        x[axis] += sign * x[own + axis]
+        add(P, axis, own + axis, sign)

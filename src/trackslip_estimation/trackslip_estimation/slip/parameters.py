@@ -17,6 +17,7 @@ from trackslip_common.parameters import Group, checked, from_flat, parameter, to
 from trackslip_common.vehicle_files import WithVehicle
 from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
+from trackslip_estimation.slip.events import EventParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 from trackslip_estimation.slip.models.swing import SwingParameters
@@ -63,6 +64,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
     motion: MotionParameters
     adaptation: AdaptationParameters
+    events: EventParameters
     attitude: AttitudeParameters
     swing: SwingParameters
     use_attitude: bool = parameter("whether roll and pitch are estimated; else the ground counts as flat")
@@ -157,7 +159,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
         odometries, gyros = len(self.odometries()), max(len(self.gyros()) - 1, 0)
         lasting = sum(pose.lasts for pose in self.poses().values())
-        own = odometries + gyros + 2 * (lasting + self.leans)
+        offsets = 2 * len(self.poses()) + len(self.compasses())
+        own = odometries + gyros + offsets + 2 * (lasting + self.leans)
         if odometries > MOST_ODOMETRIES:
             raise InputError(
                 f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"

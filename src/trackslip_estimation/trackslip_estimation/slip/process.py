@@ -14,12 +14,12 @@ import numpy as np
 
 from trackslip_common.clock_monitor import NEVER_NS, StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.slip.bank import make_row, widen_by_mixture
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.observation import fill_outputs
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
 from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.start import begin
-from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.swing import fill_swing
 from trackslip_estimation.slip.tilt import fill_tilt
 from trackslip_estimation.slip.usable import fault_of
@@ -53,7 +53,7 @@ def process(window: Window, arrivals: Records, results: Records, config: Any) ->
 
     First come the states that the window's own measurements do not have yet.
     """
-    status, c, states = window.status[0], config[0], window.states
+    status, c = window.status[0], config[0]
     measurements, arrival = window.measurements, window.measurements[window.measurements.size - 1]
     taken, outcome, entry, was_head_ns = 0, _WAITING, 0, NEVER_NS
     while True:
@@ -62,10 +62,8 @@ def process(window: Window, arrivals: Records, results: Records, config: Any) ->
         for k in range(first, count):
             if closing < k:
                 closing = next_sample(measurements, k, count)
-            states[k] = states[k - 1]
-            closes = measurements[closing if closing < count else k]
-            step(states[k], closes, measurements[k], c, window.updates[k])
-            if not is_sound(states[k], c.size):
+            make_row(window, k, closing, c)
+            if not is_sound(window.states[0, k], c.size):
                 clear(window)
                 status.divergences += 1
                 outcome, entry = _DIVERGED, 0
@@ -190,7 +188,8 @@ def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) 
     if measurement.stamp_ns <= status.published_ns or not (measurement.kind == SPROCKETS or carries):
         return
     status.published_ns, result.published = measurement.stamp_ns, True
-    fill_estimate(window.states[entry], c, result.estimate)
+    fill_estimate(window.states[0, entry], c, result.estimate)
+    widen_by_mixture(window, entry, result.estimate.pose_covariance[:])
 
 
 @inlined
@@ -208,4 +207,6 @@ def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
 @compiled
 def fill_last_estimate(window: Window, config: Records, estimates: Records) -> None:
     """What is known at the newest stamp, into (1,) of ``ESTIMATE``."""
-    fill_estimate(window.states[window.status[0].count - 1], config[0], estimates[0])
+    last = window.status[0].count - 1
+    fill_estimate(window.states[0, last], config[0], estimates[0])
+    widen_by_mixture(window, last, estimates[0].pose_covariance[:])

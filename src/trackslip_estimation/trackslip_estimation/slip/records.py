@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.attitude.records import ATTITUDE
 from trackslip_estimation.slip.adaptation import FIX_FACTORS, RATE_FACTORS, TRACK_ERRORS
-from trackslip_estimation.slip.alignment import CAPACITY
 from trackslip_estimation.slip.measurements import (
     SET_POSE,
     HeadingFix,
@@ -114,33 +113,6 @@ ODOMETRY_POSE = np.dtype(  # of a source, at the begin of its next increment
     align=True,
 )
 
-RUN = np.dtype(  # of a source's fixes that err to the same side along the heading
-    [
-        ("count", np.int64),
-        ("sum", np.float64),  # of their innovations along the heading, m
-        ("pulled", np.float64),  # what they have moved the place along the heading so far, m
-        ("begin", np.float64),  # ``rolled`` of the state at the last fix before them, m
-        ("end", np.float64),  # the same at the last of them
-    ],
-    align=True,
-)
-
-REFUSED = np.dtype(  # a fix that the gate refused
-    [
-        ("predicted_x", np.float64),  # of its sensor
-        ("predicted_y", np.float64),
-        ("x", np.float64),
-        ("y", np.float64),
-        ("variance", np.float64),  # along one axis
-        ("centre_x", np.float64),  # place of C by it, with the heading as predicted
-        ("centre_y", np.float64),
-        ("way_x", np.float64),  # of the tracks since the last fix inside its gate, had they not slipped
-        ("way_y", np.float64),
-        ("stamp_ns", np.int64),
-    ],
-    align=True,
-)
-
 STAND = np.dtype(  # of a machine, to a source: fixes from there, and the angle of what swings, rad
     [("count", np.int64), ("swing", np.float64)], align=True
 )
@@ -162,7 +134,6 @@ STATE = np.dtype(
         ("fix_stddevs", np.float64, (MOST_SOURCES,)),  # of the last fix used, where its error lasts, m
         ("stands", STAND, (MOST_SOURCES,)),
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
-        ("runs", RUN, (MOST_SOURCES,)),
         ("adaptation", ADAPTATION),
         ("attitude", ATTITUDE),
         ("odometry", ODOMETRY_POSE, (MOST_ODOMETRIES,)),
@@ -172,12 +143,12 @@ STATE = np.dtype(
         ("down", np.float64),  # sine of the slope that the tracks drove down as k was learned
         ("rolled", np.float64),  # by the tracks since the start, mean of both, m
         ("ran", np.float64),  # the same, forward or not
-        ("aligning", np.bool_),  # the heading is not known yet
-        ("refused_count", np.int64),  # since a fix was inside its gate
-        ("refused", REFUSED, (CAPACITY,)),
-        ("anchored", np.bool_),  # whether the way began with a fix that was believed
-        ("anchor", np.float64, (2,)),  # place of C then, m
-        ("way", np.float64, (2,)),  # of the tracks since, had they not slipped, m
+        ("is_sector", np.bool_),  # whether its heading is one share of the circle
+        ("fault", np.int64, (MOST_SOURCES,)),  # of ``events.Fault``: what is assumed of each source
+        ("fault_ns", np.int64, (MOST_SOURCES,)),  # stamp since when
+        ("outlier_share", np.float64, (MOST_SOURCES,)),  # of its measurements
+        ("last_fix", np.float64, (MOST_SOURCES, 2)),  # place that a source stated last, m
+        ("last_ns", np.int64, (MOST_SOURCES,)),  # stamp of its last measurement by which branches were weighed
     ],
     align=True,
 )
@@ -189,11 +160,49 @@ UPDATE = np.dtype(
         ("nis", np.float64),
         ("gate", np.float64),
         ("log_determinant", np.float64),  # ln |S|
+        ("evidence", np.float64),  # ln of the density of the measurement, where branches are weighed by it
+        ("whitened", np.float64, (2,)),  # innovation of a fix along and across, over its standard deviation
+        ("repeated", np.int64),  # 0 or 1: the fix is bit for bit the one before
+        ("opened", np.int64),  # last ``events.Event`` that opened states since the state before
         ("attitude", np.int64),  # ``AttitudeRefusal`` of an IMU or a fix; 0: used, or not wanted
         ("follows", np.bool_),  # whether the prior follows from the state before by the model
-        ("renewed", np.int64),  # place of two errors of a sensor that are others from here on; −1: none
+        ("renewed", np.int64),  # bit i: state i does not follow from the state before
         ("prior_mean", np.float64, (SIZE,)),  # before the measurement, widened where it surprised
         ("prior_covariance", np.float64, (SIZE, SIZE)),
+    ],
+    align=True,
+)
+
+HISTORY = 16  # events that a branch remembers
+
+EVENT = np.dtype(  # of a branch: before, or after, the step to which measurement it opened states
+    [
+        ("event", np.int64),  # of ``events.Event``
+        ("source", np.int64),  # whose measurement it explains
+        ("part", np.int64),  # of the circle
+        ("angle", np.float64),  # that the source measured, rad
+        ("decided_ns", np.int64),  # stamp of the measurement that it explains
+        ("stamp_ns", np.int64),  # of the measurement of the step, with kind and source
+        ("kind", np.int64),
+        ("of", np.int64),
+        ("after", np.int64),  # 0 or 1: after that step
+    ],
+    align=True,
+)
+
+BRANCH = np.dtype(  # one explanation, at one entry of the window
+    [
+        ("weight", np.float64),  # w
+        ("events", np.int64),  # how many it has had
+        ("history", EVENT, (HISTORY,)),  # the last of them; event n is at n % HISTORY
+        ("parent", np.int64),  # its place in the row before
+        ("first", np.int64),  # entry of the first step that it makes for this row
+        ("fresh", np.int64),  # 0 or 1: made by this measurement
+        ("cusum", np.float64, (4,)),  # of innovations: ahead, behind, left, right
+        ("snapshot", np.int64),  # entry from which its children start
+        ("slot", np.int64),  # place in the row of that entry
+        ("snapshot_weight", np.float64),  # w then
+        ("weighed", np.int64),  # measurements since then by which it was weighed
     ],
     align=True,
 )

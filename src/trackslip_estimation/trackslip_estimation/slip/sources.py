@@ -20,6 +20,8 @@ from trackslip_common.vehicle import MOUNTS, UPPER
 from trackslip_estimation.slip.mounting import Rotation, quaternion_of, rotation
 
 _MOUNT = "what it sits on; upper: its place is that with the upper structure looking forward"
+_FAULT_RATE = "rate at which it begins to be off, repeat itself or scatter"
+_JUMP_RATE = "rate at which what it measures jumps: the machine was moved, or turned"
 _TIMEOUT = "with nothing accepted for so long it counts as lost"
 
 
@@ -81,6 +83,8 @@ class PoseSource(Mounted):
         ge=0.0,
         le=600.0,
     )
+    fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
+    jump_rate: float = parameter(_JUMP_RATE, unit="1/s", gt=0.0, le=1.0)
     standing_share: float = parameter(
         "share of a position's variance that all fixes of a machine standing there have in common",
         ge=0.0,
@@ -172,6 +176,8 @@ class HeadingSource(Mounted):
         "imu: sensor_msgs/Imu, its orientation; quaternion: geometry_msgs/QuaternionStamped",
         choices=tuple(HEADING_MESSAGES),
     )
+    fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
+    jump_rate: float = parameter(_JUMP_RATE, unit="1/s", gt=0.0, le=1.0)
     offset: float = parameter(
         "direction in base_link of what it shows, counter-clockwise: π/2 for a pair that points left",
         unit="rad",
@@ -195,6 +201,8 @@ SWINGS = "swing_sources"
 class SwingSource(Source):
     """A sensor of the swing; its gate widens with each further timeout."""
 
+    fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
+    jump_rate: float = parameter(_JUMP_RATE, unit="1/s", gt=0.0, le=1.0)
     offset: float = parameter(
         "what it shows while the upper structure looks forward", unit="rad", ge=-6.2832, le=6.2832
     )

@@ -8,7 +8,8 @@ from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import inlined
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING, forget_fixes
+from trackslip_estimation.slip.bank import begin_row, play_script, split_unknown_heading
+from trackslip_estimation.slip.events import IS_SOUND
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
@@ -21,6 +22,7 @@ from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.usable import has_heading
 from trackslip_estimation.slip.window import Window, drop, insert, is_at, place_of
 
+_OUTLIER_SHARE = 0.01  # of measurements of a source that nothing is known of
 _LEAN = 0.2  # rad, standard deviation of the tilt of ground that nobody has seen
 
 _ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE), int(Outcome.WAITING)
@@ -41,15 +43,21 @@ def begin(window: Window, measurement: Any, c: Any) -> int:
             insert(window, entry)
         return _WAITING
     insert(window, entry)
-    state, sample = window.states[entry], window.states[entry].sample
+    state, sample = window.states[0, 0], window.states[0, 0].sample
     sample.seen = sample.known = False
     stand_still(sample.speeds)
     for k in range(entry + 1):
         if measurements[k].kind == SPROCKETS:
             remember(state, measurements[k], c)
+    status.known = 0
     drop(window, entry)
-    _set_start(window.states[0], measurements[0], c)
+    _set_start(window.states[0, 0], measurements[0], c)
     window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
+    begin_row(window, 0)
+    if status.scripted:
+        play_script(window, 0, 1, c)
+    else:
+        split_unknown_heading(window, 0, c)
     status.started, status.known = True, 1
     return _ACCEPTED
 
@@ -79,9 +87,6 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
             if c.tilt_source >= 0:  # how it leans is still to come
                 for i in range(YAW):
                     P[i, i] += (c.levers[source, 2] * _LEAN) ** 2
-        if source != MANUAL and P[YAW, YAW] > UNKNOWN_HEADING**2:  # to any side, which no tangent shows
-            for i in range(YAW):
-                P[i, i] += c.levers[source, 0] ** 2 + c.levers[source, 1] ** 2
     stand_still(state.speeds)
     reset_motion(state.motion)
     state.shear[:] = 0.0
@@ -93,9 +98,12 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
     state.rolled = state.ran = state.down = state.fix_stddevs[:] = 0.0
-    state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
-    forget_fixes(state, False)
+    state.is_sector = False
+    state.fault_ns[:] = stamp_ns
+    state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, _OUTLIER_SHARE, 0.0
+    if measurement.kind == POSE and measurement.source != MANUAL:
+        state.last_fix[measurement.source] = measurement.value[:2]
     for k in range(MOST_SOURCES):
         state.consistent_ns[k], state.heard_ns[k] = stamp_ns, NEVER_NS
-        state.refused_ns[k] = 0
+        state.refused_ns[k], state.last_ns[k], state.stands[k].count = 0, stamp_ns, 0
         state.streaks[k].count, state.streaks[k].value = 0, 0.0

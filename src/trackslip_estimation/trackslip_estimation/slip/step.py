@@ -11,9 +11,11 @@
 Live node, replay, tuning, studies and smoother all make this step, and no other.
 """
 
+import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.attitude.records import SIZE as ATTITUDE_SIZE
@@ -21,15 +23,9 @@ from trackslip_estimation.kalman import daf, ekf
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
-from trackslip_estimation.slip.alignment import (
-    UNKNOWN_HEADING,
-    doubt_direction,
-    forget_fixes,
-    forget_refused,
-    lose_heading,
-)
 from trackslip_estimation.slip.altitude import use_altitude
 from trackslip_estimation.slip.coasting import begin_coast, doubt_start, inflate, reset_velocity
+from trackslip_estimation.slip.events import ANY_HEADING, IS_SOUND, NONE, UNKNOWN_HEADING
 from trackslip_estimation.slip.fixes import use_pose
 from trackslip_estimation.slip.heading import use_heading
 from trackslip_estimation.slip.levers import to_gyro
@@ -61,9 +57,11 @@ from trackslip_estimation.slip.records import (
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
 from trackslip_estimation.slip.swing import use_swing
 from trackslip_estimation.slip.tilt import follow_ground, rise, tilt_by
-from trackslip_estimation.slip.traction import follow_tracks
 from trackslip_estimation.slip.update import hear, use_rate, use_slips
 
+FloatArray = NDArray[np.float64]
+
+_SETTLED = 0.2  # rad, standard deviation of a heading that is known
 _UNDER_WAY = 0.1  # m that the tracks have run since the start
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
@@ -73,7 +71,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     """The state at the measurement's stamp, with the measurement used or not."""
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
-    update.attitude, update.renewed = 0, -1
+    update.attitude, update.evidence, update.repeated, update.whitened[:] = 0, 0.0, 0, 0.0
     update.nis = update.gate = update.log_determinant = np.nan
     update.prior_mean, update.prior_covariance = state.mean, state.covariance
     if measurement.kind == POSE:
@@ -87,6 +85,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
         update.follows = False
     elif measurement.kind == POSE:
         use_pose(state, measurement, c, update)
+        _settle_heading(state)
         _follow_ground(state, update)
         if update.outcome == _ACCEPTED:
             update.attitude = use_altitude(state, measurement, c)
@@ -103,9 +102,17 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
 @inlined
 def _follow_ground(state: Any, update: Any) -> None:
     """The height, where the place was corrected; one where it began, or that was found anew, is no way."""
-    if update.follows and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
+    follows = update.follows and update.opened == NONE
+    if follows and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
         before = update.prior_mean
         follow_ground(state, state.mean[X] - before[X], state.mean[Y] - before[Y])
+
+
+@inlined
+def _settle_heading(state: Any) -> None:
+    """Measurements have shown more of the heading than its share of the circle."""
+    if state.is_sector and state.covariance[YAW, YAW] < _SETTLED**2:
+        state.is_sector = False
 
 
 @inlined
@@ -127,10 +134,13 @@ def _use(state: Any, measurement: Any, c: Any, update: Any) -> None:
         exchange_bias(state, update, own)
     elif measurement.kind == HEADING:
         use_heading(state, measurement, c, update)
+        state.last_ns[measurement.source] = measurement.stamp_ns
+        _settle_heading(state)
     elif measurement.kind == ODOMETRY:
         use_odometry(state, measurement, c, update)
     elif measurement.kind == ON_SWING:
         use_swing(state, measurement, c, update)
+        state.last_ns[measurement.source] = measurement.stamp_ns
     else:
         use_slips(state, measurement, c, update)
 
@@ -144,10 +154,7 @@ def follow_sprockets(state: Any, closing: Any, stamp_ns: int, c: Any) -> None:
     if known_ns >= reached_ns:
         dt = (known_ns - reached_ns) * 1e-9
         update_motion(state.motion, state.speeds, dt, c.motion_limits, c.encoder_resolution)
-        from_x, from_y = state.mean[X], state.mean[Y]
         propagate(state, dt, c)
-        if state.aligning:
-            doubt_direction(state, from_x, from_y)
         if not state.sample.seen:
             doubt_start(state, known_ns, c)
         state.coasting, reached_ns = False, known_ns
@@ -169,14 +176,34 @@ def coast(state: Any, dt: float, c: Any) -> None:
         begin_coast(state, (rate, variance), dt, c)
     stand_still(state.speeds)
     lose_track(state.adaptation)
-    forget_refused(state, False)  # they compare over what was driven
     reset_motion(state.motion)
     state.shear[:] = 0.0
     propagate(state, dt, c)
     inflate(state, dt, c)
     reset_velocity(state, c)
-    lose_heading(state)
+    limit_heading(state)
     state.coasting = True
+
+
+@compiled
+def limit_heading(state: Any) -> None:
+    """An unknown heading has the variance of any on the circle, or of its share of it; in place."""
+    P, most = state.covariance, UNKNOWN_HEADING if state.is_sector else ANY_HEADING
+    if P[YAW, YAW] <= most * most:
+        return
+    share = most / math.sqrt(P[YAW, YAW])
+    for j in range(SIZE):
+        P[YAW, j] *= share
+    for j in range(SIZE):
+        P[j, YAW] *= share
+
+
+@compiled
+def follow_tracks(state: Any, dt: float, c: Any) -> None:
+    """Distance of the tracks, with sign and without, after ``dt`` s more."""
+    left, right = state.speeds.left, state.speeds.right
+    state.ran += c.rolling_radius * (abs(left) + abs(right)) / 2.0 * dt
+    state.rolled += c.rolling_radius * (left + right) / 2.0 * dt
 
 
 @compiled
@@ -216,5 +243,6 @@ def place(state: Any, manual: Any) -> None:
         for j in range(SIZE):
             P[i, j] = P[j, i] = 0.0
     P[:3, :3] = manual.noise
-    state.aligning = P[YAW, YAW] > UNKNOWN_HEADING**2
-    forget_fixes(state, False)
+    state.is_sector, state.fault[:] = False, IS_SOUND
+    for k in range(len(state.stands)):
+        state.stands[k].count = 0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import CLOCK, NEVER_NS
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.records import MEASUREMENT, SPROCKETS, STATE, UPDATE
+from trackslip_estimation.slip.records import BRANCH, EVENT, MEASUREMENT, SPROCKETS, STATE, UPDATE
 
 Records = NDArray[np.void]
 
@@ -29,10 +29,14 @@ WINDOW = np.dtype(
         ("restarts", np.int64),  # since the clock went back, not those a user asked for
         ("published_ns", np.int64),  # stamp of the newest estimate
         ("divergences", np.int64),  # how often a state was not finite, and the estimate began anew
+        ("scripted", np.bool_),  # one branch, whose events are those of the script
+        ("played", np.int64),  # events of the script so far
+        ("begun", np.int64),  # of these up to the first entry
         ("clock", CLOCK),
     ],
     align=True,
 )
+MOST_BRANCHES, POOL = 10, 64  # of the bank that stay; with children
 SPARE = 8  # entries that a full window still has; the last one is where an arrival waits for its place
 
 
@@ -41,8 +45,20 @@ class Window(NamedTuple):
 
     status: Records  # (1,) of ``WINDOW``
     measurements: Records  # (capacity,) of ``MEASUREMENT``
-    states: Records  # (capacity,) of ``STATE``
-    updates: Records  # (capacity,) of ``UPDATE``
+    states: Records  # (MOST_BRANCHES, capacity) of ``STATE``; the most probable branch first
+    branches: Records  # (MOST_BRANCHES, capacity) of ``BRANCH``
+    counts: NDArray[np.int64]  # (capacity,) branches of each entry
+    updates: Records  # (capacity,) of ``UPDATE``, of the first branch
+    trials: Records  # (MOST_BRANCHES,) of ``UPDATE``, of the others at the newest entry
+    pool_states: Records  # (POOL,) branches with children while they are weighed
+    pool_branches: Records
+    pool_updates: Records
+    script: Records  # (n,) of ``EVENT``
+
+    @property
+    def best(self) -> Records:
+        """(capacity,) of ``STATE``, of the most probable branch."""
+        return self.states[0]
 
     @property
     def count(self) -> int:  # type: ignore[override]  # of all tuples
@@ -50,23 +66,37 @@ class Window(NamedTuple):
         return int(self.status["count"][0])
 
 
-def make_window(capacity: int) -> Window:
-    """An empty one."""
+def make_window(capacity: int, script: Records | None = None) -> Window:
+    """An empty one; ``script``: (n,) of ``EVENT``, by which it has one branch, and no event but these."""
     window = Window(
         np.zeros(1, WINDOW),
         np.zeros(capacity, MEASUREMENT),
-        np.zeros(capacity, STATE),
+        np.zeros((MOST_BRANCHES, capacity), STATE),
+        np.zeros((MOST_BRANCHES, capacity), BRANCH),
+        np.zeros(capacity, np.int64),
         np.zeros(capacity, UPDATE),
+        np.zeros(MOST_BRANCHES, UPDATE),
+        np.zeros(POOL, STATE),
+        np.zeros(POOL, BRANCH),
+        np.zeros(POOL, UPDATE),
+        np.zeros(0, EVENT) if script is None else script,
     )
+    window.status["scripted"] = script is not None
     window.status["published_ns"] = NEVER_NS
     return window
 
 
 def enlarged(window: Window) -> Window:
     """The same with room for twice as many entries."""
-    larger = make_window(2 * len(window.states))
-    for old, new in zip(window, larger, strict=True):
-        new[: len(old)] = old
+    script = window.script if window.status["scripted"][0] else None
+    larger, count = make_window(2 * len(window.measurements), script), window.count
+    larger.status[:] = window.status
+    last = len(window.measurements)
+    larger.measurements[:last] = window.measurements
+    larger.updates[:count], larger.counts[:count] = window.updates[:count], window.counts[:count]
+    rows = int(window.counts[:count].max(initial=1))  # memory of the others was never touched
+    larger.states[:rows, :count] = window.states[:rows, :count]
+    larger.branches[:rows, :count] = window.branches[:rows, :count]
     return larger
 
 
@@ -121,25 +151,47 @@ def is_at(measurements: Records, count: int, k: int, measurement: Any) -> bool:
 
 @compiled
 def insert(window: Window, k: int) -> None:
-    """Put the arrival, which waits in the last entry, into entry k; no state from there on is known."""
-    measurements, states, updates = window.measurements, window.states, window.updates
-    for i in range(window.status[0].count, k, -1):
-        measurements[i], states[i], updates[i] = measurements[i - 1], states[i - 1], updates[i - 1]
+    """Put the arrival, which waits in the last entry, into entry k; no row from there on is known."""
+    measurements, status = window.measurements, window.status[0]
+    for i in range(status.count, k, -1):
+        measurements[i] = measurements[i - 1]
     measurements[k] = measurements[measurements.size - 1]
-    window.status[0].count += 1
-    window.status[0].known = min(window.status[0].known, k)
+    status.count += 1
+    status.known = min(status.known, k)
 
 
 @compiled
 def drop(window: Window, entries: int) -> None:
-    """Let the first entries go."""
-    measurements, states, updates = window.measurements, window.states, window.updates
-    count = window.status[0].count - entries
+    """Remove the first entries."""
+    status = window.status[0]
+    count = status.count - entries
     for i in range(count):
-        measurements[i], states[i] = measurements[i + entries], states[i + entries]
-        updates[i] = updates[i + entries]
-    window.status[0].count = count
-    window.status[0].known -= entries
+        window.measurements[i] = window.measurements[i + entries]
+    for i in range(min(count, status.known - entries)):
+        window.updates[i], window.counts[i] = window.updates[i + entries], window.counts[i + entries]
+        for s in range(window.counts[i]):
+            window.states[s, i] = window.states[s, i + entries]
+            window.branches[s, i] = window.branches[s, i + entries]
+            window.branches[s, i].snapshot = max(window.branches[s, i].snapshot - entries, 0)
+    status.count = count
+    status.known -= entries
+
+
+@compiled
+def oldest_needed(window: Window, k: int) -> int:
+    """The oldest entry that rows from k on are made from."""
+    oldest = k
+    for s in range(window.counts[k]):
+        oldest = min(oldest, window.branches[s, k].snapshot)
+    return oldest
+
+
+@compiled
+def keep_tail(window: Window) -> None:
+    """Remove the entries that no further row is made from."""
+    status = window.status[0]
+    last, status.begun = status.count - 1, status.played
+    drop(window, last if status.scripted else oldest_needed(window, last))
 
 
 @compiled
@@ -155,7 +207,7 @@ def horizon_ns(window: Window, c: Any) -> int:
 @compiled
 def is_full(window: Window) -> bool:
     """Whether there is no room for one more."""
-    return bool(window.status[0].count + SPARE >= window.states.size)
+    return bool(window.status[0].count + SPARE >= window.measurements.size)
 
 
 @compiled
@@ -166,6 +218,8 @@ def trim(window: Window, c: Any) -> bool:
     oldest_ns = status.clock.head_ns - c.window_ns
     while settled + 1 + kept_samples < status.count and window.measurements[settled + 1].stamp_ns < oldest_ns:
         settled += 1
+    if status.started:
+        settled = oldest_needed(window, settled)
     if settled > 0:
         drop(window, settled)
     return not is_full(window)

@@ -11,7 +11,7 @@ from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.reader import Bag
 from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
+from trackslip_estimation.slip.events import UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import SET_POSE, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import named

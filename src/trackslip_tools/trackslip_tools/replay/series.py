@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.orientations import headings_of
-from trackslip_estimation.slip.alignment import UNKNOWN_HEADING
+from trackslip_estimation.slip.events import UNKNOWN_HEADING
 from trackslip_tools.replay.growing import GrowingRows, Rows
 
 FloatArray = NDArray[np.float64]

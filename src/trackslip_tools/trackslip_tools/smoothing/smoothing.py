@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimates that a whole log gives: at each time from what came before and after it.
 
-The slip estimator runs over the log in the order of the stamps, so that every state is settled; then
-``kalman.smoother`` goes back over its states. Where one state does not follow from the one before it by the
+The slip estimator runs over the log in the order of the stamps, so that every state is settled: once to find
+the events that explain contradictions, then with these as its script, in one branch. ``kalman.smoother`` goes
+back over the states of that branch. A state that an event opened does not follow from the one before. Where one state does not follow from the one before it by the
 model (a start, a manual pose, sprockets that were silent) nothing is carried back: each piece is smoothed by
 itself. The filter is the extended Kalman filter, whichever the parameters name.
 
@@ -19,8 +20,7 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.smoother import step_back
-from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.log import Block, Log, run_blocks
+from trackslip_estimation.slip.log import Block, Log, begin_log, run_blocks, script_of
 from trackslip_estimation.slip.models.dispatch import linearize
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -41,8 +41,7 @@ class _Begin(NamedTuple):
 
     first: int
     last: int
-    measurement: Records  # (1,)
-    state: Records  # (1,)
+    start: Window  # whose first entry is the last one before it
 
 
 def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
@@ -50,37 +49,43 @@ def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
 
     What was asked of the estimator while it ran (to begin anew, to hold still, new parameters) is left out.
     """
-    estimator = SlipEstimator(replace(p, filter="ekf"))
-    estimator.process_records(log.begin)
+    p = replace(p, filter="ekf")
+    start, config = begin_log(log, p, script_of(log, p))
     begins = [
-        _Begin(b.first, b.first + len(b.states), b.window.measurements[:1].copy(), b.window.states[:1].copy())
-        for b in run_blocks(log.rest, estimator.window, estimator.config)
+        _Begin(b.first, b.first + len(b.states), _first_row(b.window)) for b in run_blocks(log.rest, start, config)
     ]
     carried: Records | None = None  # into the block that was done last
     ends: list[Records | None] = []
     for begin in reversed(begins):
         ends.append(carried)
-        block = _again(log, begin, estimator)
-        _smooth(block.window, carried, estimator.config)
-        carried = block.window.states[:1].copy()
+        block = _again(log, begin, config)
+        _smooth(block.window, carried, config)
+        carried = block.window.best[:1].copy()
     for begin, end in zip(begins, reversed(ends), strict=True):
-        block = _again(log, begin, estimator)
-        filtered = _estimates(block.window, estimator.config)
-        _smooth(block.window, end, estimator.config)
-        yield Smoothed(filtered, _estimates(block.window, estimator.config))
+        block = _again(log, begin, config)
+        filtered = _estimates(block.window, config)
+        _smooth(block.window, end, config)
+        yield Smoothed(filtered, _estimates(block.window, config))
 
 
-def _again(log: Log, begin: _Begin, estimator: SlipEstimator) -> Block:
-    start = make_window(2)
-    start.measurements[:1], start.states[:1] = begin.measurement, begin.state
-    return next(run_blocks(log.rest[begin.first : begin.last], start, estimator.config))
+def _first_row(window: Window) -> Window:
+    """A window of the first entry only."""
+    first = make_window(2, window.script)
+    first.status["played"] = window.status["begun"]
+    first.measurements[0], first.counts[0] = window.measurements[0], window.counts[0]
+    first.states[:, 0], first.branches[:, 0] = window.states[:, 0], window.branches[:, 0]
+    return first
+
+
+def _again(log: Log, begin: _Begin, config: Records) -> Block:
+    return next(run_blocks(log.rest[begin.first : begin.last], begin.start, config))
 
 
 def _smooth(window: Window, end: Records | None, config: Records) -> None:
     """The states of a window, smoothed; ``end`` (1,) is the last one, if something came after it."""
-    last = window.count - 1
+    last, states = window.count - 1, window.best
     if end is not None:
-        window.states["mean"][last], window.states["covariance"][last] = end["mean"][0], end["covariance"][0]
+        states["mean"][last], states["covariance"][last] = end["mean"][0], end["covariance"][0]
     _smooth_back(window, last, config)
 
 
@@ -92,7 +97,7 @@ def _estimates(window: Window, config: Records) -> Records:
 
 @compiled
 def _smooth_back(window: Window, last: int, config: Records) -> None:
-    c, states = config[0], window.states
+    c, states = config[0], window.states[0]
     n = c.size
     x, P = states[last].mean[:n].copy(), states[last].covariance[:n, :n].copy()
     for k in range(last, 0, -1):
@@ -101,8 +106,9 @@ def _smooth_back(window: Window, last: int, config: Records) -> None:
         if update.follows:
             dt = (states[k].stamp_ns - before.stamp_ns) * 1e-9
             F = linearize(filtered[0], filtered[1], states[k], dt, c)[1]
-            if update.renewed >= 0:
-                F[update.renewed : update.renewed + 2] = 0.0
+            for i in range(n):
+                if update.renewed >> i & 1:
+                    F[i] = 0.0
             predicted = update.prior_mean[:n].copy(), update.prior_covariance[:n, :n].copy()
             x, P = step_back(filtered, predicted, (x, P), F, YAW)
             before.mean[:n], before.covariance[:n, :n] = x, P
@@ -115,6 +121,6 @@ def _fill_estimates(window: Window, count: int, estimates: Records, config: Reco
     found = 0
     for k in range(1, count):
         if window.measurements[k].kind == SPROCKETS:
-            fill_estimate(window.states[k], config[0], estimates[found])
+            fill_estimate(window.states[0, k], config[0], estimates[found])
             found += 1
     return found

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.log import make_log, run_whole
+from trackslip_estimation.slip.log import begin_log, make_log, run_whole
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, SwingAngle, YawRate
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import ON_SWING, POSE, SPROCKETS, YAW_RATE, to_records
+from trackslip_estimation.slip.records import EVENT, ON_SWING, POSE, SPROCKETS, YAW_RATE, to_records
 from trackslip_estimation.slip.window import Window
 from trackslip_sim.machine.placement import upper_poses
 from trackslip_sim.machine.sensors import SensorNoise, mounting_of
@@ -139,17 +139,16 @@ def _simulated(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
 
 def _read(found: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window, Rows]:
     """The start, and all after it with what the sprockets did."""
-    estimator = SlipEstimator(p)
-    log = make_log(to_records(found, estimator.sources), p)
-    estimator.process_records(log.begin)
-    window = run_whole(log.rest, estimator.window, estimator.config)
-    if window.states["coasting"][: window.count].any():
+    log = make_log(to_records(found, SlipEstimator(p).sources), p)
+    start, config = begin_log(log, p, np.zeros(0, EVENT))
+    window = run_whole(log.rest, start, config)
+    if window.best["coasting"][: window.count].any():
         raise InputError(
             f"{NODE}: sprocket_rate: the estimator takes the time between two samples for silence"
         )
-    drives = window.states[1 : window.count].copy()
+    drives = window.best[1 : window.count].copy()
     drives["adaptation"]["track_variance"] = 0.0  # the bound and the matched truth know of no such error
-    return estimator.window, Rows(log.rest, drives)
+    return start, Rows(log.rest, drives)
 
 
 def _sprockets(truth: Truth, p: StudyParameters, end: float, resolution: float) -> Iterator[Measurement]:

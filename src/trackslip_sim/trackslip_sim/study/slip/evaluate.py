@@ -12,6 +12,7 @@ from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.log import run_whole
 from trackslip_estimation.slip.models.model import POSE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import EVENT
 from trackslip_estimation.slip.window import Window, make_window
 from trackslip_sim.study.slip.drive import Drive
 from trackslip_sim.study.slip.kernels import SLIPS, bound, compare, scratch, variances
@@ -69,7 +70,7 @@ def score(setting: Setting, trial: Trial, bounds: FloatArray) -> Sums:
     """One run, filtered; ``bounds`` (s, 7) are its least variances."""
     drive, scored = setting.drive, setting.drive.scored
     window = _filtered(setting, trial)
-    states, nis_of = window.states[1 : window.count], window.updates["nis"][1 : window.count]
+    states, nis_of = window.best[1 : window.count], window.updates["nis"][1 : window.count]
     errors, nees = compare(scored, states, trial.states, trial.slips, scratch(), setting.linear)
     settled = np.arange(len(nis_of)) >= scored[0]
     nis = np.array([nis_of[settled & kind].mean() for kind in (drive.fixes, drive.rates)])
@@ -78,10 +79,10 @@ def score(setting: Setting, trial: Trial, bounds: FloatArray) -> Sums:
 
 def _filtered(setting: Setting, trial: Trial) -> Window:
     """The states of a run, after its start."""
-    begin = make_window(2)
-    begin.measurements[0] = setting.drive.begin.measurements[0]
-    begin.states[0] = setting.drive.begin.states[0]
-    begin.states["mean"][0], begin.states["covariance"][0] = trial.start
+    begin, drive = make_window(2, np.zeros(0, EVENT)), setting.drive  # nothing else happens
+    begin.measurements[0], begin.counts[0] = drive.begin.measurements[0], 1
+    begin.best[0] = drive.begin.best[0]
+    begin.best["mean"][0], begin.best["covariance"][0] = trial.start
     return run_whole(trial.rows.measurements, begin, setting.config)
 
 
@@ -108,7 +109,7 @@ def trace(setting: Setting, seed: int) -> Trace:
     """One run of a cell."""
     trial, drive = make_trial(setting, seed), setting.drive
     window = _filtered(setting, trial)
-    states = window.states[1 : window.count]
+    states = window.best[1 : window.count]
     errors, _ = compare(drive.samples, states, trial.states, trial.slips, scratch(), setting.linear)
     found = states["mean"], states["covariance"]
     deviations = np.sqrt(variances(drive.samples, *found, states, scratch(), setting.linear))

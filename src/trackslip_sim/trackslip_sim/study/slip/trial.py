@@ -210,7 +210,7 @@ def _start(setting: Setting, pose: FloatArray, swing_error: float = 0.0) -> tupl
     mean, covariance = c["prior_mean"].copy(), c["prior_covariance"].copy()
     mean[:3] = pose
     covariance[:3, :3] = np.diag(np.square(fix_deviations(setting.cell, setting.sigma_heading)))
-    begin, source = setting.drive.begin.states[0], setting.drive.begin.measurements["source"][0]
+    begin, source = setting.drive.begin.best[0], setting.drive.begin.measurements["source"][0]
     mean[SWING] += swing_error
     to_sensor(mean[: c["size"]], covariance, begin["attitude"]["level"], source, -1.0, c)
     return mean, covariance

@@ -1,0 +1,270 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Events that may explain why a measurement contradicts the state, and the states that each one opens; compiled.
+
+An event has a rate, so its prior probability over a time Δt is about rate · Δt. Rates of a source are its
+parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventParameters``.
+
+    event       opens                                                 happened
+    OUTLIER     nothing; this one measurement is left out             at the measurement
+    OFFSET      the source's offset: two states of a pose source,     just before it
+                one of a compass
+    REPEATS     nothing; bit-identical fixes                          just before it
+    SCATTERS    nothing; measurements uniform over an area            just before it
+    SOUND       nothing; a fault of the source ended                  just before it
+    MOVED       x, y                                                  just before it
+    TURNED      heading, and what was learned through it              since the last consistent measurement
+    SWUNG       σ, σ̇ of the upper structure                           since the last consistent measurement
+    SLIPPED     i₀                                                    since the last consistent measurement
+    SLID        i₀, k; on a slope                                     since the last consistent measurement
+    NOISE       noise factor of the source                            since the last consistent measurement
+    FOLDED      the source's offset, which becomes a jump of what     just before it
+                it measures
+
+Source: Willsky & Jones (1976), a generalised likelihood ratio test for jumps of a state.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.slip.levers import to_sensor
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import (
+    DOWNHILL,
+    FIX_DELAY,
+    GYRO_SCALE,
+    SIZE,
+    SWING,
+    SWING_RATE,
+    YAW,
+    X,
+    Y,
+)
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
+from trackslip_estimation.slip.own_errors import to_offset
+
+FloatArray = NDArray[np.float64]
+
+
+class Event(IntEnum):
+    """What may have happened."""
+
+    NONE = 0
+    OUTLIER = 1
+    OFFSET = 2
+    REPEATS = 3
+    SCATTERS = 4
+    SOUND = 5
+    MOVED = 6
+    TURNED = 7
+    SWUNG = 8
+    SLIPPED = 9
+    SLID = 10
+    NOISE = 11
+    FOLDED = 12
+
+
+class Fault(IntEnum):
+    """What a branch assumes of a source."""
+
+    SOUND = 0
+    OFFSET = 1
+    REPEATS = 2
+    SCATTERS = 3
+    IGNORED = 4  # for one measurement
+
+
+(NONE, OUTLIER, OFFSET, REPEATS, SCATTERS, SOUND, MOVED, TURNED, SWUNG, SLIPPED, SLID, NOISE, FOLDED) = map(int, Event)
+(IS_SOUND, IS_OFFSET, IS_REPEATING, IS_SCATTERING, IS_IGNORED) = map(int, Fault)
+
+HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
+UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``HEADINGS``
+ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of one that may be any
+AREA = 1e4  # m², of a place of which nothing is known
+MEASURED = -1  # part of the circle: the one that a compass shows
+
+_LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, SECOND, COMMON_SLIP, ROTATION_OFFSET
+_SLOPE_STDDEV = 2.0  # of k on a slope on which the machine slides
+_STEEP = 0.1  # sine of a slope on which a machine may slide
+
+CONSTANTS = np.dtype(
+    [
+        ("fault_time", np.float64),
+        ("repeat_share", np.float64),
+        ("scatter_share", np.float64),
+        ("heading_rate", np.float64),
+        ("slip_rate", np.float64),
+        ("slide_rate", np.float64),
+        ("noise_rate", np.float64),
+        ("slip_stddev", np.float64),
+    ],
+    align=True,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EventParameters(Parameters):
+    """Prior rates of events."""
+
+    fault_time: float = parameter("mean time that a fault of a source lasts", unit="s", gt=0.0)
+    repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
+    scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)
+    heading_rate: float = parameter("rate at which the heading turns out to be wrong", unit="1/s", gt=0.0)
+    slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
+    slide_rate: float = parameter("rate at which the machine slides on a slope", unit="1/s", gt=0.0)
+    noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
+    slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
+
+
+def constants(p: EventParameters) -> tuple[float, ...]:
+    """The fields of ``CONSTANTS``, in their order."""
+    return tuple(getattr(p, name) for name in CONSTANTS.names or ())
+
+
+@compiled
+def log_rate(event: int, source: int, c: Any) -> float:
+    """ln of the rate of an event of a source, 1/s."""
+    e = c.events
+    if event == OFFSET:
+        return math.log(c.fault_rate[source])
+    if event == REPEATS:
+        return math.log(c.fault_rate[source] * e.repeat_share)
+    if event == SCATTERS:
+        return math.log(c.fault_rate[source] * e.scatter_share)
+    if event == MOVED:
+        return math.log(c.jump_rate[source])
+    if event == SLIPPED:
+        return math.log(e.slip_rate)
+    if event == SLID:
+        return math.log(e.slide_rate)
+    if event == NOISE:
+        return math.log(e.noise_rate)
+    if event == SOUND:
+        return -math.log(e.fault_time)
+    return math.log(e.heading_rate)
+
+
+@compiled
+def open_state(x: FloatArray, P: FloatArray, k: int, mean: float, variance: float) -> None:
+    """State k gets a mean and a variance of its own, uncorrelated; in place."""
+    x[k] = mean
+    for j in range(P.shape[0]):
+        P[k, j] = P[j, k] = 0.0
+    P[k, k] = variance
+
+
+@compiled
+def open_heading(state: Any, source: int, heading: float, variance: float, c: Any) -> None:
+    """The heading becomes ``heading``, rad; the source's sensor stays where it is.
+
+    What was learned through the heading before (gyro scale, delay, η, i₀, x_I) is as at the start.
+    """
+    x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
+    to_sensor(x, P, level, source, 1.0, c)
+    above = c.above[source] == 1
+    open_state(x, P, YAW, wrap(heading + (x[SWING] if above else 0.0)), variance)
+    to_sensor(x, P, level, source, -1.0, c)
+    if not has_velocity_errors(c):
+        return
+    for q in _LEARNED_BY_HEADING:
+        open_state(x, P, q, c.prior_mean[q], c.prior_variance[q])
+
+
+@compiled
+def open_swing(state: Any, angle: float, variance: float, c: Any) -> None:
+    """The angle of the upper structure becomes ``angle``, rad; it may swing as fast as it can."""
+    x, P = state.mean[: c.size], state.covariance[:]
+    open_state(x, P, SWING, wrap(angle), variance)
+    open_state(x, P, SWING_RATE, 0.0, c.swing.fastest**2)
+
+
+@compiled
+def latest_pose_source(state: Any, c: Any) -> int:
+    """Number of the source of poses that was consistent last; 0 where there is none."""
+    latest = -1
+    for k in range(c.offsets.size):
+        is_pose = c.offsets[k] >= 0 and c.compass[k] == 0
+        if is_pose and (latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]):
+            latest = k
+    return max(latest, 0)
+
+
+@compiled
+def sector(part: int) -> tuple[float, float]:
+    """Angle of a share of the circle from its first, rad, and variance inside it, rad²."""
+    return 2.0 * math.pi * part / HEADINGS, (math.pi / HEADINGS) ** 2 / 2.0
+
+
+@compiled
+def apply_event(state: Any, event: int, source: int, part: int, angle: float, c: Any) -> int:
+    """What an event opens, in a record of ``STATE``, in place; returns the states that are others now, as bits.
+
+    ``part``: share of the circle; ``MEASURED``: where the source measured ``angle``, rad.
+    """
+    renewed = 0
+    x, P, unknown = state.mean[: c.size], state.covariance[:], AREA / (2.0 * math.pi)
+    own = c.offsets[source]
+    if event == OUTLIER:
+        state.fault[source] = IS_IGNORED
+    elif event == REPEATS:
+        state.fault[source] = IS_REPEATING
+    elif event == SCATTERS:
+        state.fault[source] = IS_SCATTERING
+    elif event == NOISE:
+        state.adaptation.fix_log_weights[source] = 1e-9
+    elif event == OFFSET or event == SOUND:
+        state.fault[source] = IS_OFFSET if event == OFFSET else IS_SOUND
+        state.fault_ns[source] = state.stamp_ns
+        if own >= 0:
+            rows = 1 if c.compass[source] == 1 else 2
+            size = math.pi**2 / 3.0 if c.compass[source] == 1 else unknown
+            for i in range(own, own + rows):
+                open_state(x, P, i, 0.0, size if event == OFFSET else 0.0)
+                renewed |= 1 << i
+    elif event == FOLDED:
+        state.fault[source] = IS_SOUND
+        to_offset(x, P, source, 1.0, c)
+        rows = 1 if c.compass[source] == 1 else 2
+        for i in range(rows):
+            open_state(x, P, own + i, 0.0, 0.0)
+            renewed |= (1 << (own + i)) | (1 << (YAW if rows == 1 else i))
+    elif event == MOVED:
+        for axis in (X, Y):
+            open_state(x, P, axis, x[axis], unknown)
+            renewed |= 1 << axis
+    elif event == TURNED:
+        state.is_sector = part != MEASURED
+        if part == MEASURED:
+            turn = wrap(angle - c.heading_offset[source] - x[YAW])
+            open_heading(state, latest_pose_source(state, c), x[YAW] + turn, (math.pi / HEADINGS) ** 2, c)
+        else:
+            turn, variance = sector(part)
+            open_heading(state, source, x[YAW] + turn, variance, c)
+        for i in (X, Y, YAW, *_LEARNED_BY_HEADING):
+            renewed |= 1 << i
+    elif event == SWUNG:
+        turn, variance = sector(max(part, 0))
+        if part == MEASURED:
+            turn = wrap(angle - c.heading_offset[source] - x[SWING])
+        open_swing(state, x[SWING] + turn, variance, c)
+        renewed = (1 << SWING) | (1 << SWING_RATE)
+    if event == SLIPPED or event == SLID:
+        P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
+    if event == SLID:
+        P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2
+    return renewed
+
+
+@compiled
+def is_steep(state: Any) -> bool:
+    """Whether the ground is so steep that the machine may slide."""
+    level = state.attitude.level
+    return bool(level.tilted == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
