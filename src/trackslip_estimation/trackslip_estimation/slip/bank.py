@@ -67,7 +67,7 @@ _LEAST_SOUND = 9.0  # w below the best that the last branch without a fault has 
 _DRIFT, _LIMIT, _CALM = 0.5, 5.0, 1.5  # of the CUSUM, in standard deviations
 _LARGEST = 3.0  # standard deviations of one innovation in the CUSUM
 _LOOK_BACK = 8  # measurements, of which one began whatever shows now
-_LOOK_BACK_NS = 5_000_000_000
+LOOK_BACK_NS = 5_000_000_000
 _STEPS = 6000  # that children may make at one measurement: 10 ms
 _ALIKE = 0.05  # mean squared distance of two branches that are one
 _SLIP_RANGE = -0.5, 1.0  # of i₀: tracks do not drive a machine backwards
@@ -577,11 +577,11 @@ def _keep_snapshot(window: Window, s: int, k: int) -> None:
 
 @compiled
 def keep_snapshots(window: Window, k: int) -> None:
-    """No branch looks back further than ``_LOOK_BACK_NS``."""
+    """No branch looks back further than ``LOOK_BACK_NS``."""
     stamp_ns = window.measurements[k].stamp_ns
     for s in range(window.counts[k]):
         branch = window.branches[s, k]
-        if stamp_ns - window.measurements[branch.snapshot].stamp_ns > _LOOK_BACK_NS:
+        if stamp_ns - window.measurements[branch.snapshot].stamp_ns > LOOK_BACK_NS:
             _keep_snapshot(window, s, k)
 
 
@@ -592,23 +592,3 @@ def probability_of_best(window: Window, k: int) -> float:
     for s in range(window.counts[k]):
         total += math.exp(window.branches[s, k].weight)
     return math.exp(window.branches[0, k].weight) / total
-
-
-@compiled
-def widen_by_mixture(window: Window, k: int, covariance: Any) -> None:
-    """Covariance (3, 3) of the first branch's pose becomes that of the whole row about it; in place."""
-    if window.counts[k] == 1:
-        return
-    x, total = window.states[0, k].mean, 0.0
-    covariance[:, :] = 0.0
-    for s in range(window.counts[k]):
-        y, P = window.states[s, k].mean, window.states[s, k].covariance
-        w = math.exp(window.branches[s, k].weight)
-        d = (y[X] - x[X], y[Y] - x[Y], wrap(y[YAW] - x[YAW]))
-        total += w
-        for i in range(3):
-            for j in range(3):
-                covariance[i, j] += w * (P[i, j] + d[i] * d[j])
-    for i in range(3):
-        for j in range(3):
-            covariance[i, j] /= total

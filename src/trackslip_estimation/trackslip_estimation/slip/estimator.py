@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.attitude.status import attitude_text
+from trackslip_estimation.slip.bank import probability_of_best
 from trackslip_estimation.slip.config import make_config
+from trackslip_estimation.slip.explanations import Explanation, Happened, Sources, explanations, history
 from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
 from trackslip_estimation.slip.measurements import (
     FORGET,
@@ -103,6 +105,7 @@ class SlipEstimator:
         ``script``: (n,) of ``EVENT``: then there is one branch, and these are its only events.
         """
         self._window_ns, self._start = window_ns, learned
+        self._happened: list[Happened] = []
         self.window: Window = make_window(_CAPACITY, script)
         self._use(parameters)
         self.process_records(to_records((), self.sources))  # compiles now, not at the first measurement
@@ -149,6 +152,24 @@ class SlipEstimator:
             return self._start
         found = learned_of(self.window.best[self.window.count - 1], self.meaning, self.sources)
         return found if found.is_finite else self._start
+
+    @property
+    def explanations(self) -> list[Explanation]:
+        """What may have happened, the most probable first; empty without an estimate."""
+        return explanations(self.window, self._named) if self.started else []
+
+    @property
+    def certainty(self) -> float:
+        """Probability of the most probable branch; 0 without an estimate."""
+        return float(probability_of_best(self.window, self.window.count - 1)) if self.started else 0.0
+
+    @property
+    def happened(self) -> list[Happened]:
+        """Events of the most probable branch, as far as they were read in time: 16 lie back at the most."""
+        if self.started:
+            branch = self.window.branches[0, self.window.count - 1]
+            self._happened = history(branch, self._named, self._happened)
+        return self._happened
 
     def apply_command(self, command: Command | Reload) -> Report:
         """Reset, forget, freeze or unfreeze, or use new values of parameters.
@@ -210,6 +231,8 @@ class SlipEstimator:
         self.sources = {name: number for number, name in enumerate(p.timeouts_ns())}
         self.config = make_config(p, self._window_ns)
         self.meaning = meaning(p)
+        names = {number: name for name, number in self.sources.items()}
+        self._named = Sources(names, self.config["offsets"][0].tolist(), set(p.compasses()))
         if self._start is not None:
             start_from(self._start, self.config, self.meaning, self.sources)
 

@@ -72,7 +72,7 @@ class Event(IntEnum):
     FOLDED = 12
 
 
-class Fault(IntEnum):
+class SourceFault(IntEnum):
     """What a branch assumes of a source."""
 
     SOUND = 0
@@ -83,7 +83,7 @@ class Fault(IntEnum):
 
 
 (NONE, OUTLIER, OFFSET, REPEATS, SCATTERS, SOUND, MOVED, TURNED, SWUNG, SLIPPED, SLID, NOISE, FOLDED) = map(int, Event)
-(IS_SOUND, IS_OFFSET, IS_REPEATING, IS_SCATTERING, IS_IGNORED) = map(int, Fault)
+(IS_SOUND, IS_OFFSET, IS_REPEATING, IS_SCATTERING, IS_IGNORED) = map(int, SourceFault)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``HEADINGS``

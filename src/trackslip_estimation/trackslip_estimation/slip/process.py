@@ -14,8 +14,10 @@ import numpy as np
 
 from trackslip_common.clock_monitor import NEVER_NS, StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.slip.bank import make_row, widen_by_mixture
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.slip.bank import make_row
 from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.observation import fill_outputs
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
 from trackslip_estimation.slip.sound import is_sound
@@ -188,8 +190,38 @@ def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) 
     if measurement.stamp_ns <= status.published_ns or not (measurement.kind == SPROCKETS or carries):
         return
     status.published_ns, result.published = measurement.stamp_ns, True
-    fill_estimate(window.states[0, entry], c, result.estimate)
-    widen_by_mixture(window, entry, result.estimate.pose_covariance[:])
+    fill_mixture(window, entry, c, result.estimate)
+
+
+@compiled
+def fill_mixture(window: Window, k: int, c: Any, estimate: Any) -> None:
+    """What is published of row k: the most probable branch, with the covariance of the whole row about it."""
+    fill_estimate(window.states[0, k], c, estimate)
+    if window.counts[k] == 1:
+        return
+    other, total = window.other[0], 1.0
+    for s in range(1, window.counts[k]):
+        fill_estimate(window.states[s, k], c, other)
+        w = math.exp(window.branches[s, k].weight)
+        total += w
+        _add_spread(estimate.pose, other.pose, estimate.pose_covariance, other.pose_covariance, w, YAW)
+        _add_spread(estimate.twist, other.twist, estimate.twist_covariance, other.twist_covariance, w, -1)
+        _add_spread(estimate.slips, other.slips, estimate.slip_covariance, other.slip_covariance, w, -1)
+    for i in range(3):
+        for j in range(3):
+            estimate.pose_covariance[i, j] /= total
+            estimate.twist_covariance[i, j] /= total
+            estimate.slip_covariance[i, j] /= total
+
+
+@compiled
+def _add_spread(mean: Any, other: Any, covariance: Any, P: Any, w: float, angle: int) -> None:
+    """To a covariance (3, 3) about ``mean`` that of another Gaussian of weight w; in place."""
+    for i in range(3):
+        for j in range(3):
+            d, e = other[i] - mean[i], other[j] - mean[j]
+            d, e = wrap(d) if i == angle else d, wrap(e) if j == angle else e
+            covariance[i, j] += w * (P[i, j] + d * e)
 
 
 @inlined
@@ -208,5 +240,4 @@ def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
 def fill_last_estimate(window: Window, config: Records, estimates: Records) -> None:
     """What is known at the newest stamp, into (1,) of ``ESTIMATE``."""
     last = window.status[0].count - 1
-    fill_estimate(window.states[0, last], config[0], estimates[0])
-    widen_by_mixture(window, last, estimates[0].pose_covariance[:])
+    fill_mixture(window, last, config[0], estimates[0])

@@ -144,7 +144,7 @@ STATE = np.dtype(
         ("rolled", np.float64),  # by the tracks since the start, mean of both, m
         ("ran", np.float64),  # the same, forward or not
         ("is_sector", np.bool_),  # whether its heading is one share of the circle
-        ("fault", np.int64, (MOST_SOURCES,)),  # of ``events.Fault``: what is assumed of each source
+        ("fault", np.int64, (MOST_SOURCES,)),  # of ``events.SourceFault``: what is assumed of each source
         ("fault_ns", np.int64, (MOST_SOURCES,)),  # stamp since when
         ("outlier_share", np.float64, (MOST_SOURCES,)),  # of its measurements
         ("last_fix", np.float64, (MOST_SOURCES, 2)),  # place that a source stated last, m

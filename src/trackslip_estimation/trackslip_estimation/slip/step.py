@@ -25,7 +25,7 @@ from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
 from trackslip_estimation.slip.altitude import use_altitude
 from trackslip_estimation.slip.coasting import begin_coast, doubt_start, inflate, reset_velocity
-from trackslip_estimation.slip.events import ANY_HEADING, IS_SOUND, NONE, UNKNOWN_HEADING
+from trackslip_estimation.slip.events import ANY_HEADING, FOLDED, IS_SOUND, MOVED, TURNED, UNKNOWN_HEADING
 from trackslip_estimation.slip.fixes import use_pose
 from trackslip_estimation.slip.heading import use_heading
 from trackslip_estimation.slip.levers import to_gyro
@@ -102,8 +102,8 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
 @inlined
 def _follow_ground(state: Any, update: Any) -> None:
     """The height, where the place was corrected; one where it began, or that was found anew, is no way."""
-    follows = update.follows and update.opened == NONE
-    if follows and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
+    jumped = update.opened == MOVED or update.opened == FOLDED or update.opened == TURNED
+    if update.follows and not jumped and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
         before = update.prior_mean
         follow_ground(state, state.mean[X] - before[X], state.mean[Y] - before[Y])
 

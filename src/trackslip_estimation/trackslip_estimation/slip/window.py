@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import CLOCK, NEVER_NS
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.records import BRANCH, EVENT, MEASUREMENT, SPROCKETS, STATE, UPDATE
+from trackslip_estimation.slip.records import BRANCH, ESTIMATE, EVENT, MEASUREMENT, SPROCKETS, STATE, UPDATE
 
 Records = NDArray[np.void]
 
@@ -53,6 +53,7 @@ class Window(NamedTuple):
     pool_states: Records  # (POOL,) branches with children while they are weighed
     pool_branches: Records
     pool_updates: Records
+    other: Records  # (1,) of ``ESTIMATE``, of one branch while a mixture is made
     script: Records  # (n,) of ``EVENT``
 
     @property
@@ -79,6 +80,7 @@ def make_window(capacity: int, script: Records | None = None) -> Window:
         np.zeros(POOL, STATE),
         np.zeros(POOL, BRANCH),
         np.zeros(POOL, UPDATE),
+        np.zeros(1, ESTIMATE),
         np.zeros(0, EVENT) if script is None else script,
     )
     window.status["scripted"] = script is not None

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_estimation.slip.log import Log, make_log, run_log, script_of
+from trackslip_estimation.slip.log import Log, make_log, run_log
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import POSE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -67,7 +67,6 @@ class Task:
 
     name: str
     log: Log
-    script: Records  # (n,) of ``EVENT``: what happened, by the parameters that tuning starts from
     p: SlipEstimatorParameters
     reference: Path | None
 
@@ -79,7 +78,7 @@ class Task:
         """
         p = changed(self.p, values)
         keep = self._around_reference()
-        result = _run(self.log, p, self.script, keep)
+        result = _run(self.log, p, keep)
         errors = self._errors(self.log.rest["stamp_ns"][keep], result)
         return Score(*result.innovations.score(), *errors)
 
@@ -127,15 +126,14 @@ def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, referenc
     if reference is not None:
         every = -(-len(reference.stamps_ns) // _SCORED) or 1
         reference = Path(reference.stamps_ns[::every], reference.poses[::every])
-    log = make_log(arrivals, p)
-    return Task(name, log, script_of(log, p), p, reference)
+    return Task(name, make_log(arrivals, p), p, reference)
 
 
-def _run(log: Log, p: SlipEstimatorParameters, script: Records, keep: NDArray[np.bool_]) -> _Run:
-    """One run over a log with the events of a script, and the poses after the entries to ``keep`` (k,)."""
+def _run(log: Log, p: SlipEstimatorParameters, keep: NDArray[np.bool_]) -> _Run:
+    """One run over a log, with the poses after the entries to ``keep`` (k,)."""
     innovations = _Innovations(list(p.timeouts_ns()))
     means, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
-    for block in run_log(log, p, script):
+    for block in run_log(log, p):
         stretch = slice(block.first, block.first + len(block.states))
         innovations.add(log.rest["source"][stretch], block.updates)
         kept = keep[stretch]

@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Competing explanations: which event is found, how certain it is, and that the order of arrival does not matter."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import FIX, Machine, Recording, drive, parameters
+from fixtures.records import assert_same_bits
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.events import Event
+from trackslip_estimation.slip.log import make_log, run_log, script_of
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import to_records
+
+FloatArray = NDArray[np.float64]
+
+S = 1_000_000_000
+GNSS = {"sources.box_pose.fault_rate": 1 / 300, "sources.box_pose.jump_rate": 1 / 3000}
+
+
+def changed(recording: Recording, change: Callable[[PoseFix, float], PoseFix]) -> list[Measurement]:
+    """The drive with other fixes; ``change`` gets each with its time, s."""
+    return [
+        change(m, m.stamp_ns / S - 1.0) if isinstance(m, PoseFix) else m for m in recording.measurements
+    ]
+
+
+def moved(fix: PoseFix, east: float, north: float) -> PoseFix:
+    return replace(fix, pose=fix.pose + np.array((east, north, 0.0)))
+
+
+def errors(
+    measurements: list[Measurement], recording: Recording, p: SlipEstimatorParameters
+) -> tuple[FloatArray, FloatArray, SlipEstimator]:
+    """(k,) error of the place, m, and (k,) its NEES, at the sprocket samples; the estimator at the end."""
+    estimator = SlipEstimator(p)
+    found = [e for _, e in estimator.process_all(measurements) if e is not None]
+    times = np.array([e.stamp_ns / S - 1.0 for e in found])
+    true = np.column_stack([np.interp(times, recording.t, recording.poses[:, k]) for k in (0, 1)])
+    off = np.array([e.pose[:2] for e in found]) - true
+    covariances = np.array([e.pose_covariance[:2, :2] for e in found])
+    nees = np.einsum("ki,kij,kj->k", off, np.linalg.inv(covariances), off)
+    return np.hypot(*off.T), nees, estimator
+
+
+def events(estimator: SlipEstimator) -> list[Event]:
+    """Of the most probable branch at the end."""
+    branch = estimator.window.branches[0, estimator.window.count - 1]
+    return [Event(branch["history"][n % 16]["event"]) for n in range(int(branch["events"]))]
+
+
+@pytest.mark.parametrize("size", [0.5, 1.0, 3.0])
+def test_multipath_moves_nothing(size: float) -> None:
+    recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+    displaced = changed(recording, lambda m, t: moved(m, 0.8 * size, 0.6 * size) if 20.0 <= t < 30.0 else m)
+    error, nees, estimator = errors(displaced, recording, parameters(**GNSS))
+    assert error.max() < 0.15
+    assert np.mean(nees > 13.8) < 0.02
+    assert Event.OFFSET in events(estimator)
+
+
+def test_frozen_fixes_are_found_by_their_bits() -> None:
+    recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+    last = [np.zeros(3)]
+
+    def freeze(m: PoseFix, t: float) -> PoseFix:
+        if not 20.0 <= t < 28.0:
+            last[0] = m.pose
+        return replace(m, pose=last[0])
+
+    error, nees, estimator = errors(changed(recording, freeze), recording, parameters(**GNSS))
+    assert error.max() < 0.15
+    assert np.mean(nees > 13.8) < 0.02
+    assert Event.REPEATS in events(estimator)
+
+
+def test_both_explanations_of_a_jump_are_in_the_covariance() -> None:
+    """One source alone cannot show whether it is off or the machine was moved."""
+    recording = drive(Machine(duration=90.0, fix_noise=0.03, fix_stated=0.03))
+    jumped = changed(recording, lambda m, t: moved(m, 2.0, 1.0) if t >= 20.0 else m)
+    estimator = SlipEstimator(parameters(**GNSS))
+    for _, e in estimator.process_all(jumped):
+        if e is None or not 22.0 < e.stamp_ns / S - 1.0:
+            continue
+        t = e.stamp_ns / S - 1.0
+        true = np.array([np.interp(t, recording.t, recording.poses[:, k]) for k in (0, 1)]) + (2.0, 1.0)
+        off = e.pose[:2] - true
+        assert off @ np.linalg.solve(e.pose_covariance[:2, :2], off) < 13.8
+        if t > 60.0:
+            assert np.hypot(*off) < 0.15
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_gaussian_fixes_need_no_event(seed: int) -> None:
+    recording = drive(Machine(duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
+    error, nees, estimator = errors(recording.measurements, recording, parameters(**GNSS))
+    assert not events(estimator)
+    assert 1.0 < nees.mean() < 3.0
+    assert error.max() < 0.1
+
+
+@pytest.mark.parametrize("turned", [math.pi / 2.0, math.pi, -2.0])
+def test_a_wrong_start_heading_is_found_within_metres(turned: float) -> None:
+    recording = drive(Machine(duration=40.0))
+    p = parameters(**GNSS, start="first_fix", initial_yaw=turned)
+    error, _, estimator = errors(recording.measurements, recording, p)
+    assert error[300:].max() < 0.1
+    assert Event.TURNED in events(estimator)
+
+
+def test_swapped_tracks_leave_the_place_known() -> None:
+    recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+    swapped = [
+        replace(m, left_speed=m.right_speed, right_speed=m.left_speed)
+        if isinstance(m, Sprockets) and 21 * S <= m.stamp_ns < 24 * S
+        else m
+        for m in recording.measurements
+    ]
+    error, nees, _ = errors(swapped, recording, parameters(**GNSS))
+    assert error.max() < 0.2
+    assert np.mean(nees > 13.8) < 0.02
+
+
+def faulty(seed: int) -> list[Measurement]:
+    """10 s with multipath, an outlier, frozen fixes and spinning tracks."""
+    recording = drive(Machine(duration=10.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
+    random = np.random.default_rng(seed)
+    begin, end = sorted(random.uniform(2.0, 9.0, 2))
+    spike = random.uniform(2.0, 9.0)
+
+    def change(m: PoseFix, t: float) -> PoseFix:
+        if begin <= t < end:
+            return moved(m, 0.8, -0.6)
+        return moved(m, 7.0, 0.0) if abs(t - spike) < 0.3 else m
+
+    spins = random.uniform(2.0, 8.0)
+    return [
+        replace(m, left_speed=3.0 * m.left_speed)
+        if isinstance(m, Sprockets) and spins <= m.stamp_ns / S - 1.0 < spins + 1.0
+        else m
+        for m in changed(recording, change)
+    ]
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 50), st.randoms(use_true_random=False), st.floats(0.05, 1.2))
+def test_any_order_of_arrival_gives_the_same_bits(seed: int, random: Any, late_s: float) -> None:
+    measurements = faulty(seed)
+    begin = next(k for k, m in enumerate(measurements) if m.source == FIX) + 1
+    rest = sorted(measurements[begin:], key=lambda m: m.stamp_ns + random.uniform(0.0, late_s) * S)
+    in_order, shuffled = SlipEstimator(parameters(**GNSS)), SlipEstimator(parameters(**GNSS))
+    in_order.process_all(measurements)
+    for m in [*measurements[:begin], *rest]:
+        shuffled.process(m)
+    one, other = in_order.window, shuffled.window
+    last, end = one.count - 1, other.count - 1
+    assert one.counts[last] == other.counts[end]
+    for s in range(one.counts[last]):
+        assert_same_bits(one.states[s, last : last + 1], other.states[s, end : end + 1])
+        assert one.branches[s, last]["weight"] == other.branches[s, end]["weight"]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_run_by_its_own_script_has_the_states_of_the_best_branch(seed: int) -> None:
+    p = parameters(**GNSS)
+    log = make_log(to_records(faulty(seed), SlipEstimator(p).sources), p)
+    script = script_of(log, p)
+    *_, free = (block.states[-1:].copy() for block in run_log(log, p))
+    *_, scripted = (block.states[-1:].copy() for block in run_log(log, p, script))
+    np.testing.assert_array_equal(free["mean"], scripted["mean"])
+    np.testing.assert_array_equal(free["covariance"], scripted["covariance"])
