@@ -217,7 +217,7 @@ def fuzz_slip(count: int, seed: int = 0) -> Findings:
 
 def _newest(estimator: SlipEstimator) -> bytes:
     count = estimator.window.count
-    return estimator.window.states[count - 1].tobytes() if estimator.started else b""
+    return estimator.window.best[count - 1].tobytes() if estimator.started else b""
 
 
 def _look_at(estimate: Estimate | None, local: LocalOdometry, period: int, faults: list[str]) -> None:

@@ -86,7 +86,7 @@ def episode(number: int, steps: int = STEPS) -> Findings:
         results.append(found)
         outcomes += np.bincount(found["outcome"], minlength=len(Outcome))
         where = f"episode {number}, arrivals {first} to {first + len(part)}"
-        states = live.window.states[max(live.window.count - 2 * _PART, 0) : live.window.count]
+        states = live.window.best[max(live.window.count - 2 * _PART, 0) : live.window.count]
         if live.started and len(states):
             least = min(least, _least_eigenvalue(states, where, faults))
         if not _all_finite(found["estimate"][found["published"]]):

@@ -97,10 +97,10 @@ def test_ill_conditioned_fix_is_refused_with_its_reason_and_the_next_one_is_used
     covariance: FloatArray, fault: Fault
 ) -> None:
     estimator = standing(S)
-    before = estimator.window.states[estimator.window.count - 1].tobytes()
+    before = estimator.window.best[estimator.window.count - 1].tobytes()
     report, _ = estimator.process(fix(S + MS, covariance))
     assert (report.outcome, report.fault) == (Outcome.INVALID, fault)
-    assert estimator.window.states[estimator.window.count - 1].tobytes() == before
+    assert estimator.window.best[estimator.window.count - 1].tobytes() == before
     report, _ = estimator.process(fix(S + 2 * MS))
     assert (report.outcome, report.fault) == (Outcome.ACCEPTED, None)
 
@@ -136,7 +136,7 @@ def test_variance_below_what_any_sensor_has_counts_as_the_least(variance: float)
         fix(S + 2 * MS, np.diag(np.full(3, variance))),
     ):
         assert estimator.process(given)[0].outcome is Outcome.ACCEPTED
-        P = estimator.window.states[estimator.window.count - 1]["covariance"][:14, :14]
+        P = estimator.window.best[estimator.window.count - 1]["covariance"][:14, :14]
         assert np.isfinite(P).all()
         assert np.linalg.eigvalsh(P)[0] > 0.0
 
@@ -146,7 +146,7 @@ def test_variance_below_what_any_sensor_has_counts_as_the_least(variance: float)
 def test_estimate_that_is_not_finite_begins_again_and_says_so(field: str, start: str) -> None:
     estimator = standing(S, start=start)
     watch = SourceWatch(estimator.parameters.timeouts_ns())
-    estimator.window.states[field][: estimator.window.count] = np.nan
+    estimator.window.best[field][: estimator.window.count] = np.nan
     report, estimate = estimator.process(YawRate("imu/data_raw", S + MS, 0.0, 1e-4))
     watch.add(report)
     assert (report.outcome, estimate, estimator.divergences) == (Outcome.DIVERGED, None, 1)
@@ -164,7 +164,7 @@ def test_estimate_that_is_not_finite_begins_again_and_says_so(field: str, start:
 
 def test_reset_keeps_nothing_that_is_not_finite() -> None:
     estimator = standing(S)
-    estimator.window.states["mean"][: estimator.window.count] = np.nan
+    estimator.window.best["mean"][: estimator.window.count] = np.nan
     assert estimator.learned is None  # the state file then keeps what it has
     estimator.apply_command(Command(RESET))
     for given in (fix(S), sample(S + MS), sample(S + 11 * MS)):
@@ -186,8 +186,8 @@ def test_replay_of_a_diverged_estimate_ends_with_the_same_bits() -> None:
     ]
     for at_once in (False, True):
         estimator = standing(S)
-        estimator.window.states["mean"][: estimator.window.count] = np.nan
+        estimator.window.best["mean"][: estimator.window.count] = np.nan
         steps = estimator.process_all(given) if at_once else [estimator.process(m) for m in given]
         ends.append([report.outcome for report, _ in steps])
-        ends.append(estimator.window.states[estimator.window.count - 1].tobytes())
+        ends.append(estimator.window.best[estimator.window.count - 1].tobytes())
     assert ends[:2] == ends[2:]

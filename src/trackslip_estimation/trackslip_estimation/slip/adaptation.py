@@ -62,7 +62,6 @@ CONSTANTS = np.dtype(
         ("memory", np.float64),  # s
         ("fix_memory", np.float64),
         ("soft_gate", np.float64),
-        ("alignment_stddev", np.float64),  # rad
     ],
     align=True,
 )
@@ -70,7 +69,7 @@ CONSTANTS = np.dtype(
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptationParameters(Parameters):
-    """How the noise finds its size, and the pose is found again."""
+    """How the noise finds its size."""
 
     least_track_error: float = parameter(
         "share of its speed by which a track errs at the least; up to 243 times as much is found",
@@ -89,12 +88,6 @@ class AdaptationParameters(Parameters):
         "share of what was known of a source's noise that a further fix leaves", gt=0.0, lt=1.0
     )
     soft_gate: float = parameter("up to so many times the gate a fix is used, with less weight", ge=1.0)
-    alignment_stddev: float = parameter(
-        "standard deviation of a heading that refused fixes show, below which it is believed",
-        unit="rad",
-        gt=0.0,
-        le=0.5,
-    )
 
 
 def constants(p: AdaptationParameters) -> tuple[Any, ...]:

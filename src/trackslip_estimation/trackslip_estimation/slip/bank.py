@@ -59,6 +59,7 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.records import HEADING, HISTORY, MANUAL, MOST_SOURCES, ON_SWING, POSE
+from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.window import MOST_BRANCHES, POOL, Window, next_sample
 
@@ -253,6 +254,9 @@ def settle_row(window: Window, k: int, jobs: int, c: Any) -> None:
     """Row k of the branches and children that ran, ``jobs`` in all: merged and pruned."""
     measurement, count = window.measurements[k], window.counts[k]
     if jobs > 1:
+        for h in range(jobs):
+            if not is_sound(window.pool_states[h], c.size) or math.isnan(window.pool_branches[h].weight):
+                window.pool_branches[h].weight = -math.inf
         for h in range(count, jobs):
             branch, state = window.pool_branches[h], window.pool_states[h]
             branch.weight -= _outside_range(state, c)

@@ -12,7 +12,7 @@ So a spike stays out, even the first reading after an outage, and a source that 
 end: the time that takes grows with the logarithm of how far off it is. What passes only because the gate is
 wide says that the state was wrong: its covariance is widened by what the innovation shows before the update,
 that of the slips by ν νᵀ, or that of the gyro's bias by ν². A gyro is consistent at once, for now its bias
-explains what it shows. Poses have a gate of another kind, which never widens (``fixes``, ``alignment``).
+explains what it shows. Poses, headings and swing angles are weighed by ``bank``.
 
 In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
 slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of

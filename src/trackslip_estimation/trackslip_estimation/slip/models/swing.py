@@ -47,7 +47,6 @@ CONSTANTS = np.dtype(
     align=True,
 )
 _SWINGS = 0.05  # rad/s, beyond which it does so whatever the tracks do
-_NO_ANGLE = math.pi**2 / 3.0  # rad², variance of an angle that may be any
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 
 
@@ -103,15 +102,6 @@ def is_held(drive: Any) -> bool:
 def may_swing(state: Any, source: int, c: Any) -> bool:
     """Whether a source sits above, and what it shows may be a swing."""
     return bool(c.above[source] == 1 and not is_held(state))
-
-
-@compiled
-def open_swing(P: FloatArray, c: Any) -> None:
-    """Nothing is known of σ and σ̇ any more."""
-    if P[SWING, SWING] < _NO_ANGLE:
-        P[SWING, SWING] += _NO_ANGLE
-    if P[SWING_RATE, SWING_RATE] < c.swing.fastest**2:
-        P[SWING_RATE, SWING_RATE] += c.swing.fastest**2
 
 
 @compiled
