@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Competing explanations: which event is found, how certain it is, and that the order of arrival does not matter."""
+"""Competing explanations: which event is found, how certain it is; the order of arrival does not matter."""
 
 import math
 from collections.abc import Callable
@@ -30,9 +30,7 @@ GNSS = {"sources.box_pose.fault_rate": 1 / 300, "sources.box_pose.jump_rate": 1 
 
 def changed(recording: Recording, change: Callable[[PoseFix, float], PoseFix]) -> list[Measurement]:
     """The drive with other fixes; ``change`` gets each with its time, s."""
-    return [
-        change(m, m.stamp_ns / S - 1.0) if isinstance(m, PoseFix) else m for m in recording.measurements
-    ]
+    return [change(m, m.stamp_ns / S - 1.0) if isinstance(m, PoseFix) else m for m in recording.measurements]
 
 
 def moved(fix: PoseFix, east: float, north: float) -> PoseFix:
@@ -90,11 +88,11 @@ def test_both_explanations_of_a_jump_are_in_the_covariance() -> None:
     jumped = changed(recording, lambda m, t: moved(m, 2.0, 1.0) if t >= 20.0 else m)
     estimator = SlipEstimator(parameters(**GNSS))
     for _, e in estimator.process_all(jumped):
-        if e is None or not 22.0 < e.stamp_ns / S - 1.0:
+        if e is None or not e.stamp_ns / S - 1.0 > 22.0:
             continue
         t = e.stamp_ns / S - 1.0
-        true = np.array([np.interp(t, recording.t, recording.poses[:, k]) for k in (0, 1)]) + (2.0, 1.0)
-        off = e.pose[:2] - true
+        true = np.array([np.interp(t, recording.t, recording.poses[:, k]) for k in (0, 1)])
+        off = e.pose[:2] - true - np.array((2.0, 1.0))
         assert off @ np.linalg.solve(e.pose_covariance[:2, :2], off) < 13.8
         if t > 60.0:
             assert np.hypot(*off) < 0.15
@@ -132,18 +130,18 @@ def test_swapped_tracks_leave_the_place_known() -> None:
 
 
 def faulty(seed: int) -> list[Measurement]:
-    """10 s with multipath, an outlier, frozen fixes and spinning tracks."""
-    recording = drive(Machine(duration=10.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
+    """8 s with multipath, an outlier, frozen fixes and spinning tracks."""
+    recording = drive(Machine(duration=8.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
     random = np.random.default_rng(seed)
-    begin, end = sorted(random.uniform(2.0, 9.0, 2))
-    spike = random.uniform(2.0, 9.0)
+    begin, end = sorted(random.uniform(2.0, 7.0, 2))
+    spike = random.uniform(2.0, 7.0)
 
     def change(m: PoseFix, t: float) -> PoseFix:
         if begin <= t < end:
             return moved(m, 0.8, -0.6)
         return moved(m, 7.0, 0.0) if abs(t - spike) < 0.3 else m
 
-    spins = random.uniform(2.0, 8.0)
+    spins = random.uniform(2.0, 6.0)
     return [
         replace(m, left_speed=3.0 * m.left_speed)
         if isinstance(m, Sprockets) and spins <= m.stamp_ns / S - 1.0 < spins + 1.0
@@ -152,7 +150,7 @@ def faulty(seed: int) -> list[Measurement]:
     ]
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(st.integers(0, 50), st.randoms(use_true_random=False), st.floats(0.05, 1.2))
 def test_any_order_of_arrival_gives_the_same_bits(seed: int, random: Any, late_s: float) -> None:
     measurements = faulty(seed)

@@ -49,7 +49,7 @@ def test_a_spike_is_gated_and_leaves_no_trace(drive: Callable[..., Any], thesis_
 def test_a_lasting_jump_of_the_box_is_a_moved_machine_after_some_seconds(
     drive: Callable[..., Any], model: str, jump: float, thesis_run: Run
 ) -> None:
-    """Until then the source is off. The covariance spans both explanations; what was learned of slip stays."""
+    """Until then the source is off. The covariance spans both explanations; the learned slip stays."""
     driven = drive([(15.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     fixes = sum(isinstance(m, PoseFix) for m in driven.measurements)
     steps = thesis_run(spiked(driven.measurements, range(20, fixes), jump), model=model)

@@ -142,7 +142,7 @@ def test_stuck_encoder(log: Log) -> None:
     """The left track seems to stand for 5 s while it drives: nobody can tell at first.
 
     Of a machine that turns about one track, and by its gyro hardly does, all speed is believed lost: 1.6 m.
-    Fixes contradict and are gated, until several agree; fixes then hold the error.
+    Fixes contradict, and hold the error.
     """
     stuck: list[float] = []
 
@@ -152,7 +152,6 @@ def test_stuck_encoder(log: Log) -> None:
         return replace(m, positions=(stuck[0], m.positions[1]), left_speed=0.0)
 
     found = run(log, changed(log, Sprockets, BEGIN + 5.0, hold))
-    assert found.counts["box_pose", "GATED"] > 0
     assert found.counts["sprockets", "JUMPED"] == 1  # when it comes free
     assert found.during(BEGIN + 5.0) < 1.3
     assert found.recovery(BEGIN + 5.0) < 3.0

@@ -180,7 +180,7 @@ def test_what_is_rejected_leaves_mean_and_covariance_untouched(drive: Callable[.
 
 
 def test_the_spread_of_an_innovation_follows_from_its_update(drive: Callable[..., Any]) -> None:
-    """|S| = |H P Hᵀ + R|: of a fix at the stamp of the entry before it, by the noise factor before the fix."""
+    """|S| = |H P Hᵀ + R|: of a fix at the stamp of the entry before it, by the noise factor before it."""
     p = parameters(**{"sources.box_pose.standing_share": 0.0, "sources.box_pose.stamp_error": 0.0})
     run = ran(log_of(drive(SEGMENTS, gyro_every=1000).measurements, p), p)
     fixes = np.flatnonzero((run.measurements["kind"] == POSE) & (run.updates["outcome"] == Outcome.ACCEPTED))

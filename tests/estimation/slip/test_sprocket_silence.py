@@ -258,7 +258,11 @@ def test_at_a_standstill_slips_are_frozen_and_no_direction_is_claimed(
     drive: Callable[..., Any], model: str
 ) -> None:
     driven = drive([(6.0, 2.0, 2.0, 0.05, 0.05, 0.0), (8.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
-    standing = [e for e in run(driven.measurements, model=model, **{"events.slip_rate": 1e-9})[1] if e.stamp_ns > 7 * S]
+    standing = [
+        e
+        for e in run(driven.measurements, model=model, **{"events.slip_rate": 1e-9})[1]
+        if e.stamp_ns > 7 * S
+    ]
     assert {e.motion for e in standing} == {Motion.STANDING}
     first, last = standing[0].outputs, standing[-1].outputs
     np.testing.assert_allclose(last.slips[:2], first.slips[:2], atol=0.005)

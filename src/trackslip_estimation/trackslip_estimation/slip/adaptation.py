@@ -286,8 +286,10 @@ def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R
 
 
 @compiled
-def density_of_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any) -> float:
-    """ln of the density of an innovation (m,), over all f that may be: P (m, m) predicted, R (m, m) stated."""
+def density_of_fix(
+    a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any
+) -> float:
+    """ln of the density of an innovation (m,), over all f: P (m, m) predicted, R (m, m) stated."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
     count = _OF_GAUSSIAN[m - 1]
     is_known, best, highest = np.any(w), -math.inf, -math.inf

@@ -28,11 +28,11 @@ from trackslip_estimation.slip.events import (
     FOLDED,
     HEADINGS,
     IS_IGNORED,
-    MEASURED,
     IS_OFFSET,
     IS_REPEATING,
     IS_SCATTERING,
     IS_SOUND,
+    MEASURED,
     MOVED,
     NOISE,
     NONE,
@@ -84,7 +84,7 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 def is_weighed(measurement: Any) -> bool:
     """Whether branches are weighed by a measurement."""
     kind = measurement.kind
-    return bool((kind == POSE and measurement.source != MANUAL) or kind == HEADING or kind == ON_SWING)
+    return bool((kind == POSE and measurement.source != MANUAL) or kind in (HEADING, ON_SWING))
 
 
 @inlined
@@ -159,7 +159,7 @@ def play_script(window: Window, k: int, after: int, c: Any) -> None:
 
 @compiled
 def _remember(branch: Any, event: int, source: int, part: int, decides: Any, steps: Any, after: int) -> None:
-    """One more event of a branch: it explains measurement ``decides``, and opens states at the step to ``steps``."""
+    """One more event of a branch, which explains ``decides`` and opens states at the step to ``steps``."""
     e = branch.history[branch.events % HISTORY]
     e.event, e.source, e.part, e.angle, e.decided_ns = event, source, part, decides.value[0], decides.stamp_ns
     e.stamp_ns, e.kind, e.of, e.after = steps.stamp_ns, steps.kind, steps.source, after
@@ -177,7 +177,10 @@ def split_unknown_heading(window: Window, k: int, c: Any) -> None:
         return
     count = _to_pool(window, k)
     for part in range(1, HEADINGS):
-        window.pool_states[count], window.pool_branches[count] = window.pool_states[0], window.pool_branches[0]
+        window.pool_states[count], window.pool_branches[count] = (
+            window.pool_states[0],
+            window.pool_branches[0],
+        )
         window.pool_updates[count] = window.pool_updates[0]
         _take_sector(window, count, part, k, c)
         count += 1
@@ -221,7 +224,7 @@ def propose(window: Window, k: int, c: Any) -> int:
         if fault != IS_SOUND:
             elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[measurement.source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
-        if measurement.kind == POSE and (fault == IS_SOUND or fault == IS_OFFSET):
+        if measurement.kind == POSE and fault in (IS_SOUND, IS_OFFSET):
             for i in range(4):
                 e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
                 branch.cusum[i] = max(branch.cusum[i] + min(e, _LARGEST) - _DRIFT, 0.0)
@@ -304,7 +307,7 @@ def _wants_children(window: Window, s: int, k: int, update: Any, c: Any) -> bool
 
 @compiled
 def _may_fold(window: Window, s: int, k: int, c: Any) -> bool:
-    """Whether an offset of the measurement's source is old enough to be tried as a jump, again each fault time."""
+    """Whether an offset of the measurement's source is tried as a jump, again each fault time."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
     if s != 0 or before.fault[source] != IS_OFFSET or c.offsets[source] < 0:
         return False
@@ -314,7 +317,7 @@ def _may_fold(window: Window, s: int, k: int, c: Any) -> bool:
         if other != source and of_same_kind and before.consistent_ns[other] > since_ns:
             return False  # it shows no jump
     first, last = before.last_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
-    return math.floor(last / period_ns) > math.floor(first / period_ns)
+    return bool(math.floor(last / period_ns) > math.floor(first / period_ns))
 
 
 @compiled
@@ -418,7 +421,7 @@ def _child(
 ) -> tuple[int, int]:
     """A child of branch p in the pool: an event was just before measurement k, or ``since`` the snapshot.
 
-    ``born``: number of pool entries in use, and of steps that children may still make; returned with this one.
+    ``born``: pool entries in use, and steps that children may still make; returned with this one.
     """
     count, steps = born
     before, m = window.branches[p, k - 1], window.measurements[k]
@@ -455,7 +458,11 @@ def _to_pool(window: Window, k: int) -> int:
 @compiled
 def _from_pool(window: Window, k: int, count: int) -> None:
     """Row k: the most probable branches of the pool in their order, the first one's weight 0."""
-    best, kept, sound = window.pool_branches[_heaviest(window, count)].weight, 0, _heaviest_sound(window, count)
+    best, kept, sound = (
+        window.pool_branches[_heaviest(window, count)].weight,
+        0,
+        _heaviest_sound(window, count),
+    )
     while kept < MOST_BRANCHES:
         h = _heaviest(window, count)
         if kept == MOST_BRANCHES - 1 and sound >= 0:
@@ -496,17 +503,18 @@ def _heaviest_sound(window: Window, count: int) -> int:
     """The most probable branch of the pool in which no source is at fault; −1: there is none."""
     heaviest = -1
     for h in range(count):
-        branch, is_sound = window.pool_branches[h], True
+        weight, faults = window.pool_branches[h].weight, 0
         for k in range(MOST_SOURCES):
-            is_sound = is_sound and window.pool_states[h].fault[k] == IS_SOUND
-        if is_sound and branch.weight > -math.inf:
-            if heaviest < 0 or branch.weight > window.pool_branches[heaviest].weight:
-                heaviest = h
+            faults += 1 if window.pool_states[h].fault[k] != IS_SOUND else 0
+        heavier = heaviest < 0 or weight > window.pool_branches[heaviest].weight
+        if faults == 0 and weight > -math.inf and heavier:
+            heaviest = h
     return heaviest
 
 
 @compiled
 def _heaviest(window: Window, count: int) -> int:
+    """The most probable branch of the pool."""
     heaviest = 0
     for h in range(1, count):
         if window.pool_branches[h].weight > window.pool_branches[heaviest].weight:
@@ -550,7 +558,7 @@ def _are_alike(a: Any, b: Any, c: Any) -> bool:
 def _distance(a: Any, b: Any, i: int) -> float:
     """Squared distance of state i, over the sum of its variances; infinite where these differ much."""
     d = a.mean[i] - b.mean[i]
-    if i == YAW or i == SWING:
+    if i in (YAW, SWING):
         d = wrap(d)
     of_a, of_b = a.covariance[i, i], b.covariance[i, i]
     if of_a > 4.0 * of_b or of_b > 4.0 * of_a:

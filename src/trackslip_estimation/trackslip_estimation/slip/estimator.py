@@ -141,9 +141,7 @@ class SlipEstimator:
         """Where the machine leans, or why the ground counts as flat."""
         if not self.started:
             return "flat: no estimate yet"
-        return attitude_text(
-            self.window.best[self.window.count - 1]["attitude"], self.parameters.tilt_source
-        )
+        return attitude_text(self.window.best[self.window.count - 1]["attitude"], self.parameters.tilt_source)
 
     @property
     def learned(self) -> Learned | None:

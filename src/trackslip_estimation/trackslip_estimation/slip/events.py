@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events that may explain why a measurement contradicts the state, and the states that each one opens; compiled.
+"""Events that may explain a contradiction, and the states that each one opens; compiled.
 
 An event has a rate, so its prior probability over a time Δt is about rate · Δt. Rates of a source are its
 parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventParameters``.
@@ -41,7 +41,6 @@ from trackslip_estimation.slip.models.model import (
     DOWNHILL,
     FIX_DELAY,
     GYRO_SCALE,
-    SIZE,
     SWING,
     SWING_RATE,
     YAW,
@@ -82,7 +81,9 @@ class SourceFault(IntEnum):
     IGNORED = 4  # for one measurement
 
 
-(NONE, OUTLIER, OFFSET, REPEATS, SCATTERS, SOUND, MOVED, TURNED, SWUNG, SLIPPED, SLID, NOISE, FOLDED) = map(int, Event)
+(NONE, OUTLIER, OFFSET, REPEATS, SCATTERS, SOUND, MOVED, TURNED, SWUNG, SLIPPED, SLID, NOISE, FOLDED) = map(
+    int, Event
+)
 (IS_SOUND, IS_OFFSET, IS_REPEATING, IS_SCATTERING, IS_IGNORED) = map(int, SourceFault)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
@@ -205,7 +206,7 @@ def sector(part: int) -> tuple[float, float]:
 
 @compiled
 def apply_event(state: Any, event: int, source: int, part: int, angle: float, c: Any) -> int:
-    """What an event opens, in a record of ``STATE``, in place; returns the states that are others now, as bits.
+    """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits.
 
     ``part``: share of the circle; ``MEASURED``: where the source measured ``angle``, rad.
     """
@@ -220,7 +221,7 @@ def apply_event(state: Any, event: int, source: int, part: int, angle: float, c:
         state.fault[source] = IS_SCATTERING
     elif event == NOISE:
         state.adaptation.fix_log_weights[source] = 1e-9
-    elif event == OFFSET or event == SOUND:
+    elif event in (OFFSET, SOUND):
         state.fault[source] = IS_OFFSET if event == OFFSET else IS_SOUND
         state.fault_ns[source] = state.stamp_ns
         if own >= 0:
@@ -256,7 +257,7 @@ def apply_event(state: Any, event: int, source: int, part: int, angle: float, c:
             turn = wrap(angle - c.heading_offset[source] - x[SWING])
         open_swing(state, x[SWING] + turn, variance, c)
         renewed = (1 << SWING) | (1 << SWING_RATE)
-    if event == SLIPPED or event == SLID:
+    if event in (SLIPPED, SLID):
         P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
     if event == SLID:
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2

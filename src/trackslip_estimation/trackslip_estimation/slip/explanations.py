@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bank's branches in the user's words: what may have happened, how probable it is, and what did happen."""
+"""The bank's branches in the user's words: what may have happened, how probably, and what did."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -95,7 +95,9 @@ def history(branch: Any, sources: Sources, known: list[Happened]) -> list[Happen
     found = known[: max(min(count - HISTORY, len(known)), 0)]
     for n in range(max(count - HISTORY, 0), count):
         e = branch["history"][n % HISTORY]
-        found.append(Happened(int(e["decided_ns"]), Event(e["event"]), sources.names.get(int(e["source"]), "")))
+        found.append(
+            Happened(int(e["decided_ns"]), Event(e["event"]), sources.names.get(int(e["source"]), ""))
+        )
     return found
 
 

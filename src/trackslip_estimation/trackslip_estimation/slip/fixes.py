@@ -38,7 +38,9 @@ FloatArray = NDArray[np.float64]
 
 _GATED = int(Outcome.GATED)
 _LOG_TURN = math.log(2.0 * math.pi)
-_SIZES = 7.0  # ln of the largest over the smallest error of an outlier: any size is as likely, by its logarithm
+_SIZES = (
+    7.0  # ln of the largest over the smallest error of an outlier: any size is as likely, by its logarithm
+)
 _SHARE_MEMORY = 0.05  # of a measurement in the share of outliers
 _OUTLIER_SHARE, _SOUND_SHARE = 0.5, 0.002  # that one measurement shows
 _SAME = 1e-3  # m, standard deviation of a fix that repeats the one before
@@ -54,7 +56,7 @@ class Weighed(NamedTuple):
 
 @compiled
 def log_density_of_any_size(squared: float) -> float:
-    """ln of the density of a place (2,) that errs by ``squared`` m², any size being as likely by its logarithm."""
+    """ln of the density of a place (2,) that errs by ``squared`` m², any logarithm of which is as likely."""
     return -math.log(2.0 * math.pi * _SIZES * squared)
 
 

@@ -97,7 +97,9 @@ def run_log(log: Log, p: SlipEstimatorParameters, script: Records | None = None)
     return run_blocks(log.rest, start, config)
 
 
-def begin_log(log: Log, p: SlipEstimatorParameters, script: Records | None = None) -> tuple[Window, ConfigRecord]:
+def begin_log(
+    log: Log, p: SlipEstimatorParameters, script: Records | None = None
+) -> tuple[Window, ConfigRecord]:
     """The window at the start of a log, and the record of the parameters; ``script`` as in ``run_log``."""
     estimator = SlipEstimator(p, script=script)
     estimator.process_records(log.begin)

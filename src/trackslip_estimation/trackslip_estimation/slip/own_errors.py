@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.levers import add
-from trackslip_estimation.slip.models.model import GYRO_BIAS, X, Y, YAW
+from trackslip_estimation.slip.models.model import GYRO_BIAS, YAW, X, Y
 
 FloatArray = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def begin_erring(x: FloatArray, P: FloatArray, source: int, c: Any) -> None:
 
 @compiled
 def to_offset(x: FloatArray, P: FloatArray, source: int, sign: float, c: Any) -> None:
-    """The state with what a source shows that has an offset (place, or heading), for what is; or back (−1)."""
+    """The state with the place, or heading, that a source with an offset shows; or back (−1)."""
     own = c.offsets[source]
     if own < 0:
         return

@@ -148,7 +148,11 @@ STATE = np.dtype(
         ("fault_ns", np.int64, (MOST_SOURCES,)),  # stamp since when
         ("outlier_share", np.float64, (MOST_SOURCES,)),  # of its measurements
         ("last_fix", np.float64, (MOST_SOURCES, 2)),  # place that a source stated last, m
-        ("last_ns", np.int64, (MOST_SOURCES,)),  # stamp of its last measurement by which branches were weighed
+        (
+            "last_ns",
+            np.int64,
+            (MOST_SOURCES,),
+        ),  # stamp of its last measurement by which branches were weighed
     ],
     align=True,
 )

@@ -59,7 +59,8 @@ class Window(NamedTuple):
     @property
     def best(self) -> Records:
         """(capacity,) of ``STATE``, of the most probable branch."""
-        return self.states[0]
+        best: Records = self.states[0]
+        return best
 
     @property
     def count(self) -> int:  # type: ignore[override]  # of all tuples

@@ -4,8 +4,8 @@
 
 The slip estimator runs over the log in the order of the stamps, so that every state is settled: once to find
 the events that explain contradictions, then with these as its script, in one branch. ``kalman.smoother`` goes
-back over the states of that branch. A state that an event opened does not follow from the one before. Where one state does not follow from the one before it by the
-model (a start, a manual pose, sprockets that were silent) nothing is carried back: each piece is smoothed by
+back over the states of that branch. A state that an event replaced does not follow from the one before. Where
+no state does (a start, a manual pose, silent sprockets) nothing is carried back: each piece is smoothed by
 itself. The filter is the extended Kalman filter, whichever the parameters name.
 
 Memory is bounded: the first pass keeps the state at which each block begins, the second goes back through the
@@ -52,7 +52,8 @@ def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
     p = replace(p, filter="ekf")
     start, config = begin_log(log, p, script_of(log, p))
     begins = [
-        _Begin(b.first, b.first + len(b.states), _first_row(b.window)) for b in run_blocks(log.rest, start, config)
+        _Begin(b.first, b.first + len(b.states), _first_row(b.window))
+        for b in run_blocks(log.rest, start, config)
     ]
     carried: Records | None = None  # into the block that was done last
     ends: list[Records | None] = []
