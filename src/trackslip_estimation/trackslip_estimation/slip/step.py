@@ -217,6 +217,10 @@ def propagate(state: Any, dt: float, c: Any) -> None:
         pass_time(state, dt, c)
         meet_direction(state)
     moved, F, Q = linearize(x, P, state, dt, c)
+    if P[YAW, YAW] > UNKNOWN_HEADING**2:  # it moves by as much to any side
+        squared = (moved[X] - x[X]) ** 2 + (moved[Y] - x[Y]) ** 2
+        P[X, X] += 2.0 * squared
+        P[Y, Y] += 2.0 * squared
     if has_velocity_errors(c):
         build_up(state, dt, c)
     if not c.sigma_points:
