@@ -58,7 +58,7 @@ def test_a_lever_above_turns_with_the_cab_and_back(tilted: bool) -> None:
     x, P = known.mean.copy(), known.covariance.copy()
     to_sensor(x, P, level, 0, 1.0, c)
     T = derivative(at_sensor, known.mean)
-    np.testing.assert_allclose(P, T @ known.covariance @ T.T, atol=1e-2 if tilted else 1e-8)
+    np.testing.assert_allclose(P, T @ known.covariance @ T.T, atol=2e-2 if tilted else 1e-8)
     to_sensor(x, P, level, 0, -1.0, c)
     np.testing.assert_allclose(x, known.mean, atol=1e-12)
     np.testing.assert_allclose(P, known.covariance, atol=1e-12)

@@ -166,7 +166,7 @@ class SlipEstimator:
         """Events of the most probable branch, as far as they were read in time: 16 lie back at the most."""
         if self.started:
             branch = self.window.branches[0, self.window.count - 1]
-            self._happened = history(branch, self._named, self._happened)
+            self._happened = history(branch, self._named, self._happened, self.certainty)
         return self._happened
 
     def apply_command(self, command: Command | Reload) -> Report:

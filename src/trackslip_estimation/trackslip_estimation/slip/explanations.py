@@ -32,6 +32,7 @@ class Happened(NamedTuple):
     stamp_ns: int  # of the measurement that it explains
     event: Event
     source: str  # of that measurement
+    probability: float  # of the branch that has it, when it was last looked at
 
     @property
     def text(self) -> str:
@@ -89,15 +90,17 @@ def sentence(found: Sequence[Explanation], now_ns: int) -> str:
     return f"{len(found)} explanations for {seconds:.1f} s: {listed}"
 
 
-def history(branch: Any, sources: Sources, known: list[Happened]) -> list[Happened]:
-    """Events of a record of ``BRANCH``, the last ones read from it, those before from ``known``."""
+def history(branch: Any, sources: Sources, known: list[Happened], probability: float) -> list[Happened]:
+    """Events of a record of ``BRANCH``, the last ones read from it, those before from ``known``.
+
+    ``probability``: that of the branch.
+    """
     count = int(branch["events"])
     found = known[: max(min(count - HISTORY, len(known)), 0)]
     for n in range(max(count - HISTORY, 0), count):
         e = branch["history"][n % HISTORY]
-        found.append(
-            Happened(int(e["decided_ns"]), Event(e["event"]), sources.names.get(int(e["source"]), ""))
-        )
+        name = sources.names.get(int(e["source"]), "")
+        found.append(Happened(int(e["decided_ns"]), Event(e["event"]), name, probability))
     return found
 
 

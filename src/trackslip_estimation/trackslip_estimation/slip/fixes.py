@@ -15,7 +15,7 @@ start, or turn back, fixes do not correct their delay: the soil under them gives
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,14 +44,6 @@ _SIZES = (
 _SHARE_MEMORY = 0.05  # of a measurement in the share of outliers
 _OUTLIER_SHARE, _SOUND_SHARE = 0.5, 0.002  # that one measurement shows
 _SAME = 1e-3  # m, standard deviation of a fix that repeats the one before
-
-
-class Weighed(NamedTuple):
-    """What became of a measurement under one branch."""
-
-    used: bool
-    R: FloatArray  # (m, m) as it counts
-    alone: bool  # else it is one more of its standstill
 
 
 @compiled
@@ -148,6 +140,16 @@ def inflated(innovation: FloatArray, predicted: FloatArray, R: FloatArray, limit
     """R so large that the NIS is no more than ``limit``: the soft gate."""
     nis = weighted_square(root(predicted + R), innovation)
     return R + (nis / limit - 1.0) * (predicted + R) if nis > limit else R
+
+
+@compiled
+def correct_angle(
+    x: FloatArray, P: FloatArray, k: int, innovation: FloatArray, R: FloatArray, limit: float
+) -> None:
+    """x and P given a measurement of state k: innovation (1,), R (1, 1), down-weighted beyond ``limit``."""
+    R = inflated(innovation, P[k : k + 1, k : k + 1].copy(), R, limit)
+    ekf.correct(x, P, innovation, np.eye(1, x.size, k), R)
+    x[YAW] = wrap(x[YAW])
 
 
 @compiled

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.compiled import inlined
-from trackslip_estimation.kalman import ekf
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.events import IS_OFFSET, IS_SCATTERING, latest_pose_source
-from trackslip_estimation.slip.fixes import inflated, weigh
+from trackslip_estimation.slip.fixes import correct_angle, weigh
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor, turn_heading
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
@@ -53,8 +52,7 @@ def use_heading(state: Any, measurement: Any, c: Any, update: Any) -> None:
         update.evidence, update.outcome = _LOG_UNIFORM, _GATED
     if not used or fault == IS_SCATTERING:
         return
-    R = inflated(innovation, predicted, R, limit)
-    ekf.correct(x, P, innovation, np.eye(1, x.size, YAW), R)
+    correct_angle(x, P, YAW, innovation, R, limit)
     if fault == IS_OFFSET:
         to_offset(x, P, source, -1.0, c)
         update.outcome = _GATED

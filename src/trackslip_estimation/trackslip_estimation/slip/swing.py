@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.kalman import ekf
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.events import IS_SCATTERING
-from trackslip_estimation.slip.fixes import inflated, weigh
+from trackslip_estimation.slip.fixes import correct_angle, weigh
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW
+from trackslip_estimation.slip.models.model import SWING, SWING_RATE
 from trackslip_estimation.slip.observation import observed
 
 _GATED = int(Outcome.GATED)
@@ -40,11 +39,9 @@ def use_swing(state: Any, measurement: Any, c: Any, update: Any) -> None:
         update.evidence, update.outcome = _LOG_UNIFORM, _GATED
     if not used or state.fault[source] == IS_SCATTERING:
         return
-    R = inflated(innovation, predicted, R, c.gate_limits[1])
     if c.swing_place >= 0:
         to_sensor(x, P, level, c.swing_place, 1.0, c)
-    ekf.correct(x, P, innovation, np.eye(1, x.size, SWING), R)
-    x[YAW] = wrap(x[YAW])
+    correct_angle(x, P, SWING, innovation, R, c.gate_limits[1])
     if c.swing_place >= 0:
         to_sensor(x, P, level, c.swing_place, -1.0, c)
     state.mean[: c.size], state.covariance[:] = x, P

@@ -24,6 +24,7 @@ from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.vehicle_files import vehicle_text
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, make_step
+from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.learned import Learned, meaning, to_tree
 from trackslip_estimation.slip.learned_text import lines_of, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
@@ -37,6 +38,7 @@ from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
 from trackslip_tools.terminal_text import wrapped
 
+_MOST_EVENTS = 12  # listed
 _NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
 
 
@@ -156,6 +158,15 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         "nees_position": result.nees_position,
         "withheld": [one.as_dict() for one in result.withheld],
         "learned": to_json(result.learned[-1].findings) if result.learned else None,
+        "explanations": [
+            {
+                "t": (h.stamp_ns - result.start_ns) * 1e-9,
+                "event": h.event.name.lower(),
+                "source": h.source,
+                "probability": h.probability,
+            }
+            for h in result.happened
+        ],
         "real_time_factor": result.duration_s / elapsed_s,
     }
     if result.live is not None:
@@ -182,12 +193,23 @@ def text(result: Replay, elapsed_s: float) -> str:
             lines.append(f"no estimate of the heading: {result.no_estimate}")
     lines += map(str, result.withheld)
     lines += [result.start] if result.start else []
+    lines += _happened(result)
     lines += _learned(result)
     lines += _scores(result)
     lines += _live(result)
     if result.soil is not None:
         lines += soil_lines(result.soil)
     return "\n".join(map(wrapped, lines))
+
+
+def _happened(result: Replay) -> list[str]:
+    """What explains contradictions, but for single outliers, which are counted."""
+    events = [h for h in result.happened if h.event is not Event.OUTLIER]
+    outliers = len(result.happened) - len(events)
+    lines = [f"  {(h.stamp_ns - result.start_ns) * 1e-9:8.1f} s  {h.text}" for h in events[:_MOST_EVENTS]]
+    lines += [f"  and {len(events) - _MOST_EVENTS} more"] if len(events) > _MOST_EVENTS else []
+    lines += [f"  {outliers} single outliers"] if outliers else []
+    return ["what explains contradictions", *lines] if lines else []
 
 
 def _learned(result: Replay) -> list[str]:

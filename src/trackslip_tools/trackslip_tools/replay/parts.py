@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag's inputs in live order through the slip estimator, part by part."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.explanations import Happened
 from trackslip_estimation.slip.learned import Learned, from_tree, meaning
 from trackslip_estimation.slip.learned_text import Finding, findings
 from trackslip_estimation.slip.measurements import Command
@@ -43,6 +44,7 @@ class Part(NamedTuple):
     tables: dict[str, Logged]  # what was logged by then of other topics
     learned: list[Known]  # in the course of it
     again: Begin | None = None  # the estimator was started again before it
+    happened: Sequence[Happened] = ()  # events of the most probable branch since the estimator was started
 
     @property
     def estimates(self) -> Rows:
@@ -61,7 +63,8 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
         tables, again, begin = batch.tables, None, 0
         for end in (*np.flatnonzero(batch.rows["kind"] == IS_START).tolist(), len(batch.rows)):
             results, learned = _process(stream, estimator, batch.rows[begin:end])
-            yield Part(stream.sources, batch.rows[begin:end], results, tables, learned, again)
+            rows, happened = batch.rows[begin:end], list(estimator.happened)
+            yield Part(stream.sources, rows, results, tables, learned, again, happened)
             if end < len(batch.rows):
                 again = _begin_again(p, stream, int(batch.rows["start"][end]))
                 estimator = SlipEstimator(again.parameters, learned=again.learned)
@@ -96,6 +99,7 @@ def _process(stream: InputStream, estimator: SlipEstimator, rows: Rows) -> tuple
         if estimator.started and end > 0:
             stamp_ns = estimator.newest_ns or 0
             learned.append(Known(stamp_ns, findings(estimator.learned, estimator.meaning)))
+            _ = estimator.happened  # which remembers what is read in time
         if end in commands:
             is_reload = rows["kind"][end] == IS_RELOAD
             command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))

@@ -19,6 +19,7 @@ from trackslip_common.topics import (
 )
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.attitude.records import AttitudeRefusal
+from trackslip_estimation.slip.explanations import Happened
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import ESTIMATE
@@ -73,6 +74,7 @@ class Replay:
     no_estimate: str = ""  # why there is none, or none with a heading
     vehicle: str = ""  # its name
     learned: list[Known] = field(default_factory=list)  # in the course of it
+    happened: list[Happened] = field(default_factory=list)  # events that explain contradictions
     withheld: list[Withheld] = field(default_factory=list)
     start_ns: int = 0  # log time of the bag's first message
     start: str = ""  # what it started from, where that is not the parameters alone
@@ -104,12 +106,17 @@ class Collector:
         self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
         self.processed = Processed(Counter(), self._rejected)
         self._learned: list[Known] = []
+        self._before: list[Happened] = []  # of runs that ended
+        self._happened: list[Happened] = []
 
     def add(self, part: Part) -> None:
         """More of the bag."""
         estimates = part.estimates
         self._keep(estimates)
         self._learned += part.learned
+        if part.again is not None:
+            self._before, self._happened = self._before + self._happened, []
+        self._happened = list(part.happened)
         for source, count in enumerate(np.bincount(part.arrivals["source"]).tolist()):
             self.processed.given[part.sources[source]] += count
         for name, outcome, n in _refused(part, "outcome"):
@@ -138,6 +145,7 @@ class Collector:
         found = Replay(
             stream.duration_s, 0.0, stream.messages, self._estimates.rows(), self._rejected, self._last
         )
+        found.start_ns = stream.start_ns
         found.reference, found.series = self._reference, self._series.series()
         found.slip_rmse = self._slips.rmse
         found.swing_rmse = self._swing.rmse
@@ -146,10 +154,9 @@ class Collector:
             found.paths["filter"] = path_of(in_order(found.estimates))
         if self._reference is not None and self._reference in found.series:
             self._score(found, self._reference)
-        found.learned = self._learned
+        found.learned, found.happened = self._learned, self._before + self._happened
         if self._compares and stream.messages[ODOMETRY]:
             found.live = self._comparer.result(stream.counts)
-            found.start_ns = stream.start_ns
         return found
 
     def _keep(self, estimates: Rows) -> None:
