@@ -234,7 +234,7 @@ def test_every_measurement_is_reported_on_and_given_back(programs, observer):
         report = line.reports[-1]
         assert (report.source, report.outcome) == (topic, outcome)
         assert report.header.stamp == message.header.stamp
-        if topic != "box_pose":  # whose outcome the most probable explanation decides
+        if topic != "gnss":  # whose outcome the most probable explanation decides
             assert (report.nis > report.gate) == (outcome == R.GATED)
     assert len(line.reports) == ordinary_count + len(wrong())
     stamps = [m.header.stamp.sec * 1000 * MS + m.header.stamp.nanosec for m in line.odometry]
