@@ -177,7 +177,7 @@ def test_a_heading_lost_in_silence_was_corrected_the_wrong_way(
         errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
         deviations = np.sqrt([np.diag(e.pose_covariance) for e in published])
         if model == "free_slips":  # which does not doubt speeds that are taken to go on
-            assert np.abs(errors[:, :2]).max() < 0.15
+            assert np.abs(errors[:, :2]).max() < 0.25
         else:
             assert (np.abs(errors) < 4.0 * deviations).all()
         assert abs(errors[-1, 2]) < 0.1
