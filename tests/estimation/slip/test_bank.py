@@ -82,6 +82,21 @@ def test_frozen_fixes_are_found_by_their_bits() -> None:
     assert Event.REPEATS in events(estimator)
 
 
+def test_explanation_of_frozen_fixes_says_since_when() -> None:
+    recording = drive(Machine(duration=26.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+    last = [np.zeros(3)]
+
+    def freeze(m: PoseFix, t: float) -> PoseFix:
+        if t < 20.0:
+            last[0] = m.pose
+        return replace(m, pose=last[0])
+
+    _, _, estimator = errors(changed(recording, freeze), recording, parameters(**GNSS))
+    found = estimator.explanations[0]
+    assert found.text == f"{FIX} repeats itself"
+    assert 19.0 < found.since_ns / S - 1.0 < 23.0
+
+
 def test_both_explanations_of_a_jump_are_in_the_covariance() -> None:
     """One source alone cannot show whether it is off or the machine was moved."""
     recording = drive(Machine(duration=90.0, fix_noise=0.03, fix_stated=0.03))

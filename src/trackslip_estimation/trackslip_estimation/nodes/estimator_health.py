@@ -26,7 +26,8 @@ def estimator_health(
     values |= {found.form.label: found.sentence for found in findings(estimator.learned, estimator.meaning)}
     may_be = sentence(estimator.explanations, now_ns)
     values |= {"explanations": may_be or "none needed"}
-    values |= {"last event": estimator.happened[-1].text if estimator.happened else "none"}
+    events = estimator.read_events()
+    values |= {"last event": events[-1].text if events else "none"}
     if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
         return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
     if not estimator.started:

@@ -99,7 +99,7 @@ def make_row(window: Window, k: int, closing: int, c: Any) -> None:
     window.counts[k] = count
     for s in range(count):
         window.states[s, k], window.branches[s, k] = window.states[s, k - 1], window.branches[s, k - 1]
-        window.branches[s, k].parent, window.branches[s, k].first = s, k
+        window.branches[s, k].first = k
     weighs, j, closes = is_weighed(measurements[k]) and not scripted, 0, closing
     while j < jobs:
         state = window.states[j, k] if j < count else window.pool_states[j]
@@ -137,7 +137,7 @@ def begin_row(window: Window, k: int) -> None:
     branch.events = 0
     branch.cusum[:] = 0.0
     branch.snapshot, branch.slot, branch.weighed = k, 0, 0
-    branch.fresh = branch.parent = 0
+    branch.fresh = 0
 
 
 @compiled
@@ -439,7 +439,7 @@ def _child(
     else:
         window.pool_states[count] = window.states[p, k - 1]
         branch.weight = before.weight + log_prior
-    branch.parent, branch.first, branch.fresh = p, first, 1
+    branch.first, branch.fresh = first, 1
     _remember(branch, event, m.source, part, m, window.measurements[first], 0)
     update.opened = event
     update.renewed = apply_event(state, event, m.source, part, m.value[0], c)

@@ -161,9 +161,8 @@ class SlipEstimator:
         """Probability of the most probable branch; 0 without an estimate."""
         return float(probability_of_best(self.window, self.window.count - 1)) if self.started else 0.0
 
-    @property
-    def happened(self) -> list[Happened]:
-        """Events of the most probable branch, as far as they were read in time: 16 lie back at the most."""
+    def read_events(self) -> list[Happened]:
+        """Events of the most probable branch; it keeps the last 16, those before are of earlier calls."""
         if self.started:
             branch = self.window.branches[0, self.window.count - 1]
             self._happened = history(branch, self._named, self._happened, self.certainty)

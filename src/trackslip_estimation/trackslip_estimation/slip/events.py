@@ -216,9 +216,9 @@ def apply_event(state: Any, event: int, source: int, part: int, angle: float, c:
     if event == OUTLIER:
         state.fault[source] = IS_IGNORED
     elif event == REPEATS:
-        state.fault[source] = IS_REPEATING
+        state.fault[source], state.fault_ns[source] = IS_REPEATING, state.stamp_ns
     elif event == SCATTERS:
-        state.fault[source] = IS_SCATTERING
+        state.fault[source], state.fault_ns[source] = IS_SCATTERING, state.stamp_ns
     elif event == NOISE:
         state.adaptation.fix_log_weights[source] = 1e-9
     elif event in (OFFSET, SOUND):

@@ -141,8 +141,7 @@ STATE = np.dtype(
         ("moved", np.float64, (3,)),  # ∫ of the twist as it was predicted, since the start: m, m, rad
         ("fixed_ns", np.int64),  # stamp of the last fix
         ("down", np.float64),  # sine of the slope that the tracks drove down as k was learned
-        ("rolled", np.float64),  # by the tracks since the start, mean of both, m
-        ("ran", np.float64),  # the same, forward or not
+        ("ran", np.float64),  # by the tracks since the start, mean of both, forward or not, m
         ("is_sector", np.bool_),  # whether its heading is one share of the circle
         ("fault", np.int64, (MOST_SOURCES,)),  # of ``events.SourceFault``: what is assumed of each source
         ("fault_ns", np.int64, (MOST_SOURCES,)),  # stamp since when
@@ -199,7 +198,6 @@ BRANCH = np.dtype(  # one explanation, at one entry of the window
         ("weight", np.float64),  # w
         ("events", np.int64),  # how many it has had
         ("history", EVENT, (HISTORY,)),  # the last of them; event n is at n % HISTORY
-        ("parent", np.int64),  # its place in the row before
         ("first", np.int64),  # entry of the first step that it makes for this row
         ("fresh", np.int64),  # 0 or 1: made by this measurement
         ("cusum", np.float64, (4,)),  # of innovations: ahead, behind, left, right

@@ -97,7 +97,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
-    state.rolled = state.ran = state.down = state.fix_stddevs[:] = 0.0
+    state.ran = state.down = state.fix_stddevs[:] = 0.0
     state.is_sector = False
     state.fault_ns[:] = stamp_ns
     state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, _OUTLIER_SHARE, 0.0

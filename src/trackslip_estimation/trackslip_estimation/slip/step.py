@@ -200,10 +200,9 @@ def limit_heading(state: Any) -> None:
 
 @compiled
 def follow_tracks(state: Any, dt: float, c: Any) -> None:
-    """Distance of the tracks, with sign and without, after ``dt`` s more."""
+    """Distance of the tracks, forward or not, after ``dt`` s more."""
     left, right = state.speeds.left, state.speeds.right
     state.ran += c.rolling_radius * (abs(left) + abs(right)) / 2.0 * dt
-    state.rolled += c.rolling_radius * (left + right) / 2.0 * dt
 
 
 @compiled

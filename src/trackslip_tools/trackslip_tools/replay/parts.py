@@ -63,7 +63,7 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
         tables, again, begin = batch.tables, None, 0
         for end in (*np.flatnonzero(batch.rows["kind"] == IS_START).tolist(), len(batch.rows)):
             results, learned = _process(stream, estimator, batch.rows[begin:end])
-            rows, happened = batch.rows[begin:end], list(estimator.happened)
+            rows, happened = batch.rows[begin:end], estimator.read_events()
             yield Part(stream.sources, rows, results, tables, learned, again, happened)
             if end < len(batch.rows):
                 again = _begin_again(p, stream, int(batch.rows["start"][end]))
@@ -99,7 +99,7 @@ def _process(stream: InputStream, estimator: SlipEstimator, rows: Rows) -> tuple
         if estimator.started and end > 0:
             stamp_ns = estimator.newest_ns or 0
             learned.append(Known(stamp_ns, findings(estimator.learned, estimator.meaning)))
-            _ = estimator.happened  # which remembers what is read in time
+            estimator.read_events()  # before the branch forgets them
         if end in commands:
             is_reload = rows["kind"][end] == IS_RELOAD
             command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))
