@@ -3,13 +3,14 @@
 """``trackslip report``: its headline, events, lights, and how runs over several bags are aligned."""
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fixtures.live_messages import diagnostics
 
-from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.input_filters import InputFilters, Thin
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
@@ -28,7 +29,7 @@ from trackslip_tools.report.plots import plot_text
 from trackslip_tools.report.recording import Timing, read_recording
 from trackslip_tools.report.run import Run, aligned
 from trackslip_tools.report.spells import Spell, lasting, spells
-from trackslip_tools.report.story import events_of, message_strips, strips, timeouts_of
+from trackslip_tools.report.story import events_of, message_strips, silence_limits, strips
 from trackslip_tools.report.verdict import State, verdicts
 
 SECOND_NS = 1_000_000_000
@@ -119,12 +120,23 @@ def test_lost_fixes_and_refusals_of_the_gate_are_events(emulated_run: Run) -> No
 
 def test_a_silent_gyro_is_an_event(emulated_run: Run) -> None:
     times = emulated_run.recording.timings["imu/data_raw"].times
-    limit = timeouts_of(emulated_run)["imu/data_raw"]
+    limit = silence_limits(emulated_run)["imu/data_raw"]
     silent = Timing(times[(times < 10.0) | (times > 11.0 + limit)])
     timings = {**emulated_run.recording.timings, "imu/data_raw": silent}
     recording = dataclasses.replace(emulated_run.recording, timings=timings)
     (event,) = events_of(dataclasses.replace(emulated_run, recording=recording))
     assert event.text == f"imu/data_raw silent for {limit + 1.1:.1f} s"
+
+
+def test_fixes_at_1_hz_are_not_lost_between_two_of_them(
+    emulated_bag: Path, run_over: Callable[..., Run]
+) -> None:
+    """Their timeout is 1 s; of stamps at 1 Hz about half are further apart."""
+    run = run_over(emulated_bag, filters=InputFilters(thin=(Thin("box_pose", 1.0),)))
+    stamps_ns = np.sort(run.details.fixes["stamp_ns"])
+    assert (np.diff(stamps_ns) > run.parameters.timeouts_ns()["box_pose"]).any()
+    assert [event.text for event in events_of(run) if "fix lost" in event.text] == []
+    assert verdicts(run, load_limits())["Gaps"].state is State.OK
 
 
 # Lights

@@ -142,7 +142,7 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
         (
             "Gaps",
             lambda r: with_timing(r, "box_pose", lambda t: t[(t < 20.0) | (t > 23.0)]),
-            "Longer than its timeout: box_pose",
+            "Lost: box_pose",
         ),
     ],
 )

@@ -172,14 +172,34 @@ def processed(source: str, seconds: float, nis: float = 1.0, outcome: Outcome = 
 def test_a_source_of_which_nothing_is_taken_is_lost() -> None:
     watch = SourceWatch({"box_pose": S, "imu/data_raw": 5 * S})
     assert watch.lost(100 * S) == {}  # nothing is due before the start
-    watch.add(processed("imu/data_raw", 10.0))
+    for at_s in (10.0, 10.1):
+        watch.add(processed("imu/data_raw", at_s))
     for k in range(10):
         watch.add(processed("box_pose", 10.0 + k / 2.0, outcome=Outcome.GATED))
     assert watch.lost(12 * S) == {"box_pose": 2.0}
     watch.add(processed("box_pose", 15.0))
-    assert watch.lost(round(15.5 * S)) == {"imu/data_raw": 5.5}
+    assert watch.lost(round(15.5 * S)) == {"imu/data_raw": 5.4}
     watch.clear()
     assert watch.lost(99 * S) == {}
+
+
+def test_a_source_slower_than_its_timeout_is_lost_after_three_periods() -> None:
+    """A receiver of 1 Hz: nearly every second fix comes a little after its timeout of 1 s."""
+    watch, at_s = SourceWatch({"gnss_pose": S}), 10.0
+    for k in range(240):
+        outcome = Outcome.GATED if k % 100 == 50 else Outcome.ACCEPTED
+        watch.add(processed("gnss_pose", at_s, outcome=outcome))
+        at_s += 1.06 if k % 2 else 0.97
+        assert watch.lost(round(at_s * S)) == {}  # just before the next one
+    assert watch.lost(round((at_s + 1.8) * S)) == {}
+    assert list(watch.lost(round((at_s + 2.2) * S))) == ["gnss_pose"]
+
+
+def test_a_source_of_one_message_is_lost_after_three_timeouts() -> None:
+    watch = SourceWatch({"gnss_pose": S})
+    watch.add(processed("gnss_pose", 10.0))
+    assert watch.lost(13 * S) == {}
+    assert watch.lost(round(13.5 * S)) == {"gnss_pose": 3.5}
 
 
 def test_the_mean_innovation_is_stated_with_its_bounds() -> None:
@@ -199,7 +219,7 @@ def test_commands_have_no_time_and_say_nothing_of_silence(name: str) -> None:
     watch.add(processed("box_pose", 1.8e9))
     watch.add(Report(name, 0, Outcome.ACCEPTED))
     assert watch.lost(EPOCH_NS + S // 2) == {}
-    assert watch.lost(EPOCH_NS + 2 * S) == {"box_pose": 2.0, "imu/data_raw": 2.0}
+    assert watch.lost(EPOCH_NS + 4 * S) == {"box_pose": 4.0, "imu/data_raw": 4.0}
 
 
 def test_a_restart_clears_the_watch() -> None:

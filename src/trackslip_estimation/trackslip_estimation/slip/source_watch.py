@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip.measurements import Outcome, Report
+from trackslip_estimation.slip.silence import Silence
 
 _WINDOW_NS = 10_000_000_000
 
@@ -30,6 +31,7 @@ class SourceWatch:
     def clear(self) -> None:
         """The estimate begins anew."""
         self._taken_ns: dict[str, int] = {}
+        self._silences: dict[str, Silence] = defaultdict(Silence)
         self._innovations: dict[str, deque[Report]] = defaultdict(deque)
 
     def add(self, report: Report) -> None:
@@ -38,7 +40,10 @@ class SourceWatch:
             self.clear()
         if report.outcome is Outcome.DIVERGED:
             self._diverged_ns = report.stamp_ns
-        if report.outcome.refused or report.stamp_ns == 0:  # commands have no time
+        if report.stamp_ns == 0:  # commands have no time
+            return
+        self._silences[report.source].add(report.stamp_ns)
+        if report.outcome.refused:
             return
         for source in self._timeouts_ns:  # all are due from the start on
             self._taken_ns.setdefault(source, report.stamp_ns)
@@ -51,9 +56,10 @@ class SourceWatch:
         return self._diverged_ns is not None and now_ns - self._diverged_ns < _WINDOW_NS
 
     def lost(self, now_ns: int) -> dict[str, float]:
-        """Source → seconds since something of it was last accepted, where that is beyond its timeout."""
+        """Source → seconds since something of it was last accepted, where it is lost by ``silence``."""
         since = {source: now_ns - self._taken_ns.get(source, now_ns) for source in self._timeouts_ns}
-        return {source: ns * 1e-9 for source, ns in since.items() if ns > self._timeouts_ns[source]}
+        limits = {source: self._silences[source].limit(ns) for source, ns in self._timeouts_ns.items()}
+        return {source: ns * 1e-9 for source, ns in since.items() if ns > limits[source]}
 
     def innovations(self, now_ns: int) -> dict[str, str]:
         """Source → mean d² over the last seconds, and the bounds within which a consistent one lies."""

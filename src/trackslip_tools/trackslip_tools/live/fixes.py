@@ -3,7 +3,7 @@
 """Where the sources of poses say that the machine is, and which of them have fallen silent."""
 
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 from trackslip_common.config_files import node_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import parse_yaml
+from trackslip_estimation.slip.silence import Silence
 from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.live import inputs
 from trackslip_tools.report.events import Events
@@ -31,18 +32,21 @@ class Fixes:
         self.timeouts: dict[str, float] = {}  # of the sources that the slip estimator states, s
         self._news: deque[Place] = deque(maxlen=KEPT)
         self._came_s: dict[str, float] = {}
+        self._silences: dict[str, Silence] = defaultdict(Silence)
         self._lost: set[str] = set()
 
     def expect(self, timeouts: Mapping[str, float]) -> None:
-        """What is silent for longer than its timeout (s) counts as lost; sources not named are forgotten."""
+        """Timeouts, s, by source, from which ``silence`` has when it is lost; other sources are forgotten."""
         self.timeouts = dict(list(timeouts.items())[:_MOST_SOURCES])
         known = {*inputs.POSES, *self.timeouts}
         self._came_s = {source: at_s for source, at_s in self._came_s.items() if source in known}
+        self._silences = defaultdict(Silence, {k: one for k, one in self._silences.items() if k in known})
         self._lost &= known
 
     def add(self, source: str, x: float, y: float, now_s: float) -> None:
         """A fix."""
         self._came_s[source] = now_s
+        self._silences[source].add(now_s)
         if math.isfinite(x) and math.isfinite(y):
             self._news.append((round(x, 3), round(y, 3)))
 
@@ -55,7 +59,8 @@ class Fixes:
     def see(self, events: Events, now_s: float, time_ms: float) -> None:
         """Say which sources have fallen silent, and which are back."""
         for source, timeout in self.timeouts.items():
-            is_lost = now_s - self._came_s.get(source, now_s) > timeout
+            limit = self._silences[source].limit(timeout)
+            is_lost = now_s - self._came_s.get(source, now_s) > limit
             if is_lost and source not in self._lost:
                 events.add(Level.WARN, f"fix lost: {source}", now_s, time_ms)
             elif not is_lost and source in self._lost:

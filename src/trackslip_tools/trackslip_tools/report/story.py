@@ -11,6 +11,7 @@ from trackslip_common.errors import printable
 from trackslip_common.topics import SOIL
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.silence import lost_after, usual_period
 from trackslip_estimation.soil.stall import Trouble
 from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.report.events import Event, Events
@@ -67,8 +68,8 @@ def trouble_spells(run: Run) -> dict[str, list[Spell]]:
 
 
 def lost_spells(run: Run) -> dict[str, list[Spell]]:
-    """Source of poses → stretches, longer than its timeout, in which nothing of it was accepted."""
-    fixes, allowed = run.details.fixes, timeouts_of(run)
+    """Source of poses → stretches in which nothing of it was accepted for so long that it was lost."""
+    fixes, allowed = run.details.fixes, silence_limits(run)
     found: dict[str, list[Spell]] = {}
     for number, source in enumerate(run.details.sources):
         own = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
@@ -91,10 +92,16 @@ def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
     return "; ".join(reported)
 
 
-def timeouts_of(run: Run) -> dict[str, float]:
-    """Source of the slip estimator → s for which it may be silent."""
-    known = {name: timeout_ns * 1e-9 for name, timeout_ns in run.parameters.timeouts_ns().items()}
-    return known | {SPROCKETS: run.parameters.sprocket_timeout}
+def silence_limits(run: Run) -> dict[str, float]:
+    """Source of the slip estimator → s without a message after which it is lost, as ``silence`` has it."""
+    timeouts = {name: timeout_ns * 1e-9 for name, timeout_ns in run.parameters.timeouts_ns().items()}
+    periods = {name: timing.period for name, timing in run.recording.timings.items()}
+    fixes, sources = run.details.fixes, run.details.sources
+    for number in np.unique(fixes["source"]).tolist():  # of a bag that was thinned, those that were left
+        stamps_ns = fixes["stamp_ns"][fixes["source"] == number]
+        periods[sources[number]] = usual_period(run.recording.seconds(stamps_ns))
+    limits = {name: lost_after(timeout, periods.get(name, np.nan)) for name, timeout in timeouts.items()}
+    return limits | {SPROCKETS: run.parameters.sprocket_timeout}  # beyond it the motion is unknown
 
 
 def strips(runs: Sequence[Run]) -> list[Strip]:
@@ -161,9 +168,9 @@ def _fixes(run: Run) -> Iterator[Event]:
 
 
 def _silences(run: Run) -> Iterator[Event]:
-    """Other sources, silent for longer than their timeouts."""
+    """Other sources, silent for so long that they were lost."""
     fixes = {run.details.sources[number] for number in np.unique(run.details.fixes["source"])}
-    for source, limit in timeouts_of(run).items():
+    for source, limit in silence_limits(run).items():
         timing = run.recording.timings.get(source)
         for gap in timing.gaps if timing is not None and source not in fixes else ():
             if gap.stop - gap.start > limit:

@@ -14,7 +14,7 @@ from trackslip_tools.report.innovations import innovations_of
 from trackslip_tools.report.limits import VerdictLimits
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.story import timeouts_of, trouble_spells, troubles_text
+from trackslip_tools.report.story import silence_limits, trouble_spells, troubles_text
 
 _WAITING = Outcome.WAITING.name.lower()
 _USED = tuple(outcome.name.lower() for outcome in Outcome if not outcome.refused)
@@ -188,14 +188,14 @@ def _rates(run: Run, limits: VerdictLimits) -> Verdict:
 
 
 def _gaps(run: Run, _: VerdictLimits) -> Verdict:
-    """Silence longer than the estimator's own timeouts."""
-    timings, allowed = run.recording.timings, timeouts_of(run)
+    """Silence after which a source of the estimator is lost."""
+    timings, allowed = run.recording.timings, silence_limits(run)
     longest = {name: timings[name].longest for name in allowed if name in timings and timings[name].gaps}
     if not longest:
         return _checked(True, "none", "No source of the estimator was silent.")
     worst = max(longest, key=lambda name: longest[name] / allowed[name])
     bad = [name for name in longest if longest[name] > allowed[name]]
-    words = f"Longer than its timeout: {', '.join(bad)}." if bad else "None longer than its source's timeout."
+    words = f"Lost: {', '.join(bad)}." if bad else "None was lost: silent beyond timeout and three periods."
     return _checked(not bad, f"{worst} {longest[worst]:.2f} s", words)
 
 
