@@ -52,6 +52,12 @@ def test_a_frame_has_the_newest_point_of_each_curve(state: LiveState) -> None:
     assert frame["facts"]["motion"] == "straight"
 
 
+def test_a_heading_that_may_be_any_is_unknown(state: LiveState) -> None:
+    for stddev, shown in ((0.1, "0.0° ± 11.5"), (19.2, "unknown")):
+        state.process("odometry", messages.odometry(0.0, 0.0, variance=stddev**2), 0.0)
+        assert state.tick(0.0, 0.0)["facts"]["heading"] == shown
+
+
 def test_the_whole_is_the_sum_of_the_frames(state: LiveState) -> None:
     frames = drive(state, 40)
     whole = as_json(state.whole())

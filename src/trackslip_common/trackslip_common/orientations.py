@@ -12,6 +12,21 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
+UNKNOWN_STDDEV = 1.8  # rad; of a heading that may be any it is π/√3 = 1.81
+
+
+def is_heading_known(variance: Any) -> Any:
+    """Whether a heading of this variance, rad², is known at all; of an array, for each."""
+    return variance <= UNKNOWN_STDDEV**2
+
+
+def heading_text(heading: float, variance: float, sigmas: float = 1.0) -> str:
+    """As "12.0° ± 0.5", an interval of so many standard deviations; "unknown" where it may be any."""
+    if not is_heading_known(variance):
+        return "unknown"
+    return f"{math.degrees(heading):.1f}° ± {math.degrees(sigmas * math.sqrt(max(variance, 0.0))):.1f}"
+
+
 def heading_of(pose: Any) -> float:
     """Rotation about z, rad in (−π, π], of what has the quaternion ``qx qy qz qw``."""
     sine = 2.0 * (pose.qw * pose.qz + pose.qx * pose.qy)

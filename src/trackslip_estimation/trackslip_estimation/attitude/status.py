@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from trackslip_common.orientations import is_heading_known
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.filter import GRAVITY_DOUBT, UPRIGHT
 from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL, AttitudeRefusal
@@ -37,8 +38,9 @@ def attitude_text(a: Any, source: str | None) -> str:
 def _lacking(a: Any, source: str) -> str:
     """Why it is not known."""
     if int(a["sample"]["lost"]) == 1:
-        swing = math.degrees(math.sqrt(float(a["sample"]["turn_variance"])))
-        return f"{source} sits on the upper structure, whose angle is not known (± {swing:.0f}°)"
+        variance = float(a["sample"]["turn_variance"])
+        swing = f" (± {math.degrees(math.sqrt(variance)):.0f}°)" if is_heading_known(variance) else ""
+        return f"{source} sits on the upper structure, whose angle is not known{swing}"
     if int(a["seen"]) == 0:
         return f"nothing of {source} yet"
     if int(a["sample"]["levels"]) == 0:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from trackslip_common.errors import printable
+from trackslip_common.orientations import heading_text
 from trackslip_common.topics import ATTITUDE, ODOMETRY, TRACK_SLIP
 from trackslip_tools.live import inputs
 from trackslip_tools.live.snapshot import Snapshot
@@ -25,9 +26,8 @@ def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
     if odometry is not None:
         x, y, heading = inputs.pose_of(odometry)
         apart = SIGMAS * math.sqrt(max(float(np.max(_eigenvalues(odometry.covariance[:2, :2]))), 0.0))
-        turned = SIGMAS * math.sqrt(max(odometry.covariance[2, 2], 0.0))
         facts["position"] = f"{x:.2f}, {y:.2f} m ± {apart:.{2 if apart >= 0.1 else 3}f}"
-        facts["heading"] = _degrees(heading, turned)
+        facts["heading"] = heading_text(heading, float(odometry.covariance[2, 2]), SIGMAS)
         facts["speed"] = f"{odometry.v_x:.2f} m/s"
     if slip is not None:
         facts["motion"] = _MOTION[slip.motion_state] if slip.motion_state < len(_MOTION) else _MOTION[0]

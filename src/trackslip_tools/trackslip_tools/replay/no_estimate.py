@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.reader import Bag
+from trackslip_common.orientations import is_heading_known
 from trackslip_common.tally import Tally
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.events import UNKNOWN_HEADING
@@ -35,9 +36,11 @@ def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters,
     if processed.heading_variance is not None:
         if processed.heading_variance <= UNKNOWN_HEADING**2:
             return ""
-        stddev = math.degrees(math.sqrt(processed.heading_variance))
+        known = "heading unknown"
+        if is_heading_known(processed.heading_variance):
+            known += f" (±{math.degrees(math.sqrt(processed.heading_variance)):.0f}°)"
         return (
-            f"heading unknown (±{stddev:.0f}°): it is found from fixes along some metres driven, or from a "
+            f"{known}: it is found from fixes along some metres driven, or from a "
             "source with a heading, or initial_yaw with its initial_yaw_stddev"
         )
     if not processed.given[SPROCKETS]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.orientations import is_heading_known
 from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_tools.replay.scoring import moving_slips
 from trackslip_tools.replay.series import Series
@@ -47,7 +48,8 @@ def error_panels(runs: Sequence[Run]) -> list[Panel]:
         turned = _DEGREES * errors.values[:, 2]
         if not np.isfinite(turned).any():  # a reference of positions
             continue
-        band = within(np.zeros_like(turned), _DEGREES * np.sqrt(variances[:, 2]))
+        known = np.where(is_heading_known(variances[:, 2]), variances[:, 2], np.nan)
+        band = within(np.zeros_like(turned), _DEGREES * np.sqrt(known))
         heading.append(Curve(label, colour, errors.times, turned, shown.form, band))
     if not distance:
         return []

@@ -1,0 +1,26 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Headings as text: an interval, or that they are unknown."""
+
+import math
+
+import numpy as np
+import pytest
+
+from trackslip_common.orientations import heading_text, is_heading_known
+
+
+@pytest.mark.parametrize("stddev", [1.81, 19.2, 1e9, math.inf, math.nan])
+def test_a_heading_that_may_be_any_is_unknown(stddev: float) -> None:
+    """π/√3 = 1.81 rad is the standard deviation of a uniform heading: ±1100° means nothing."""
+    assert heading_text(0.3, stddev**2, 2.0) == "unknown"
+
+
+def test_a_known_heading_has_its_interval() -> None:
+    assert heading_text(math.pi / 6.0, math.radians(1.5) ** 2, 2.0) == "30.0° ± 3.0"
+    assert heading_text(-0.1, math.radians(80.0) ** 2) == "-5.7° ± 80.0"
+
+
+def test_known_headings_of_an_array() -> None:
+    known = is_heading_known(np.array((0.01, 3.2, 3.3, math.nan)))
+    np.testing.assert_array_equal(known, (True, True, False, False))
