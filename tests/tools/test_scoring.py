@@ -49,10 +49,11 @@ def mean_nees(own: Rows, reference: Path) -> float | None:
     return errors_against(own, reference).nees
 
 
-def errors_against(own: Rows, reference: Path) -> PathErrors:
+def errors_against(own: Rows, reference: Path, R: np.ndarray | None = None) -> PathErrors:
     x, y, heading = reference.poses.T
-    errors = PathErrors()
-    errors.add_estimates(own, series_of(stamp_ns=reference.stamps_ns, x=x, y=y, heading=heading).rows)
+    errors, columns = PathErrors(), {} if R is None else {"covariance": R}
+    rows = series_of(stamp_ns=reference.stamps_ns, x=x, y=y, heading=heading, **columns).rows
+    errors.add_estimates(own, rows)
     return errors
 
 
@@ -180,3 +181,37 @@ def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
     np.testing.assert_array_equal(kept["right_slip"], right[[0, 2]])
     own = slips(stamps(0, 200), (0.0, left[2] + 0.03), (right[0] + 0.03, right[2]))
     assert slip_rmse(own, kept) == pytest.approx(0.03 * math.sqrt(2.0 / 3.0))
+
+
+# The covariance of the reference
+
+
+def test_nees_includes_the_covariance_of_the_reference() -> None:
+    """Error of 0.3 m; 0.1 m claimed, 0.2 m stated by the reference: 0.09 / (0.01 + 0.04)."""
+    P, R = np.diag((0.01, 0.01, 0.01)), np.diag((0.04, 0.04, 0.04))
+    own = estimates((0, (0.3, 0.0, 0.0), P), (100, (1.3, 0.0, 0.0), P))
+    errors = errors_against(own, path((0, 100), (0, 0, 0), (1, 0, 0)), np.array((R, R)))
+    assert errors.nees == pytest.approx(0.09 / 0.05)
+    assert errors.nees_position == pytest.approx(0.09 / 0.05)
+
+
+def test_a_covariance_that_is_none_counts_as_exact() -> None:
+    P = np.diag((0.01, 0.01, 0.01))
+    own = estimates((0, (0.3, 0.0, 0.0), P), (100, (1.3, 0.0, 0.0), P))
+    for none in (np.zeros((3, 3)), np.full((3, 3), np.nan), np.diag((-1.0, 0.0, 0.0))):
+        errors = errors_against(own, path((0, 100), (0, 0, 0), (1, 0, 0)), np.array((none, none)))
+        assert errors.nees == pytest.approx(9.0)
+
+
+def test_nees_of_a_consistent_estimate_against_a_reference_with_noise_is_3() -> None:
+    rng, n = np.random.default_rng(1), 4000
+    P, R = np.diag((0.01, 0.02, 0.001)), np.array(((0.03, 0.01, 0.0), (0.01, 0.04, 0.0), (0.0, 0.0, 0.002)))
+    e, e_ref = (rng.multivariate_normal(np.zeros(3), one, n) for one in (P, R))
+    own = estimates(*((100 * k, tuple(e[k]), P) for k in range(n)))
+    reference = Path(own["stamp_ns"].copy(), e_ref)
+    found = errors_against(own, reference, np.broadcast_to(R, (n, 3, 3)))
+    assert found.nees == pytest.approx(3.0, abs=0.15)
+    assert found.nees_position == pytest.approx(2.0, abs=0.12)
+    exact = mean_nees(own, reference)
+    assert exact is not None
+    assert exact > 6.0

@@ -72,11 +72,12 @@ class Pairs:
 class PathErrors:
     """RMS errors of a path, and its mean NEES where its poses have covariances.
 
-    Samples of the reference without a heading (nan) count for the position alone.
+    Samples of the reference without a heading (nan) count for the position alone. A reference with a
+    ``covariance`` counts with it in the NEES.
     """
 
     def __init__(self) -> None:
-        self._reference = Waiting()  # stamp_ns, x, y, heading
+        self._reference = Waiting()  # stamp_ns, x, y, heading, and covariance where it has one
         self._recent: tuple[Path, FloatArray] | None = None  # the end of the piece before
         self._position = self._heading = self._nees = self._nees_position = 0.0  # sums of squares
         self.last_position: float | None = None  # m, at the newest sample that was compared
@@ -105,8 +106,9 @@ class PathErrors:
         self._headed += int(headed.sum())
         self._heading += float(np.sum(errors[headed, 2] ** 2))
         if covariances is not None:
-            self._nees += float(np.sum(nees_of_each(path, P, true)[0][headed]))
-            self._nees_position += float(np.sum(nees_of_each(path, P, true, 2)[0]))
+            R = due["covariance"] if "covariance" in (due.dtype.names or ()) else None
+            self._nees += float(np.sum(nees_of_each(path, P, true, R=R)[0][headed]))
+            self._nees_position += float(np.sum(nees_of_each(path, P, true, 2, R)[0]))
             self._with_nees += int(headed.sum())
             self._with_nees_position += len(errors)
 

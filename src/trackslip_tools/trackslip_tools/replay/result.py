@@ -131,7 +131,7 @@ class Collector:
         self._swing.add(estimates, tables.get(TRUE_SWING))
         if self._reference is not None:
             known = tables.get(self._reference)
-            reference = None if known is None else reduced(known)
+            reference = None if known is None else reduced(known, detailed=True)
             self._errors.add_estimates(estimates, reference)
             self.withheld.add(estimates, part.tables.get(self._reference))
             for reckoning in self._reckonings.values():

@@ -4,7 +4,9 @@
 
 e      error of x, y, heading        m, m, rad
 P      covariance that was claimed   (3, 3)
-NEES   eᵀ P⁻¹ e, on average 3 if P is consistent; of x and y alone 2
+R      covariance of the reference's own pose, 0 where its message states none   (3, 3)
+S      P + R: errors of estimate and reference count as independent
+NEES   eᵀ S⁻¹ e, on average 3 if P and R are consistent; of x and y alone 2
 
 A reference may have no heading, at all or at some samples: nan. Its positions count all the same.
 """
@@ -66,18 +68,30 @@ def score(path: Path, reference: Path) -> Score | None:
 
 
 def nees_of_each(
-    path: Path, covariances: FloatArray, reference: Path, size: int = 3
+    path: Path, covariances: FloatArray, reference: Path, size: int = 3, R: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |P| there.
+    """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |S| there.
 
     ``size`` 3: of the pose, nan where the reference has no heading; 2: of the position.
+    ``R`` (n, 3, 3): of the reference; None: 0.
     """
     errors = errors_of(path, reference)[:, :size]
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
-    nearest = np.searchsorted(midpoints, reference.stamps_ns[_inside(path, reference)])
-    P = covariances[nearest, :size, :size]
-    weighed = np.linalg.solve(P, errors[:, :, np.newaxis])[:, :, 0]
-    return np.sum(errors * weighed, axis=1), np.linalg.slogdet(P)[1]
+    inside = _inside(path, reference)
+    S = covariances[np.searchsorted(midpoints, reference.stamps_ns[inside]), :size, :size]
+    if R is not None:
+        S = S + usable_covariances(R[inside, :size, :size])
+    weighed = np.linalg.solve(S, errors[:, :, np.newaxis])[:, :, 0]
+    return np.sum(errors * weighed, axis=1), np.linalg.slogdet(S)[1]
+
+
+def usable_covariances(R: FloatArray) -> FloatArray:
+    """(n, m, m) covariances of messages; 0 for each that is not finite or not positive semidefinite."""
+    finite = np.asarray(np.isfinite(R).all(axis=(1, 2)))
+    symmetric = np.where(finite[:, np.newaxis, np.newaxis], (R + R.transpose(0, 2, 1)) / 2.0, 0.0)
+    least, most = np.linalg.eigvalsh(symmetric)[:, [0, -1]].T
+    usable: FloatArray = np.where((least >= -1e-9 * most)[:, np.newaxis, np.newaxis], symmetric, 0.0)
+    return usable
 
 
 def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:

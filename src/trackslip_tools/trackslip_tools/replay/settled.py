@@ -28,15 +28,19 @@ class SettledInputs(NamedTuple):
 
 
 def read_settled(
-    bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, series: tuple[str, ...]
+    bag: Bag,
+    p: SlipEstimatorParameters,
+    filters: InputFilters,
+    series: tuple[str, ...],
+    detailed: frozenset[str] = frozenset(),
 ) -> SettledInputs:
-    """All measurements, the filters applied, and the series of the topics named.
+    """All measurements, the filters applied, and the series of the topics; ``detailed``: with covariances.
 
     Raises:
         InputError: as ``InputStream``; or the clock of the sprockets goes back by more than the window.
     """
     stream, numbers = InputStream(bag, p, filters, series), SlipEstimator(p).sources
-    collector, found = SeriesCollector(), GrowingRows(MEASUREMENT)
+    collector, found = SeriesCollector(detailed), GrowingRows(MEASUREMENT)
     clock = _Clock(bag, p.history_window)
     for batch in stream:
         clock.check(batch.rows)

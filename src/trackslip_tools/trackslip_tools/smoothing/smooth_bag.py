@@ -95,7 +95,8 @@ def smooth_bag(
     """
     reference = reference or own_reference(bag)
     wanted = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
-    measurements, series = read_settled(bag, p, filters, wanted)
+    detailed = frozenset(wanted) - {TRUE_SLIP, TRUE_ODOMETRY}
+    measurements, series = read_settled(bag, p, filters, wanted, detailed)
     truth = _Truth(series, reference)
     of_filter, of_smoother = (_Compared(p.vehicle.kinematics.tread) for _ in range(2))
     count, stamps_ns = 0, [0, 0]
