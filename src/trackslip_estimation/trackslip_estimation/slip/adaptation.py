@@ -286,6 +286,16 @@ def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R
 
 
 @compiled
+def density_of_one(L: FloatArray, innovation: FloatArray) -> float:
+    """ln of the density of an innovation (m,) whose covariance has the root L (m, m): Student's t."""
+    m = innovation.size
+    count = _OF_GAUSSIAN[m - 1]
+    squared = weighted_square(L, innovation)
+    heavy = (_HEAVY + m) * math.log(1.0 + count / _HEAVY * squared)
+    return -(log_determinant(L) + heavy) / 2.0 - m * math.log(2.0 * math.pi / count) / 2.0
+
+
+@compiled
 def density_of_fix(
     a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any
 ) -> float:

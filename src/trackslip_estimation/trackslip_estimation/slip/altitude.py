@@ -31,7 +31,7 @@ from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
 from trackslip_estimation.slip.models.model import SWING
-from trackslip_estimation.slip.own_errors import lasts
+from trackslip_estimation.slip.own_errors import is_correlated, number_of
 from trackslip_estimation.slip.usable import HIGHEST
 
 FloatArray = NDArray[np.float64]
@@ -106,9 +106,9 @@ def _noise(state: Any, measurement: Any, dt: float, c: Any) -> tuple[float, floa
     stated *= state.adaptation.fix_factors[source]
     steep = level.downhill_x**2 + level.downhill_y**2
     stated += steep * unknown_arm(state.covariance, source, c)
-    if not lasts(source, c):
+    if not is_correlated(state, source, c):
         return stated, stated
-    return stated, stated / math.tanh(dt / (2.0 * c.error_times[c.own_errors[source]]))
+    return stated, stated / math.tanh(dt / (2.0 * state.offsets[number_of(source, c)].time))
 
 
 @compiled

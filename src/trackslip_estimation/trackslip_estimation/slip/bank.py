@@ -23,6 +23,7 @@ import numpy as np
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.slip.correlated_errors import MOST_SPREAD, forget_receiver, meet_fix
 from trackslip_estimation.slip.events import (
     AREA,
     FOLDED,
@@ -58,10 +59,11 @@ from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.own_errors import is_correlated, number_of
 from trackslip_estimation.slip.records import HEADING, HISTORY, MANUAL, MOST_SOURCES, ON_SWING, POSE
 from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.step import step
-from trackslip_estimation.slip.window import MOST_BRANCHES, POOL, Window, next_sample
+from trackslip_estimation.slip.window import MOST_BRANCHES, POOL, Window, copy_receivers, next_sample
 
 _PRUNED, _SPAWNS = 10.0, 4.0  # w below the best that is pruned, or has no children
 _LEAST_SOUND = 9.0  # w below the best that the last branch without a fault has at the least
@@ -75,6 +77,7 @@ _SLIP_RANGE = -0.5, 1.0  # of i₀: tracks do not drive a machine backwards
 _SLIP_EXCESS = 0.1  # standard deviation by which i₀ may leave it
 _DRIVEN = 0.05  # m of the tracks, with which heading and slip show in the place
 _SHORTEST = 0.01  # s, in which an event may have happened
+_OF_CORRELATED = 6.0  # by which w of events of the machine is less where fixes err to one side
 _SMALLEST = 1e-4  # m², squared size of a jump or an offset
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
@@ -110,12 +113,15 @@ def make_row(window: Window, k: int, closing: int, c: Any) -> None:
             if scripted:
                 play_script(window, k, 0, c)
         for i in range(branch.first, k + 1):
+            _take_errors(state, window.receivers[i - 1], c)
             if closes < i or i == branch.first:
                 closes = closing if i == k else next_sample(measurements, i, entries)
             sample = measurements[closes if closes < entries else i]
             step(state, sample, measurements[i], c, update)
             if is_weighed(measurements[i]):
                 branch.weight += update.evidence
+        if j == 0:
+            _follow_receivers(window, k, c)
         j += 1
         if j == count and weighs:
             jobs = propose(window, k, c)
@@ -129,15 +135,62 @@ def make_row(window: Window, k: int, closing: int, c: Any) -> None:
 
 
 @compiled
-def begin_row(window: Window, k: int) -> None:
+def _take_errors(state: Any, receivers: Any, c: Any) -> None:
+    """What is known of the errors of fixes, for the next step."""
+    for n in range(c.poses):
+        offset, of = state.offsets[n], receivers[n]
+        offset.f, offset.g, offset.time = of.f, of.g, of.time
+
+
+@compiled
+def _follow_receivers(window: Window, k: int, c: Any) -> None:
+    """What row k knows of the errors of fixes, by the way of the most probable branch before it."""
+    state, before, update = window.states[0, k], window.states[0, k - 1], window.updates[k]
+    m = window.measurements[k]
+    copy_receivers(window, k, k - 1)
+    number = number_of(m.source, c) if is_weighed(m) else -1
+    for n in range(c.poses):
+        of = window.receivers[k, n]
+        if of.known != 0:
+            way = state.way[X] - before.way[X], state.way[Y] - before.way[Y]
+            of.way[X] += way[X]
+            of.way[Y] += way[Y]
+            of.driven += math.hypot(way[X], way[Y])
+        if n != number or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
+            continue
+        if update.coarse > 0.0:
+            P = update.prior_covariance
+            spread = min(P[YAW, YAW], MOST_SPREAD)
+            if has_velocity_errors(c):
+                spread += min(P[COMMON_SLIP, COMMON_SLIP], MOST_SPREAD)
+            meet_fix(of, window.masses[k, n], update.shown, update.coarse, spread, m.stamp_ns)
+        elif of.known == 1:
+            of.known = 2
+
+
+@compiled
+def begin_row(window: Window, k: int, c: Any) -> None:
     """One branch at entry k, where the estimate begins."""
     window.counts[k] = 1
+    for n in range(c.poses):
+        forget_receiver(window.receivers[k, n])
+    _take_errors(window.states[0, k], window.receivers[k], c)
     branch = window.branches[0, k]
     branch.weight = branch.snapshot_weight = 0.0
     branch.events = 0
     branch.cusum[:] = 0.0
     branch.snapshot, branch.slot, branch.weighed = k, 0, 0
     branch.fresh = 0
+
+
+@compiled
+def meet_first_fix(window: Window, c: Any) -> None:
+    """A coarse fix with which the estimate begins is the first that its receiver's masses know."""
+    state, m = window.states[0, 0], window.measurements[0]
+    number = number_of(m.source, c) if is_weighed(m) else -1
+    if number >= 0 and state.offsets[number].variance > 0.0:
+        stddev = state.offsets[number].stddev
+        meet_fix(window.receivers[0, number], window.masses[0, number], state.mean[:YAW], stddev, 0.0, m.stamp_ns)
 
 
 @compiled
@@ -224,7 +277,7 @@ def propose(window: Window, k: int, c: Any) -> int:
         if fault != IS_SOUND:
             elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[measurement.source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
-        if measurement.kind == POSE and fault in (IS_SOUND, IS_OFFSET):
+        if measurement.kind == POSE and fault in (IS_SOUND, IS_OFFSET) and not is_correlated(state, measurement.source, c):
             for i in range(4):
                 e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
                 branch.cusum[i] = max(branch.cusum[i] + min(e, _LARGEST) - _DRIFT, 0.0)
@@ -349,6 +402,7 @@ def _have_children(
     if not contradicts and (fault != IS_SOUND or e.cusum.max() <= _LIMIT):
         return born
     since = math.log(max((m.stamp_ns - window.states[e.slot, e.snapshot].stamp_ns) * 1e-9, _SHORTEST))
+    doubt = _OF_CORRELATED if is_correlated(before, source, c) else 0.0
     if contradicts:
         squared = (m.value[X] - before.mean[X]) ** 2 + (m.value[Y] - before.mean[Y]) ** 2
         size = math.log(AREA) + log_density_of_any_size(max(squared, _SMALLEST))
@@ -361,7 +415,7 @@ def _have_children(
             born = _child(window, p, k, OFFSET, 0, False, prior, born, c)
         prior = now + size + log_rate(MOVED, source, c)
         born = _child(window, p, k, MOVED, 0, False, prior, born, c)
-        prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS)
+        prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS) - doubt
         if drove or update.dof > YAW:  # else a heading shows in nothing
             for part in range(HEADINGS):
                 born = _child(window, p, k, TURNED, part, True, prior, born, c)
@@ -369,9 +423,9 @@ def _have_children(
             for part in range(HEADINGS):
                 born = _child(window, p, k, SWUNG, part, True, prior, born, c)
     if drove and has_velocity_errors(c):
-        prior = since + log_rate(SLIPPED, source, c)
+        prior = since + log_rate(SLIPPED, source, c) - doubt
         born = _child(window, p, k, SLIPPED, 0, True, prior, born, c)
-    if fault != IS_REPEATING:
+    if fault != IS_REPEATING and update.coarse == 0.0:
         prior = since + log_rate(NOISE, source, c)
         born = _child(window, p, k, NOISE, 0, True, prior, born, c)
     if is_steep(before) and has_velocity_errors(c):

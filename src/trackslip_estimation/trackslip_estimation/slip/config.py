@@ -79,6 +79,7 @@ CONFIG = np.dtype(
         ("events", events.CONSTANTS),
         ("fault_rate", np.float64, (MOST_SOURCES,)),  # 1/s
         ("jump_rate", np.float64, (MOST_SOURCES,)),  # 1/s
+        ("poses", np.int64),  # how many sources of poses there are
         ("offsets", np.int64, (MOST_SOURCES,)),  # place of the offset of its places, or headings; −1: none
         ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
         ("lean_errors", np.int64),  # place of the two of the tilt, over its standard deviation; −1: none
@@ -207,12 +208,12 @@ def _set_odometry(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]
 
 
 def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
-    """Biases of gyros after the first, scales of odometries, what lasts of fixes and of the tilt."""
+    """Offsets of poses and headings, biases of gyros after the first, scales of odometries, what lasts of tilt."""
     c["own_errors"] = -1
     bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
     errors = dict.fromkeys(list(p.gyros())[1:], bias)
     errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
-    place, c["lean_errors"], c["offsets"] = SENSOR_ERRORS, -1, -1
+    place, c["lean_errors"], c["offsets"], c["poses"] = SENSOR_ERRORS, -1, -1, len(p.poses())
     for name in p.poses():
         c["offsets"][numbers[name]] = place
         place += 2
@@ -224,17 +225,11 @@ def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, in
         c["prior_variance"][place] = c["prior_covariance"][place, place] = variance
         c["process_noise"][..., place] = walk
         place += 1
-    lasting = [(pose.correlation_time, numbers[name]) for name, pose in p.poses().items() if pose.lasts]
     if p.leans:
-        lasting.append((LEAN_TIME, -1))
-    for time, number in lasting:
-        if number < 0:
-            c["lean_errors"], c["lean_stddev"] = place, p.attitude.accelerometer_bias_stddev / GRAVITY
-        else:
-            c["own_errors"][number] = place
+        c["lean_errors"], c["lean_stddev"] = place, p.attitude.accelerometer_bias_stddev / GRAVITY
         for axis in (place, place + 1):
             c["prior_variance"][axis] = c["prior_covariance"][axis, axis] = 1.0
-            c["error_times"][axis] = time
+            c["error_times"][axis] = LEAN_TIME
         place += 2
     if place > SENSOR_ERRORS:
         c["active"] = c["size"] = place

@@ -48,7 +48,7 @@ from trackslip_estimation.slip.models.model import (
     Y,
 )
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
-from trackslip_estimation.slip.own_errors import to_offset
+from trackslip_estimation.slip.own_errors import number_of, to_offset, usual_variance
 
 FloatArray = NDArray[np.float64]
 
@@ -225,18 +225,12 @@ def apply_event(state: Any, event: int, source: int, part: int, angle: float, c:
         state.fault[source] = IS_OFFSET if event == OFFSET else IS_SOUND
         state.fault_ns[source] = state.stamp_ns
         if own >= 0:
-            rows = 1 if c.compass[source] == 1 else 2
-            size = math.pi**2 / 3.0 if c.compass[source] == 1 else unknown
-            for i in range(own, own + rows):
-                open_state(x, P, i, 0.0, size if event == OFFSET else 0.0)
-                renewed |= 1 << i
+            renewed |= _open_offset(state, source, event == OFFSET, c)
     elif event == FOLDED:
         state.fault[source] = IS_SOUND
         to_offset(x, P, source, 1.0, c)
-        rows = 1 if c.compass[source] == 1 else 2
-        for i in range(rows):
-            open_state(x, P, own + i, 0.0, 0.0)
-            renewed |= (1 << (own + i)) | (1 << (YAW if rows == 1 else i))
+        renewed |= _open_offset(state, source, False, c)
+        renewed |= 1 << YAW if c.compass[source] == 1 else (1 << X) | (1 << Y)
     elif event == MOVED:
         for axis in (X, Y):
             open_state(x, P, axis, x[axis], unknown)
@@ -261,6 +255,20 @@ def apply_event(state: Any, event: int, source: int, part: int, angle: float, c:
         P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
     if event == SLID:
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2
+    return renewed
+
+
+@compiled
+def _open_offset(state: Any, source: int, wide: bool, c: Any) -> int:
+    """The offset of a source becomes any, or what it usually is; returns its states, as bits."""
+    own, number, renewed = c.offsets[source], number_of(source, c), 0
+    usual = 0.0 if number < 0 else usual_variance(state, source, c)
+    if number >= 0:
+        state.offsets[number].variance = 0.0 if wide else usual
+    size = math.pi**2 / 3.0 if number < 0 else AREA / (2.0 * math.pi)
+    for i in range(own, own + (1 if number < 0 else 2)):
+        open_state(state.mean[:], state.covariance[:], i, 0.0, size if wide else usual)
+        renewed |= 1 << i
     return renewed
 
 

@@ -4,7 +4,7 @@
 
     z, R   measurement, its noise as it is used                          (m,), (m, m)
     x, P   state in the coordinates of the measurement: its place is that of the sensor, its stamp error ago,
-           with what lasts of the source's error
+           with the source's offset
     ν, S   innovation and its covariance                                 (m,), (m, m)
     p      share of the source's measurements that are outliers          1
 
@@ -12,6 +12,8 @@ A measurement has two explanations inside a branch: it is sound, with a likeliho
 noise-factor masses, or it is an outlier of any size. The more likely one decides whether it is used: that is
 the gate. ``update.evidence`` is the log of that likelihood, by which the bank weighs the branch. As tracks
 start, or turn back, fixes do not correct their delay: the soil under them gives way first, which looks alike.
+Fixes of a coarse receiver have its offset in them (``correlated_errors``); what surprises of them is doubt of
+that first. While the receiver errs to one side, they do not correct the bias of a gyro.
 """
 
 import math
@@ -23,15 +25,23 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import ekf
 from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
-from trackslip_estimation.slip.adaptation import density_of_fix, learn_from_fix, repeats, shared_error
+from trackslip_estimation.slip.adaptation import density_of_fix, density_of_one, learn_from_fix, repeats, shared_error
+from trackslip_estimation.slip.correlated_errors import surprise
 from trackslip_estimation.slip.events import AREA, IS_IGNORED, IS_OFFSET, IS_REPEATING, IS_SCATTERING
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import FIX_DELAY, YAW, X, Y
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, YAW, X, Y
 from trackslip_estimation.slip.models.shear import starts
 from trackslip_estimation.slip.observation import observed
-from trackslip_estimation.slip.own_errors import lasts, meet_quality, to_erring, to_offset, white
+from trackslip_estimation.slip.own_errors import (
+    doubt_offset,
+    is_correlated,
+    meet_fix_error,
+    number_of,
+    spread_of,
+    to_offset,
+)
 from trackslip_estimation.slip.stands import count_fix, stands_still
 
 FloatArray = NDArray[np.float64]
@@ -58,13 +68,16 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     source = measurement.source
     z, stated = observed(measurement, state, c)
     m, fault = z.size, state.fault[source]
-    if lasts(source, c):
-        meet_quality(state, update, source, stated, c)
+    coarse = meet_fix_error(state, update, source, stated, fault == IS_OFFSET, c)
     x, P, shift = state.mean[: c.size].copy(), state.covariance.copy(), stamp_shift(state, source, c)
     to_sensor(x, P, state.attitude.level, source, 1.0, c)
     to_delayed(x, P, shift, 1.0)
+    if coarse:
+        update.coarse = spread_of(stated)
+        for axis in (X, Y):
+            update.shown[axis] = z[axis] - x[axis] + state.mean[axis]
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
-    if fault == IS_OFFSET:
+    if coarse or fault == IS_OFFSET:
         to_offset(x, P, source, 1.0, c)
     innovation = _innovation(z, x)
     again = _compare_with_last(state, measurement, z, update)
@@ -75,25 +88,35 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     if fault == IS_SCATTERING:
         update.evidence, update.outcome = -math.log(AREA) - (_LOG_TURN if m > YAW else 0.0), _GATED
         return
-    whole, used, alone = weigh(state, measurement, innovation, P[:m, :m].copy(), stated, density, c, update)
-    to_erring(x, P, source, whole, 1.0, c)
-    innovation, R = _innovation(z, x), white(whole, source, c)
+    R, used, alone = weigh(
+        state, measurement, innovation, P[:m, :m].copy(), stated, coarse, density, c, update
+    )
     _whiten(state, innovation, P, R, update)
     if not used:
         return
+    if coarse and is_correlated(state, source, c):
+        share = surprise(update.nis, m)
+        doubt_offset(state, P, source, share * (np.diag(P)[:YAW] + np.diag(R)[:YAW]), c)
     R = inflated(innovation, P[:m, :m], R, c.gate_limits[m])
     R *= min(known, shared_error(P[:m, :m], R))
     count_fix(state, source, alone, R, c)
-    kept = FIX_DELAY if has_velocity_errors(c) and starts(state, c) else -1
-    ekf.correct_keeping(x, P, innovation, (np.eye(m, x.size), R), kept)
-    to_erring(x, P, source, whole, -1.0, c)
-    if fault == IS_OFFSET:
+    ekf.correct_keeping(x, P, innovation, (np.eye(m, x.size), R), _not_taught(state, source, coarse, c))
+    if coarse or fault == IS_OFFSET:
         to_offset(x, P, source, -1.0, c)
+    if fault == IS_OFFSET:
         update.outcome = _GATED
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
     to_sensor(x, P, state.attitude.level, source, -1.0, c)
     state.mean[: c.size], state.covariance[:] = x, P
+
+
+@compiled
+def _not_taught(state: Any, source: int, coarse: bool, c: Any) -> int:
+    """State that a fix leaves as it is; −1: none."""
+    if coarse and is_correlated(state, source, c):
+        return GYRO_BIAS
+    return FIX_DELAY if has_velocity_errors(c) and starts(state, c) else -1
 
 
 @compiled
@@ -103,18 +126,24 @@ def weigh(
     innovation: FloatArray,
     predicted: FloatArray,
     stated: FloatArray,
+    coarse: bool,
     density_of_outlier: float,
     c: Any,
     update: Any,
 ) -> tuple[FloatArray, bool, bool]:
     """R (m, m) of a measurement, whether it is used, and whether it counts alone; fills in ``update``.
 
-    ``predicted``, ``stated``: covariance of the prediction, and R as its source states it, (m, m).
+    ``predicted``, ``stated``: covariance of the prediction, and R as its source states it, (m, m). ``coarse``:
+    its noise is what the masses of its receiver have.
     """
     source, m, a = measurement.source, innovation.size, state.adaptation
     limit, share, fault = c.gate_limits[m], state.outlier_share[source], state.fault[source]
-    evidence = math.log(1.0 - share) + density_of_fix(a, source, innovation, predicted, stated, c)
-    L = root(predicted + a.fix_factors[source] * stated)
+    R = _white_part(state, source, stated, c) if coarse else a.fix_factors[source] * stated
+    L = root(predicted + R)
+    density = density_of_one(L, innovation)
+    if not coarse:
+        density = density_of_fix(a, source, innovation, predicted, stated, c)
+    evidence = math.log(1.0 - share) + density
     update.dof, update.gate = m, limit
     update.nis, update.log_determinant = weighted_square(L, innovation), log_determinant(L)
     alone = not stands_still(state, source, c) or update.nis > limit
@@ -124,15 +153,25 @@ def weigh(
     state.outlier_share[source] += _SHARE_MEMORY * (shown - share)
     if is_outlier:
         update.evidence, update.outcome = outside, _GATED
-        return a.fix_factors[source] * stated, False, alone
-    if has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit and alone:
+        return R, False, alone
+    if not coarse and has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit and alone:
         learn_from_fix(a, source, innovation, predicted, stated, c)
-        if lasts(source, c) or c.repeat_times[source] > 0.0:  # that it is followed well shows nothing
+        if c.repeat_times[source] > 0.0:  # that it is followed well shows nothing
             a.fix_factors[source] = max(a.fix_factors[source], 1.0)
+        R = a.fix_factors[source] * stated
     update.evidence = evidence
     if update.nis <= limit:
         state.consistent_ns[source] = measurement.stamp_ns
-    return a.fix_factors[source] * stated, True, alone
+    return R, True, alone
+
+
+@compiled
+def _white_part(state: Any, source: int, stated: FloatArray, c: Any) -> FloatArray:
+    """R of a coarse fix without its offset."""
+    R, share = stated.copy(), math.sqrt(state.offsets[number_of(source, c)].f)
+    R[:YAW] *= share
+    R[:, :YAW] *= share
+    return R
 
 
 @compiled

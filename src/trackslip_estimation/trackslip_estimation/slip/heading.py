@@ -47,7 +47,7 @@ def use_heading(state: Any, measurement: Any, c: Any, update: Any) -> None:
         to_offset(x, P, source, 1.0, c)
     innovation = np.array((wrap(z[0] - x[YAW]),))
     predicted = P[YAW : YAW + 1, YAW : YAW + 1].copy()
-    R, used, _ = weigh(state, measurement, innovation, predicted, stated, _LOG_UNIFORM, c, update)
+    R, used, _ = weigh(state, measurement, innovation, predicted, stated, False, _LOG_UNIFORM, c, update)
     if fault == IS_SCATTERING:
         update.evidence, update.outcome = _LOG_UNIFORM, _GATED
     if not used or fault == IS_SCATTERING:

@@ -19,7 +19,7 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.process import process
 from trackslip_estimation.slip.records import EVENT, HISTORY, MEASUREMENT, RESULT, SPROCKETS
-from trackslip_estimation.slip.window import SPARE, Records, Window, enlarged, keep_tail, make_window
+from trackslip_estimation.slip.window import SPARE, Records, Window, copy_first, enlarged, keep_tail, make_window
 
 _BLOCK = 256  # entries: their states and updates, 3 MB, stay near the processor
 _NO_ARRIVALS, _NO_RESULTS = np.empty(0, MEASUREMENT), np.empty(0, RESULT)
@@ -156,8 +156,7 @@ def _begin(start: Window, entries: int) -> Window:
     script = start.script if start.status["scripted"][0] else None
     window = make_window(entries + 1 + SPARE, script)
     window.status["played"] = window.status["begun"] = start.status["played"]
-    window.measurements[0], window.counts[0] = start.measurements[0], start.counts[0]
-    window.states[:, 0], window.branches[:, 0] = start.states[:, 0], start.branches[:, 0]
+    copy_first(window, start)
     window.status["started"], window.status["count"], window.status["known"] = True, 1, 1
     return window
 

@@ -5,15 +5,9 @@
 The first gyro's bias is that of the model, which what it learned keeps. Every further one has its own: while
 its readings are used, the two change places in the state.
 
-What lasts of a fix, with ``correlation_time`` τ, is its error of east and of north over what it states:
-
-    z = p + √(λ R_xx) e_x, √(λ R_yy) e_y + white noise of (1 − λ) R
-    e    first-order Gauss–Markov, of variance 1 and time τ     (2,), 1
-    λ    share of the variance R that lasts                     1
-
-Fixes ten times a second then tell of the motion between them what they do, and of the place no more than one
-fix. When the standard deviation becomes another by more than ``_OTHER_QUALITY`` (ambiguities fixed, floating,
-code alone), so does the error: e begins anew.
+The offset of a source of poses, or of headings, is what its measurements err by for a while. That of a
+coarse receiver is there always: b of ``correlated_errors``, whose prior variance g R follows what the masses
+find. That of any other source is zero until an event opens it.
 """
 
 import math
@@ -23,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.correlated_errors import PRECISE, is_coarse, same_quality
 from trackslip_estimation.slip.levers import add
-from trackslip_estimation.slip.models.model import GYRO_BIAS, YAW, X, Y
+from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, YAW, X, Y
 
 FloatArray = NDArray[np.float64]
 
-LASTING = 0.6  # λ: no receiver states it; from half to nearly all of it
-_OTHER_QUALITY = 3.0
+SURPRISED = 4.0  # variance of an offset at the most by fixes that surprise, over its prior
 
 
 @compiled
@@ -51,61 +45,147 @@ def _exchange(x: FloatArray, P: FloatArray, own: int) -> None:
 
 
 @compiled
-def lasts(source: int, c: Any) -> bool:
-    """Whether a part of each fix's error is that of the one before."""
-    own = c.own_errors[source]
-    return bool(own >= 0 and c.error_times[own] > 0.0)
+def number_of(source: int, c: Any) -> int:
+    """Number of a source among those of poses; −1: it is none."""
+    own = c.offsets[source]
+    return -1 if own < 0 or c.compass[source] == 1 else (own - SENSOR_ERRORS) // 2
 
 
 @compiled
-def meet_quality(state: Any, update: Any, source: int, R: FloatArray, c: Any) -> None:
-    """Where a fix of covariance R is of another quality than the one before, e begins anew."""
-    stddev, before = math.sqrt((R[X, X] + R[Y, Y]) / 2.0), state.fix_stddevs[source]
-    state.fix_stddevs[source] = stddev
-    if before > 0.0 and max(stddev / before, before / stddev) > _OTHER_QUALITY:
-        own = c.own_errors[source]
-        update.renewed |= 3 << own
-        _renew(state.mean, state.covariance, own)
-        _renew(update.prior_mean, update.prior_covariance, own)
+def is_correlated(state: Any, source: int, c: Any) -> bool:
+    """Whether the fixes of a source err more to one side than at random."""
+    number = number_of(source, c)
+    if number < 0:
+        return False
+    offset = state.offsets[number]
+    return bool(offset.variance > 0.0 and offset.g > offset.f)
 
 
 @compiled
-def _renew(x: FloatArray, P: FloatArray, own: int) -> None:
+def meet_fix_error(state: Any, update: Any, source: int, R: FloatArray, is_open: bool, c: Any) -> bool:
+    """The offset of a source as its next fix, of covariance R, finds it; whether that has one by itself.
+
+    When the standard deviation becomes another (ambiguities fixed, floating, code alone), so does the offset.
+    Else its prior variance goes to what the masses have now. One that an event opened stays as it is.
+    """
+    offset, own, stddev = state.offsets[number_of(source, c)], c.offsets[source], spread_of(R)
+    coarse, wanted = is_coarse(R), offset.g * stddev * stddev
+    if is_open:
+        offset.stddev = stddev
+        return coarse
+    if not coarse or offset.variance == 0.0 or not same_quality(stddev, offset.stddev):
+        if coarse or offset.variance > 0.0:
+            offset.variance = wanted if coarse else 0.0
+            update.renewed |= 3 << own
+            _renew(state.mean, state.covariance, own, offset.variance)
+            _renew(update.prior_mean, update.prior_covariance, own, offset.variance)
+    else:
+        for i in (own, own + 1):
+            _exchange_prior(state.mean, state.covariance, i, offset.variance, wanted)
+        offset.variance = wanted
+    offset.stddev = stddev
+    return coarse
+
+
+@compiled
+def spread_of(R: FloatArray) -> float:
+    """Standard deviation of a place of covariance R, by axis, m."""
+    return math.sqrt((R[X, X] + R[Y, Y]) / 2.0)
+
+
+@compiled
+def _renew(x: FloatArray, P: FloatArray, own: int, variance: float) -> None:
     for i in (own, own + 1):
         x[i] = 0.0
         for j in range(x.size):
             P[i, j] = P[j, i] = 0.0
-        P[i, i] = 1.0
+        P[i, i] = variance
 
 
 @compiled
-def to_erring(x: FloatArray, P: FloatArray, source: int, R: FloatArray, sign: float, c: Any) -> None:
-    """The state with the place that a fix of covariance R shows but for its noise, for the place; or back."""
-    if not lasts(source, c):
+def _exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: float) -> None:
+    """x and P as if the variance of state k had been ``now`` a priori and not ``before``.
+
+    A measurement of zero with the variance 1/(1/now − 1/before), which is negative where the prior widens.
+    """
+    more = 1.0 / now - 1.0 / before
+    if abs(more) * before < 1e-6:
         return
-    own = c.own_errors[source]
+    S = P[k, k] + 1.0 / more
+    if more < 0.0 and S > -1e-3 * before:  # nothing is left of the prior to take away
+        return
+    shared, mean = P[k, :].copy(), x[k]
+    for i in range(x.size):
+        x[i] -= shared[i] / S * mean
+        for j in range(x.size):
+            P[i, j] -= shared[i] * shared[j] / S
+
+
+@compiled
+def offset_left(state: Any, number: int, dt: float) -> float:
+    """Share of an offset that is left after dt."""
+    offset = state.offsets[number]
+    return math.exp(-dt / offset.time) if offset.variance > 0.0 else 1.0
+
+
+@compiled
+def pass_offsets(state: Any, dt: float, c: Any) -> None:
+    """Offsets of coarse receivers dt later."""
+    x, P = state.mean, state.covariance
+    for number in range(c.poses):
+        variance = state.offsets[number].variance
+        if variance == 0.0:
+            continue
+        left = offset_left(state, number, dt)
+        for k in (SENSOR_ERRORS + 2 * number, SENSOR_ERRORS + 2 * number + 1):
+            x[k] *= left
+            for j in range(x.size):
+                P[k, j] *= left
+            for j in range(x.size):
+                P[j, k] *= left
+            P[k, k] += (1.0 - left * left) * variance
+
+
+@compiled
+def fade_offsets(F: FloatArray, state: Any, dt: float, c: Any) -> None:
+    """The transition F (n, n) of a step, with what is left of offsets after it."""
+    for number in range(c.poses):
+        for k in (SENSOR_ERRORS + 2 * number, SENSOR_ERRORS + 2 * number + 1):
+            F[k, k] *= offset_left(state, number, dt)
+
+
+@compiled
+def doubt_offset(state: Any, P: FloatArray, source: int, more: FloatArray, c: Any) -> None:
+    """P, with the place that the source shows, where its offset is by ``more`` (2,), m², more uncertain."""
+    own, most = c.offsets[source], SURPRISED * state.offsets[number_of(source, c)].variance
     for axis in (X, Y):
-        stddev = sign * math.sqrt(LASTING * R[axis, axis])
-        x[axis] += stddev * x[own + axis]
-        add(P, axis, own + axis, stddev)
+        k = own + axis
+        added = max(min(more[axis], most - P[k, k]), 0.0)
+        P[axis, axis] += added
+        P[axis, k] += added
+        P[k, axis] += added
+        P[k, k] += added
 
 
 @compiled
-def white(R: FloatArray, source: int, c: Any) -> FloatArray:
-    """R of a fix without what lasts of it."""
-    left = R.copy()
-    if lasts(source, c):
-        left[: Y + 1] *= math.sqrt(1.0 - LASTING)
-        left[:, : Y + 1] *= math.sqrt(1.0 - LASTING)
-    return left
+def usual_variance(state: Any, source: int, c: Any) -> float:
+    """Prior variance of the offset of a source that an event ends; it is that of its receiver again."""
+    offset = state.offsets[number_of(source, c)]
+    return float(offset.g * offset.stddev**2) if offset.stddev > PRECISE else 0.0
 
 
 @compiled
-def begin_erring(x: FloatArray, P: FloatArray, source: int, c: Any) -> None:
-    """x and P at the start, of which the place is that of a fix: what lasts of its error is in both."""
+def begin_offset(state: Any, source: int, c: Any) -> None:
+    """The state at the start, whose place is that of a coarse fix: its error is in both."""
+    x, P, offset = state.mean, state.covariance, state.offsets[number_of(source, c)]
     R = P[: Y + 1, : Y + 1].copy()
-    P[: Y + 1, : Y + 1] = white(R, source, c)
-    to_erring(x[:], P[:], source, R, -1.0, c)
+    if not is_coarse(R):
+        return
+    offset.stddev = spread_of(R)
+    offset.variance = offset.g * offset.stddev**2
+    _renew(x, P, c.offsets[source], offset.variance)
+    P[: Y + 1, : Y + 1] = offset.f * R
+    to_offset(x, P, source, -1.0, c)
 
 
 @compiled

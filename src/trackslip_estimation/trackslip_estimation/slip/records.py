@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.attitude.records import ATTITUDE
 from trackslip_estimation.slip.adaptation import FIX_FACTORS, RATE_FACTORS, TRACK_ERRORS
+from trackslip_estimation.slip.correlated_errors import MOST_RECEIVERS
 from trackslip_estimation.slip.measurements import (
     SET_POSE,
     HeadingFix,
@@ -117,6 +118,17 @@ STAND = np.dtype(  # of a machine, to a source: fixes from there, and the angle 
     [("count", np.int64), ("swing", np.float64)], align=True
 )
 
+OFFSET = np.dtype(  # of a source of poses, as ``correlated_errors`` has it
+    [
+        ("f", np.float64),
+        ("g", np.float64),
+        ("time", np.float64),  # τ, s
+        ("variance", np.float64),  # a priori of each of its two states, m²; 0: it has none, or an event
+        ("stddev", np.float64),  # that the source's last fix stated, m
+    ],
+    align=True,
+)
+
 STATE = np.dtype(
     [
         ("stamp_ns", np.int64),
@@ -131,7 +143,8 @@ STATE = np.dtype(
         ("consistent_ns", np.int64, (MOST_SOURCES,)),  # when each source was last inside its plain gate
         ("refused_ns", np.int64, (MOST_SOURCES,)),  # for how long it has insisted since, its silences apart
         ("heard_ns", np.int64, (MOST_SOURCES,)),  # stamp of its last measurement; of poses never
-        ("fix_stddevs", np.float64, (MOST_SOURCES,)),  # of the last fix used, where its error lasts, m
+        ("offsets", OFFSET, (MOST_RECEIVERS,)),  # of sources of poses
+        ("way", np.float64, (2,)),  # by which the place went as it was predicted, since the start, m
         ("stands", STAND, (MOST_SOURCES,)),
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground
         ("adaptation", ADAPTATION),
@@ -165,6 +178,8 @@ UPDATE = np.dtype(
         ("log_determinant", np.float64),  # ln |S|
         ("evidence", np.float64),  # ln of the density of the measurement, where branches are weighed by it
         ("whitened", np.float64, (2,)),  # innovation of a fix along and across, over its standard deviation
+        ("coarse", np.float64),  # standard deviation that a coarse fix states, m; 0: it is none
+        ("shown", np.float64, (2,)),  # place of base_link by a coarse fix, m
         ("repeated", np.int64),  # 0 or 1: the fix is bit for bit the one before
         ("opened", np.int64),  # last ``events.Event`` that opened states since the state before
         ("attitude", np.int64),  # ``AttitudeRefusal`` of an IMU or a fix; 0: used, or not wanted

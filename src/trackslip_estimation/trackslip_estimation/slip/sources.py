@@ -77,12 +77,6 @@ class PoseSource(Mounted):
         le=10.0,
     )
 
-    correlation_time: float = parameter(
-        "for which a part of its error lasts, which is estimated; 0: each fix has its own",
-        unit="s",
-        ge=0.0,
-        le=600.0,
-    )
     fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
     jump_rate: float = parameter(_JUMP_RATE, unit="1/s", gt=0.0, le=1.0)
     standing_share: float = parameter(
@@ -90,11 +84,6 @@ class PoseSource(Mounted):
         ge=0.0,
         lt=1.0,
     )
-
-    @property
-    def lasts(self) -> bool:
-        """Whether a part of each fix's error is that of the one before."""
-        return self.correlation_time > 0.0
 
     @property
     def lever(self) -> tuple[float, float, float]:

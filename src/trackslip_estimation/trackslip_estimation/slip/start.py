@@ -8,7 +8,7 @@ from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import inlined
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
-from trackslip_estimation.slip.bank import begin_row, play_script, split_unknown_heading
+from trackslip_estimation.slip.bank import begin_row, meet_first_fix, play_script, split_unknown_heading
 from trackslip_estimation.slip.events import IS_SOUND
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
@@ -16,7 +16,7 @@ from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import reset_motion
 from trackslip_estimation.slip.observation import raise_to_floors
 from trackslip_estimation.slip.odometry import begin_odometry
-from trackslip_estimation.slip.own_errors import begin_erring
+from trackslip_estimation.slip.own_errors import begin_offset
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCKETS
 from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.usable import has_heading
@@ -51,9 +51,10 @@ def begin(window: Window, measurement: Any, c: Any) -> int:
             remember(state, measurements[k], c)
     status.known = 0
     drop(window, entry)
+    begin_row(window, 0, c)
     _set_start(window.states[0, 0], measurements[0], c)
+    meet_first_fix(window, c)
     window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
-    begin_row(window, 0)
     if status.scripted:
         play_script(window, 0, 1, c)
     else:
@@ -67,6 +68,8 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     """The state at the start; a heading that a fix does not have is that of the parameters."""
     x, P, stamp_ns = state.mean[:], state.covariance[:], measurement.stamp_ns
     forget_attitude(state.attitude)
+    for number in range(c.poses):
+        state.offsets[number].variance = state.offsets[number].stddev = 0.0
     x[:] = c.prior_mean
     P[:] = c.prior_covariance
     x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance
@@ -78,7 +81,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
         x[:rows], P[:rows, :rows] = measurement.value[:rows], measurement.noise[:rows, :rows]
         if source != MANUAL:
             raise_to_floors(P, rows, source, c)
-            begin_erring(x, P, source, c)
+            begin_offset(state, source, c)
             if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
                 x[YAW] += x[SWING]
                 P[YAW, YAW] += P[SWING, SWING]
@@ -97,7 +100,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
-    state.ran = state.down = state.fix_stddevs[:] = 0.0
+    state.ran = state.down = state.way[:] = 0.0
     state.is_sector = False
     state.fault_ns[:] = stamp_ns
     state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, _OUTLIER_SHARE, 0.0

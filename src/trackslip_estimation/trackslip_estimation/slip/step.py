@@ -44,7 +44,7 @@ from trackslip_estimation.slip.models.slope import meet_direction
 from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import reset_motion, update_motion
 from trackslip_estimation.slip.odometry import follow_motion, use_odometry
-from trackslip_estimation.slip.own_errors import exchange_bias
+from trackslip_estimation.slip.own_errors import exchange_bias, pass_offsets
 from trackslip_estimation.slip.records import (
     HEADING,
     MANUAL,
@@ -72,6 +72,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
     update.attitude, update.evidence, update.repeated, update.whitened[:] = 0, 0.0, 0, 0.0
+    update.coarse = 0.0
     update.nis = update.gate = update.log_determinant = np.nan
     update.prior_mean, update.prior_covariance = state.mean, state.covariance
     if measurement.kind == POSE:
@@ -220,6 +221,8 @@ def propagate(state: Any, dt: float, c: Any) -> None:
         squared = (moved[X] - x[X]) ** 2 + (moved[Y] - x[Y]) ** 2
         P[X, X] += 2.0 * squared
         P[Y, Y] += 2.0 * squared
+    state.way[X] += moved[X] - x[X]
+    state.way[Y] += moved[Y] - x[Y]
     if has_velocity_errors(c):
         build_up(state, dt, c)
     if not c.sigma_points:
@@ -227,6 +230,7 @@ def propagate(state: Any, dt: float, c: Any) -> None:
         if c.swings:
             shear(P, F)
         ekf.propagate_covariance(P, F, Q, COUPLED)
+        pass_offsets(state, dt, c)
         return
     own = P[: x.size, : x.size].copy()
     points, weights = daf.sigma_points(x, own, c.kappa, c.active)
@@ -235,6 +239,7 @@ def propagate(state: Any, dt: float, c: Any) -> None:
     mean, departures, weights = daf.moments(points, weights, YAW)
     x[:] = mean
     P[: x.size, : x.size] = daf.spread_covariance(departures, weights) + Q
+    pass_offsets(state, dt, c)
 
 
 @compiled

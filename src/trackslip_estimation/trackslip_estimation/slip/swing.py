@@ -34,7 +34,7 @@ def use_swing(state: Any, measurement: Any, c: Any, update: Any) -> None:
     z, stated = observed(measurement, state, c)
     x, P = state.mean[: c.size].copy(), state.covariance.copy()
     innovation, predicted = np.array((wrap(z[0] - x[SWING]),)), P[SWING:SWING_RATE, SWING:SWING_RATE].copy()
-    R, used, _ = weigh(state, measurement, innovation, predicted, stated, _LOG_UNIFORM, c, update)
+    R, used, _ = weigh(state, measurement, innovation, predicted, stated, False, _LOG_UNIFORM, c, update)
     if state.fault[source] == IS_SCATTERING:
         update.evidence, update.outcome = _LOG_UNIFORM, _GATED
     if not used or state.fault[source] == IS_SCATTERING:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import CLOCK, NEVER_NS
 from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.correlated_errors import MASSES, MOST_RECEIVERS, RECEIVER
 from trackslip_estimation.slip.records import BRANCH, ESTIMATE, EVENT, MEASUREMENT, SPROCKETS, STATE, UPDATE
 
 Records = NDArray[np.void]
@@ -53,6 +54,8 @@ class Window(NamedTuple):
     pool_states: Records  # (POOL,) branches with children while they are weighed
     pool_branches: Records
     pool_updates: Records
+    receivers: Records  # (capacity, MOST_RECEIVERS) of ``RECEIVER``: what is known of the errors of fixes
+    masses: Records  # (capacity, MOST_RECEIVERS) of ``MASSES``; of receivers that gave coarse fixes
     other: Records  # (1,) of ``ESTIMATE``, of one branch while a mixture is made
     script: Records  # (n,) of ``EVENT``
 
@@ -81,6 +84,8 @@ def make_window(capacity: int, script: Records | None = None) -> Window:
         np.zeros(POOL, STATE),
         np.zeros(POOL, BRANCH),
         np.zeros(POOL, UPDATE),
+        np.zeros((capacity, MOST_RECEIVERS), RECEIVER),
+        np.zeros((capacity, MOST_RECEIVERS), MASSES),
         np.zeros(1, ESTIMATE),
         np.zeros(0, EVENT) if script is None else script,
     )
@@ -100,7 +105,26 @@ def enlarged(window: Window) -> Window:
     rows = int(window.counts[:count].max(initial=1))  # memory of the others was never touched
     larger.states[:rows, :count] = window.states[:rows, :count]
     larger.branches[:rows, :count] = window.branches[:rows, :count]
+    larger.receivers[:count] = window.receivers[:count]
+    coarse = window.receivers["known"][:count].any(axis=0)
+    larger.masses[:count, coarse] = window.masses[:count, coarse]
     return larger
+
+
+def copy_first(window: Window, other: Window) -> None:
+    """The first entry of ``other``, with all that the next row is made from, becomes that of a window."""
+    window.measurements[0], window.counts[0] = other.measurements[0], other.counts[0]
+    window.states[:, 0], window.branches[:, 0] = other.states[:, 0], other.branches[:, 0]
+    window.receivers[0], window.masses[0] = other.receivers[0], other.masses[0]
+
+
+@compiled
+def copy_receivers(window: Window, k: int, before: int) -> None:
+    """Those of entry k become those of the entry ``before``."""
+    for n in range(MOST_RECEIVERS):
+        window.receivers[k, n] = window.receivers[before, n]
+        if window.receivers[k, n].known != 0:
+            window.masses[k, n] = window.masses[before, n]
 
 
 @compiled
@@ -172,6 +196,7 @@ def drop(window: Window, entries: int) -> None:
         window.measurements[i] = window.measurements[i + entries]
     for i in range(min(count, status.known - entries)):
         window.updates[i], window.counts[i] = window.updates[i + entries], window.counts[i + entries]
+        copy_receivers(window, i, i + entries)
         for s in range(window.counts[i]):
             window.states[s, i] = window.states[s, i + entries]
             window.branches[s, i] = window.branches[s, i + entries]

@@ -26,7 +26,8 @@ from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.process import fill_estimate
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS
-from trackslip_estimation.slip.window import Records, Window, make_window
+from trackslip_estimation.slip.own_errors import fade_offsets
+from trackslip_estimation.slip.window import Records, Window, copy_first, make_window
 
 
 class Smoothed(NamedTuple):
@@ -73,8 +74,7 @@ def _first_row(window: Window) -> Window:
     """A window of the first entry only."""
     first = make_window(2, window.script)
     first.status["played"] = window.status["begun"]
-    first.measurements[0], first.counts[0] = window.measurements[0], window.counts[0]
-    first.states[:, 0], first.branches[:, 0] = window.states[:, 0], window.branches[:, 0]
+    copy_first(first, window)
     return first
 
 
@@ -107,6 +107,7 @@ def _smooth_back(window: Window, last: int, config: Records) -> None:
         if update.follows:
             dt = (states[k].stamp_ns - before.stamp_ns) * 1e-9
             F = linearize(filtered[0], filtered[1], states[k], dt, c)[1]
+            fade_offsets(F, states[k], dt, c)
             for i in range(n):
                 if update.renewed >> i & 1:
                     F[i] = 0.0

@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far, and for how long, a receiver's fixes err to one side: found from fixes and the way driven; compiled.
+
+    z = p + b + n   a fix: place, offset, white noise                              (2,) m
+    R               variance that the receiver states                              m²
+    b               first-order Gauss–Markov process, variance g R, time τ         (2,) m
+    n               white, variance f R
+    r               fixes beyond the way that the estimator predicts, since the first fix   (2,) m
+    c, ċ            error of that way, and its rate                                (2,) m, m/s
+    w               ln of the weight of a point mass
+
+f, g and τ are found by point masses. Each has a small Kalman filter of r = b + c + n, and is weighed by its
+innovations under Student's t; fixes that are correlated are explained best by the mass that knows how. Some
+masses have g = 0: the errors are white. One record belongs to a source, not to a branch of the bank: the way
+is that of the most probable branch.
+
+``gnss`` fixes that state less than ``PRECISE`` are taken as they are: an offset of theirs is an event.
+
+Source: Gelb, Applied Optimal Estimation (1974), 4.5 (shaping filters); Magill (1965), multiple models.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
+
+FloatArray = NDArray[np.float64]
+
+PRECISE = 0.2  # m, standard deviation that a fix states, below which its error is white
+MOST_RECEIVERS = MOST_SENSOR_ERRORS // 2  # sources of poses, each with an offset of two states
+QUALITIES = 2  # of coarse fixes: ambiguities float, or code alone
+_FLOATING = 0.6  # m, standard deviation of the worse of those that float
+_OTHER_QUALITY = 2.0  # ratio of two standard deviations that are not of one quality
+
+_WHITE_F = np.exp(0.35 * (np.arange(13) - 2 + np.maximum(np.arange(13) - 8, 0)))
+_F, _G, _TIMES = (0.01, 0.1, 0.4, 1.0, 3.0), (0.3, 1.0, 3.0, 10.0, 30.0), (10.0, 30.0, 100.0)
+_WHITES = _WHITE_F.size
+_GRID = np.array([(f, g, time) for f in _F for g in _G for time in _TIMES])
+F = np.concatenate((_WHITE_F, _GRID[:, 0]))  # f of each mass
+G = np.concatenate((np.zeros(_WHITES), _GRID[:, 1]))  # g
+TIMES = np.concatenate((np.ones(_WHITES), _GRID[:, 2]))  # τ, s
+COUNT = F.size
+LOG_PRIOR = np.concatenate(
+    (
+        -1.0 - np.square(np.log(_WHITE_F) / 0.5) / 2.0,
+        -np.square(np.log(_GRID[:, 1] / 4.0) / 1.2) / 2.0 - math.log(2.0 * len(_F) * len(_TIMES)),
+    )
+)
+
+_LEAST_G = 1e-3
+_LONGEST = 30.0  # s: τ in the filter is no longer; what errs for longer is a part of the place
+_HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``adaptation``
+_GATE = 13.8  # NIS
+_MEMORY = 0.998  # of w, from one fix to the next
+_INTERVAL = 2.0  # s between fixes that masses learn from, once errors are correlated
+_UNKNOWN_WAY = 1e4  # variance of c at first, over R
+_WAY_ERROR, _WAY_RATE = 0.02, 0.005  # of the way driven, √s; m/s: by which c walks
+_DIRECTION = 0.02  # rad, by which the way errs beyond heading and slip
+_DIRECTION_TIME = 30.0  # s, for which it does
+MOST_SPREAD = 0.1  # variance of heading, or slip, that counts
+_NEGLIGIBLE = -6.0  # w below the best
+
+RECEIVER = np.dtype(  # what is known of the errors of a source's fixes
+    [
+        ("known", np.int64),  # 0: it gave no coarse fix yet; 1; 2: precise ones came since
+        ("quality", np.int64),
+        ("stddev", np.float64),  # that the last coarse fix stated, m
+        ("f", np.float64),
+        ("g", np.float64),
+        ("time", np.float64),  # τ, s
+        ("white", np.float64),  # probability that errors are white
+        ("elapsed", np.float64),  # s since masses learned last
+        ("driven", np.float64),  # m since then
+        ("way", np.float64, (2,)),  # as predicted since the last fix, m
+        ("last", np.float64, (2,)),  # place that it showed, m
+        ("last_ns", np.int64),
+        ("beyond", np.float64, (2,)),  # r
+    ],
+    align=True,
+)
+MASSES = np.dtype(
+    [
+        ("weights", np.float64, (QUALITIES, COUNT)),  # w
+        ("means", np.float64, (COUNT, 3, 2)),  # b, c, ċ by axis
+        ("covariances", np.float64, (COUNT, 6)),  # bb, bc, bċ, cc, cċ, ċċ; the same for both axes
+    ],
+    align=True,
+)
+
+
+@compiled
+def is_coarse(R: FloatArray) -> bool:
+    """Whether a fix of covariance R states so much that its error may last."""
+    return bool((R[0, 0] + R[1, 1]) / 2.0 > PRECISE * PRECISE)
+
+
+@compiled
+def same_quality(stddev: float, other: float) -> bool:
+    """Whether two standard deviations are those of one solution of a receiver."""
+    return max(stddev, other) <= _OTHER_QUALITY * min(stddev, other)
+
+
+@compiled
+def forget_receiver(s: Any) -> None:
+    """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
+    s.known, s.quality, s.stddev, s.elapsed, s.driven = 0, 0, 0.0, 0.0, 0.0
+    s.way[:] = s.beyond[:] = s.last[:] = 0.0
+    s.last_ns = 0
+    _set_means(s, LOG_PRIOR)
+
+
+@compiled
+def meet_fix(
+    s: Any, masses: Any, shown: FloatArray, stddev: float, spread: float, stamp_ns: int
+) -> None:
+    """One more coarse fix teaches the masses of its source.
+
+    ``shown``: place that it shows (2,), m; ``spread``: variance of the way's direction and length.
+    """
+    quality = 0 if stddev < _FLOATING else 1
+    begins, other = s.known != 1, not same_quality(stddev, s.stddev) if s.known > 0 else False
+    if s.known == 0:
+        for q in range(QUALITIES):
+            masses.weights[q] = LOG_PRIOR
+    if begins:
+        _begin_means(masses, stddev * stddev)
+        s.beyond[:] = s.elapsed = s.driven = 0.0
+    else:
+        for axis in range(2):
+            s.beyond[axis] += shown[axis] - s.last[axis] - s.way[axis]
+        s.elapsed += max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
+    s.known, s.quality, s.stddev, s.last_ns = 1, quality, stddev, stamp_ns
+    s.way[:] = 0.0
+    for axis in range(2):
+        s.last[axis] = shown[axis]
+    if other:
+        _renew_offsets(masses, stddev * stddev)
+    if begins:
+        _set_means(s, masses.weights[quality])
+    elif s.elapsed >= (_INTERVAL if s.white < 0.5 else 0.0):
+        _learn(s, masses, stddev * stddev, spread)
+        s.elapsed = s.driven = 0.0
+
+
+@compiled
+def _begin_means(masses: Any, R: float) -> None:
+    """Offsets as they are a priori; of the way's error nothing is known."""
+    for k in range(COUNT):
+        masses.means[k, :, :] = 0.0
+        masses.covariances[k, :] = 0.0
+        masses.covariances[k, 0], masses.covariances[k, 3] = G[k] * R, _UNKNOWN_WAY * R
+
+
+@compiled
+def _renew_offsets(masses: Any, R: float) -> None:
+    """The receiver found its position anew: the offset is another one."""
+    for k in range(COUNT):
+        masses.means[k, 0, :] = 0.0
+        masses.covariances[k, 0] = G[k] * R
+        masses.covariances[k, 1] = masses.covariances[k, 2] = 0.0
+
+
+@compiled
+def _learn(s: Any, masses: Any, R: float, spread: float) -> None:
+    """All masses predict r, are weighed by it and corrected."""
+    dt, squared = s.elapsed, (s.driven / s.elapsed) ** 2
+    walk = dt * (squared * _WAY_ERROR**2 + _WAY_RATE**2)
+    kept, turned = math.exp(-dt / _DIRECTION_TIME), squared * (spread + _DIRECTION**2)
+    w = masses.weights[s.quality]
+    for k in range(COUNT):
+        x, P, rho = masses.means[k], masses.covariances[k], 0.0
+        if G[k] > 0.0:
+            rho = math.exp(-dt / TIMES[k])
+        bb = rho * rho * P[0] + (1.0 - rho * rho) * G[k] * R
+        bc, bd = rho * (P[1] + dt * P[2]), rho * kept * P[2]
+        cc = P[3] + 2.0 * dt * P[4] + dt * dt * P[5] + walk
+        cd, dd = kept * (P[4] + dt * P[5]), kept * kept * P[5] + (1.0 - kept * kept) * turned
+        S, squares = bb + 2.0 * bc + cc + F[k] * R, 0.0
+        for axis in range(2):
+            x[0, axis], x[1, axis] = rho * x[0, axis], x[1, axis] + dt * x[2, axis]
+            x[2, axis] *= kept
+            squares += (s.beyond[axis] - x[0, axis] - x[1, axis]) ** 2
+        nis = squares / S
+        likelihood = -math.log(S) - (_HEAVY + 2.0) / 2.0 * math.log(1.0 + _OF_GAUSSIAN * nis / _HEAVY)
+        w[k] = _MEMORY * w[k] + (1.0 - _MEMORY) * LOG_PRIOR[k] + likelihood
+        if nis > 2.0:
+            more = surprise(nis, 2) * S
+            S += more
+            bb += more if G[k] > 0.0 else 0.0
+        hb, hc, hd = bb + bc, bc + cc, bd + cd
+        for axis in range(2):
+            nu = s.beyond[axis] - x[0, axis] - x[1, axis]
+            x[0, axis] += hb / S * nu
+            x[1, axis] += hc / S * nu
+            x[2, axis] += hd / S * nu
+        P[0], P[1], P[2] = bb - hb * hb / S, bc - hb * hc / S, bd - hb * hd / S
+        P[3], P[4], P[5] = cc - hc * hc / S, cd - hc * hd / S, dd - hd * hd / S
+    w -= w.max()
+    _set_means(s, w)
+
+
+@compiled
+def surprise(nis: float, m: int) -> float:
+    """By what share S of an innovation (m,) grows, as Student's t of four degrees of freedom has it."""
+    return max((4.0 + nis) / (4.0 + m) - 1.0, 0.0)
+
+
+@compiled
+def _set_means(s: Any, w: FloatArray) -> None:
+    """f, g and τ as the weights have them; 1/τ is averaged with g, since g/τ drives b."""
+    best, total, f, g, driving, white = w.max(), 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(COUNT):
+        if w[k] - best > _NEGLIGIBLE:
+            mass = math.exp(w[k] - best)
+            total, f, g = total + mass, f + mass * F[k], g + mass * G[k]
+            driving += mass * G[k] / TIMES[k]
+            white += mass if k < _WHITES else 0.0
+    s.f, s.g, s.white = f / total, max(g / total, _LEAST_G), white / total
+    s.time = min(g / driving, _LONGEST) if driving > 0.0 else _LONGEST
