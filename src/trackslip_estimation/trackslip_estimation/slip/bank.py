@@ -139,7 +139,7 @@ def _take_errors(state: Any, receivers: Any, c: Any) -> None:
     """What is known of the errors of fixes, for the next step."""
     for n in range(c.poses):
         offset, of = state.offsets[n], receivers[n]
-        offset.f, offset.g, offset.time = of.f, of.g, of.time
+        offset.f, offset.g, offset.time, offset.observed = of.f, of.g, of.time, of.observed
 
 
 @compiled

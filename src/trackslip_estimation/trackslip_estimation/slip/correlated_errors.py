@@ -79,6 +79,7 @@ RECEIVER = np.dtype(  # what is known of the errors of a source's fixes
         ("way", np.float64, (2,)),  # as predicted since the last fix, m
         ("last", np.float64, (2,)),  # place that it showed, m
         ("last_ns", np.int64),
+        ("observed", np.float64),  # s, for which it gave coarse fixes
         ("beyond", np.float64, (2,)),  # r
     ],
     align=True,
@@ -110,7 +111,7 @@ def forget_receiver(s: Any) -> None:
     """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
     s.known, s.quality, s.stddev, s.elapsed, s.driven = 0, 0, 0.0, 0.0, 0.0
     s.way[:] = s.beyond[:] = s.last[:] = 0.0
-    s.last_ns = 0
+    s.last_ns, s.observed = 0, 0.0
     _set_means(s, LOG_PRIOR)
 
 
@@ -133,7 +134,9 @@ def meet_fix(
     else:
         for axis in range(2):
             s.beyond[axis] += shown[axis] - s.last[axis] - s.way[axis]
-        s.elapsed += max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
+        elapsed = max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
+        s.elapsed += elapsed
+        s.observed += min(elapsed, _LONGEST)
     s.known, s.quality, s.stddev, s.last_ns = 1, quality, stddev, stamp_ns
     s.way[:] = 0.0
     for axis in range(2):

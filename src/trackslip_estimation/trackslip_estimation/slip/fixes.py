@@ -37,6 +37,7 @@ from trackslip_estimation.slip.observation import observed
 from trackslip_estimation.slip.own_errors import (
     doubt_offset,
     is_correlated,
+    is_new,
     meet_fix_error,
     number_of,
     spread_of,
@@ -114,7 +115,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
 @compiled
 def _not_taught(state: Any, source: int, coarse: bool, c: Any) -> int:
     """State that a fix leaves as it is; −1: none."""
-    if coarse and is_correlated(state, source, c):
+    if coarse and is_new(state, source, c):
         return GYRO_BIAS
     return FIX_DELAY if has_velocity_errors(c) and starts(state, c) else -1
 

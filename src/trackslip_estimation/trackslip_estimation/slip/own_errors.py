@@ -23,6 +23,7 @@ from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, YAW
 
 FloatArray = NDArray[np.float64]
 
+OBSERVED = 3.0  # times τ, after which fixes of a coarse receiver may teach the bias of a gyro
 SURPRISED = 4.0  # variance of an offset at the most by fixes that surprise, over its prior
 
 
@@ -59,6 +60,13 @@ def is_correlated(state: Any, source: int, c: Any) -> bool:
         return False
     offset = state.offsets[number]
     return bool(offset.variance > 0.0 and offset.g > offset.f)
+
+
+@compiled
+def is_new(state: Any, source: int, c: Any) -> bool:
+    """Whether the fixes of a source err to one side, and were not observed for several times that long."""
+    offset = state.offsets[number_of(source, c)]
+    return is_correlated(state, source, c) and bool(offset.observed < OBSERVED * offset.time)
 
 
 @compiled

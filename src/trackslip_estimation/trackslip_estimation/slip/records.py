@@ -123,6 +123,7 @@ OFFSET = np.dtype(  # of a source of poses, as ``correlated_errors`` has it
         ("f", np.float64),
         ("g", np.float64),
         ("time", np.float64),  # τ, s
+        ("observed", np.float64),  # s, for which the source gave coarse fixes
         ("variance", np.float64),  # a priori of each of its two states, m²; 0: it has none, or an event
         ("stddev", np.float64),  # that the source's last fix stated, m
     ],
