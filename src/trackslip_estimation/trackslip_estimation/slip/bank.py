@@ -41,6 +41,7 @@ from trackslip_estimation.slip.events import (
     OUTLIER,
     REPEATS,
     SCATTERS,
+    SKIDDED,
     SLID,
     SLIPPED,
     SOUND,
@@ -158,12 +159,12 @@ def _follow_receivers(window: Window, k: int, c: Any) -> None:
             of.driven += math.hypot(way[X], way[Y])
         if n != number or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
             continue
-        if update.coarse > 0.0:
+        if update.coarse == 1:
             P = update.prior_covariance
             spread = min(P[YAW, YAW], MOST_SPREAD)
             if has_velocity_errors(c):
                 spread += min(P[COMMON_SLIP, COMMON_SLIP], MOST_SPREAD)
-            meet_fix(of, window.masses[k, n], update.shown, update.coarse, spread, m.stamp_ns)
+            meet_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns)
         elif of.known == 1:
             of.known = 2
 
@@ -206,15 +207,17 @@ def play_script(window: Window, k: int, after: int, c: Any) -> None:
         if e.stamp_ns != m.stamp_ns or e.kind != m.kind or e.of != m.source or e.after != after:
             return
         update.opened = e.event
-        update.renewed |= apply_event(state, e.event, e.source, e.part, e.angle, c)
+        update.renewed |= apply_event(state, e.event, e.source, e.part, e.value, c)
         status.played += 1
 
 
 @compiled
-def _remember(branch: Any, event: int, source: int, part: int, decides: Any, steps: Any, after: int) -> None:
+def _remember(
+    branch: Any, event: int, source: int, part: int, value: float, decides: Any, steps: Any, after: int
+) -> None:
     """One more event of a branch, which explains ``decides`` and opens states at the step to ``steps``."""
     e = branch.history[branch.events % HISTORY]
-    e.event, e.source, e.part, e.angle, e.decided_ns = event, source, part, decides.value[0], decides.stamp_ns
+    e.event, e.source, e.part, e.value, e.decided_ns = event, source, part, value, decides.stamp_ns
     e.stamp_ns, e.kind, e.of, e.after = steps.stamp_ns, steps.kind, steps.source, after
     branch.events += 1
 
@@ -258,7 +261,7 @@ def _take_sector(window: Window, h: int, part: int, k: int, c: Any) -> None:
     apply_event(state, TURNED, source, part, 0.0, c)
     branch.weight -= math.log(HEADINGS)
     branch.fresh = 1
-    _remember(branch, TURNED, source, part, measurement, measurement, 1)
+    _remember(branch, TURNED, source, part, 0.0, measurement, measurement, 1)
 
 
 @compiled
@@ -395,7 +398,7 @@ def _have_children(
     if m.kind != POSE:
         return _have_angle_children(window, p, k, update, born, c)
     moves = before.motion.motion != _STANDING
-    drove = before.ran - window.states[e.slot, e.snapshot].ran > _DRIVEN
+    drove = _driven_since(window, p, k) > _DRIVEN
     if fault == IS_SOUND and update.repeated == 1 and moves:
         prior = now + log_rate(REPEATS, source, c)
         born = _child(window, p, k, REPEATS, 0, False, prior, born, c)
@@ -415,6 +418,9 @@ def _have_children(
             born = _child(window, p, k, OFFSET, 0, False, prior, born, c)
         prior = now + size + log_rate(MOVED, source, c)
         born = _child(window, p, k, MOVED, 0, False, prior, born, c)
+        if drove and update.stated <= c.events.skid_stddev:
+            prior = now + log_rate(SKIDDED, source, c) - doubt
+            born = _child(window, p, k, SKIDDED, 0, False, prior, born, c)
         prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS) - doubt
         if drove or update.dof > YAW:  # else a heading shows in nothing
             for part in range(HEADINGS):
@@ -425,13 +431,20 @@ def _have_children(
     if drove and has_velocity_errors(c):
         prior = since + log_rate(SLIPPED, source, c) - doubt
         born = _child(window, p, k, SLIPPED, 0, True, prior, born, c)
-    if fault != IS_REPEATING and update.coarse == 0.0:
+    if fault != IS_REPEATING and update.coarse == 0:
         prior = since + log_rate(NOISE, source, c)
         born = _child(window, p, k, NOISE, 0, True, prior, born, c)
     if is_steep(before) and has_velocity_errors(c):
         prior = since + log_rate(SLID, source, c)
         born = _child(window, p, k, SLID, 0, True, prior, born, c)
     return born
+
+
+@compiled
+def _driven_since(window: Window, p: int, k: int) -> float:
+    """By the tracks since the snapshot of branch p of row k − 1, m."""
+    branch = window.branches[p, k - 1]
+    return float(window.states[p, k - 1].ran - window.states[branch.slot, branch.snapshot].ran)
 
 
 @compiled
@@ -494,9 +507,12 @@ def _child(
         window.pool_states[count] = window.states[p, k - 1]
         branch.weight = before.weight + log_prior
     branch.first, branch.fresh = first, 1
-    _remember(branch, event, m.source, part, m, window.measurements[first], 0)
+    value = m.value[0]
+    if event == SKIDDED:
+        value = c.events.skid_share * _driven_since(window, p, k)
+    _remember(branch, event, m.source, part, value, m, window.measurements[first], 0)
     update.opened = event
-    update.renewed = apply_event(state, event, m.source, part, m.value[0], c)
+    update.renewed = apply_event(state, event, m.source, part, value, c)
     return count + 1, steps - (k + 1 - first)
 
 

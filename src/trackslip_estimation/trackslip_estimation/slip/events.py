@@ -16,6 +16,8 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     TURNED      heading, and what was learned through it              since the last consistent measurement
     SWUNG       σ, σ̇ of the upper structure                           since the last consistent measurement
     SLIPPED     i₀                                                    since the last consistent measurement
+    SKIDDED     x, y, by a share of the way since the last consistent just before it
+                fix
     SLID        i₀, k; on a slope                                     since the last consistent measurement
     NOISE       noise factor of the source                            since the last consistent measurement
     FOLDED      the source's offset, which becomes a jump of what     just before it
@@ -69,6 +71,7 @@ class Event(IntEnum):
     SLID = 10
     NOISE = 11
     FOLDED = 12
+    SKIDDED = 13
 
 
 class SourceFault(IntEnum):
@@ -81,9 +84,22 @@ class SourceFault(IntEnum):
     IGNORED = 4  # for one measurement
 
 
-(NONE, OUTLIER, OFFSET, REPEATS, SCATTERS, SOUND, MOVED, TURNED, SWUNG, SLIPPED, SLID, NOISE, FOLDED) = map(
-    int, Event
-)
+(
+    NONE,
+    OUTLIER,
+    OFFSET,
+    REPEATS,
+    SCATTERS,
+    SOUND,
+    MOVED,
+    TURNED,
+    SWUNG,
+    SLIPPED,
+    SLID,
+    NOISE,
+    FOLDED,
+    SKIDDED,
+) = map(int, Event)
 (IS_SOUND, IS_OFFSET, IS_REPEATING, IS_SCATTERING, IS_IGNORED) = map(int, SourceFault)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
@@ -104,6 +120,9 @@ CONSTANTS = np.dtype(
         ("heading_rate", np.float64),
         ("slip_rate", np.float64),
         ("slide_rate", np.float64),
+        ("skid_rate", np.float64),
+        ("skid_share", np.float64),
+        ("skid_stddev", np.float64),
         ("noise_rate", np.float64),
         ("slip_stddev", np.float64),
     ],
@@ -121,6 +140,9 @@ class EventParameters(Parameters):
     heading_rate: float = parameter("rate at which the heading turns out to be wrong", unit="1/s", gt=0.0)
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
     slide_rate: float = parameter("rate at which the machine slides on a slope", unit="1/s", gt=0.0)
+    skid_rate: float = parameter("rate at which the machine skids", unit="1/s", gt=0.0)
+    skid_share: float = parameter("its standard deviation, over the way since the last consistent fix", gt=0.0)
+    skid_stddev: float = parameter("that a fix states at the most which shows a skid", unit="m", gt=0.0)
     noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
 
@@ -148,6 +170,8 @@ def log_rate(event: int, source: int, c: Any) -> float:
         return math.log(e.slide_rate)
     if event == NOISE:
         return math.log(e.noise_rate)
+    if event == SKIDDED:
+        return math.log(e.skid_rate)
     if event == SOUND:
         return -math.log(e.fault_time)
     return math.log(e.heading_rate)
@@ -205,10 +229,11 @@ def sector(part: int) -> tuple[float, float]:
 
 
 @compiled
-def apply_event(state: Any, event: int, source: int, part: int, angle: float, c: Any) -> int:
+def apply_event(state: Any, event: int, source: int, part: int, value: float, c: Any) -> int:
     """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits.
 
-    ``part``: share of the circle; ``MEASURED``: where the source measured ``angle``, rad.
+    ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a skid
+    ``value`` is its standard deviation, m.
     """
     renewed = 0
     x, P, unknown = state.mean[: c.size], state.covariance[:], AREA / (2.0 * math.pi)
@@ -238,7 +263,7 @@ def apply_event(state: Any, event: int, source: int, part: int, angle: float, c:
     elif event == TURNED:
         state.is_sector = part != MEASURED
         if part == MEASURED:
-            turn = wrap(angle - c.heading_offset[source] - x[YAW])
+            turn = wrap(value - c.heading_offset[source] - x[YAW])
             open_heading(state, latest_pose_source(state, c), x[YAW] + turn, (math.pi / HEADINGS) ** 2, c)
         else:
             turn, variance = sector(part)
@@ -248,9 +273,12 @@ def apply_event(state: Any, event: int, source: int, part: int, angle: float, c:
     elif event == SWUNG:
         turn, variance = sector(max(part, 0))
         if part == MEASURED:
-            turn = wrap(angle - c.heading_offset[source] - x[SWING])
+            turn = wrap(value - c.heading_offset[source] - x[SWING])
         open_swing(state, x[SWING] + turn, variance, c)
         renewed = (1 << SWING) | (1 << SWING_RATE)
+    if event == SKIDDED:
+        P[X, X] += value * value
+        P[Y, Y] += value * value
     if event in (SLIPPED, SLID):
         P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
     if event == SLID:

@@ -60,6 +60,7 @@ _WORDS = {
     Event.SWUNG: "the upper structure has swung",
     Event.SLIPPED: "the slip of both tracks changed",
     Event.SLID: "the machine slides",
+    Event.SKIDDED: "the machine skidded",
     Event.NOISE: "{source} is noisier than before",
     Event.FOLDED: "the machine was moved",
 }

@@ -73,10 +73,9 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     x, P, shift = state.mean[: c.size].copy(), state.covariance.copy(), stamp_shift(state, source, c)
     to_sensor(x, P, state.attitude.level, source, 1.0, c)
     to_delayed(x, P, shift, 1.0)
-    if coarse:
-        update.coarse = spread_of(stated)
-        for axis in (X, Y):
-            update.shown[axis] = z[axis] - x[axis] + state.mean[axis]
+    update.stated, update.coarse = spread_of(stated), 1 if coarse else 0
+    for axis in (X, Y):
+        update.shown[axis] = z[axis] - x[axis] + state.mean[axis]
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     if coarse or fault == IS_OFFSET:
         to_offset(x, P, source, 1.0, c)

@@ -179,7 +179,8 @@ UPDATE = np.dtype(
         ("log_determinant", np.float64),  # ln |S|
         ("evidence", np.float64),  # ln of the density of the measurement, where branches are weighed by it
         ("whitened", np.float64, (2,)),  # innovation of a fix along and across, over its standard deviation
-        ("coarse", np.float64),  # standard deviation that a coarse fix states, m; 0: it is none
+        ("stated", np.float64),  # standard deviation that a fix states, m
+        ("coarse", np.int64),  # 0 or 1: whether its error may last
         ("shown", np.float64, (2,)),  # place of base_link by a coarse fix, m
         ("repeated", np.int64),  # 0 or 1: the fix is bit for bit the one before
         ("opened", np.int64),  # last ``events.Event`` that opened states since the state before
@@ -199,7 +200,7 @@ EVENT = np.dtype(  # of a branch: before, or after, the step to which measuremen
         ("event", np.int64),  # of ``events.Event``
         ("source", np.int64),  # whose measurement it explains
         ("part", np.int64),  # of the circle
-        ("angle", np.float64),  # that the source measured, rad
+        ("value", np.float64),  # angle that the source measured, rad; of a skid its standard deviation, m
         ("decided_ns", np.int64),  # stamp of the measurement that it explains
         ("stamp_ns", np.int64),  # of the measurement of the step, with kind and source
         ("kind", np.int64),

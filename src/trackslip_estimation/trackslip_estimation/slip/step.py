@@ -72,7 +72,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
     update.attitude, update.evidence, update.repeated, update.whitened[:] = 0, 0.0, 0, 0.0
-    update.coarse = 0.0
+    update.coarse = 0
     update.nis = update.gate = update.log_determinant = np.nan
     update.prior_mean, update.prior_covariance = state.mean, state.covariance
     if measurement.kind == POSE:
