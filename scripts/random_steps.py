@@ -58,7 +58,7 @@ MACHINES: tuple[dict[str, Any], ...] = (
     {"filter": "daf"},
     _ALL,
     {**_ALL, **_UPPER, "vehicle": "pc05_cab"},
-    {**_ALL, "model": "icr", "sources.gnss.correlation_time": 20.0},
+    {**_ALL, "model": "icr"},
     {"pose_sources": ["gnss"], "sources.gnss.use_heading": False, **_LEVER},
 )
 

@@ -212,29 +212,6 @@ def test_lasting_errors_count_as_their_mean_varies(elapsed: float, time: float) 
     assert repeats(round(elapsed * S), 0.0) == 1.0
 
 
-def test_fixes_whose_errors_last_leave_the_estimate_consistent() -> None:
-    """Ten a second with errors of 5 s: taken for white, they would seem to tell ten times as much."""
-    nees = {0.0: [], 5.0: []}
-    for seed in range(3):
-        recorded, noise = drive(Machine(duration=60.0, seed=seed)), np.random.default_rng(seed)
-        kept, error, measurements = math.exp(-0.1 / 5.0), 0.02 * noise.standard_normal(2), []
-        for k in range(0, len(recorded.t), 2):
-            error = kept * error + math.sqrt(1.0 - kept**2) * 0.02 * noise.standard_normal(2)
-            at = np.append(recorded.poses[k, :2] + error, 0.0)
-            stamp_ns = S + round(recorded.t[k] * S)
-            measurements.append(PoseFix("box_pose", stamp_ns, at, np.diag((0.02**2, 0.02**2, 100.0))))
-        others = [m for m in recorded.measurements if not isinstance(m, PoseFix)]
-        given_ = sorted([*others, *measurements], key=lambda m: m.stamp_ns)
-        for time, found in nees.items():
-            poses, covariances, _ = run(given_, parameters(**{"sources.box_pose.correlation_time": time}))
-            off = errors(poses, recorded)[:, :2]
-            found += [
-                e @ np.linalg.solve(P[:2, :2], e) for e, P in zip(off[100:], covariances[100:], strict=True)
-            ]
-    assert np.mean(nees[0.0]) > 5.0
-    assert 0.5 < np.mean(nees[5.0]) < 3.5  # 2 if consistent
-
-
 def test_one_wrong_heading_after_an_outage_is_refused() -> None:
     """The gate had widened with the silence, and one heading was believed that was off by a quarter turn."""
     truth, measurements = seen(Machine(duration=100.0))

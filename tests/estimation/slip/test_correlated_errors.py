@@ -1,0 +1,238 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fixes whose errors are correlated in time: found from the fixes, held by an offset, and never given away.
+
+An offset is a state (``own_errors``); errors of what sits above are weighed (``adaptation.repeats``).
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, drive, parameters
+from fixtures.fault_cases.gnss_errors import gauss_markov
+from fixtures.filter_steps import Gaussian, state_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.adaptation import repeats, shared_error
+from trackslip_estimation.slip.config import make_config
+from trackslip_estimation.slip.correlated_errors import MASSES, RECEIVER, forget_receiver, meet_fix
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import PoseFix
+from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, SIZE, Y
+from trackslip_estimation.slip.own_errors import begin_offset, meet_fix_error, pass_offsets, to_offset
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.records import UPDATE
+
+FloatArray = NDArray[np.float64]
+
+PERIOD, LASTS, SIGMA = 0.1, 10.0, 0.01  # s, s, m
+C = make_config(load_slip_parameters())[0]
+SOURCE, S = 0, 1_000_000_000
+PLACE, OFFSET = slice(0, Y + 1), slice(SENSOR_ERRORS, SENSOR_ERRORS + 2)
+
+
+def cap(P: float, R: float) -> float:
+    """Of one axis, as of two that are alike."""
+    return shared_error(P * np.eye(2), R * np.eye(2))
+
+
+@given(st.floats(1e-6, 1.0), st.floats(1.001, 1e4))
+def test_what_is_claimed_is_what_a_fix_leaves_of_an_error_that_both_have(R: float, share: float) -> None:
+    U = share * R
+    P = R + U
+    K = P / (P + cap(P, R) * R)
+    left, claimed = R + (1.0 - K) ** 2 * U, (1.0 - K) * P
+    assert claimed == pytest.approx(left, rel=1e-6)
+
+
+def test_an_estimate_that_may_have_all_of_it_learns_nothing() -> None:
+    assert cap(2.0, 1.0) == math.inf
+    assert cap(0.1, 1.0) == math.inf
+
+
+@pytest.mark.parametrize("walk", [0.0003, 0.001, 0.003, 0.01, 0.03])
+def test_position_is_never_much_worse_than_the_fixes_and_claims_no_less_than_is_true(walk: float) -> None:
+    """``walk``: error of dead reckoning in a period, m. It was 4.3 times the fixes' for 0.03 m."""
+    rng = np.random.default_rng(1)
+    kept, runs = math.exp(-PERIOD / LASTS), 400
+    lasting, error, P = SIGMA * rng.normal(size=runs), np.zeros(runs), SIGMA**2
+    error = lasting.copy()
+    squares, claimed = [], []
+    for k in range(1500):
+        lasting = kept * lasting + math.sqrt(1.0 - kept * kept) * SIGMA * rng.normal(size=runs)
+        error, P = error + walk * rng.normal(size=runs), P + walk * walk
+        R = min(repeats(round(PERIOD * 1e9), LASTS), cap(P, SIGMA**2)) * SIGMA**2
+        K = P / (P + R)
+        error, P = error + K * (lasting - error), (1.0 - K) * P
+        if k > 500:
+            squares.append(np.mean(error**2))
+            claimed.append(P)
+    rms = math.sqrt(np.mean(squares))
+    assert rms < 1.6 * SIGMA
+    assert 0.3 < np.mean(squares) / np.mean(claimed) < 1.2
+
+
+def made_up() -> Gaussian:
+    rng = np.random.default_rng(4)
+    root = 0.1 * rng.normal(size=(SIZE, SIZE))
+    return Gaussian(rng.normal(size=SIZE), root @ root.T)
+
+
+def given_offset(known: Gaussian, variance: float, g: float = 4.0, time: float = 30.0) -> Any:
+    """A record of ``STATE`` with an offset of the source that fixes of 1 m showed last."""
+    state = state_of(known)[0]
+    state["offsets"][0] = (0.5, g, time, 0.0, variance, 1.0)
+    return state
+
+
+def update_of(state: Any) -> Any:
+    update = np.zeros(1, UPDATE)[0]
+    update["prior_mean"], update["prior_covariance"] = state["mean"], state["covariance"]
+    return update
+
+
+def test_the_place_that_a_fix_shows_and_back() -> None:
+    known = made_up()
+    x, P = known.mean.copy(), known.covariance.copy()
+    to_offset(x, P, SOURCE, 1.0, C)
+    T = np.eye(SIZE)
+    T[PLACE, OFFSET] = np.eye(2)
+    np.testing.assert_allclose(x, T @ known.mean, atol=1e-14)
+    np.testing.assert_allclose(P, T @ known.covariance @ T.T, atol=1e-14)
+    to_offset(x, P, SOURCE, -1.0, C)
+    np.testing.assert_allclose(x, known.mean, atol=1e-14)
+    np.testing.assert_allclose(P, known.covariance, atol=1e-14)
+
+
+def test_a_first_coarse_fix_is_not_the_place() -> None:
+    """Its error is in the place and, the other way round, in its offset: seen by the receiver it is white."""
+    R = np.array(((0.9, 0.1), (0.1, 1.1)))
+    state = given_offset(Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE))), 0.0)
+    state["covariance"][PLACE, PLACE] = R
+    begin_offset(state, SOURCE, C)
+    x, P = state["mean"].copy(), state["covariance"].copy()
+    np.testing.assert_allclose(np.diag(P)[OFFSET], 4.0)
+    np.testing.assert_allclose(np.diag(P)[PLACE], 0.5 * np.diag(R) + 4.0)
+    to_offset(x, P, SOURCE, 1.0, C)
+    np.testing.assert_allclose(P[PLACE, PLACE], 0.5 * R, atol=1e-14)
+    np.testing.assert_allclose(P[PLACE, OFFSET], 0.0, atol=1e-14)
+
+
+@given(st.floats(0.3, 10.0), st.floats(0.3, 10.0))
+def test_another_prior_of_an_offset_is_as_if_it_had_been_there_from_the_start(before: float, g: float) -> None:
+    """Also where the prior widens, and after other states were corrected with it."""
+
+    def informed(variance: float) -> FloatArray:
+        P = np.eye(SIZE)
+        P[OFFSET, OFFSET] = variance * np.eye(2)
+        H = np.zeros((3, SIZE))
+        H[0, [0, OFFSET.start]] = H[1, [1, OFFSET.start + 1]] = 1.0
+        H[2, [0, 2]] = 1.0, 0.5
+        return P - P @ H.T @ np.linalg.solve(H @ P @ H.T + 0.5 * np.eye(3), H @ P)
+
+    state = given_offset(Gaussian(np.zeros(SIZE), informed(before)), before, g)
+    assert meet_fix_error(state, update_of(state), SOURCE, np.eye(2), False, C)
+    np.testing.assert_allclose(state["covariance"], informed(g), atol=1e-9)
+    assert state["offsets"]["variance"][0] == pytest.approx(g)
+
+
+@pytest.mark.parametrize(("stddev", "variance"), [(0.02, 0.0), (0.4, 4.0 * 0.4**2), (3.0, 36.0)])
+def test_another_quality_has_another_error(stddev: float, variance: float) -> None:
+    """What is known of the error of one solution tells nothing of that of another; a precise one has none."""
+    state = given_offset(made_up(), 4.0)
+    update, wanted = update_of(state), state["covariance"].copy()
+    coarse = meet_fix_error(state, update, SOURCE, stddev**2 * np.eye(2), False, C)
+    assert coarse == (variance > 0.0)
+    assert update["renewed"] == 3 << SENSOR_ERRORS
+    wanted[OFFSET], wanted[:, OFFSET], wanted[OFFSET, OFFSET] = 0.0, 0.0, variance * np.eye(2)
+    np.testing.assert_allclose(state["covariance"], wanted)
+    np.testing.assert_allclose(update["prior_covariance"], wanted)
+
+
+@given(st.floats(0.01, 200.0), st.floats(1.0, 30.0))
+def test_an_offset_fades_as_a_first_order_process(dt: float, time: float) -> None:
+    state = given_offset(made_up(), 4.0, time=time)
+    x, P = state["mean"].copy(), state["covariance"].copy()
+    pass_offsets(state, dt, C)
+    F, Q, left = np.eye(SIZE), np.zeros((SIZE, SIZE)), math.exp(-dt / time)
+    F[OFFSET, OFFSET] *= left
+    Q[OFFSET, OFFSET] = 4.0 * (1.0 - left * left) * np.eye(2)
+    np.testing.assert_allclose(state["mean"], F @ x, atol=1e-12)
+    np.testing.assert_allclose(state["covariance"], F @ P @ F.T + Q, atol=1e-12)
+
+
+def found(fixes: FloatArray, stddev: float, period: float) -> Any:
+    """Record of ``RECEIVER`` after fixes of a machine that stands."""
+    receiver, masses = np.zeros(1, RECEIVER), np.zeros(1, MASSES)
+    forget_receiver(receiver[0])
+    for k, fix in enumerate(fixes):
+        meet_fix(receiver[0], masses[0], fix, stddev, 0.0, S + round(k * period * S))
+    return receiver[0]
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_white_errors_are_found_to_be_white(factor: float, seed: int) -> None:
+    fixes = math.sqrt(factor) * 0.9 * np.random.default_rng(seed).normal(size=(300, 2))
+    receiver = found(fixes, 0.9, 1.0)
+    assert receiver["white"] > 0.8
+    assert receiver["f"] == pytest.approx(factor, rel=0.4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("stddev", "time"), [(2.0, 30.0), (5.0, 10.0)])
+def test_errors_larger_than_stated_that_last_are_found(stddev: float, time: float, seed: int) -> None:
+    t = np.arange(0.0, 900.0, 1.0)
+    receiver = found(gauss_markov(t, stddev, time, np.random.default_rng(seed)), 0.9, 1.0)
+    assert receiver["white"] < 0.01
+    assert receiver["f"] < 0.3
+    assert 0.3 < receiver["g"] * 0.9**2 / stddev**2 < 3.0
+    assert 0.3 < receiver["time"] / time < 3.0
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.integers(0, 50), st.randoms(use_true_random=False))
+def test_any_order_of_arrival_teaches_the_same(seed: int, random: Any) -> None:
+    recording = drive(Machine(duration=20.0, fix_noise=2.0, fix_stated=0.9, seed=seed))
+    begin = next(k for k, m in enumerate(recording.measurements) if isinstance(m, PoseFix)) + 1
+    late = sorted(recording.measurements[begin:], key=lambda m: m.stamp_ns + random.uniform(0.0, 1.2) * S)
+    windows = []
+    for measurements in (recording.measurements, [*recording.measurements[:begin], *late]):
+        estimator = SlipEstimator(parameters())
+        for m in measurements:
+            estimator.process(m)
+        windows.append(estimator.window)
+    one, other = (w.receivers[w.count - 1, 0] for w in windows)
+    assert one["known"] == 1
+    assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_receiver_that_wanders_does_not_turn_a_machine_whose_gyro_and_tracks_agree(seed: int) -> None:
+    """It states 0.9 m and wanders by 2.5 m within 20 s; the heading was off by 0.3 rad, with 0.03 claimed."""
+    recording = drive(Machine(duration=240.0, track_error=0.02, seed=seed))
+    error = gauss_markov(recording.t, 2.5, 20.0, np.random.default_rng(seed))
+    measurements = []
+    for m in recording.measurements:
+        if not isinstance(m, PoseFix):
+            measurements.append(m)
+            continue
+        off = [np.interp((m.stamp_ns - S) / S, recording.t, column) for column in error.T]
+        at = np.append(m.pose[:2] + off, 0.0)
+        measurements.append(PoseFix(m.source, m.stamp_ns, at, np.diag((0.81, 0.81, 100.0))))
+    estimator = SlipEstimator(parameters())
+    estimates = [e for _, e in estimator.process_all(measurements) if e is not None]
+    times = np.array([e.stamp_ns / S - 1.0 for e in estimates])
+    true = np.column_stack([np.interp(times, recording.t, recording.poses[:, k]) for k in range(3)])
+    off = np.array([e.pose for e in estimates]) - true
+    P = np.array([e.pose_covariance for e in estimates])
+    nees = np.einsum("ki,kij,kj->k", off[:, :2], np.linalg.inv(P[:, :2, :2]), off[:, :2])
+    assert nees[len(nees) // 4 :].mean() < 5.0
+    assert np.mean(off[len(off) // 4 :, 2] ** 2 / P[len(off) // 4 :, 2, 2]) < 4.0
+    assert math.sqrt(np.mean(off[len(off) // 4 :, 2] ** 2)) < 0.1
+    last = estimator.window.best[estimator.window.count - 1]
+    assert abs(last["mean"][GYRO_BIAS]) < 4.0 * math.sqrt(last["covariance"][GYRO_BIAS, GYRO_BIAS]) + 1e-3
