@@ -145,7 +145,10 @@ def _take_errors(state: Any, receivers: Any, c: Any) -> None:
 
 @compiled
 def _follow_receivers(window: Window, k: int, c: Any) -> None:
-    """What row k knows of the errors of fixes, by the way of the most probable branch before it."""
+    """What row k knows of the errors of fixes, by the way of the most probable branch before it.
+
+    With an unknown heading there is no way to compare them with.
+    """
     state, before, update = window.states[0, k], window.states[0, k - 1], window.updates[k]
     m = window.measurements[k]
     copy_receivers(window, k, k - 1)
@@ -159,14 +162,24 @@ def _follow_receivers(window: Window, k: int, c: Any) -> None:
             of.driven += math.hypot(way[X], way[Y])
         if n != number or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
             continue
-        if update.coarse == 1:
-            P = update.prior_covariance
-            spread = min(P[YAW, YAW], MOST_SPREAD)
+        P, spread = update.prior_covariance, heading_variance(window, k - 1)
+        if update.coarse == 1 and spread < MOST_SPREAD:
             if has_velocity_errors(c):
                 spread += min(P[COMMON_SLIP, COMMON_SLIP], MOST_SPREAD)
             meet_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns)
         elif of.known == 1:
             of.known = 2
+
+
+@compiled
+def heading_variance(window: Window, k: int) -> float:
+    """Of all branches of row k about the most probable one's heading, rad²."""
+    total = variance = 0.0
+    for s in range(window.counts[k]):
+        w, state = math.exp(window.branches[s, k].weight), window.states[s, k]
+        off = wrap(state.mean[YAW] - window.states[0, k].mean[YAW])
+        total, variance = total + w, variance + w * (state.covariance[YAW, YAW] + off * off)
+    return variance / total
 
 
 @compiled
@@ -355,6 +368,8 @@ def _wants_children(window: Window, s: int, k: int, update: Any, c: Any) -> bool
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
     if _contradicts(window, s, k, update, c) or _may_fold(window, s, k, c):
         return True
+    if measurement.kind == POSE and _outside_range(before, c) > 0.0:
+        return True
     if measurement.kind == POSE and fault == IS_SOUND:
         moves = before.motion.motion != _STANDING
         return bool((update.repeated == 1 and moves) or branch.cusum.max() > _LIMIT)
@@ -402,7 +417,8 @@ def _have_children(
     if fault == IS_SOUND and update.repeated == 1 and moves:
         prior = now + log_rate(REPEATS, source, c)
         born = _child(window, p, k, REPEATS, 0, False, prior, born, c)
-    if not contradicts and (fault != IS_SOUND or e.cusum.max() <= _LIMIT):
+    implausible = _outside_range(before, c) > 0.0
+    if not contradicts and not implausible and (fault != IS_SOUND or e.cusum.max() <= _LIMIT):
         return born
     since = math.log(max((m.stamp_ns - window.states[e.slot, e.snapshot].stamp_ns) * 1e-9, _SHORTEST))
     doubt = _OF_CORRELATED if is_correlated(before, source, c) else 0.0
@@ -421,13 +437,13 @@ def _have_children(
         if drove and update.stated <= c.events.skid_stddev:
             prior = now + log_rate(SKIDDED, source, c) - doubt
             born = _child(window, p, k, SKIDDED, 0, False, prior, born, c)
-        prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS) - doubt
-        if drove or update.dof > YAW:  # else a heading shows in nothing
-            for part in range(HEADINGS):
-                born = _child(window, p, k, TURNED, part, True, prior, born, c)
         if may_swing(before, source, c):
             for part in range(HEADINGS):
                 born = _child(window, p, k, SWUNG, part, True, prior, born, c)
+    if (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove):  # else it shows in nothing
+        prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS) - doubt
+        for part in range(HEADINGS):
+            born = _child(window, p, k, TURNED, part, True, prior, born, c)
     if drove and has_velocity_errors(c):
         prior = since + log_rate(SLIPPED, source, c) - doubt
         born = _child(window, p, k, SLIPPED, 0, True, prior, born, c)
