@@ -165,7 +165,7 @@ def _follow_receivers(window: Window, k: int, c: Any) -> None:
         P, spread = update.prior_covariance, heading_variance(window, k - 1)
         if update.coarse == 1 and spread < MOST_SPREAD:
             if has_velocity_errors(c):
-                spread += min(P[COMMON_SLIP, COMMON_SLIP], MOST_SPREAD)
+                spread += P[COMMON_SLIP, COMMON_SLIP]
             meet_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns)
         elif of.known == 1:
             of.known = 2

@@ -62,7 +62,7 @@ _UNKNOWN_WAY = 1e4  # variance of c at first, over R
 _WAY_ERROR, _WAY_RATE = 0.02, 0.005  # of the way driven, √s; m/s: by which c walks
 _DIRECTION = 0.02  # rad, by which the way errs beyond heading and slip
 _DIRECTION_TIME = 30.0  # s, for which it does
-MOST_SPREAD = 0.1  # variance of heading, or slip, that counts
+MOST_SPREAD = 0.5  # variance of the heading, rad², beyond which no way is known
 _NEGLIGIBLE = -6.0  # w below the best
 
 RECEIVER = np.dtype(  # what is known of the errors of a source's fixes
