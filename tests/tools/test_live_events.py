@@ -27,6 +27,22 @@ def test_a_lost_fix_is_said_once_and_so_is_its_return() -> None:
     assert [event.level for event in events.kept] == [Level.WARN, Level.OK]
 
 
+def test_explanations_are_an_event_again_where_another_one_is_the_most_probable() -> None:
+    events = Events()
+    for k, text in enumerate(
+        (
+            "three explanations for 0.5 s: gnss_pose is 1.1 m off (60 %), nothing happened (30 %)",
+            "two explanations for 1.5 s: gnss_pose is 1.0 m off (90 %), the machine was moved (10 %)",
+            "two explanations for 18.3 s: the machine was moved (55 %), gnss_pose is 1.0 m off (45 %)",
+        )
+    ):
+        events.see_lights([light(Level.WARN, text)], float(k), 0.0)
+    assert [text[: text.index(" for")] for text in said(events)] == [
+        "slip_estimator: three explanations",
+        "slip_estimator: two explanations",
+    ]
+
+
 def test_a_stuck_and_a_stalled_machine_are_told_in_the_words_of_the_estimator() -> None:
     events = Events()
     texts = ("getting stuck: left at the limit of the soil", "stalled: both tracks")

@@ -15,6 +15,8 @@ from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.topics import TOPICS
+from trackslip_estimation.slip.events import Event as Explaining
+from trackslip_estimation.slip.explanations import Explained, Explanation, Happened
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.cli.report_command import distinct
@@ -137,6 +139,36 @@ def test_fixes_at_1_hz_are_not_lost_between_two_of_them(
     assert (np.diff(stamps_ns) > run.parameters.timeouts_ns()["box_pose"]).any()
     assert [event.text for event in events_of(run) if "fix lost" in event.text] == []
     assert verdicts(run, load_limits())["Gaps"].state is State.OK
+
+
+def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run) -> None:
+    """A replay knows both; a bag without /diagnostics serves."""
+    zero_ns = emulated_run.recording.zero_ns
+    off = Explanation("box_pose is 1.0 m off", 0.9, zero_ns)
+    moved = Explanation("the machine was moved", 0.1, zero_ns, lasts=False)
+    details = Details()
+    details.sources = emulated_run.details.sources
+    for at_s in range(10, 31):
+        found = [off, moved] if at_s < 20 else [off._replace(probability=1.0)] if at_s < 24 else []
+        details.add_explained([Explained(zero_ns + at_s * SECOND_NS, found)])
+    happened = [
+        Happened(zero_ns + 10 * SECOND_NS, Explaining.OFFSET, "box_pose", 1.0),
+        Happened(zero_ns + 15 * SECOND_NS, Explaining.OUTLIER, "box_pose", 1.0),
+        Happened(zero_ns + 24 * SECOND_NS, Explaining.SOUND, "box_pose", 1.0),
+    ]
+    replayed = dataclasses.replace(emulated_run.replay, happened=happened)
+    run = dataclasses.replace(emulated_run, details=details, replay=replayed)
+    told = [(event.level, 1e-3 * event.time_ms, event.text) for event in events_of(run)]
+    both = "two explanations for 10.0 s: box_pose is 1.0 m off (90 %), the machine was moved (10 %)"
+    assert (Level.WARN, pytest.approx(10.0), both) in told
+    assert (Level.WARN, pytest.approx(10.0), "box_pose is off") in told
+    assert (Level.OK, pytest.approx(24.0), "box_pose is sound again") in told
+    assert not any("outlier" in text for *_, text in told)
+    (strip,) = (strip for strip in strips([run]) if "explanations" in strip.rows)
+    (competing, one) = strip.rows["explanations"]
+    assert (competing.look.word, competing.spell.text) == ("explanations compete", both)
+    assert (one.look.word, one.spell.text) == ("explained", "box_pose is 1.0 m off")
+    assert (one.spell.start, one.spell.stop) == pytest.approx((20.0, 24.0))
 
 
 # Lights

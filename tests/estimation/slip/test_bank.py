@@ -92,7 +92,7 @@ def test_explanation_of_frozen_fixes_says_since_when() -> None:
         return replace(m, pose=last[0])
 
     _, _, estimator = errors(changed(recording, freeze), recording, parameters(**GNSS))
-    found = estimator.explanations[0]
+    found = estimator.explained.found[0]
     assert found.text == f"{FIX} repeats itself"
     assert 19.0 < found.since_ns / S - 1.0 < 23.0
 

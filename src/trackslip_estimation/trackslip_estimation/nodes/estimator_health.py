@@ -7,7 +7,7 @@ from typing import Any
 
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.explanations import sentence
+from trackslip_estimation.slip.explanations import EXPLANATIONS, recent
 from trackslip_estimation.slip.learned_text import findings
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import named
@@ -24,10 +24,8 @@ def estimator_health(
     values["attitude"] = estimator.attitude
     values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
     values |= {found.form.label: found.sentence for found in findings(estimator.learned, estimator.meaning)}
-    may_be = sentence(estimator.explanations, now_ns)
-    values |= {"explanations": may_be or "none needed"}
-    events = estimator.read_events()
-    values |= {"last event": events[-1].text if events else "none"}
+    may_be = estimator.explained.text
+    values |= {EXPLANATIONS: may_be or "none needed", "last events": recent(estimator.read_events())}
     if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
         return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
     if not estimator.started:

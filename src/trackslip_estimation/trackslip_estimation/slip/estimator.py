@@ -16,7 +16,7 @@ from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.bank import probability_of_best
 from trackslip_estimation.slip.config import make_config
-from trackslip_estimation.slip.explanations import Explanation, Happened, Sources, explanations, history
+from trackslip_estimation.slip.explanations import Explained, Happened, Sources, explanations, history
 from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
 from trackslip_estimation.slip.measurements import (
     FORGET,
@@ -152,9 +152,10 @@ class SlipEstimator:
         return found if found.is_finite else self._start
 
     @property
-    def explanations(self) -> list[Explanation]:
-        """What may have happened, the most probable first; empty without an estimate."""
-        return explanations(self.window, self._named) if self.started else []
+    def explained(self) -> Explained:
+        """What may have happened, the most probable first; nothing without an estimate."""
+        found = explanations(self.window, self._named) if self.started else []
+        return Explained(self.newest_ns or 0, found)
 
     @property
     def certainty(self) -> float:

@@ -15,7 +15,12 @@ from trackslip_estimation.slip.window import Window
 
 _RECENT_NS = 30_000_000_000  # for which an event still explains what is seen
 _LEAST = 0.005  # probability that is worth a word
+_CALM = 0.9  # probability that nothing happened, from which on nothing has to be explained
+_MOST = 3  # explanations that are named
+_COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+_LISTED = 8  # events of /diagnostics, which come once a second
 AS_BEFORE = "nothing happened"
+EXPLANATIONS = "explanations"  # key of a sentence on /diagnostics
 
 
 class Explanation(NamedTuple):
@@ -24,6 +29,31 @@ class Explanation(NamedTuple):
     text: str  # "gnss_pose is 1.0 m off"
     probability: float
     since_ns: int  # stamp of the measurement that it explains
+    lasts: bool = True  # False: it happened at that time
+
+
+class Explained(NamedTuple):
+    """What competes at a time."""
+
+    stamp_ns: int
+    found: Sequence[Explanation]  # the most probable one first
+
+    @property
+    def competing(self) -> int:
+        """Explanations that compete; 0 where most probably nothing happened."""
+        calm = sum(e.probability for e in self.found if e.text == AS_BEFORE)
+        return len(self.found) if self.found and calm < _CALM else 0
+
+    @property
+    def seconds(self) -> float:
+        """Since the latest measurement that has to be explained."""
+        since_ns = max((e.since_ns for e in self.found if e.text != AS_BEFORE), default=self.stamp_ns)
+        return max(self.stamp_ns - since_ns, 0) * 1e-9
+
+    @property
+    def text(self) -> str:
+        """As ``sentence`` has it; empty where nothing has to be explained."""
+        return sentence(self.found, self.seconds) if self.competing else ""
 
 
 class Happened(NamedTuple):
@@ -33,11 +63,12 @@ class Happened(NamedTuple):
     event: Event
     source: str  # of that measurement
     probability: float  # of the branch that has it, when it was last looked at
+    begins: bool = False  # it is a share of a heading that was unknown
 
     @property
     def text(self) -> str:
         """As a user says it."""
-        return _WORDS[self.event].format(source=self.source)
+        return _BEGAN if self.begins else _WORDS[self.event].format(source=self.source)
 
 
 class Sources(NamedTuple):
@@ -48,6 +79,9 @@ class Sources(NamedTuple):
     compasses: Collection[str]  # names of those whose offset is an angle
 
 
+_BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
+_JUMPS = (Event.MOVED, Event.FOLDED, Event.TURNED, Event.SWUNG)
+_FAULTS = (Event.OFFSET, Event.REPEATS, Event.SCATTERS)
 _WORDS = {
     Event.NONE: AS_BEFORE,
     Event.OUTLIER: "one measurement of {source} is an outlier",
@@ -67,28 +101,39 @@ _WORDS = {
 
 
 def explanations(window: Window, sources: Sources) -> list[Explanation]:
-    """Those of the newest row, the most probable one first; those that say the same are one."""
+    """Those of the newest row, the most probable one first; those that differ in numbers alone are one."""
     last = window.count - 1
-    count = int(window.counts[last])
-    weights = np.exp(window.branches["weight"][:count, last])
+    weights = np.exp(window.branches["weight"][: int(window.counts[last]), last])
+    probabilities = weights / weights.sum()
+    branches = window.branches[:, last]
+    is_found = len({_share(branches[s]) for s in range(len(weights))}) == 1  # the heading
     found: dict[str, Explanation] = {}
-    for s, probability in enumerate((weights / weights.sum()).tolist()):
-        text, since_ns = _text_of(window.states[s, last], window.branches[s, last], sources)
-        before = found.get(text, Explanation(text, 0.0, since_ns))
-        found[text] = before._replace(probability=before.probability + probability)
+    for s in np.argsort(-probabilities, kind="stable").tolist():
+        kind, own = _of_branch(window.states[s, last], branches[s], sources, is_found)
+        known = found.get(kind, own)
+        found[kind] = known._replace(probability=known.probability + float(probabilities[s]))
     likely = [e for e in found.values() if e.probability >= _LEAST]
     return sorted(likely, key=lambda e: -e.probability)
 
 
-def sentence(found: Sequence[Explanation], now_ns: int) -> str:
-    """For /diagnostics and pages; empty where nothing has to be explained."""
-    if not found or (len(found) == 1 and found[0].text == AS_BEFORE):
-        return ""
-    seconds = max(now_ns - max(e.since_ns for e in found), 0) * 1e-9
-    listed = ", ".join(f"{e.text} ({100.0 * e.probability:.0f} %)" for e in found)
+def sentence(found: Sequence[Explanation], seconds: float) -> str:
+    """As "two explanations for 2.0 s: gnss_pose is 1.0 m off (90 %), the machine was moved (10 %)"."""
     if len(found) == 1:
-        return f"{found[0].text}, for {seconds:.1f} s"
-    return f"{len(found)} explanations for {seconds:.1f} s: {listed}"
+        return f"{found[0].text}, " + (f"for {seconds:.1f} s" if found[0].lasts else f"{seconds:.1f} s ago")
+    count = _COUNTS[len(found)] if len(found) < len(_COUNTS) else str(len(found))
+    named = [(e.text, e.probability) for e in found[:_MOST]]
+    named += [("others", sum(e.probability for e in found[_MOST:]))] if len(found) > _MOST else []
+    listed = ", ".join(f"{text} ({100.0 * probability:.0f} %)" for text, probability in named)
+    return f"{count} explanations for {seconds:.1f} s: {listed}"
+
+
+def recent(events: Sequence[Happened]) -> str:
+    """The last events with the stamps of what they explain, for /diagnostics; single outliers are reports."""
+    lasting = [h for h in events if h.event is not Event.OUTLIER][-_LISTED:]
+    if not lasting:
+        return "none"
+    listed = "; ".join(f"{h.stamp_ns * 1e-9:.2f} {h.text}" for h in lasting)
+    return f"{listed}; probability {100.0 * lasting[-1].probability:.0f} %"
 
 
 def history(branch: Any, sources: Sources, known: list[Happened], probability: float) -> list[Happened]:
@@ -101,25 +146,57 @@ def history(branch: Any, sources: Sources, known: list[Happened], probability: f
     for n in range(max(count - HISTORY, 0), count):
         e = branch["history"][n % HISTORY]
         name = sources.names.get(int(e["source"]), "")
-        found.append(Happened(int(e["decided_ns"]), Event(e["event"]), name, probability))
+        found.append(Happened(int(e["decided_ns"]), Event(e["event"]), name, probability, _begins(e)))
     return found
 
 
-def _text_of(state: Any, branch: Any, sources: Sources) -> tuple[str, int]:
-    """What a branch assumes, and since when."""
+def _begins(e: Any) -> bool:
+    """Whether a record of ``EVENT`` gave the branch a share of an unknown heading."""
+    return bool(e["event"] == Event.TURNED and e["after"] == 1)
+
+
+def _share(branch: Any) -> int:
+    """Number of the share of an unknown heading that a branch has; −1: none that it remembers."""
+    events = branch["history"][: int(branch["events"])]
+    return next((int(e["part"]) for e in events if _begins(e)), -1)
+
+
+def _of_branch(state: Any, branch: Any, sources: Sources, is_found: bool) -> tuple[str, Explanation]:
+    """What a branch assumes, without numbers and with them; its probability is left 0.
+
+    ``is_found``: the heading is, where it was unknown.
+    """
     for number, fault in enumerate(state["fault"].tolist()):
         if fault != SourceFault.SOUND and number in sources.names:
-            return _fault_text(state, number, SourceFault(fault), sources), int(state["fault_ns"][number])
-    for n in range(int(branch["events"]) - 1, max(int(branch["events"]) - HISTORY, 0) - 1, -1):
-        e = branch["history"][n % HISTORY]
-        event, stamp_ns = Event(e["event"]), int(e["decided_ns"])
+            text = _fault_text(state, number, SourceFault(fault), sources)
+            return f"{fault} {number}", Explanation(text, 0.0, int(state["fault_ns"][number]))
+    count = int(branch["events"])
+    events = [branch["history"][n % HISTORY] for n in range(max(count - HISTORY, 0), count)]
+    sound: set[int] = set()  # sources that are sound again
+    for n, e in reversed(list(enumerate(events))):
+        event, source, stamp_ns = Event(e["event"]), int(e["source"]), int(e["decided_ns"])
         if state["stamp_ns"] - stamp_ns > _RECENT_NS:
             break
-        if event is Event.SLIPPED:
-            return f"both tracks slip {100.0 * state['mean'][COMMON_SLIP]:.0f} %", stamp_ns
-        if event not in (Event.OUTLIER, Event.SOUND):
-            return _WORDS[event].format(source=sources.names.get(int(e["source"]), "")), stamp_ns
-    return AS_BEFORE, int(state["stamp_ns"])
+        if event is Event.SOUND:
+            sound.add(source)
+        elif event is Event.SLIPPED:
+            text = f"both tracks slip {100.0 * state['mean'][COMMON_SLIP]:.0f} %"
+            return event.name, Explanation(text, 0.0, stamp_ns)
+        elif _begins(e):
+            if not is_found:
+                return _BEGINS, Explanation(_BEGINS, 0.0, stamp_ns)
+        elif event is not Event.OUTLIER and not (event in _FAULTS and source in sound):
+            text = _WORDS[event].format(source=sources.names.get(source, ""))
+            if event is Event.FOLDED:
+                stamp_ns = _begin_of_offset(events[:n], source, stamp_ns)
+            return text, Explanation(text, 0.0, stamp_ns, event not in _JUMPS)
+    return AS_BEFORE, Explanation(AS_BEFORE, 0.0, int(state["stamp_ns"]))
+
+
+def _begin_of_offset(events: Sequence[Any], source: int, stamp_ns: int) -> int:
+    """When the offset began that became a jump at ``stamp_ns``."""
+    own = (e for e in reversed(events) if e["source"] == source and e["event"] == Event.OFFSET)
+    return int(next(own, {"decided_ns": stamp_ns})["decided_ns"])
 
 
 def _fault_text(state: Any, number: int, fault: SourceFault, sources: Sources) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.explanations import Happened
+from trackslip_estimation.slip.explanations import Explained, Happened
 from trackslip_estimation.slip.learned import Learned, from_tree, meaning
 from trackslip_estimation.slip.learned_text import Finding, findings
 from trackslip_estimation.slip.measurements import Command
@@ -19,6 +19,7 @@ from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, IS_START, Row
 from trackslip_tools.replay.inputs import InputStream, Logged
 
 _PIECE = 512  # arrivals between looks at what was learned: seconds
+_LOOK_NS = 500_000_000  # between looks at what is explained
 
 
 class Known(NamedTuple):
@@ -45,6 +46,7 @@ class Part(NamedTuple):
     learned: list[Known]  # in the course of it
     again: Begin | None = None  # the estimator was started again before it
     happened: Sequence[Happened] = ()  # events of the most probable branch since the estimator was started
+    explained: Sequence[Explained] = ()  # in the course of it
 
     @property
     def estimates(self) -> Rows:
@@ -62,9 +64,10 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
     for batch in stream:
         tables, again, begin = batch.tables, None, 0
         for end in (*np.flatnonzero(batch.rows["kind"] == IS_START).tolist(), len(batch.rows)):
-            results, learned = _process(stream, estimator, batch.rows[begin:end])
-            rows, happened = batch.rows[begin:end], estimator.read_events()
-            yield Part(stream.sources, rows, results, tables, learned, again, happened)
+            rows = batch.rows[begin:end]
+            results, learned, explained = _process(stream, estimator, rows)
+            happened = estimator.read_events()
+            yield Part(stream.sources, rows, results, tables, learned, again, happened, explained)
             if end < len(batch.rows):
                 again = _begin_again(p, stream, int(batch.rows["start"][end]))
                 estimator = SlipEstimator(again.parameters, learned=again.learned)
@@ -86,19 +89,25 @@ def _begin_again(p: SlipEstimatorParameters, stream: InputStream, number: int) -
         return Begin(p, None)
 
 
-def _process(stream: InputStream, estimator: SlipEstimator, rows: Rows) -> tuple[Rows, list[Known]]:
-    """(n,) RESULT of (n,) ARRIVAL of one run, and what was known meanwhile."""
+def _process(
+    stream: InputStream, estimator: SlipEstimator, rows: Rows
+) -> tuple[Rows, list[Known], list[Explained]]:
+    """(n,) RESULT of (n,) ARRIVAL of one run, and what was known and explained meanwhile."""
     results = np.zeros(len(rows), RESULT)
     commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
     learned: list[Known] = []
+    explained: list[Explained] = []
     begin = 0
-    for end in np.union1d(commands, (*range(_PIECE, len(rows), _PIECE), len(rows))).tolist():
+    looks = np.flatnonzero(np.diff(rows["log_time_ns"] // _LOOK_NS)) + 1
+    pieces = {*range(_PIECE, len(rows), _PIECE), len(rows)}
+    for end in np.unique((*commands, *looks, *pieces)).tolist():
         given = to_measurements(rows[begin:end], stream.sources, estimator.sources)
         results[begin:end] = estimator.process_records(given)
         begin = end
         if estimator.started and end > 0:
-            stamp_ns = estimator.newest_ns or 0
-            learned.append(Known(stamp_ns, findings(estimator.learned, estimator.meaning)))
+            explained.append(estimator.explained)
+        if estimator.started and end > 0 and (end in pieces or end in commands):
+            learned.append(Known(estimator.newest_ns or 0, findings(estimator.learned, estimator.meaning)))
             estimator.read_events()  # before the branch forgets them
         if end in commands:
             is_reload = rows["kind"][end] == IS_RELOAD
@@ -107,4 +116,4 @@ def _process(stream: InputStream, estimator: SlipEstimator, rows: Rows) -> tuple
             results["stamp_ns"][end] = rows["stamp_ns"][end]
             results["nis"][end] = results["gate"][end] = np.nan
             begin = end + 1
-    return results, learned
+    return results, learned, explained

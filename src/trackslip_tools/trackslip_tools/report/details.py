@@ -2,9 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a report shows of a replay beside its scores: estimates, what was compared with them, and fixes."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.slip.explanations import Explained
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import ESTIMATE, POSE
 from trackslip_tools.replay.arrivals import ARRIVAL, Rows
@@ -44,10 +47,12 @@ class Details:
         self._estimates = GrowingRows(ESTIMATE, MOST_DRAWN)
         self._reports, self._fixes = GrowingRows(REPORT), GrowingRows(FIX)
         self._recent = np.empty(0, ESTIMATE)
+        self.explained: list[Explained] = []  # what competed at a time, and the first one after it
 
     def add(self, part: Part) -> None:
         """More of a replay."""
         self.sources = part.sources
+        self.add_explained(part.explained)
         results = part.results
         found = np.zeros(len(results), FIX)
         for name in ("stamp_ns", "outcome", "dof", "nis", "gate"):
@@ -68,6 +73,12 @@ class Details:
         if len(known):
             oldest_ns = known["stamp_ns"][-1] - _RECENT_NS
             self._recent = known[np.searchsorted(known["stamp_ns"], oldest_ns) :]
+
+    def add_explained(self, explained: Iterable[Explained]) -> None:
+        """More of what competed."""
+        for one in explained:
+            if one.competing or (self.explained and self.explained[-1].competing):
+                self.explained.append(one)
 
     @property
     def estimates(self) -> Rows:

@@ -17,6 +17,7 @@ _REPEAT_S = 10.0  # s in which the same is not said again
 _CLEAR_S = 5.0  # s without a refusal, after which the gate has calmed down
 SURE = 0.6  # probability from which on a soil counts as found
 _NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
+_LESS_PROBABLE = re.compile(r"\w+ explanations for [\d.]+ s: ([^(]*) \(.*")
 _DURATIONS = re.compile(r" for \d+(\.\d+)? s")
 _LOST = "nothing accepted of "
 _GATED = " gated"  # key of a count: ``source gated``
@@ -47,7 +48,7 @@ class Events:
 
     def add(self, level: Level, text: str, now_s: float, time_ms: float) -> None:
         """One, unless the same was said a moment ago."""
-        key = (level, _NUMBERS.sub("#", text))
+        key = (level, without_numbers(text))
         if now_s - self._shown_s.get(key, -_REPEAT_S) >= _REPEAT_S:
             self.count += 1
             self.kept.append(Event(self.count, time_ms, level, printable(text)))
@@ -99,8 +100,13 @@ class Events:
 
 
 def same_text(message: str, other: str) -> bool:
-    """Whether two texts differ in nothing but numbers."""
-    return _NUMBERS.sub("#", message) == _NUMBERS.sub("#", other)
+    """Whether two texts differ in nothing but numbers, and what is less probable."""
+    return without_numbers(message) == without_numbers(other)
+
+
+def without_numbers(text: str) -> str:
+    """With # in their places; of explanations that compete, the most probable one alone."""
+    return _NUMBERS.sub("#", _LESS_PROBABLE.sub(r"explanations: \1", text))
 
 
 def _said(name: str, level: Level, message: str, before: str) -> str:

@@ -92,7 +92,8 @@ def strip_plot(strip: Strip, x_range: Range1d, samples: int) -> figure:
     plot.yaxis.major_label_text_font_size = "10px"
     plot.yaxis.major_label_overrides = {row: plot_text(name, _ROW_NAME) for row, name in enumerate(names)}
     dress(plot)
-    plot.y_range = Range1d(-0.7, len(names) + 0.7)
+    room = _LEGEND_ROW / _STRIP_ROW * max(legend_rows([look.word for look in by_look]) - 1, 0)
+    plot.y_range = Range1d(-0.7, len(names) + 0.7 + room)
     plot.ygrid.visible = False
     return plot
 

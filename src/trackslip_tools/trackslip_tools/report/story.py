@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from trackslip_common.errors import printable
 from trackslip_common.topics import SOIL
+from trackslip_estimation.slip.events import Event as Explaining
+from trackslip_estimation.slip.explanations import Explained, sentence
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.silence import lost_after, usual_period
 from trackslip_estimation.soil.stall import Trouble
 from trackslip_tools.replay.inputs import SPROCKETS
-from trackslip_tools.report.events import Event, Events
+from trackslip_tools.report.events import Event, Events, without_numbers
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
 from trackslip_tools.report.recording import Timing
@@ -44,6 +46,8 @@ _TROUBLES = {
     int(Trouble.STALLED): Look(ORANGE, WORDS[Trouble.STALLED]),
     int(Trouble.STUCK): Look(AMBER, WORDS[Trouble.STUCK]),
 }
+_ONE, _SEVERAL = 1, 2
+_EXPLAINED = {_ONE: Look(GREY, "explained"), _SEVERAL: Look(AMBER, "explanations compete")}
 _LOST = 0
 _LOOK_OF_LOST = {_LOST: Look(PURPLE, "nothing accepted")}
 
@@ -81,6 +85,35 @@ def lost_spells(run: Run) -> dict[str, list[Spell]]:
     return {source: own for source, own in found.items() if own}
 
 
+def explained_spells(run: Run) -> list[Spell]:
+    """Stretches in which something has one explanation or several compete, with what they are."""
+    found: list[Spell] = []
+    group: list[Explained] = []
+    for one in run.details.explained:
+        if group and _kind(one) != _kind(group[0]):
+            found += _explained_spell(run, group, one.stamp_ns)
+            group = []
+        group.append(one)
+    return found + (_explained_spell(run, group, group[-1].stamp_ns) if group else [])
+
+
+def _kind(one: Explained) -> tuple[int, str]:
+    """How it is drawn, and what tells it from another spell: numbers of a text do not."""
+    if one.competing > 1:
+        return _SEVERAL, ""
+    return one.competing, without_numbers(one.found[0].text) if one.competing else ""
+
+
+def _explained_spell(run: Run, group: Sequence[Explained], end_ns: int) -> list[Spell]:
+    """(1,), or (0,) where nothing has to be explained; its text is of the middle of it."""
+    if not group[0].competing:
+        return []
+    start, stop = run.recording.seconds(np.array((group[0].stamp_ns, end_ns))).tolist()
+    found = group[len(group) // 2].found
+    text = sentence(found, stop - start) if len(found) > 1 else found[0].text
+    return [Spell(start, stop, _kind(group[0])[0], text)]
+
+
 def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
     """Which track was in which trouble for how long; empty where none was."""
     reported = [
@@ -113,6 +146,7 @@ def strips(runs: Sequence[Run]) -> list[Strip]:
         for side, own in trouble_spells(run).items():
             rows[f"{side} track"] = bars(own, _TROUBLES)
         rows |= {source: bars(own, _LOOK_OF_LOST) for source, own in lost_spells(run).items()}
+        rows |= {"explanations": bars(found_, _EXPLAINED)} if (found_ := explained_spells(run)) else {}
         if any(rows.values()):
             found.append(Strip(f"Motion, tracks in trouble, lost fixes{of}", rows))
     for run in recordings(runs):
@@ -144,7 +178,14 @@ def _message_bars(timing: Timing) -> list[Bar]:
 
 def events_of(run: Run) -> list[Event]:
     """All, in the order of their times (ms); ``number`` is meaningless."""
-    replayed = (*_troubles(run), *_fixes(run), *_silences(run), *_refusals(run), *_soils(run))
+    replayed = (
+        *_troubles(run),
+        *_fixes(run),
+        *_silences(run),
+        *_refusals(run),
+        *_explanations(run),
+        *_soils(run),
+    )
     found = [*replayed, *run.recording.events]
     return sorted(found, key=lambda event: event.time_ms)
 
@@ -187,6 +228,17 @@ def _refusals(run: Run) -> Iterator[Event]:
             if len(group):
                 text = f"gate refuses {len(group)} of {source} within {np.ptp(group):.1f} s"
                 yield _event(float(group[0]), Level.WARN, text)
+
+
+def _explanations(run: Run) -> Iterator[Event]:
+    """What competed, and events that explain contradictions; single outliers are refusals."""
+    for spell in explained_spells(run):
+        if spell.state == _SEVERAL:
+            yield _event(spell.start, Level.WARN, spell.text)
+    for h in run.replay.happened:
+        if h.event is not Explaining.OUTLIER:
+            level = Level.OK if h.event is Explaining.SOUND or h.begins else Level.WARN
+            yield _event(float(run.recording.seconds(np.array(h.stamp_ns))), level, h.text)
 
 
 def _soils(run: Run) -> list[Event]:

@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Competing explanations in a user's words: on /diagnostics, in reports, on the live page."""
+
+from dataclasses import replace
+
+import numpy as np
+from fixtures.drawn_machine import FIX, Machine, drive, parameters
+
+from trackslip_estimation.nodes.estimator_health import estimator_health
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.events import Event
+from trackslip_estimation.slip.explanations import (
+    AS_BEFORE,
+    Explained,
+    Explanation,
+    Happened,
+    recent,
+    sentence,
+)
+from trackslip_estimation.slip.measurements import PoseFix
+from trackslip_estimation.slip.source_watch import SourceWatch
+
+S = 1_000_000_000
+OFF = Explanation("gnss_pose is 1.0 m off", 0.9, 8 * S)
+MOVED = Explanation("the machine was moved", 0.1, 8 * S, lasts=False)
+CALM = Explanation(AS_BEFORE, 0.0, 10 * S)
+
+
+def test_explanations_that_compete_are_listed_with_their_probabilities() -> None:
+    text = "two explanations for 2.0 s: gnss_pose is 1.0 m off (90 %), the machine was moved (10 %)"
+    assert Explained(10 * S, (OFF, MOVED)).text == text
+
+
+def test_one_explanation_says_since_when() -> None:
+    assert Explained(10 * S, (OFF,)).text == "gnss_pose is 1.0 m off, for 2.0 s"
+    assert Explained(10 * S, (MOVED,)).text == "the machine was moved, 2.0 s ago"
+
+
+def test_three_explanations_are_named_and_the_others_summed() -> None:
+    many = [
+        Explanation(name, p, 0) for name, p in (("a", 0.5), ("b", 0.2), ("c", 0.15), ("d", 0.1), ("e", 0.05))
+    ]
+    assert sentence(many, 1.0) == "five explanations for 1.0 s: a (50 %), b (20 %), c (15 %), others (15 %)"
+
+
+def test_doubt_of_a_few_percent_is_not_stated() -> None:
+    assert Explained(10 * S, (CALM._replace(probability=0.95), OFF._replace(probability=0.05))).competing == 0
+    assert Explained(10 * S, (CALM._replace(probability=0.6), OFF._replace(probability=0.4))).competing == 2
+    assert Explained(10 * S, ()).text == ""
+
+
+def test_what_nothing_happened_means_does_not_shorten_the_time() -> None:
+    assert Explained(10 * S, (OFF, CALM._replace(probability=0.1))).seconds == 2.0
+
+
+def test_last_events_have_stamps_and_no_single_outliers() -> None:
+    happened = [
+        Happened(40 * S, Event.OFFSET, "gnss_pose", 0.9),
+        Happened(45 * S, Event.OUTLIER, "gnss_pose", 0.9),
+        Happened(50 * S + S // 4, Event.SOUND, "gnss_pose", 0.9),
+    ]
+    assert recent(happened) == "40.00 gnss_pose is off; 50.25 gnss_pose is sound again; probability 90 %"
+    assert recent([]) == "none"
+
+
+def test_a_source_that_is_sound_again_explains_nothing_more() -> None:
+    """Multipath of 1 m from 20 to 30 s."""
+    recording = drive(Machine(duration=45.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+    gnss = {"sources.box_pose.fault_rate": 1 / 300, "sources.box_pose.jump_rate": 1 / 3000}
+    estimator = SlipEstimator(parameters(**gnss))
+    watch = SourceWatch(estimator.parameters.timeouts_ns())
+    counts, texts = {}, {}
+    for m in recording.measurements:
+        t = m.stamp_ns / S - 1.0
+        if isinstance(m, PoseFix) and 20.0 <= t < 30.0:
+            m = replace(m, pose=m.pose + np.array((0.8, 0.6, 0.0)))
+        watch.add(estimator.process(m)[0])
+        counts[t], texts[t] = estimator.explained.competing, estimator.explained.text
+    assert all(counts[t] >= 1 for t in counts if 23.0 < t < 29.5)
+    assert any(
+        text.startswith("two explanations for") and f"{FIX} is 1.0 m off" in text for text in texts.values()
+    )
+    assert all(counts[t] == 0 for t in counts if t > 33.0 or 5.0 < t < 19.5)
+    values = estimator_health(estimator, watch, 0.0, {}).values
+    assert values["explanations"] == "none needed"
+    assert f"{FIX} is off" in values["last events"]
+    assert f"{FIX} is sound again" in values["last events"]
+
+
+def test_an_unknown_heading_is_being_found_until_one_share_of_the_circle_is_left() -> None:
+    recording = drive(Machine(duration=40.0, fix_noise=0.03, fix_stated=0.03))
+    estimator = SlipEstimator(parameters(initial_yaw_stddev=0.0))
+    texts = []
+    for m in recording.measurements:
+        estimator.process(m)
+        texts.append(estimator.explained.text)
+    begun = [text for text in texts if "the heading is being found from fixes" in text]
+    assert begun
+    assert texts[-1] == ""
+    assert "the heading was wrong" not in " ".join(texts)
