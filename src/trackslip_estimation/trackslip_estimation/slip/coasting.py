@@ -8,15 +8,16 @@
 
 Before, the sprockets' last speeds are taken to go on, and have errors of v̂ √(t/τ) and ω̂ √(t/τ) more. Then
 the pose is held where it was and its uncertainty grows as that of a random walk, by v̂ √(2 τ t). Where
-velocity errors are states, all of speed and yaw rate is an error now. They are forgotten after each step, so
-that a gyro that still works carries the heading on; over the first step the yaw rate may have changed by ω̂
-√(t/τ).
+velocity errors are states, all of speed and yaw rate is an error now. The speed is forgotten after each step.
+The yaw rate is a first-order Gauss–Markov process of size ω̂ and time τ, so that a gyro that still works
+carries the heading on, whatever else is measured between its readings.
 
 An estimate may start before its first sample. Until that one the machine goes as it shows, or otherwise: back
 from it speed and yaw rate may be random walks of v̂ √(t/τ) and ω̂ √(t/τ), which after a time t is a variance of
 v̂² t³/3τ in the way.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,27 +43,42 @@ def motion_limits(vehicle: Kinematics, max_sprocket_speed: float) -> MotionLimit
 
 
 @compiled
-def begin_coast(state: Any, rate: tuple[float, float], dt: float, c: Any) -> None:
-    """At the end of what is known, ``dt`` s before the next that is; ``rate``: yaw rate and its variance."""
+def begin_coast(state: Any, rate: tuple[float, float], c: Any) -> None:
+    """At the end of what is known; ``rate``: yaw rate and its variance."""
     if not has_velocity_errors(c):
         return
-    reset_velocity(state, c)
-    state.mean[YAW_RATE_ERROR] = rate[0]
-    state.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR] = rate[1] + c.yaw_rate_limit**2 * min(dt / LASTS, 1.0)
+    forget_speed(state, c)
+    _renew(state, YAW_RATE_ERROR, rate[0], rate[1])
 
 
 @compiled
-def reset_velocity(state: Any, c: Any) -> None:
-    """Speed and yaw rate unknown: about zero, as wide as they can be."""
+def forget_speed(state: Any, c: Any) -> None:
+    """Speed unknown: about zero, as wide as it can be."""
+    if has_velocity_errors(c):
+        _renew(state, SPEED_ERROR, 0.0, c.speed_limit**2)
+
+
+@compiled
+def doubt_rate(state: Any, dt: float, c: Any) -> None:
+    """The yaw rate dt later: it goes to zero, as wide as it can be."""
     if not has_velocity_errors(c):
         return
-    x, P = state.mean, state.covariance
-    for k in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
-        x[k] = 0.0
-        for j in range(SIZE):
-            P[k, j] = P[j, k] = 0.0
-    P[SPEED_ERROR, SPEED_ERROR] = c.speed_limit**2
-    P[YAW_RATE_ERROR, YAW_RATE_ERROR] = c.yaw_rate_limit**2
+    x, P, k, left = state.mean, state.covariance, YAW_RATE_ERROR, math.exp(-dt / LASTS)
+    x[k] *= left
+    for j in range(SIZE):
+        P[k, j] *= left
+    for j in range(SIZE):
+        P[j, k] *= left
+    P[k, k] += (1.0 - left * left) * c.yaw_rate_limit**2
+
+
+@compiled
+def _renew(state: Any, k: int, mean: float, variance: float) -> None:
+    """State k anew, uncorrelated."""
+    state.mean[k] = mean
+    for j in range(SIZE):
+        state.covariance[k, j] = state.covariance[j, k] = 0.0
+    state.covariance[k, k] = variance
 
 
 @compiled

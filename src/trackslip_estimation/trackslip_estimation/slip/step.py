@@ -24,7 +24,7 @@ from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
 from trackslip_estimation.slip.altitude import use_altitude
-from trackslip_estimation.slip.coasting import begin_coast, doubt_start, inflate, reset_velocity
+from trackslip_estimation.slip.coasting import begin_coast, doubt_rate, doubt_start, forget_speed, inflate
 from trackslip_estimation.slip.events import ANY_HEADING, FOLDED, IS_SOUND, MOVED, TURNED, UNKNOWN_HEADING
 from trackslip_estimation.slip.fixes import use_pose
 from trackslip_estimation.slip.heading import use_heading
@@ -72,7 +72,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
     update.attitude, update.evidence, update.repeated, update.whitened[:] = 0, 0.0, 0, 0.0
-    update.coarse = 0
+    update.coarse, update.stated, update.shown[:] = 0, 0.0, 0.0
     update.nis = update.gate = update.log_determinant = np.nan
     update.prior_mean, update.prior_covariance = state.mean, state.covariance
     if measurement.kind == POSE:
@@ -174,14 +174,15 @@ def coast(state: Any, dt: float, c: Any) -> None:
         left, right = state.speeds.left, state.speeds.right
         rate = twist(state.mean[:], left, right, c)[2]
         variance = sandwich(twist_jacobian(state.mean[:], left, right, c), state.covariance[:])[2, 2]
-        begin_coast(state, (rate, variance), dt, c)
+        begin_coast(state, (rate, variance), c)
     stand_still(state.speeds)
     lose_track(state.adaptation)
     reset_motion(state.motion)
     state.shear[:] = 0.0
     propagate(state, dt, c)
     inflate(state, dt, c)
-    reset_velocity(state, c)
+    forget_speed(state, c)
+    doubt_rate(state, dt, c)
     limit_heading(state)
     state.coasting = True
 
