@@ -72,7 +72,7 @@ _DRIFT, _LIMIT, _CALM = 0.5, 5.0, 1.5  # of the CUSUM, in standard deviations
 _LARGEST = 3.0  # standard deviations of one innovation in the CUSUM
 _LOOK_BACK = 8  # measurements, of which one began whatever shows now
 LOOK_BACK_NS = 5_000_000_000
-_STEPS = 6000  # that children may make at one measurement: 10 ms
+_STEPS = 2000  # that children may make at one measurement: 10 ms
 _ALIKE = 0.05  # mean squared distance of two branches that are one
 _SLIP_RANGE = -0.5, 1.0  # of i₀: tracks do not drive a machine backwards
 _SLIP_EXCESS = 0.1  # standard deviation by which i₀ may leave it
@@ -440,10 +440,6 @@ def _have_children(
         if may_swing(before, source, c):
             for part in range(HEADINGS):
                 born = _child(window, p, k, SWUNG, part, True, prior, born, c)
-    if (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove):  # else it shows in nothing
-        prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS) - doubt
-        for part in range(HEADINGS):
-            born = _child(window, p, k, TURNED, part, True, prior, born, c)
     if drove and has_velocity_errors(c):
         prior = since + log_rate(SLIPPED, source, c) - doubt
         born = _child(window, p, k, SLIPPED, 0, True, prior, born, c)
@@ -453,6 +449,10 @@ def _have_children(
     if is_steep(before) and has_velocity_errors(c):
         prior = since + log_rate(SLID, source, c)
         born = _child(window, p, k, SLID, 0, True, prior, born, c)
+    if (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove):  # else it shows in nothing
+        prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS) - doubt
+        for part in range(HEADINGS):
+            born = _child(window, p, k, TURNED, part, True, prior, born, c)
     return born
 
 
