@@ -144,6 +144,31 @@ def test_swapped_tracks_leave_the_place_known() -> None:
     assert np.mean(nees > 13.8) < 0.02
 
 
+def test_a_machine_that_skids_is_where_centimetre_fixes_show_it_within_a_second() -> None:
+    """0.4 m aside within 0.2 s: no fault of the receiver for ten seconds, and nobody carried the machine."""
+    recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.02, fix_stated=0.02))
+    true = recording.poses.copy()
+    aside = 0.4 * np.clip((recording.t - 20.0) / 0.2, 0.0, 1.0)
+    true[:, 0] += aside
+    skidded = changed(recording, lambda m, t: moved(m, 0.4 * min(max((t - 20.0) / 0.2, 0.0), 1.0), 0.0))
+    error, nees, estimator = errors(skidded, recording._replace(poses=true), parameters(**GNSS))
+    assert Event.SKIDDED in events(estimator)
+    late = np.arange(error.size) > error.size * 21.5 / 40.0
+    assert error[late].max() < 0.15
+    assert np.mean(nees > 13.8) < 0.03
+
+
+def test_a_slip_that_no_track_can_have_is_a_wrong_heading() -> None:
+    """With half a turn a slip of 2 drives the same way; while it is slow to be found the slip is doubted."""
+    recording = drive(Machine(duration=60.0, track_error=0.05))
+    p = parameters(**GNSS, initial_yaw=math.pi, initial_yaw_stddev=0.3)
+    error, _, estimator = errors(recording.measurements, recording, p)
+    last = estimator.window.best[estimator.window.count - 1]
+    assert abs(last["mean"][8]) < 0.3
+    assert abs(math.remainder(last["mean"][2] - recording.poses[-1, 2], math.tau)) < 0.2
+    assert error[error.size // 2 :].max() < 0.15
+
+
 def faulty(seed: int) -> list[Measurement]:
     """8 s with multipath, an outlier, frozen fixes and spinning tracks."""
     recording = drive(Machine(duration=8.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))

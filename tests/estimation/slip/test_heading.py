@@ -212,6 +212,25 @@ def test_lasting_errors_count_as_their_mean_varies(elapsed: float, time: float) 
     assert repeats(round(elapsed * S), 0.0) == 1.0
 
 
+@pytest.mark.parametrize("turned", [-0.035, 0.035])
+def test_a_source_of_poses_that_is_turned_on_the_machine_is_found_by_the_way_driven(turned: float) -> None:
+    """By two degrees: its headings were believed, and the heading's NEES was above 5."""
+    recorded = drive(Machine(duration=120.0, heading_noise=0.01))
+    given_ = [
+        replace(m, pose=m.pose + np.array((0.0, 0.0, turned))) if isinstance(m, PoseFix) else m
+        for m in recorded.measurements
+    ]
+    nees = {}
+    for stddev in (0.0, 0.02):
+        p = parameters(**{"sources.box_pose.use_heading": True, "sources.box_pose.yaw_offset_stddev": stddev})
+        poses, covariances, _ = run(given_, p)
+        off = errors(poses, recorded)[:, 2]
+        nees[stddev] = np.mean(off[off.size // 2 :] ** 2 / covariances[off.size // 2 :, 2, 2])
+    assert nees[0.0] > 5.0
+    assert nees[0.02] < 3.0
+    assert np.sqrt(np.mean(off[off.size // 2 :] ** 2)) < 0.015
+
+
 def test_one_wrong_heading_after_an_outage_is_refused() -> None:
     """The gate had widened with the silence, and one heading was believed that was off by a quarter turn."""
     truth, measurements = seen(Machine(duration=100.0))

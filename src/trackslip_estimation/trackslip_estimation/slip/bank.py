@@ -77,6 +77,7 @@ _ALIKE = 0.05  # mean squared distance of two branches that are one
 _SLIP_RANGE = -0.5, 1.0  # of i₀: tracks do not drive a machine backwards
 _SLIP_EXCESS = 0.1  # standard deviation by which i₀ may leave it
 _DRIVEN = 0.05  # m of the tracks, with which heading and slip show in the place
+_OFTEN = 0.02  # share of outliers of a source that has had some of late
 _SHORTEST = 0.01  # s, in which an event may have happened
 _OF_CORRELATED = 6.0  # by which w of events of the machine is less where fixes err to one side
 _SMALLEST = 1e-4  # m², squared size of a jump or an offset
@@ -437,12 +438,16 @@ def _have_children(
         if drove and update.stated <= c.events.skid_stddev:
             prior = now + log_rate(SKIDDED, source, c) - doubt
             born = _child(window, p, k, SKIDDED, 0, False, prior, born, c)
-        if may_swing(before, source, c):
-            for part in range(HEADINGS):
-                born = _child(window, p, k, SWUNG, part, True, prior, born, c)
     if drove and has_velocity_errors(c):
         prior = since + log_rate(SLIPPED, source, c) - doubt
         born = _child(window, p, k, SLIPPED, 0, True, prior, born, c)
+    is_first = window.branches[p, k - 1].weighed == 0 and e.cusum.max() <= _LIMIT
+    if is_first and not implausible and before.outlier_share[source] > _OFTEN:
+        return born  # as a rule it is an outlier; what began earlier shows in the next one too
+    if contradicts and may_swing(before, source, c):
+        prior = since + log_rate(SWUNG, source, c) - math.log(HEADINGS)
+        for part in range(HEADINGS):
+            born = _child(window, p, k, SWUNG, part, True, prior, born, c)
     if fault != IS_REPEATING and update.coarse == 0:
         prior = since + log_rate(NOISE, source, c)
         born = _child(window, p, k, NOISE, 0, True, prior, born, c)

@@ -81,6 +81,7 @@ CONFIG = np.dtype(
         ("jump_rate", np.float64, (MOST_SOURCES,)),  # 1/s
         ("poses", np.int64),  # how many sources of poses there are
         ("offsets", np.int64, (MOST_SOURCES,)),  # place of the offset of its places, or headings; −1: none
+        ("yaw_offsets", np.int64, (MOST_SOURCES,)),  # place of what all headings of its poses are off by; −1
         ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
         ("lean_errors", np.int64),  # place of the two of the tilt, over its standard deviation; −1: none
         ("lean_stddev", np.float64),  # of what lasts of it, rad
@@ -209,7 +210,7 @@ def _set_odometry(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]
 
 def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     """Offsets of poses and headings, biases of gyros after the first, scales of odometries, what lasts of tilt."""
-    c["own_errors"] = -1
+    c["own_errors"] = c["yaw_offsets"] = -1
     bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
     errors = dict.fromkeys(list(p.gyros())[1:], bias)
     errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
@@ -220,6 +221,11 @@ def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, in
     for name in p.compasses():
         c["offsets"][numbers[name]] = place
         place += 1
+    for name, pose in p.poses().items():
+        if pose.has_yaw_offset:
+            c["yaw_offsets"][numbers[name]] = place
+            c["prior_variance"][place] = c["prior_covariance"][place, place] = pose.yaw_offset_stddev**2
+            place += 1
     for name, (variance, walk) in errors.items():
         c["own_errors"][numbers[name]] = place
         c["prior_variance"][place] = c["prior_covariance"][place, place] = variance

@@ -42,6 +42,7 @@ from trackslip_estimation.slip.own_errors import (
     number_of,
     spread_of,
     to_offset,
+    to_shown_yaw,
 )
 from trackslip_estimation.slip.stands import count_fix, stands_still
 
@@ -73,6 +74,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     x, P, shift = state.mean[: c.size].copy(), state.covariance.copy(), stamp_shift(state, source, c)
     to_sensor(x, P, state.attitude.level, source, 1.0, c)
     to_delayed(x, P, shift, 1.0)
+    to_shown_yaw(x, P, source, 1.0, c)
     update.stated, update.coarse = spread_of(stated), 1 if coarse else 0
     for axis in (X, Y):
         update.shown[axis] = z[axis] - x[axis] + state.mean[axis]
@@ -105,6 +107,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
         to_offset(x, P, source, -1.0, c)
     if fault == IS_OFFSET:
         update.outcome = _GATED
+    to_shown_yaw(x, P, source, -1.0, c)
     to_delayed(x, P, shift, -1.0)
     x[YAW] = wrap(x[YAW])
     to_sensor(x, P, state.attitude.level, source, -1.0, c)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.correlated_errors import PRECISE, is_coarse, same_quality
 from trackslip_estimation.slip.levers import add
 from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, YAW, X, Y
@@ -173,6 +174,15 @@ def doubt_offset(state: Any, P: FloatArray, source: int, more: FloatArray, c: An
         P[axis, k] += added
         P[k, axis] += added
         P[k, k] += added
+
+
+@compiled
+def to_shown_yaw(x: FloatArray, P: FloatArray, source: int, sign: float, c: Any) -> None:
+    """The state with the heading that poses of a source show; or back (−1)."""
+    own = c.yaw_offsets[source]
+    if own >= 0:
+        x[YAW] = wrap(x[YAW] + sign * x[own])
+        add(P, YAW, own, sign)
 
 
 @compiled

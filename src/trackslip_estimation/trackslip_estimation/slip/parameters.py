@@ -159,13 +159,14 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
         odometries, gyros = len(self.odometries()), max(len(self.gyros()) - 1, 0)
         offsets = 2 * len(self.poses()) + len(self.compasses())
-        own = odometries + gyros + offsets + 2 * self.leans
+        turned = sum(pose.has_yaw_offset for pose in self.poses().values())
+        own = odometries + gyros + offsets + turned + 2 * self.leans
         if odometries > MOST_ODOMETRIES:
             raise InputError(
                 f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"
             )
         if own > MOST_SENSOR_ERRORS:
-            parts = f"{gyros} gyros after the first one, {odometries} odometries, {len(self.compasses())} headings,"
+            parts = f"{gyros} gyros after the first one, {odometries} odometries, {len(self.compasses())} headings, {turned} yaw offsets,"
             parts += f" {len(self.poses())} pose sources and {int(self.leans)} tilt of a high antenna, which count twice"
             raise InputError(f"{NODE}: {parts}; accepted: at most {MOST_SENSOR_ERRORS} together")
 

@@ -70,6 +70,9 @@ class PoseSource(Mounted):
     heading_ceiling: float = parameter(
         "standard deviation of a heading beyond which it is not used", unit="rad", gt=0.0
     )
+    yaw_offset_stddev: float = parameter(
+        "standard deviation of what all its headings are off by, which is estimated", unit="rad", ge=0.0, le=0.5
+    )
     stamp_error: float = parameter(
         "standard deviation of a delay that all its stamps have, which is estimated",
         unit="s",
@@ -84,6 +87,11 @@ class PoseSource(Mounted):
         ge=0.0,
         lt=1.0,
     )
+
+    @property
+    def has_yaw_offset(self) -> bool:
+        """Whether what its headings are off by is estimated."""
+        return self.use_heading and self.yaw_offset_stddev > 0.0
 
     @property
     def lever(self) -> tuple[float, float, float]:
