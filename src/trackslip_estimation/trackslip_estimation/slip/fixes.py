@@ -25,15 +25,31 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman import ekf
 from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
-from trackslip_estimation.slip.adaptation import density_of_fix, density_of_one, learn_from_fix, repeats, shared_error
+from trackslip_estimation.slip.adaptation import (
+    density_of_fix,
+    density_of_one,
+    learn_from_fix,
+    learn_from_speed,
+    repeats,
+    shared_error,
+)
 from trackslip_estimation.slip.correlated_errors import surprise
-from trackslip_estimation.slip.events import AREA, IS_IGNORED, IS_OFFSET, IS_REPEATING, IS_SCATTERING
+from trackslip_estimation.slip.events import (
+    AREA,
+    IS_IGNORED,
+    IS_OFFSET,
+    IS_REPEATING,
+    IS_SCATTERING,
+    IS_SOUND,
+)
 from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, YAW, X, Y
 from trackslip_estimation.slip.models.shear import starts
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import observed
+from trackslip_estimation.slip.odometry_errors import by_track_error
 from trackslip_estimation.slip.own_errors import (
     doubt_offset,
     is_correlated,
@@ -48,7 +64,8 @@ from trackslip_estimation.slip.stands import count_fix, stands_still
 
 FloatArray = NDArray[np.float64]
 
-_GATED = int(Outcome.GATED)
+_GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
+_LONGEST_WAY = 5.0  # s between fixes that show what tracks err by
 _LOG_TURN = math.log(2.0 * math.pi)
 _SIZES = (
     7.0  # ln of the largest over the smallest error of an outlier: any size is as likely, by its logarithm
@@ -82,6 +99,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     if coarse or fault == IS_OFFSET:
         to_offset(x, P, source, 1.0, c)
     innovation = _innovation(z, x)
+    elapsed = (measurement.stamp_ns - state.last_ns[source]) * 1e-9
     again = _compare_with_last(state, measurement, z, update)
     density = _density_of_outlier(innovation, P, stated, m)
     if fault == IS_REPEATING:
@@ -96,6 +114,8 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     _whiten(state, innovation, P, R, update)
     if not used:
         return
+    if state.adaptation.elapsed > _LONGEST_WAY and fault == IS_SOUND and update.nis <= update.gate:
+        _teach_track_error(state, innovation, P[:YAW, :YAW] + R[:YAW, :YAW], elapsed, c)
     if coarse and is_correlated(state, source, c):
         share = surprise(update.nis, m)
         doubt_offset(state, P, source, share * (np.diag(P)[:YAW] + np.diag(R)[:YAW]), c)
@@ -112,6 +132,19 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     x[YAW] = wrap(x[YAW])
     to_sensor(x, P, state.attitude.level, source, -1.0, c)
     state.mean[: c.size], state.covariance[:] = x, P
+
+
+@compiled
+def _teach_track_error(state: Any, innovation: FloatArray, S: FloatArray, elapsed: float, c: Any) -> None:
+    """Fixes show what tracks err by, ahead, where no gyro does; ``elapsed``: s since the source's last one."""
+    if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= _LONGEST_WAY:
+        return
+    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    ahead = (cos * innovation[X] + sin * innovation[Y]) / elapsed
+    variance = (cos * cos * S[X, X] + 2.0 * cos * sin * S[X, Y] + sin * sin * S[Y, Y]) / elapsed**2
+    by_tracks = by_track_error(state, (state.speeds.left, state.speeds.right, elapsed), c)[0]
+    stands = state.motion.motion == _STANDING
+    learn_from_speed(state.adaptation, (ahead, variance, by_tracks), stands, c)
 
 
 @compiled
