@@ -297,9 +297,9 @@ def records() -> Family:
         ("attachment", IndexType.ATTACHMENT),
         ("chunk", IndexType.CHUNK),
     ):
-        yield f"mcap={name} index", partial(_mcap, _good, CompressionType.ZSTD, indexes)
-    yield "mcap=no chunks", partial(_mcap, _good, CompressionType.NONE, IndexType.ALL, chunks=False)
-    yield "mcap=tiny chunks", partial(_mcap, _good, CompressionType.NONE, IndexType.ALL, size=1)
+        yield f"mcap={name} index", partial(_mcap, _good, CompressionType.ZSTD, indexes=indexes)
+    yield "mcap=no chunks", partial(_mcap, _good, CompressionType.NONE, chunks=False)
+    yield "mcap=tiny chunks", partial(_mcap, _good, CompressionType.NONE, size=1)
     yield "mcap=other encoding", partial(_mcap, partial(_good, encoding="ros1"), CompressionType.NONE)
     yield "mcap=no schema", partial(_mcap, partial(_good, no_schema=True), CompressionType.NONE)
     yield "mcap=100000 empty chunks", _empty_chunks
@@ -307,8 +307,8 @@ def records() -> Family:
 
 
 def _mcap(
-    fill: Callable[[Writer], None], packed: CompressionType, indexes: IndexType = IndexType.ALL,
-    folder: Path = Path(), *, chunks: bool = True, size: int = 1 << 20,
+    fill: Callable[[Writer], None], packed: CompressionType, folder: Path, *,
+    indexes: IndexType = IndexType.ALL, chunks: bool = True, size: int = 1 << 20,
 ) -> Path:  # fmt: skip
     file = folder / "bag.mcap"
     with file.open("wb") as stream:
