@@ -34,6 +34,8 @@ FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
 
 STEPS = 2000  # of an episode
+_REPORTED = 100_000  # steps from one line of progress to the next
+_SHOWN = 20  # faults, in words
 _PART = 50  # arrivals between two looks at the states
 _TOLERANCE = 1e-12  # of the largest eigenvalue
 _UPPER = {f"sources.{name}.mount": "upper" for name in ("mast", "imu_top", "compass")}  # of the cab
@@ -110,8 +112,6 @@ def _least_eigenvalue(states: Records, where: str, faults: list[str]) -> float:
     ):
         faults.append(f"{where}: a state is not finite")
         return 0.0
-    if not (P.transpose(0, 2, 1) == P).all():
-        pass
     deviations = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
     over = np.where(deviations > 0.0, deviations, 1.0)
     least = 0.0
@@ -235,14 +235,18 @@ def main() -> int:
     """``random_steps.py STEPS``: as many steps on all cores; the exit code is 1 where anything was found."""
     wanted = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000_000
     steps, least = 0, 0.0
-    outcomes, faults = np.zeros(len(Outcome), np.int64), list[str]()
+    outcomes, faults = np.zeros(len(Outcome), np.int64), 0
     with ProcessPoolExecutor() as pool:
         for found in pool.map(episode, range(-(-wanted // STEPS)), chunksize=8):
             steps, outcomes, least = steps + found.steps, outcomes + found.outcomes, min(least, found.least)
-            faults += found.faults
+            for fault in found.faults[: max(_SHOWN - faults, 0)]:
+                print(f"FOUND {fault}", flush=True)
+            faults += len(found.faults)
+            if steps % _REPORTED < found.steps:
+                print(f"{steps} steps, {faults} faults", file=sys.stderr, flush=True)
     counts = ", ".join(f"{o.name.lower()} {n}" for o, n in zip(Outcome, outcomes, strict=True) if n)
     print(f"{steps} random steps, least eigenvalue {least:.1e} of the largest: {counts}")
-    print("\n".join(faults[:20]) or "nothing found")
+    print(f"{faults} faults" if faults else "nothing found")
     return 1 if faults else 0
 
 
