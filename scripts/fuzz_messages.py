@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
 
 from trackslip_common.make import header
@@ -42,6 +43,8 @@ from trackslip_estimation.soil import conversions as soil_conversions
 from trackslip_estimation.soil.records import Hydraulics, Odometry, PoseWithCovariance, Slips, Swing
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+
+FloatArray = NDArray[np.float64]
 
 COUNT = 100_000  # messages of a topic
 _SENTINEL = 0.1234567890123
@@ -85,10 +88,14 @@ class Mutator:
             "header": header(make, 0, "base_link"),
             **({"name": list(topic.names)} if topic.names else {}),
         }
-        message, self._kind = make(topic.type_name, **fields), message_class(topic.type_name)
-        _fill(message, _SENTINEL, len(topic.names))
-        self._raw, wanted = bytes(serialize_message(message)), struct.pack("<d", _SENTINEL)
+        self._kind = message_class(topic.type_name)
+        marked, plain = make(topic.type_name, **fields), make(topic.type_name, **fields)
+        _fill(marked, len(topic.names), lambda _, n: np.full(n, _SENTINEL))
+        _fill(plain, len(topic.names), _plain)
+        self._raw, wanted = bytes(serialize_message(marked)), struct.pack("<d", _SENTINEL)
         self._places = [at for at in range(len(self._raw)) if self._raw.startswith(wanted, at)]
+        raw = bytes(serialize_message(plain))
+        self._plain = [struct.unpack_from("<d", raw, at)[0] for at in self._places]
         self._topic, self._rng, self._packed = topic, rng, packed_topic(self._kind)
 
     def measured(self, stamp_ns: int) -> Any:
@@ -97,24 +104,43 @@ class Mutator:
         if self._rng.random() < 0.02:
             stamp_ns = int(self._rng.integers(-(2**31), 2**31)) * 1_000_000_000
         struct.pack_into("<iI", raw, 4, *divmod(stamp_ns, 1_000_000_000))
-        for at, value in zip(self._places, _numbers(self._rng, len(self._places)), strict=True):
+        for at, value in zip(self._places, self._values(), strict=True):
             struct.pack_into("<d", raw, at, value)
         if self._topic.packed:
             return self._topic.convert(PackedMessage(bytes(raw), self._packed))
         return self._topic.convert(deserialize_message(bytes(raw), self._kind))
 
+    def _values(self) -> list[float]:
+        """Any numbers, or in half of the messages plain ones but for up to three."""
+        n = len(self._places)
+        if self._rng.random() < 0.5:
+            return _numbers(self._rng, n)
+        values = self._plain.copy()
+        changed = self._rng.choice(n, min(int(self._rng.integers(4)), n), replace=False)
+        for at, value in zip(changed, _numbers(self._rng, len(changed)), strict=True):
+            values[at] = value
+        return values
 
-def _fill(message: Any, value: float, joints: int) -> None:
+
+def _fill(message: Any, joints: int, values: Callable[[str, int], FloatArray]) -> None:
+    """Put ``values(name, n)`` where a message has n numbers of a name."""
     for name, text in message.get_fields_and_field_types().items():
         found = getattr(message, name)
         if text == "double":
-            setattr(message, name, value)
+            setattr(message, name, float(values(name, 1)[0]))
         elif text.startswith("double["):
-            setattr(message, name, np.full(len(found), value))
+            setattr(message, name, values(name, len(found)))
         elif text == "sequence<double>":
-            setattr(message, name, [value] * joints)
+            setattr(message, name, values(name, joints).tolist())
         elif hasattr(found, "get_fields_and_field_types"):
-            _fill(found, value, joints)
+            _fill(found, joints, values)
+
+
+def _plain(name: str, n: int) -> FloatArray:
+    """(n,) numbers as sensors state them: a rotation of 20°, a covariance that is diagonal, 0.1 elsewhere."""
+    if name.endswith("covariance"):
+        return np.eye(math.isqrt(n)).ravel() * 0.1
+    return np.full(n, math.sqrt(0.97) if name == "w" else 0.1)
 
 
 def _numbers(rng: np.random.Generator, n: int) -> list[float]:
