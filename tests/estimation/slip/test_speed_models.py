@@ -24,6 +24,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from trackslip_common.errors import InputError
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models import dispatch
 from trackslip_estimation.slip.models.model import BELOW, DOWNHILL, FIX_DELAY, GYRO_BIAS, POSE, SIZE, YAW
@@ -37,6 +38,7 @@ from trackslip_estimation.slip.models.speed import (
 )
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.observation import expected, jacobian
+from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import YAW_RATE
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
@@ -306,3 +308,12 @@ def test_a_step_repeats_every_bit(model: str, filter_: str) -> None:
         return state.mean.tobytes() + state.covariance.tobytes()
 
     assert drive() == drive()
+
+
+@pytest.mark.parametrize("model", ["turning", "icr"])
+def test_track_speed_that_counts_as_none_is_one_of_a_machine(model: str) -> None:
+    """1e30 m/s made the covariance of the position singular: replay and report ended in a traceback."""
+    name = f"{model}.standing_velocity_error"
+    assert load_slip_parameters({name: 1.0}) is not None
+    with pytest.raises(InputError, match=f"{name}: 1e\\+30 is out of range; accepted: > 0 and <= 1 m/s"):
+        load_slip_parameters({name: 1e30})

@@ -97,7 +97,7 @@ class SpeedNoise(Parameters):
     straight_velocity_error: float = parameter("share of V that the equations leave out, straight on", ge=0.0)
     turning_velocity_error: float = parameter("share of D that the equations leave out, in turns", ge=0.0)
     changing_velocity_error: float = parameter("share of d that the equations leave out", ge=0.0)
-    standing_velocity_error: float = parameter("track speed that counts as none", unit="m/s", gt=0.0)
+    standing_velocity_error: float = parameter("track speed that counts as none", unit="m/s", gt=0.0, le=1.0)
     yielding_slip: float = parameter("i₀ of a soil on which velocity errors have twice the variance", gt=0.0)
     yaw_rate_error_ratio: float = parameter("steady error of ω times B, over that of v", ge=0.0)
     velocity_error_time: float = parameter("correlation time τ of the velocity errors", unit="s", gt=0.0)
