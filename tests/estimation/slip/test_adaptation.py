@@ -36,6 +36,23 @@ def test_the_size_of_the_tracks_errors_is_found(share: float) -> None:
     assert 0.5 * share < track_error(run(Machine(track_error=share))) < 2.0 * share
 
 
+@pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0.0, 0.04), (0.05, 0.02, 0.1)])
+def test_fixes_show_the_size_of_the_tracks_errors_where_there_is_no_gyro(
+    share: float, least: float, most: float
+) -> None:
+    """It stayed at what it is at the start, 10 %."""
+    recorded = drive(Machine(duration=100.0, track_error=share))
+    estimator = SlipEstimator(parameters(yaw_rate_sources=[""]))
+    steps = estimator.process_all([m for m in recorded.measurements if not isinstance(m, YawRate)])
+    found = [e for _, e in steps if e is not None and e.stamp_ns > 31_000_000_000]
+    assert least < track_error(estimator.window.best[estimator.window.count - 1]) < most
+    true = np.interp([e.stamp_ns * 1e-9 - 1.0 for e in found], recorded.t, recorded.poses[:, 2])
+    squares = [
+        (e.pose[2] - heading) ** 2 / e.pose_covariance[2, 2] for e, heading in zip(found, true, strict=True)
+    ]
+    assert np.mean(squares) < 2.5
+
+
 def test_the_track_error_is_unknown_and_large_at_the_start() -> None:
     assert track_error(run(Machine(duration=0.5))) > 0.05
 

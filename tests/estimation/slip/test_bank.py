@@ -144,17 +144,16 @@ def test_swapped_tracks_leave_the_place_known() -> None:
     assert np.mean(nees > 13.8) < 0.02
 
 
-def test_a_machine_that_skids_is_where_centimetre_fixes_show_it_within_a_second() -> None:
-    """0.4 m aside within 0.2 s: no fault of the receiver for ten seconds, and nobody carried the machine."""
-    recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.02, fix_stated=0.02))
+def test_a_machine_that_skids_is_where_centimetre_fixes_show_it_within_two_seconds() -> None:
+    """0.25 m aside within a second: the receiver was called off for ten seconds, and the fixes not used."""
+    recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.02, fix_stated=0.02, fix_rate=5))
     true = recording.poses.copy()
-    aside = 0.4 * np.clip((recording.t - 20.0) / 0.2, 0.0, 1.0)
-    true[:, 0] += aside
-    skidded = changed(recording, lambda m, t: moved(m, 0.4 * min(max((t - 20.0) / 0.2, 0.0), 1.0), 0.0))
+    true[:, 0] += 0.25 * np.clip(recording.t - 20.0, 0.0, 1.0)
+    skidded = changed(recording, lambda m, t: moved(m, 0.25 * min(max(t - 20.0, 0.0), 1.0), 0.0))
     error, nees, estimator = errors(skidded, recording._replace(poses=true), parameters(**GNSS))
-    assert Event.SKIDDED in events(estimator)
-    late = np.arange(error.size) > error.size * 21.5 / 40.0
-    assert error[late].max() < 0.15
+    assert Event.OFFSET not in events(estimator)
+    late = np.arange(error.size) > error.size * 23.0 / 40.0
+    assert error[late].max() < 0.1
     assert np.mean(nees > 13.8) < 0.03
 
 

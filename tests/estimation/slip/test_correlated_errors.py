@@ -123,7 +123,9 @@ def test_a_first_coarse_fix_is_not_the_place() -> None:
 
 
 @given(st.floats(0.3, 10.0), st.floats(0.3, 10.0))
-def test_another_prior_of_an_offset_is_as_if_it_had_been_there_from_the_start(before: float, g: float) -> None:
+def test_another_prior_of_an_offset_is_as_if_it_had_been_there_from_the_start(
+    before: float, g: float
+) -> None:
     """Also where the prior widens, and after other states were corrected with it."""
 
     def informed(variance: float) -> FloatArray:

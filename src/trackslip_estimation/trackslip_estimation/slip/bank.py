@@ -205,7 +205,9 @@ def meet_first_fix(window: Window, c: Any) -> None:
     number = number_of(m.source, c) if is_weighed(m) else -1
     if number >= 0 and state.offsets[number].variance > 0.0:
         stddev = state.offsets[number].stddev
-        meet_fix(window.receivers[0, number], window.masses[0, number], state.mean[:YAW], stddev, 0.0, m.stamp_ns)
+        meet_fix(
+            window.receivers[0, number], window.masses[0, number], state.mean[:YAW], stddev, 0.0, m.stamp_ns
+        )
 
 
 @compiled
@@ -294,7 +296,11 @@ def propose(window: Window, k: int, c: Any) -> int:
         if fault != IS_SOUND:
             elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[measurement.source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
-        if measurement.kind == POSE and fault in (IS_SOUND, IS_OFFSET) and not is_correlated(state, measurement.source, c):
+        if (
+            measurement.kind == POSE
+            and fault in (IS_SOUND, IS_OFFSET)
+            and not is_correlated(state, measurement.source, c)
+        ):
             for i in range(4):
                 e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
                 branch.cusum[i] = max(branch.cusum[i] + min(e, _LARGEST) - _DRIFT, 0.0)
@@ -454,7 +460,9 @@ def _have_children(
     if is_steep(before) and has_velocity_errors(c):
         prior = since + log_rate(SLID, source, c)
         born = _child(window, p, k, SLID, 0, True, prior, born, c)
-    if (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove):  # else it shows in nothing
+    if (contradicts and update.dof > YAW) or (
+        (contradicts or implausible) and drove
+    ):  # else it shows in nothing
         prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS) - doubt
         for part in range(HEADINGS):
             born = _child(window, p, k, TURNED, part, True, prior, born, c)

@@ -209,7 +209,7 @@ def _set_odometry(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]
 
 
 def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
-    """Offsets of poses and headings, biases of gyros after the first, scales of odometries, what lasts of tilt."""
+    """Offsets of poses and headings, biases of further gyros, scales of odometries, what lasts of tilt."""
     c["own_errors"] = c["yaw_offsets"] = -1
     bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
     errors = dict.fromkeys(list(p.gyros())[1:], bias)

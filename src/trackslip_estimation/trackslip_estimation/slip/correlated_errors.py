@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far, and for how long, a receiver's fixes err to one side: found from fixes and the way driven; compiled.
+"""How far and for how long fixes of a receiver err to one side, found by the way driven; compiled.
 
     z = p + b + n   a fix: place, offset, white noise                              (2,) m
     R               variance that the receiver states                              m²
@@ -116,9 +116,7 @@ def forget_receiver(s: Any) -> None:
 
 
 @compiled
-def meet_fix(
-    s: Any, masses: Any, shown: FloatArray, stddev: float, spread: float, stamp_ns: int
-) -> None:
+def meet_fix(s: Any, masses: Any, shown: FloatArray, stddev: float, spread: float, stamp_ns: int) -> None:
     """One more coarse fix teaches the masses of its source.
 
     ``shown``: place that it shows (2,), m; ``spread``: variance of the way's direction and length.

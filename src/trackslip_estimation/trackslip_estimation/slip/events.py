@@ -141,7 +141,9 @@ class EventParameters(Parameters):
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
     slide_rate: float = parameter("rate at which the machine slides on a slope", unit="1/s", gt=0.0)
     skid_rate: float = parameter("rate at which the machine skids", unit="1/s", gt=0.0)
-    skid_share: float = parameter("its standard deviation, over the way since the last consistent fix", gt=0.0)
+    skid_share: float = parameter(
+        "its standard deviation, over the way since the last consistent fix", gt=0.0
+    )
     skid_stddev: float = parameter("that a fix states at the most which shows a skid", unit="m", gt=0.0)
     noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)

@@ -136,15 +136,18 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
 
 @compiled
 def _teach_track_error(state: Any, innovation: FloatArray, S: FloatArray, elapsed: float, c: Any) -> None:
-    """Fixes show what tracks err by, ahead, where no gyro does; ``elapsed``: s since the source's last one."""
+    """Fixes show what tracks err by aside, where no gyro does; ``elapsed``: s since the last one."""
     if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= _LONGEST_WAY:
         return
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
-    ahead = (cos * innovation[X] + sin * innovation[Y]) / elapsed
-    variance = (cos * cos * S[X, X] + 2.0 * cos * sin * S[X, Y] + sin * sin * S[Y, Y]) / elapsed**2
-    by_tracks = by_track_error(state, (state.speeds.left, state.speeds.right, elapsed), c)[0]
+    aside = (cos * innovation[Y] - sin * innovation[X]) / elapsed
+    variance = (sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]) / elapsed**2
+    left, right = state.speeds.left, state.speeds.right
+    _, sideways, turning = by_track_error(state, (left, right, elapsed), c)
+    way = c.rolling_radius * (left + right) / 2.0 * elapsed
+    by_tracks = sideways + way * way * turning / 3.0
     stands = state.motion.motion == _STANDING
-    learn_from_speed(state.adaptation, (ahead, variance, by_tracks), stands, c)
+    learn_from_speed(state.adaptation, (aside, variance, by_tracks), stands, c)
 
 
 @compiled
@@ -169,8 +172,8 @@ def weigh(
 ) -> tuple[FloatArray, bool, bool]:
     """R (m, m) of a measurement, whether it is used, and whether it counts alone; fills in ``update``.
 
-    ``predicted``, ``stated``: covariance of the prediction, and R as its source states it, (m, m). ``coarse``:
-    its noise is what the masses of its receiver have.
+    ``predicted``, ``stated``: covariance of the prediction, and R as its source states it, (m, m).
+    ``coarse``: its noise is what the masses of its receiver have.
     """
     source, m, a = measurement.source, innovation.size, state.adaptation
     limit, share, fault = c.gate_limits[m], state.outlier_share[source], state.fault[source]

@@ -19,7 +19,15 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.process import process
 from trackslip_estimation.slip.records import EVENT, HISTORY, MEASUREMENT, RESULT, SPROCKETS
-from trackslip_estimation.slip.window import SPARE, Records, Window, copy_first, enlarged, keep_tail, make_window
+from trackslip_estimation.slip.window import (
+    SPARE,
+    Records,
+    Window,
+    copy_first,
+    enlarged,
+    keep_tail,
+    make_window,
+)
 
 _BLOCK = 256  # entries: their states and updates, 3 MB, stay near the processor
 _NO_ARRIVALS, _NO_RESULTS = np.empty(0, MEASUREMENT), np.empty(0, RESULT)

@@ -121,7 +121,7 @@ def _exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: fl
     if abs(more) * before < 1e-6:
         return
     S = P[k, k] + 1.0 / more
-    if more < 0.0 and S > -1e-3 * before:  # nothing is left of the prior to take away
+    if more < 0.0 and 1e-3 * before > -S:  # nothing is left of the prior to take away
         return
     shared, mean = P[k, :].copy(), x[k]
     for i in range(x.size):

@@ -166,8 +166,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
                 f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"
             )
         if own > MOST_SENSOR_ERRORS:
-            parts = f"{gyros} gyros after the first one, {odometries} odometries, {len(self.compasses())} headings, {turned} yaw offsets,"
-            parts += f" {len(self.poses())} pose sources and {int(self.leans)} tilt of a high antenna, which count twice"
+            parts = f"{gyros} gyros after the first one, {odometries} odometries, {len(self.compasses())}"
+            parts += f" headings, {turned} yaw offsets, {len(self.poses())} pose sources and"
+            parts += f" {int(self.leans)} tilt of a high antenna, which count twice"
             raise InputError(f"{NODE}: {parts}; accepted: at most {MOST_SENSOR_ERRORS} together")
 
     @classmethod

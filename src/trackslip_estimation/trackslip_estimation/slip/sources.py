@@ -71,7 +71,10 @@ class PoseSource(Mounted):
         "standard deviation of a heading beyond which it is not used", unit="rad", gt=0.0
     )
     yaw_offset_stddev: float = parameter(
-        "standard deviation of what all its headings are off by, which is estimated", unit="rad", ge=0.0, le=0.5
+        "standard deviation of what all its headings are off by, which is estimated",
+        unit="rad",
+        ge=0.0,
+        le=0.5,
     )
     stamp_error: float = parameter(
         "standard deviation of a delay that all its stamps have, which is estimated",
