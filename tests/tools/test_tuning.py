@@ -88,6 +88,17 @@ def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
     assert found.nees == pytest.approx(np.mean(nees), rel=0.05)
 
 
+def test_nees_includes_the_covariance_of_the_reference(drive: Callable[..., Any]) -> None:
+    """A reference of 1 m explains all errors."""
+    task = task_of(drive)
+    exact = task.reference
+    assert exact is not None
+    R = np.broadcast_to(np.eye(3), (len(exact.stamps_ns), 3, 3))
+    coarse = replace(task, reference=Track(exact.stamps_ns, exact.poses, R))
+    assert coarse.score({}).nees < 0.1 < task.score({}).nees
+    assert coarse.score({}).position == task.score({}).position
+
+
 def test_a_spike_costs_no_more_than_a_wrong_measurement_may(drive: Callable[..., Any]) -> None:
     task = task_of(drive, **{"sources.box_pose.position_floor": 0.1})
     spiked = records(measurements(drive), task.p)

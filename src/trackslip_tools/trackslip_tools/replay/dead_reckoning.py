@@ -35,6 +35,7 @@ class Path:
 
     stamps_ns: NDArray[np.int64]  # (n,) increasing
     poses: FloatArray  # (n, 3) x m, y m, heading rad (continuous)
+    covariances: FloatArray | None = None  # (n, 3, 3) of the poses, where messages of a reference state them
 
     def at(self, stamps_ns: NDArray[np.int64]) -> FloatArray:
         """(k, 3) poses at other stamps, linear between samples; nan outside the path."""

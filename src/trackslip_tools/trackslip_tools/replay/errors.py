@@ -96,7 +96,8 @@ class PathErrors:
         due = self._reference.due(int(path.stamps_ns[-1]))
         if due is None:
             return
-        true = Path(due["stamp_ns"], np.column_stack([due[name] for name in ("x", "y", "heading")]))
+        R = due["covariance"] if "covariance" in (due.dtype.names or ()) else None
+        true = Path(due["stamp_ns"], np.column_stack([due[name] for name in ("x", "y", "heading")]), R)
         errors = errors_of(path, true)
         self._count += len(errors)
         if len(errors):
@@ -106,9 +107,8 @@ class PathErrors:
         self._headed += int(headed.sum())
         self._heading += float(np.sum(errors[headed, 2] ** 2))
         if covariances is not None:
-            R = due["covariance"] if "covariance" in (due.dtype.names or ()) else None
-            self._nees += float(np.sum(nees_of_each(path, P, true, R=R)[0][headed]))
-            self._nees_position += float(np.sum(nees_of_each(path, P, true, 2, R)[0]))
+            self._nees += float(np.sum(nees_of_each(path, P, true)[0][headed]))
+            self._nees_position += float(np.sum(nees_of_each(path, P, true, 2)[0]))
             self._with_nees += int(headed.sum())
             self._with_nees_position += len(errors)
 

@@ -55,7 +55,8 @@ def path_of_series(series: Series) -> Path:
     poses = series.columns("x", "y", "heading")
     known = np.isfinite(poses[:, 2])
     poses[known, 2] = np.unwrap(poses[known, 2])
-    return Path(series.stamps_ns.copy(), poses)
+    covariances = series["covariance"] if "covariance" in (series.rows.dtype.names or ()) else None
+    return Path(series.stamps_ns.copy(), poses, covariances)
 
 
 def score(path: Path, reference: Path) -> Score | None:
@@ -68,19 +69,18 @@ def score(path: Path, reference: Path) -> Score | None:
 
 
 def nees_of_each(
-    path: Path, covariances: FloatArray, reference: Path, size: int = 3, R: FloatArray | None = None
+    path: Path, covariances: FloatArray, reference: Path, size: int = 3
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |S| there.
 
     ``size`` 3: of the pose, nan where the reference has no heading; 2: of the position.
-    ``R`` (n, 3, 3): of the reference; None: 0.
     """
     errors = errors_of(path, reference)[:, :size]
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
     inside = _inside(path, reference)
     S = covariances[np.searchsorted(midpoints, reference.stamps_ns[inside]), :size, :size]
-    if R is not None:
-        S = S + usable_covariances(R[inside, :size, :size])
+    if reference.covariances is not None:
+        S = S + usable_covariances(reference.covariances[inside, :size, :size])
     weighed = np.linalg.solve(S, errors[:, :, np.newaxis])[:, :, 0]
     return np.sum(errors * weighed, axis=1), np.linalg.slogdet(S)[1]
 

@@ -92,5 +92,7 @@ def _fingerprint(tasks: Iterable[Task]) -> str:
         for array in task.log:
             digest.update(array.tobytes())
         if task.reference is not None:
+            R = task.reference.covariances
             digest.update(task.reference.stamps_ns.tobytes() + task.reference.poses.tobytes())
+            digest.update(b"" if R is None else R.tobytes())
     return digest.hexdigest()[:16]

@@ -5,6 +5,7 @@
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
+from trackslip_common.topics import TRUE_ODOMETRY
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.run import own_reference
 from trackslip_tools.replay.scoring import path_of_series
@@ -28,7 +29,8 @@ def read_task(
         InputError: the bag lacks what is needed.
     """
     reference = reference or own_reference(bag)
-    measurements, found = read_settled(bag, p, filters, (reference,) if reference else ())
+    wanted = (reference,) if reference else ()
+    measurements, found = read_settled(bag, p, filters, wanted, frozenset(wanted) - {TRUE_ODOMETRY})
     series = found.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")

@@ -125,7 +125,8 @@ def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, referenc
     """
     if reference is not None:
         every = -(-len(reference.stamps_ns) // _SCORED) or 1
-        reference = Path(reference.stamps_ns[::every], reference.poses[::every])
+        R = None if reference.covariances is None else reference.covariances[::every]
+        reference = Path(reference.stamps_ns[::every], reference.poses[::every], R)
     return Task(name, make_log(arrivals, p), p, reference)
 
 
