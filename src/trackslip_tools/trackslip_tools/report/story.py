@@ -47,7 +47,7 @@ _TROUBLES = {
     int(Trouble.STUCK): Look(AMBER, WORDS[Trouble.STUCK]),
 }
 _ONE, _SEVERAL = 1, 2
-_EXPLAINED = {_ONE: Look(GREY, "explained"), _SEVERAL: Look(AMBER, "explanations compete")}
+_EXPLAINED = {_ONE: Look(GREEN, "explained"), _SEVERAL: Look(AMBER, "explanations compete")}
 _LOST = 0
 _LOOK_OF_LOST = {_LOST: Look(PURPLE, "nothing accepted")}
 
