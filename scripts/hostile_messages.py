@@ -140,7 +140,10 @@ NUMBERS: dict[str, float] = {
 def _with_numbers(
     message: Any, value: float, which: Callable[[str], bool] = lambda _: True, at: str = ""
 ) -> None:
-    """Every float of a message, within a message too, becomes this one."""
+    """Every float of a message, within a message too, becomes this one, or infinity in 32 bits."""
+    if _is_of_float32(message):
+        with np.errstate(over="ignore"):
+            value = float(np.float32(value))
     for field in dataclasses.fields(message):
         name, held = f"{at}.{field.name}", getattr(message, field.name)
         if dataclasses.is_dataclass(held) and field.name != "stamp":
@@ -150,6 +153,10 @@ def _with_numbers(
         elif isinstance(held, np.ndarray) and held.dtype.kind == "f" and which(name):
             with np.errstate(over="ignore"):
                 setattr(message, field.name, np.full_like(held, value))
+
+
+def _is_of_float32(message: Any) -> bool:
+    return bool(message.__msgtype__ == "sensor_msgs/msg/LaserScan")
 
 
 def _changed(topic: str, change: Callable[[Any, int], Any], every: int, folder: Path) -> Path:
@@ -341,7 +348,7 @@ def sequences() -> Family:
             for status in message.status:
                 status.name = status.message = status.hardware_id = text
                 status.values = [make("diagnostic_msgs/msg/KeyValue", key=text, value=text)] * 50
-                status.level = 255
+                status.level = -1  # 255 as a byte has it
             return message
 
         yield f"diagnostics={name}", partial(_changed, "/diagnostics", values, 1)

@@ -139,7 +139,10 @@ def _work(name: str, commands: Sequence[str]) -> list[Run]:
     folder = Path(tempfile.mkdtemp(prefix="trackslip_hostile_"))
     try:
         (folder / "in").mkdir()
-        bag = made_by_name()[name](folder / "in")
+        try:
+            bag = made_by_name()[name](folder / "in")
+        except Exception:  # noqa: BLE001 (of this script's own code; the other bags are tried)
+            return [Run(name, "making", "\n" + traceback.format_exc(), 0.0, 0)]
         return [_run(name, command, bag, folder / command) for command in commands]
     finally:
         shutil.rmtree(os.fsencode(folder), ignore_errors=True)
