@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from trackslip_common.orientations import heading_text, is_heading_known
+from trackslip_common.orientations import heading_text, headings_of, is_heading_known, tilts_of
 
 
 @pytest.mark.parametrize("stddev", [1.81, 19.2, 1e9, math.inf, math.nan])
@@ -24,3 +24,14 @@ def test_a_known_heading_has_its_interval() -> None:
 def test_known_headings_of_an_array() -> None:
     known = is_heading_known(np.array((0.01, 3.2, 3.3, math.nan)))
     np.testing.assert_array_equal(known, (True, True, False, False))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", [1e308, math.inf, math.nan])
+def test_quaternion_of_absurd_numbers_warns_of_nothing(number: float) -> None:
+    """A bag with 1e308 in its odometry made ``replay`` and ``report`` print a warning of numpy."""
+    rows = np.zeros(2, [(name, np.float64) for name in ("qx", "qy", "qz", "qw")])
+    rows["qw"] = 1.0
+    rows[1] = (number, number, number, number)
+    assert headings_of(rows)[0] == 0.0
+    assert tilts_of(rows)[0].tolist() == [0.0, 0.0]

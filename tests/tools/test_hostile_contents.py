@@ -75,6 +75,22 @@ def test_gyro_readings_that_are_none_are_left_out_of_a_calibration(
     assert not output.exists() or ".nan" not in output.read_text(encoding="utf-8")
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_absurd_truth_in_a_report_warns_of_nothing(
+    tmp_path: Path, lines: list[Any], write_bag: WriteBag
+) -> None:
+    truth = list(lines)
+    for line in (line for line in lines if line.topic == "reference_pose"):
+        stamp = line.message.header
+        slip = make("trackslip_msgs/msg/TrackSlip", header=stamp, left_slip=-1e308, right_slip=-1e308)
+        place = make("nav_msgs/msg/Odometry", header=stamp)
+        place.pose.pose.orientation.w = place.pose.pose.orientation.z = -1e308
+        for topic, message in (("truth/track_slip", slip), ("truth/odometry", place)):
+            truth.append(line._replace(topic=topic, type_name=message.__msgtype__, message=message))
+    path = write_bag(tmp_path / "bag", truth)
+    assert main(["report", str(path), "--output", str(tmp_path / "report.html")]) in (0, 1)
+
+
 @pytest.mark.parametrize("command", ["smooth", "replay"])
 def test_estimates_before_1970_are_written(
     tmp_path: Path, lines: list[Any], write_bag: WriteBag, command: str

@@ -44,15 +44,17 @@ def tilt_of(pose: Any) -> tuple[float, float]:
 def tilts_of(rows: NDArray[np.void]) -> FloatArray:
     """(n, 2) of ``tilt_of``, to the last bit, of rows with the same fields."""
     x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
-    pairs = (2.0 * (w * x + y * z)).tolist(), (1.0 - 2.0 * (x * x + y * y)).tolist()
-    sines = np.clip(2.0 * (w * y - z * x), -1.0, 1.0).tolist()
+    with np.errstate(over="ignore", invalid="ignore"):  # as of floats
+        pairs = (2.0 * (w * x + y * z)).tolist(), (1.0 - 2.0 * (x * x + y * y)).tolist()
+        sines = np.clip(2.0 * (w * y - z * x), -1.0, 1.0).tolist()
     return np.column_stack((_each(math.atan2, *pairs), _each(math.asin, sines)))
 
 
 def headings_of(rows: NDArray[np.void]) -> FloatArray:
     """(n,) of ``heading_of``, to the last bit, of rows with the same fields."""
     x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
-    sines, cosines = 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)
+    with np.errstate(over="ignore", invalid="ignore"):  # as of floats
+        sines, cosines = 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)
     return _each(math.atan2, sines.tolist(), cosines.tolist())
 
 

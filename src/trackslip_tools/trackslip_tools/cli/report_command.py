@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.errors import ExitCode, InputError, show
@@ -168,7 +170,8 @@ def _label(bag: str, name: str, bags: bool, files: bool) -> str:
 def _page(runs: Sequence[Run], limits: VerdictLimits) -> str:
     from trackslip_tools.report.page import render  # Bokeh: half a second that other commands spare
 
-    return render(runs, limits)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that others recorded
+        return render(runs, limits)
 
 
 def _write(path: Path, page: str) -> None:
