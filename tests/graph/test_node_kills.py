@@ -31,7 +31,7 @@ HELD_S = 5.0
 WORST_SIGMAS = 4.0
 DRIVE_S = 3600.0  # the longest there is
 TRUTH_WITHIN_S = 600.0  # for the emulator to work it out on a busy host
-LATE_S = 0.05  # by which a starved emulator sends its bytes late, which then have wrong stamps
+LATE_S = 0.05  # by which a starved emulator sends the truth late; its bytes have wrong stamps then
 SETTLED_S = 5.0
 AHEAD = (
     (4, 0.0, 0.0),
@@ -85,7 +85,7 @@ class Graph:
         observer.node.create_subscription(
             topic_class("truth/odometry"),
             "truth/odometry",
-            lambda message: self._truth.append((message, time.time_ns())),
+            lambda message, about: self._truth.append((message, about["source_timestamp"])),
             subscriber_qos("truth/odometry"),
         )
         self.estimates = self._heard["odometry"]
