@@ -79,7 +79,8 @@ def test_geometry_alone_is_enough(
     options = [word for topic in topics for word in ("--withhold", f"{topic}:{hidden}")]
     found = [replay(log(robot, True), robot, tmp_path, *options, "--seed", str(seed)) for seed in range(3)]
     assert np.mean([one["rmse"]["filter"] for one in found]) <= SLACK * bar
-    assert 1.0 < np.mean([one["nees_position"] for one in found]) < 3.0
+    # below 2, as the reference, whose own covariance counts too, is what the fixes are made of
+    assert 0.3 < np.mean([one["nees_position"] for one in found]) < 3.0
     if not hidden:
         assert np.mean([one["nees"] for one in found]) < 4.5
 

@@ -23,7 +23,14 @@ from trackslip_estimation.slip.correlated_errors import MASSES, RECEIVER, forget
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, SIZE, Y
-from trackslip_estimation.slip.own_errors import begin_offset, meet_fix_error, pass_offsets, to_offset
+from trackslip_estimation.slip.own_errors import (
+    begin_offset,
+    lasting_share,
+    learn_jitter,
+    meet_fix_error,
+    pass_offsets,
+    to_offset,
+)
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import UPDATE
 
@@ -85,7 +92,14 @@ def made_up() -> Gaussian:
 def given_offset(known: Gaussian, variance: float, g: float = 4.0, time: float = 30.0) -> Any:
     """A record of ``STATE`` with an offset of the source that fixes of 1 m showed last."""
     state = state_of(known)[0]
-    state["offsets"][0] = (0.5, g, time, 0.0, variance, 1.0)
+    offset = state["offsets"][0]
+    offset["f"], offset["g"], offset["time"], offset["variance"], offset["stddev"] = (
+        0.5,
+        g,
+        time,
+        variance,
+        1.0,
+    )
     return state
 
 
@@ -165,6 +179,44 @@ def test_an_offset_fades_as_a_first_order_process(dt: float, time: float) -> Non
     Q[OFFSET, OFFSET] = 4.0 * (1.0 - left * left) * np.eye(2)
     np.testing.assert_allclose(state["mean"], F @ x, atol=1e-12)
     np.testing.assert_allclose(state["covariance"], F @ P @ F.T + Q, atol=1e-12)
+
+
+@pytest.mark.parametrize(("lasting", "least", "most"), [(0.0, 0.0, 0.0), (0.5, 0.3, 0.7), (0.9, 0.7, 0.9)])
+def test_what_precise_fixes_do_not_jitter_by_lasts(lasting: float, least: float, most: float) -> None:
+    """Ten a second of 1 cm, of which a part lasts for 5 s: of a driving machine, whatever its way errs by."""
+    rng, offset, t = (
+        np.random.default_rng(3),
+        given_offset(made_up(), 0.0)["offsets"][0],
+        np.arange(0.0, 30.0, 0.1),
+    )
+    slow = math.sqrt(lasting) * gauss_markov(t, 0.01, 5.0, rng)
+    way = np.column_stack((0.5 * t, 0.1 * t))
+    fixes = way + slow + math.sqrt(1.0 - lasting) * 0.01 * rng.normal(size=(t.size, 2))
+    for fix, driven in zip(fixes, 1.01 * way, strict=True):
+        learn_jitter(offset, fix, driven, 0.1, 1e-4)
+    assert least <= lasting_share(offset) <= most
+
+
+def test_ten_fixes_a_second_whose_errors_last_leave_the_estimate_consistent() -> None:
+    """Taken for white they would seem to tell ten times as much."""
+    nees = []
+    for seed in range(3):
+        recorded, noise = drive(Machine(duration=60.0, seed=seed)), np.random.default_rng(seed)
+        error = gauss_markov(recorded.t[::2], 0.02, 5.0, noise)
+        at = [np.append(true + off, 0.0) for true, off in zip(recorded.poses[::2, :2], error, strict=True)]
+        fixes = [
+            PoseFix("box_pose", S + round(t * S), place, np.diag((0.02**2, 0.02**2, 100.0)))
+            for t, place in zip(recorded.t[::2], at, strict=True)
+        ]
+        others = [m for m in recorded.measurements if not isinstance(m, PoseFix)]
+        p = parameters(**{"sources.box_pose.standing_share": 0.0})
+        estimates = SlipEstimator(p).process_all(sorted([*others, *fixes], key=lambda m: m.stamp_ns))
+        found_ = [e for _, e in estimates if e is not None and e.stamp_ns > 11 * S]
+        stamps = np.array([e.stamp_ns for e in found_]) / S - 1.0
+        for e, t in zip(found_, stamps, strict=True):
+            off = e.pose[:2] - [np.interp(t, recorded.t, recorded.poses[:, k]) for k in (0, 1)]
+            nees.append(off @ np.linalg.solve(e.pose_covariance[:2, :2], off))
+    assert 0.5 < np.mean(nees) < 4.0  # 2 if consistent
 
 
 def found(fixes: FloatArray, stddev: float, period: float) -> Any:

@@ -148,7 +148,7 @@ def _take_errors(state: Any, receivers: Any, c: Any) -> None:
 def _follow_receivers(window: Window, k: int, c: Any) -> None:
     """What row k knows of the errors of fixes, by the way of the most probable branch before it.
 
-    With an unknown heading there is no way to compare them with.
+    While it drives with an unknown heading there is no way to compare them with.
     """
     state, before, update = window.states[0, k], window.states[0, k - 1], window.updates[k]
     m = window.measurements[k]
@@ -164,12 +164,12 @@ def _follow_receivers(window: Window, k: int, c: Any) -> None:
         if n != number or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
             continue
         P, spread = update.prior_covariance, heading_variance(window, k - 1)
-        if update.coarse == 1 and spread < MOST_SPREAD:
+        if update.coarse == 1 and (spread < MOST_SPREAD or math.hypot(of.way[X], of.way[Y]) < _DRIVEN):
             if has_velocity_errors(c):
                 spread += P[COMMON_SLIP, COMMON_SLIP]
             meet_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns)
-        elif of.known == 1:
-            of.known = 2
+        elif of.known > 0:
+            of.known, of.way[:], of.driven = 2, 0.0, 0.0
 
 
 @compiled
@@ -439,7 +439,10 @@ def _have_children(
             born = _child(window, p, k, SCATTERS, 0, False, prior, born, c)
             prior = now + size + log_rate(OFFSET, source, c)
             born = _child(window, p, k, OFFSET, 0, False, prior, born, c)
-        prior = now + size + log_rate(MOVED, source, c)
+        moved = now + log_rate(MOVED, source, c)
+        if before.agreed == 0:  # the fix that it rests on may have been an outlier
+            moved = max(moved, math.log(before.outlier_share[source]))
+        prior = size + moved
         born = _child(window, p, k, MOVED, 0, False, prior, born, c)
         if drove and update.stated <= c.events.skid_stddev:
             prior = now + log_rate(SKIDDED, source, c) - doubt

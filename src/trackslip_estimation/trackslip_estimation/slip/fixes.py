@@ -33,7 +33,7 @@ from trackslip_estimation.slip.adaptation import (
     repeats,
     shared_error,
 )
-from trackslip_estimation.slip.correlated_errors import surprise
+from trackslip_estimation.slip.correlated_errors import is_coarse, surprise
 from trackslip_estimation.slip.events import (
     AREA,
     IS_IGNORED,
@@ -54,6 +54,8 @@ from trackslip_estimation.slip.own_errors import (
     doubt_offset,
     is_correlated,
     is_new,
+    lasting_share,
+    learn_jitter,
     meet_fix_error,
     number_of,
     spread_of,
@@ -87,19 +89,28 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     source = measurement.source
     z, stated = observed(measurement, state, c)
     m, fault = z.size, state.fault[source]
-    coarse = meet_fix_error(state, update, source, stated, fault == IS_OFFSET, c)
+    coarse, has_offset = (
+        is_coarse(stated),
+        meet_fix_error(state, update, source, stated, fault == IS_OFFSET, c),
+    )
+    stddev = spread_of(stated)
+    if has_offset and not coarse:
+        stated = without_offset(state, source, stated, c)
     x, P, shift = state.mean[: c.size].copy(), state.covariance.copy(), stamp_shift(state, source, c)
     to_sensor(x, P, state.attitude.level, source, 1.0, c)
     to_delayed(x, P, shift, 1.0)
     to_shown_yaw(x, P, source, 1.0, c)
-    update.stated, update.coarse = spread_of(stated), 1 if coarse else 0
+    update.stated, update.coarse = stddev, 1 if coarse else 0
     for axis in (X, Y):
         update.shown[axis] = z[axis] - x[axis] + state.mean[axis]
+    elapsed = (measurement.stamp_ns - state.last_ns[source]) * 1e-9
+    if not coarse and c.standing_share[source] == 0.0:
+        offset = state.offsets[number_of(source, c)]
+        learn_jitter(offset, update.shown, state.way, elapsed, stddev * stddev)
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
-    if coarse or fault == IS_OFFSET:
+    if has_offset or fault == IS_OFFSET:
         to_offset(x, P, source, 1.0, c)
     innovation = _innovation(z, x)
-    elapsed = (measurement.stamp_ns - state.last_ns[source]) * 1e-9
     again = _compare_with_last(state, measurement, z, update)
     density = _density_of_outlier(innovation, P, stated, m)
     if fault == IS_REPEATING:
@@ -123,7 +134,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     R *= min(known, shared_error(P[:m, :m], R))
     count_fix(state, source, alone, R, c)
     ekf.correct_keeping(x, P, innovation, (np.eye(m, x.size), R), _not_taught(state, source, coarse, c))
-    if coarse or fault == IS_OFFSET:
+    if has_offset or fault == IS_OFFSET:
         to_offset(x, P, source, -1.0, c)
     if fault == IS_OFFSET:
         update.outcome = _GATED
@@ -177,7 +188,7 @@ def weigh(
     """
     source, m, a = measurement.source, innovation.size, state.adaptation
     limit, share, fault = c.gate_limits[m], state.outlier_share[source], state.fault[source]
-    R = _white_part(state, source, stated, c) if coarse else a.fix_factors[source] * stated
+    R = without_offset(state, source, stated, c) if coarse else a.fix_factors[source] * stated
     L = root(predicted + R)
     density = density_of_one(L, innovation)
     if not coarse:
@@ -195,19 +206,23 @@ def weigh(
         return R, False, alone
     if not coarse and has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit and alone:
         learn_from_fix(a, source, innovation, predicted, stated, c)
-        if c.repeat_times[source] > 0.0:  # that it is followed well shows nothing
+        number = number_of(source, c)
+        lasts = c.repeat_times[source] > 0.0 or (number >= 0 and state.offsets[number].variance > 0.0)
+        if lasts:  # that it is followed well shows nothing
             a.fix_factors[source] = max(a.fix_factors[source], 1.0)
         R = a.fix_factors[source] * stated
     update.evidence = evidence
     if update.nis <= limit:
         state.consistent_ns[source] = measurement.stamp_ns
+        state.agreed += 1
     return R, True, alone
 
 
 @compiled
-def _white_part(state: Any, source: int, stated: FloatArray, c: Any) -> FloatArray:
-    """R of a coarse fix without its offset."""
-    R, share = stated.copy(), math.sqrt(state.offsets[number_of(source, c)].f)
+def without_offset(state: Any, source: int, stated: FloatArray, c: Any) -> FloatArray:
+    """R of a fix without its offset."""
+    R, offset = stated.copy(), state.offsets[number_of(source, c)]
+    share = math.sqrt(offset.f if is_coarse(stated) else 1.0 - lasting_share(offset))
     R[:YAW] *= share
     R[:, :YAW] *= share
     return R

@@ -7,7 +7,8 @@ its readings are used, the two change places in the state.
 
 The offset of a source of poses, or of headings, is what its measurements err by for a while. That of a
 coarse receiver is there always: b of ``correlated_errors``, whose prior variance g R follows what the masses
-find. That of any other source is zero until an event opens it.
+find. Of precise fixes that follow each other closely, what they state and do not jitter by lasts. Any other
+offset is zero until an event opens it.
 """
 
 import math
@@ -25,6 +26,10 @@ from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, YAW
 FloatArray = NDArray[np.float64]
 
 OBSERVED = 3.0  # times τ, after which fixes of a coarse receiver may teach the bias of a gyro
+CLOSE = 0.3  # s between fixes that show what they jitter by
+JITTERS = 25.0  # of them, after which it is known
+LEAST_LASTING, MOST_LASTING, MOST_JITTER = 0.25, 0.9, 9.0
+LASTS = 10.0  # s, for which an error of precise fixes does
 SURPRISED = 4.0  # variance of an offset at the most by fixes that surprise, over its prior
 
 
@@ -60,7 +65,7 @@ def is_correlated(state: Any, source: int, c: Any) -> bool:
     if number < 0:
         return False
     offset = state.offsets[number]
-    return bool(offset.variance > 0.0 and offset.g > offset.f)
+    return bool(offset.variance > 0.0 and offset.stddev > PRECISE and offset.g > offset.f)
 
 
 @compiled
@@ -78,22 +83,49 @@ def meet_fix_error(state: Any, update: Any, source: int, R: FloatArray, is_open:
     Else its prior variance goes to what the masses have now. One that an event opened stays as it is.
     """
     offset, own, stddev = state.offsets[number_of(source, c)], c.offsets[source], spread_of(R)
-    coarse, wanted = is_coarse(R), offset.g * stddev * stddev
     if is_open:
         offset.stddev = stddev
-        return coarse
-    if not coarse or offset.variance == 0.0 or not same_quality(stddev, offset.stddev):
-        if coarse or offset.variance > 0.0:
-            offset.variance = wanted if coarse else 0.0
-            update.renewed |= 3 << own
-            _renew(state.mean, state.covariance, own, offset.variance)
-            _renew(update.prior_mean, update.prior_covariance, own, offset.variance)
-    else:
+        return is_coarse(R)
+    other = offset.stddev > 0.0 and not same_quality(stddev, offset.stddev)
+    if other:
+        offset.count = 0.0
+    wanted = (offset.g if is_coarse(R) else lasting_share(offset)) * stddev * stddev
+    if other or (wanted > 0.0) != (offset.variance > 0.0):
+        update.renewed |= 3 << own
+        begins = wanted > 0.0 and not other and offset.stddev > 0.0
+        _renew(state.mean, state.covariance, own, wanted)
+        _renew(update.prior_mean, update.prior_covariance, own, wanted)
+        if begins:  # until now it was in the place
+            to_offset(state.mean, state.covariance, source, -1.0, c)
+            to_offset(update.prior_mean, update.prior_covariance, source, -1.0, c)
+    elif wanted > 0.0:
         for i in (own, own + 1):
             _exchange_prior(state.mean, state.covariance, i, offset.variance, wanted)
-        offset.variance = wanted
-    offset.stddev = stddev
-    return coarse
+    offset.variance, offset.stddev = wanted, stddev
+    if not is_coarse(R):
+        offset.time = LASTS
+    return wanted > 0.0
+
+
+@compiled
+def lasting_share(offset: Any) -> float:
+    """Share of the variance of precise fixes by which they do not jitter, although they state it."""
+    share = 1.0 - offset.jitter
+    return min(share, MOST_LASTING) if offset.count >= JITTERS and share > LEAST_LASTING else 0.0
+
+
+@compiled
+def learn_jitter(offset: Any, shown: FloatArray, way: FloatArray, elapsed: float, variance: float) -> None:
+    """How far a fix is from the one before, but for the way between both; ``variance`` is what it states."""
+    if 0.0 < elapsed <= CLOSE:
+        squared = 0.0
+        for axis in (X, Y):
+            squared += (shown[axis] - offset.shown[axis] - way[axis] + offset.way[axis]) ** 2
+        offset.count = min(offset.count + 1.0, 2.0 * JITTERS)
+        found = min(squared / (4.0 * variance), MOST_JITTER)
+        offset.jitter += (found - offset.jitter) / offset.count
+    for axis in (X, Y):
+        offset.shown[axis], offset.way[axis] = shown[axis], way[axis]
 
 
 @compiled

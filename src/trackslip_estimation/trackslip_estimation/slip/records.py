@@ -126,6 +126,10 @@ OFFSET = np.dtype(  # of a source of poses, as ``correlated_errors`` has it
         ("observed", np.float64),  # s, for which the source gave coarse fixes
         ("variance", np.float64),  # a priori of each of its two states, m²; 0: it has none, or an event
         ("stddev", np.float64),  # that the source's last fix stated, m
+        ("jitter", np.float64),  # share of that variance which is another one in each fix
+        ("count", np.float64),  # fixes that showed it
+        ("shown", np.float64, (2,)),  # place that the last fix showed, m
+        ("way", np.float64, (2,)),  # of the state then, m
     ],
     align=True,
 )
@@ -145,6 +149,7 @@ STATE = np.dtype(
         ("refused_ns", np.int64, (MOST_SOURCES,)),  # for how long it has insisted since, its silences apart
         ("heard_ns", np.int64, (MOST_SOURCES,)),  # stamp of its last measurement; of poses never
         ("offsets", OFFSET, (MOST_RECEIVERS,)),  # of sources of poses
+        ("agreed", np.int64),  # fixes since the place was found that are consistent with it
         ("way", np.float64, (2,)),  # by which the place went as it was predicted, since the start, m
         ("stands", STAND, (MOST_SOURCES,)),
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground

@@ -69,7 +69,8 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
     x, P, stamp_ns = state.mean[:], state.covariance[:], measurement.stamp_ns
     forget_attitude(state.attitude)
     for number in range(c.poses):
-        state.offsets[number].variance = state.offsets[number].stddev = 0.0
+        offset = state.offsets[number]
+        offset.variance = offset.stddev = offset.count = offset.jitter = 0.0
     x[:] = c.prior_mean
     P[:] = c.prior_covariance
     x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance
@@ -103,7 +104,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
     state.ran = state.down = state.way[:] = 0.0
-    state.is_sector = False
+    state.is_sector, state.agreed = False, 0
     state.fault_ns[:] = stamp_ns
     state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, _OUTLIER_SHARE, 0.0
     if measurement.kind == POSE and measurement.source != MANUAL:
