@@ -168,6 +168,8 @@ def _follow_receivers(window: Window, k: int, c: Any) -> None:
             if has_velocity_errors(c):
                 spread += P[COMMON_SLIP, COMMON_SLIP]
             meet_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns)
+            if spread >= MOST_SPREAD:
+                of.observed = 0.0
         elif of.known > 0:
             of.known, of.way[:], of.driven = 2, 0.0, 0.0
 
@@ -440,7 +442,7 @@ def _have_children(
             prior = now + size + log_rate(OFFSET, source, c)
             born = _child(window, p, k, OFFSET, 0, False, prior, born, c)
         moved = now + log_rate(MOVED, source, c)
-        if before.agreed == 0:  # the fix that it rests on may have been an outlier
+        if before.rests_on == source:  # that fix may have been an outlier
             moved = max(moved, math.log(before.outlier_share[source]))
         prior = size + moved
         born = _child(window, p, k, MOVED, 0, False, prior, born, c)

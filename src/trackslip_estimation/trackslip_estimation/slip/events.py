@@ -259,7 +259,7 @@ def apply_event(state: Any, event: int, source: int, part: int, value: float, c:
         renewed |= _open_offset(state, source, False, c)
         renewed |= 1 << YAW if c.compass[source] == 1 else (1 << X) | (1 << Y)
     elif event == MOVED:
-        state.agreed = 0
+        state.rests_on = source
         for axis in (X, Y):
             open_state(x, P, axis, x[axis], unknown)
             renewed |= 1 << axis

@@ -214,7 +214,7 @@ def weigh(
     update.evidence = evidence
     if update.nis <= limit:
         state.consistent_ns[source] = measurement.stamp_ns
-        state.agreed += 1
+        state.rests_on = -1
     return R, True, alone
 
 

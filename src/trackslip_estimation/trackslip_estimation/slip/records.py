@@ -149,7 +149,7 @@ STATE = np.dtype(
         ("refused_ns", np.int64, (MOST_SOURCES,)),  # for how long it has insisted since, its silences apart
         ("heard_ns", np.int64, (MOST_SOURCES,)),  # stamp of its last measurement; of poses never
         ("offsets", OFFSET, (MOST_RECEIVERS,)),  # of sources of poses
-        ("agreed", np.int64),  # fixes since the place was found that are consistent with it
+        ("rests_on", np.int64),  # source of the one fix that the place rests on; −1: others agreed with it
         ("way", np.float64, (2,)),  # by which the place went as it was predicted, since the start, m
         ("stands", STAND, (MOST_SOURCES,)),
         ("streaks", STREAK, (MOST_SOURCES,)),  # measurements in a row that speak for other ground

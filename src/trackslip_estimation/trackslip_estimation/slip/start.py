@@ -104,11 +104,12 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
     state.ran = state.down = state.way[:] = 0.0
-    state.is_sector, state.agreed = False, 0
+    state.is_sector, state.rests_on = False, -1
     state.fault_ns[:] = stamp_ns
     state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, _OUTLIER_SHARE, 0.0
     if measurement.kind == POSE and measurement.source != MANUAL:
         state.last_fix[measurement.source] = measurement.value[:2]
+        state.rests_on = measurement.source
     for k in range(MOST_SOURCES):
         state.consistent_ns[k], state.heard_ns[k] = stamp_ns, NEVER_NS
         state.refused_ns[k], state.last_ns[k], state.stands[k].count = 0, stamp_ns, 0
